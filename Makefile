@@ -1,0 +1,50 @@
+# `make validate` and `make test` need Python >= 3.11 and nothing else; `make help` lists the rest.
+
+PYTHON ?= python3
+JOBS ?= auto
+ARGS ?=
+
+BIN := .venv/bin
+# An environment knows the folder it was made in: in a copied or moved tree it would run the code of the old
+# one. So the stamps carry a number made of the folder's name, and a copy makes its own environment.
+HERE := $(shell pwd -P | cksum | cut -d' ' -f1)
+LOCKED := .venv/locked-$(HERE)
+INSTALLED := .venv/installed-$(HERE)
+
+unexport PYTHONPATH PYTHONHOME
+.DELETE_ON_ERROR:
+.PHONY: help install validate test lint clean
+
+help: ## this list
+	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1~\2/p' Makefile | tr '~' '\t' | expand -t 12
+
+install: $(INSTALLED) ## the environment alone: .venv with exactly what requirements.lock names
+
+validate: $(INSTALLED) ## compare every scene of scenes/ with Mitsuba
+	@$(BIN)/mitsuba-ref validate scenes $(ARGS)
+
+test: $(INSTALLED) ## all tests, on JOBS cores (all of them, unless told)
+	@$(BIN)/python -m pytest -n $(JOBS) $(ARGS)
+
+lint: $(INSTALLED) ## style and types: ruff, mypy
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+
+clean: ## remove .venv and everything else that was made here; caches in the home folder stay
+	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name .git -prune -o -type d -name __pycache__ -prune -exec rm -rf {} +
+
+$(LOCKED): requirements.lock
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo 'Python 3.11 or newer is needed; name one: make PYTHON=python3.12 $(MAKECMDGOALS)' >&2; exit 1; }
+	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || \
+	  { echo 'This Python cannot make virtual environments; on Debian and Ubuntu: apt install python3-venv' >&2; exit 1; }
+	@echo 'Installing requirements.lock into .venv: once, 180 MB to download, 640 MB on disk' >&2
+	@"$(PYTHON)" -m venv --clear .venv
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
+	@touch $@
+
+$(INSTALLED): $(LOCKED) pyproject.toml
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
