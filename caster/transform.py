@@ -1,0 +1,133 @@
+"""4x4 float64 matrices that place things: they act on column vectors, p' = M p."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Matrix = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+# The computed cross product of two unit vectors is off by at most 2 u per component from its products and
+# difference, and each unit vector by 2 u more: 8 u in all, u = 2^-53. What is shorter has no known direction.
+SHORTEST_CROSS = 8 * 2.0**-53
+
+# Solving with a matrix of condition number k loses a factor k of the 2^-53 each number is good for: from 2^52
+# on, no bit of the inverse is known to be right.
+LARGEST_CONDITION = 2.0**52
+
+
+def identity() -> Matrix:
+    """The matrix that leaves everything in its place."""
+    return np.eye(4)
+
+
+def translate(v: Sequence[float]) -> Matrix:
+    """Move by v, in scene units."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = v
+    return matrix
+
+
+def scale(s: float | Sequence[float]) -> Matrix:
+    """Stretch by s about the origin, or by s[0], s[1], s[2] along x, y, z; negative factors mirror."""
+    matrix = np.eye(4)
+    matrix[[0, 1, 2], [0, 1, 2]] = s
+    return matrix
+
+
+def rotate(axis: Sequence[float], degrees: float) -> Matrix:
+    """Turn about an axis through the origin, counter-clockwise seen from its tip. Quarter turns are exact.
+
+    axis: any length but 0. Raises ValueError for an axis without a direction.
+    Source: Rodrigues' rotation formula.
+    """
+    x, y, z = unit(axis)
+    c, s = _cos_sin(degrees)
+    rest = 1.0 - c
+    matrix = np.eye(4)
+    matrix[0, :3] = x * x * rest + c, x * y * rest - z * s, x * z * rest + y * s
+    matrix[1, :3] = x * y * rest + z * s, y * y * rest + c, y * z * rest - x * s
+    matrix[2, :3] = x * z * rest - y * s, y * z * rest + x * s, z * z * rest + c
+    return matrix
+
+
+def look_at(origin: Sequence[float], target: Sequence[float], up: Sequence[float]) -> Matrix:
+    """Bring the origin to `origin`, +z towards `target`, and +y as near to `up` as it can be.
+
+    Raises ValueError where this fixes no direction: origin equals target, or up lies along the view.
+    """
+    right, new_up, forward = frame(unit(subtract(target, origin)), up)
+    matrix = np.eye(4)
+    matrix[:3, 0] = [-r for r in right]  # x = y cross z is to the left of someone who looks along z
+    matrix[:3, 1] = new_up
+    matrix[:3, 2] = forward
+    matrix[:3, 3] = origin
+    return matrix
+
+
+def compose(steps: Iterable[ArrayLike]) -> Matrix:
+    """One matrix for several, applied in the order given. The same bits on every machine."""
+    total = np.eye(4)
+    with np.errstate(over="ignore", invalid="ignore"):  # the outcome is checked where it matters
+        for step in steps:
+            m = np.asarray(step, np.float64)
+            a, b, c, e = (m[:, k, None] * total[None, k, :] for k in range(4))
+            total = a + b + c + e + 0.0  # in this order, without BLAS; + 0.0 leaves no negative zeros
+    return total
+
+
+def is_invertible(matrix: Matrix) -> bool:
+    """Whether a finite affine matrix can be undone in float64. Small and large uniform scales can."""
+    linear = matrix[:3, :3]
+    return bool(np.linalg.cond(linear) < LARGEST_CONDITION and np.isfinite(np.linalg.inv(linear)).all())
+
+
+def frame(forward: Vector, up: Sequence[float]) -> tuple[Vector, Vector, Vector]:
+    """(right, up, forward), orthonormal: right = forward x up, up = right x forward. forward: of unit length.
+
+    Raises ValueError if up has no direction or lies along forward.
+    """
+    side = cross(forward, unit(up))
+    if math.hypot(*side) <= SHORTEST_CROSS:
+        raise ValueError("up lies along the view")
+    new_up = unit(cross(unit(side), forward))
+    return unit(cross(forward, new_up)), new_up, forward  # side itself is inexact where up is nearly along
+
+
+def cross(a: Sequence[float], b: Sequence[float]) -> Vector:
+    """The vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def subtract(a: Sequence[float], b: Sequence[float]) -> Vector:
+    """a - b; zero only where a equals b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+# The length of a normalised vector, computed again, is 1 within 2 u of the length it was divided by (hypot is
+# good to a unit in the last place), u of the quotients and 2 u of the new length, u = 2^-53. Such a vector is
+# kept to the bit, so that normalising twice changes nothing.
+UNIT_ATOL = 5 * 2.0**-53
+
+
+def unit(v: Sequence[float]) -> Vector:
+    """v at length 1; the same bits if it has it already. Raises ValueError if v has no direction."""
+    largest = max(abs(x) for x in v)
+    if not 0.0 < largest < math.inf:
+        raise ValueError("a vector without a direction")
+    if abs(math.hypot(*v) - 1.0) <= UNIT_ATOL:
+        return float(v[0]), float(v[1]), float(v[2])
+    exponent = -math.frexp(largest)[1]  # a power of two scales exactly, and keeps tiny quotients accurate
+    x, y, z = (math.ldexp(c, exponent) for c in v)
+    length = math.hypot(x, y, z)
+    return x / length, y / length, z / length
+
+
+def _cos_sin(degrees: float) -> tuple[float, float]:
+    rest = math.remainder(degrees, 360.0)  # exact, and so is what follows down to the two functions
+    quarters = round(rest / 90.0)
+    angle = math.radians(rest - 90.0 * quarters)
+    c, s = math.cos(angle), math.sin(angle)
+    return ((c, s), (-s, c), (-c, -s), (s, -c))[quarters % 4]

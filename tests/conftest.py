@@ -1,0 +1,35 @@
+"""What this run could use, said in its header, and a marker for each folder of tests."""
+
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).parent
+KINDS = {
+    "unit": "one module at a time",
+    "agreement": "two ways to the same bits: cullings, threads, Numba and plain Python",
+    "exact": "against exact arithmetic",
+    "reference": "asks Mitsuba, and fails without it",
+    "report": "looks at reports in a browser",
+}
+NAMED_IN_HEADER = ("numba", "mitsuba", "variants", "libLLVM", "browser")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    for kind, what in KINDS.items():
+        config.addinivalue_line("markers", f"{kind}: {what} (everything in tests/{kind})")
+
+
+def pytest_report_header() -> list[str]:
+    """What is missing is named here: no test is skipped for it in silence."""
+    from mitsuba_ref.doctor import report
+
+    found = {finding.name: finding for finding in report()}
+    return [f"{name}: {found[name].detail}" for name in NAMED_IN_HEADER]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        folder = item.path.relative_to(TESTS).parts[0] if item.path.is_relative_to(TESTS) else ""
+        if folder in KINDS:
+            item.add_marker(folder)

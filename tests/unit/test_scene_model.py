@@ -1,0 +1,162 @@
+"""Scenes built in Python, and what a scene answers."""
+
+import pickle
+from typing import Literal
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from caster.cameras import Orthographic, Pinhole
+from caster.fields import Description, SceneError
+from caster.lights import Ambient, Point
+from caster.materials import Diffuse
+from caster.scene import Check, Film, Scene, Shading
+from caster.scene_model import one_of
+from caster.shapes import SHAPES, Cube, Disk, Sphere
+
+CAMERA = Pinhole(eye=[0, 0, 5], look_at=[0, 0, 0])
+
+
+def built():
+    return Scene(
+        film=Film(width=8, height=6, crop=[1, 2, 5, 6]),
+        camera=CAMERA,
+        lights=[Point(position=[0, 3, 0], intensity=[1, 2, 3]), Ambient(radiance=[0, 0, 1])],
+        materials={"red": Diffuse(reflectance=[1, 0, 0])},
+        shapes=[Sphere(material="red", name="ball"), Cube(), Disk(to_world={"translate": np.ones(3)})],
+        shading=Shading(shadows=False),
+        checks={"depth": Check(ratio=2)},
+    )
+
+
+def test_python_and_file_spellings_build_the_same_scene():
+    data = built().model_dump(by_alias=True, exclude_none=True)
+    assert {"light", "material", "shape", "check"} < data.keys()
+    assert Scene(**data) == built()
+    assert Scene.model_validate(data) == built()
+
+
+def test_a_scene_may_be_nothing_but_a_camera():
+    scene = Scene(camera=CAMERA)
+    assert (scene.film, scene.shapes, scene.lights, scene.materials) == (Film(), (), (), {})
+    assert scene.film.window == (0, 0, 256, 256) and scene.shading.shadows
+
+
+def test_elements_may_be_plain_data():
+    scene = Scene(
+        camera={"type": "panorama", "eye": [0, 0, 0], "direction": [0, 0, 1]}, shapes=[{"type": "cube"}]
+    )
+    assert scene.camera.type == "panorama" and scene.shapes == (Cube(),)
+
+
+def test_all_errors_of_a_python_scene_come_at_once():
+    with pytest.raises(SceneError) as caught:
+        Scene(
+            camera={"type": "pinhole", "eye": [0, 0, 0], "look_at": [0, 0, 1], "fov": 200},
+            shapes=[
+                Sphere(name="a", material="gold"),
+                {"type": "disk", "name": "a"},
+                {"type": "cube", "raduis": 2},
+            ],
+        )
+    assert str(caught.value).splitlines() == [
+        "camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 200",
+        "shapes[2] (cube): raduis is an unknown key",
+        'shapes[0] (sphere "a"): material must be one of the materials of this scene, got "gold"; '
+        "add a table [material.gold]",
+        'shapes[1] (disk "a"): name must be another than that of shapes[0], got "a" again',
+    ]
+
+
+def test_a_scene_that_does_not_fit_together_never_comes_to_be():
+    with pytest.raises(ValidationError, match="gold"):
+        Scene.model_validate({"camera": CAMERA, "shapes": [Sphere(material="gold")]})
+
+
+def test_every_shape_has_a_name():
+    assert built().shape_names() == ["ball", "shape-1", "shape-2"]
+
+
+def test_a_shape_without_a_material_is_half_grey_and_one_sided():
+    scene = built()
+    assert scene.material_of(scene.shapes[0]).reflectance == (1, 0, 0)
+    assert scene.material_of(scene.shapes[1]) == Diffuse(reflectance=[0.5, 0.5, 0.5], two_sided=False)
+
+
+def test_another_film_leaves_the_rest_alone():
+    scene = built()
+    larger = scene.with_film(width=16, height=12)
+    assert larger.film == Film(width=16, height=12, crop=[2, 4, 10, 12])
+    assert larger.model_copy(update={"film": scene.film}) == scene
+    assert scene.film == Film(width=8, height=6, crop=[1, 2, 5, 6])
+
+
+@pytest.mark.parametrize("size", [1, 3, 7, 100])
+def test_a_crop_keeps_a_pixel_at_any_size(size):
+    x0, y0, x1, y1 = built().with_film(width=size, height=size).film.window
+    assert 0 <= x0 < x1 <= size and 0 <= y0 < y1 <= size
+
+
+def test_a_given_crop_is_checked_against_the_new_film():
+    assert built().with_film(width=4, height=4, crop=(0, 0, 4, 4)).film.window == (0, 0, 4, 4)
+    with pytest.raises(SceneError, match=r"film: crop must lie inside the film, x1 <= 4"):
+        built().with_film(width=4, height=4, crop=(0, 0, 5, 4))
+    with pytest.raises(SceneError, match=r"width must be >= 1, got 0"):
+        built().with_film(width=0)
+
+
+def test_what_was_computed_from_a_scene_stays_with_it_alone():
+    scene = built()
+    scene.kept["packed"] = object()
+    assert scene == built()
+    assert not scene.with_film(width=9).kept
+    assert not pickle.loads(pickle.dumps(scene)).kept
+    assert pickle.loads(pickle.dumps(scene)) == scene
+
+
+def test_a_copy_of_a_shape_elsewhere_has_its_own_matrix():
+    sphere = Sphere(to_world={"translate": [1, 2, 3]})
+    assert sphere.matrix[:3, 3].tolist() == [1, 2, 3]
+    moved = sphere.model_copy(update={"to_world": [{"scale": 2}]})
+    assert np.array_equal(moved.matrix, np.diag([2.0, 2, 2, 1]))
+
+
+def test_a_matrix_cannot_be_written_to():
+    with pytest.raises(ValueError, match="read-only"):
+        Sphere().matrix[0, 0] = 2
+
+
+def test_steps_are_applied_in_their_order():
+    steps = [{"translate": [1, 0, 0]}, {"rotate": {"axis": [0, 0, 5], "degrees": 90}}, {"scale": [2, 3, -4]}]
+    assert Cube(to_world=steps).matrix.tolist() == [[0, -2, 0, 0], [3, 0, 0, 3], [0, 0, -4, 0], [0, 0, 0, 1]]
+
+
+def test_one_step_needs_no_list():
+    assert np.array_equal(Cube(to_world={"scale": 2}).matrix, Cube(to_world=[{"scale": [2, 2, 2]}]).matrix)
+
+
+def test_a_camera_frame_has_right_and_up_as_in_the_image():
+    right, up, forward = Orthographic(eye=[1, 1, 1], direction=[0, 0, -7], up=[0.0, 2.0, 1.0]).frame
+    assert (right.tolist(), up.tolist(), forward.tolist()) == ([1, 0, 0], [0, 1, 0], [0, 0, -1])
+    right, up, forward = Pinhole(eye=[1, 1, 1], look_at=[9, 1, 1]).frame
+    assert (right.tolist(), up.tolist(), forward.tolist()) == ([0, 0, 1], [0, 1, 0], [1, 0, 0])
+
+
+def test_a_shape_is_open_to_a_scene_once_it_is_in_the_registry():
+    """All a new shape needs is its class in the tuple: `type` finds it, and errors list it."""
+
+    class Egg(Sphere):
+        type: Literal["egg"] = "egg"  # type: ignore[assignment]
+        pointed: bool = False
+
+    class Nest(Description):
+        inside: one_of((*SHAPES, Egg))  # type: ignore[valid-type]
+
+    assert Nest(inside={"type": "egg", "pointed": True}).inside == Egg(pointed=True)
+    with pytest.raises(
+        SceneError, match=r"inside.* type \"eg\", did you mean 'egg'\? \(known: sphere, .*, egg\)"
+    ):
+        Nest(inside={"type": "eg"})
+    with pytest.raises(SceneError, match=r"inside.pionted is an unknown key, did you mean 'pointed'\?"):
+        Nest(inside={"type": "egg", "pionted": True})
