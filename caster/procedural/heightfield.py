@@ -1,0 +1,82 @@
+"""Hills: a square of ground under a sum of sine waves that run in all directions."""
+
+import math
+from random import Random
+from typing import NamedTuple
+
+import numpy as np
+
+from caster.fields import SceneError
+from caster.mesh import Floats, Ints, Mesh, unit_rows
+from caster.procedural.parameters import check_length, check_whole
+
+MAX_RESOLUTION = 4096  # 33,554,432 faces
+MAX_WAVES = 64
+
+# Waves across the square: fewer than one looks flat, and more than a dozen need a fine grid.
+FEWEST_ACROSS, MOST_ACROSS = 1.0, 12.0
+
+
+def heightfield(size: float, resolution: int, amplitude: float, waves: int, seed: int) -> Mesh:
+    """2 * resolution^2 faces over the square [-size/2, size/2]^2 of the plane z = 0, seen from +z.
+
+    |z| <= amplitude. size, amplitude: scene units. resolution: cells along a side, 1 to 4096. waves: 1 to 64.
+    seed: a whole number >= 0 that draws direction, length and phase of each wave; the same on all machines.
+    Normals are the exact surface's; uv runs from (0, 0) to (1, 1). Raises SceneError for anything else.
+    """
+    _check(size, resolution, amplitude, waves, seed)
+    steps = np.arange(resolution + 1) / resolution
+    u, v = (axis.ravel() for axis in np.meshgrid(steps, steps))
+    x, y = (u - 0.5) * size, (v - 0.5) * size
+    z, normals = _surface(x, y, _draw(size, amplitude, waves, seed))
+    return Mesh(np.stack([x, y, z], axis=1), _faces(resolution), normals, np.stack([u, v], axis=1))
+
+
+class _Wave(NamedTuple):
+    """height * sin(kx x + ky y + phase)"""
+
+    kx: float
+    ky: float
+    phase: float
+    height: float
+
+
+def _check(size: float, resolution: int, amplitude: float, waves: int, seed: int) -> None:
+    check_length("heightfield", "size", size)
+    check_whole("heightfield", "resolution", resolution, 1, MAX_RESOLUTION)
+    if not (math.isfinite(amplitude) and amplitude >= 0.0):
+        raise SceneError(f"heightfield: amplitude must be a length >= 0, got {amplitude!r}")
+    check_whole("heightfield", "waves", waves, 1, MAX_WAVES)
+    check_whole("heightfield", "seed", seed, 0)
+
+
+def _draw(size: float, amplitude: float, waves: int, seed: int) -> list[_Wave]:
+    """Longer waves are higher, so that all are about as steep. The heights add up to the amplitude."""
+    draw = Random(seed).random  # unlike NumPy's generators, promised never to change
+    across = [FEWEST_ACROSS * (MOST_ACROSS / FEWEST_ACROSS) ** draw() for _ in range(waves)]
+    scale = amplitude / sum(1.0 / n for n in across)
+    result = []
+    for n in across:
+        k, direction = 2.0 * math.pi * n / size, 2.0 * math.pi * draw()
+        phase = 2.0 * math.pi * draw()
+        result.append(_Wave(k * math.cos(direction), k * math.sin(direction), phase, scale / n))
+    return result
+
+
+def _surface(x: Floats, y: Floats, waves: list[_Wave]) -> tuple[Floats, Floats]:
+    """z, and the normal (-dz/dx, -dz/dy, 1) brought to length 1."""
+    z, slope_x, slope_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
+    for wave in waves:
+        angle = wave.kx * x + wave.ky * y + wave.phase
+        z += wave.height * np.sin(angle)
+        slope_x += wave.height * wave.kx * np.cos(angle)
+        slope_y += wave.height * wave.ky * np.cos(angle)
+    return z, unit_rows(np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=1))
+
+
+def _faces(resolution: int) -> Ints:
+    number = np.arange((resolution + 1) ** 2).reshape(resolution + 1, resolution + 1)  # rows along y
+    here, right = number[:-1, :-1], number[:-1, 1:]
+    above, opposite = number[1:, :-1], number[1:, 1:]
+    quads = np.stack([here, right, opposite, here, opposite, above], axis=2)
+    return quads.reshape(-1, 3).astype(np.int32)

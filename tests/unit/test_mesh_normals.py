@@ -1,0 +1,126 @@
+"""Generated normals and the checks on a mesh."""
+
+import math
+
+import numpy as np
+import pytest
+
+from caster.fields import SceneError
+from caster.mesh import Mesh, check_mesh, unit_rows, vertex_normals
+
+# About twenty roundings of u = 2^-53 lie between the corners and a component of a unit vector.
+ROUNDING = 32 * 2.0**-53
+
+CORNER = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float)
+CORNER_FACES = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 1)], np.int32)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20)
+
+
+def mesh_of(**changes):
+    mesh = Mesh(CORNER, CORNER_FACES)
+    return mesh._replace(**changes)
+
+
+def corner_with(vertex, y):
+    """The corner with another y of one vertex."""
+    vertices = CORNER.copy()
+    vertices[vertex, 1] = y
+    return vertices
+
+
+def obvious_normals(vertices, faces):
+    """One corner after the other, with the textbook's angle."""
+    total = np.zeros_like(vertices)
+    for face in faces:
+        for k in range(3):
+            here, after, before = (vertices[face[(k + i) % 3]] for i in range(3))
+            a, b = after - here, before - here
+            angle = math.acos(np.dot(a, b) / (np.linalg.norm(a) * np.linalg.norm(b)))
+            normal = np.cross(a, b)
+            total[face[k]] += angle * normal / np.linalg.norm(normal)
+    return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+
+def test_three_right_angles_at_a_corner_weigh_alike():
+    normals = vertex_normals(CORNER, CORNER_FACES)
+    assert np.abs(normals[0] - 1 / math.sqrt(3)).max() <= ROUNDING
+
+
+def test_normals_are_weighted_by_angle_not_by_area():
+    """The face in z = 0 has the larger area at vertex 0, the upright one the larger angle."""
+    narrow, wide = math.radians(30), math.radians(90)
+    vertices = np.array(
+        [(0, 0, 0), (9, 0, 0), (9 * math.cos(narrow), 9 * math.sin(narrow), 0), (0, 0, 0.1)], float
+    )
+    normal = vertex_normals(vertices, np.array([(0, 1, 2), (0, 3, 1)], np.int32))[0]
+    expected = np.array([0, wide, narrow]) / math.hypot(wide, narrow)
+    assert np.abs(normal - expected).max() <= ROUNDING
+
+
+def test_normals_agree_with_the_corner_by_corner_sum(rng):
+    vertices = rng.normal(size=(40, 3))
+    faces = np.array([rng.choice(40, 3, replace=False) for _ in range(120)], np.int32)
+    # acos loses half the digits near 0 and 180 degrees: sqrt(u) = 1.1e-8
+    assert np.abs(vertex_normals(vertices, faces) - obvious_normals(vertices, faces)).max() <= 1.1e-8 * 8
+
+
+@pytest.mark.parametrize("exponent", [-1000, -300, 300, 900])
+def test_a_power_of_two_in_size_does_not_change_a_bit(rng, exponent):
+    vertices = rng.normal(size=(20, 3))
+    faces = np.array([rng.choice(20, 3, replace=False) for _ in range(40)], np.int32)
+    scaled = vertex_normals(np.ldexp(vertices, exponent), faces)
+    assert np.array_equal(vertex_normals(vertices, faces), scaled)
+
+
+def test_mirroring_the_mesh_mirrors_the_normals_to_the_bit(rng):
+    vertices = rng.normal(size=(20, 3))
+    faces = np.array([rng.choice(20, 3, replace=False) for _ in range(40)], np.int32)
+    mirrored = vertex_normals(vertices * (-1, 1, 1), faces)  # a cross product mirrors the other two axes
+    assert np.array_equal(vertex_normals(vertices, faces) * (1, -1, -1), mirrored)
+
+
+def test_isolated_and_degenerate_vertices_get_the_x_axis():
+    vertices = np.array([(0, 0, 0), (1, 2, 3), (2, 4, 6), (7, 7, 7)], float)
+    normals = vertex_normals(vertices, np.array([(0, 1, 2), (0, 0, 1)], np.int32))
+    assert np.array_equal(normals, [(1, 0, 0)] * 4)
+
+
+def test_a_degenerate_face_adds_nothing():
+    faces = np.array([(0, 1, 2), (0, 0, 1), (1, 1, 1)], np.int32)
+    assert np.array_equal(vertex_normals(CORNER, faces)[:3], [(0, 0, 1)] * 3)
+
+
+def test_unit_rows_keeps_zeros_and_spans_all_magnitudes():
+    rows = unit_rows(np.array([(0, 0, 0), (3e300, 4e300, 0), (0, 3e-320, 4e-320), (0, 0, -5e-324)], float))
+    # 3e-320 has 13 bits only: its direction is off by 2^-13
+    assert np.abs(rows - [(0, 0, 0), (0.6, 0.8, 0), (0, 0.6, 0.8), (0, 0, -1)]).max() <= 2.0**-12
+    assert np.abs(np.linalg.norm(rows[1:], axis=1) - 1).max() <= ROUNDING
+
+
+def test_degenerate_faces_are_accepted():
+    check_mesh(mesh_of(faces=np.array([(0, 0, 0), (0, 1, 1)], np.int32)), "here")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"faces": np.zeros((0, 3), np.int32)}, "no faces"),
+        ({"vertices": np.zeros((0, 3)), "faces": np.zeros((0, 3), np.int32)}, "no faces"),
+        ({"vertices": corner_with(1, math.nan)}, r"vertex 1 .*nan"),
+        ({"vertices": corner_with(2, math.inf)}, r"vertex 2 .*inf"),
+        ({"faces": np.array([(0, 1, 2), (0, 1, 4)], np.int32)}, r"face 1 .*0 to 3.*\(0, 1, 4\)"),
+        ({"faces": np.array([(0, -1, 2)], np.int32)}, r"face 0 .*\(0, -1, 2\)"),
+        ({"normals": CORNER}, r"normal of vertex 0 .*\(0, 0, 0\)"),
+        ({"normals": np.full((4, 3), math.nan)}, "normal of vertex 0 .*nan"),
+        ({"normals": np.ones((3, 3))}, r"normals must be one per vertex \(4\), got 3"),
+        ({"uv": np.full((4, 2), math.inf)}, "uv of vertex 0 .*inf"),
+        ({"uv": np.ones((5, 2))}, "uv must be one per vertex"),
+    ],
+)
+def test_an_unusable_mesh_is_refused_with_the_culprit_named(changes, words):
+    with pytest.raises(SceneError, match=r"^somewhere: .*" + words):
+        check_mesh(mesh_of(**changes), "somewhere")

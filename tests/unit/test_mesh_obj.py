@@ -1,0 +1,188 @@
+"""Wavefront OBJ files."""
+
+import math
+
+import numpy as np
+import pytest
+
+from caster.fields import FileMissing, SceneError
+from caster.mesh import vertex_normals
+from caster.mesh_files import load_mesh
+
+SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+SQUARE_VERTICES = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load_text(text):
+        path = tmp_path / "mesh.obj"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return load_mesh(path)
+
+    return load_text
+
+
+def test_vertices_keep_the_order_of_the_file(load):
+    mesh = load(SQUARE + "v 9 9 9\nf 3 2 1\n")
+    assert np.array_equal(mesh.vertices, [*SQUARE_VERTICES, (9, 9, 9)])
+    assert np.array_equal(mesh.faces, [(2, 1, 0)])
+    assert mesh.normals is None and mesh.uv is None
+    assert mesh.vertices.dtype == np.float64 and mesh.faces.dtype == np.int32
+
+
+def test_a_polygon_becomes_a_fan_around_its_first_corner(load):
+    mesh = load(SQUARE + "v 0 .5 0\nf 1 2 3\nf 1 2 3 4 5\nf 3 4 5\n")
+    assert np.array_equal(mesh.faces, [(0, 1, 2), (0, 1, 2), (0, 2, 3), (0, 3, 4), (2, 3, 4)])
+
+
+def test_negative_indices_count_back_from_their_line(load):
+    mesh = load("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 5 5\nf -4 -1 2\n")
+    assert np.array_equal(mesh.faces, [(0, 1, 2), (0, 3, 1)])
+
+
+def test_negative_texture_and_normal_indices_count_their_own_lists(load):
+    mesh = load("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvn 0 0 1\nf -3/-2/-1 -2/-1/-1 -1/-2/-1\n")
+    same = load("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvn 0 0 1\nf 1/1/1 2/2/1 3/1/1\n")
+    for ours, expected in zip(mesh, same, strict=True):
+        assert np.array_equal(ours, expected)
+
+
+def test_v_of_uv_is_turned_over(load):
+    mesh = load(SQUARE + "vt 0.25 0.75\nvt 1\nvt 0 0 0.5\nf 1/1 2/2 3/3\n")
+    assert np.array_equal(mesh.uv, [(0.25, 0.25), (1, 1), (0, 1)])
+    assert mesh.normals is None
+
+
+def test_a_corner_shared_with_another_normal_is_split_in_file_order(load):
+    mesh = load(SQUARE + "vn 0 0 1\nvn 1 0 0\nf 1//2 2//1 3//1\nf 1//1 3//1 4//1\n")
+    assert np.array_equal(mesh.vertices, [SQUARE_VERTICES[k] for k in (0, 0, 1, 2, 3)])
+    assert np.array_equal(mesh.normals, [(0, 0, 1), (1, 0, 0), (0, 0, 1), (0, 0, 1), (0, 0, 1)])
+    assert np.array_equal(mesh.faces, [(1, 2, 3), (0, 3, 4)])
+
+
+def test_splitting_does_not_depend_on_the_order_of_the_faces(load):
+    corners = "vt 0 0\nvt 1 1\n"
+    one = load(SQUARE + corners + "f 1/1 2/1 3/2\nf 1/2 3/1 4/1\n")
+    other = load(SQUARE + corners + "f 1/2 3/1 4/1\nf 1/1 2/1 3/2\n")
+    assert np.array_equal(one.vertices, other.vertices) and np.array_equal(one.uv, other.uv)
+    assert np.array_equal(one.faces, other.faces[::-1])
+
+
+def test_an_index_written_in_two_ways_is_one_vertex(load):
+    mesh = load(SQUARE + "vn 0 0 1\nf 1//1 2//1 3//1\nf 01//01 -2//-1 +4//1\n")
+    assert len(mesh.vertices) == 4
+
+
+def test_normals_come_out_with_unit_length(load):
+    mesh = load(SQUARE + "vn 0 3 4\nvn 0 0 1e-200\nf 1//1 2//2 3//2\n")
+    assert np.allclose(mesh.normals, [(0, 0.6, 0.8), (0, 0, 1), (0, 0, 1)], rtol=0, atol=2.0**-52)
+
+
+def test_corners_without_normal_in_a_file_that_has_some_get_generated_ones(load):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvn 0 1 0\nf 1 2 3\nf 1//1 3//1 4//1\n"
+    mesh = load(text)
+    generated = vertex_normals(mesh.vertices[[0, 2, 3, 5]], np.array([(0, 1, 2), (0, 2, 3)], np.int32))
+    assert np.array_equal(mesh.normals[mesh.faces[0]], generated[:3])
+    assert np.array_equal(mesh.normals[mesh.faces[1]], [(0, 1, 0)] * 3)
+
+
+def test_corners_without_uv_in_a_file_that_has_some_get_zeros(load):
+    mesh = load(SQUARE + "vt .5 .5\nf 1/1 2 3/1\n")
+    assert np.array_equal(mesh.uv, [(0.5, 0.5), (0, 0), (0.5, 0.5)])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        SQUARE.replace("\n", "\r\n") + "f 1 2 3\r\n",
+        SQUARE.replace("\n", "\r") + "f 1 2 3",
+        SQUARE.replace(" ", "\t") + "\tf\t1  2\t3\t",
+        SQUARE + "f 1 \\\n 2 \\\r\n 3",
+        "# caf\xe9 \\\n" + SQUARE + "\n\no a\ng b # c\ns off\nusemtl x_1\nmtllib m.mtl\nl 1 2\nf 1 2 3 # 4",
+        "\ufeff" + SQUARE + "f 1 2 3",
+        "v 0 0 0 1\nv 1 0 0 0.5 0.5 0.5\nv 1e0 1.0 -0 1\nv +0 1. 0\nf 1// 2/ 3",
+        "f 1 2 3\n" + SQUARE,
+    ],
+    ids=["crlf", "cr", "tabs", "continuation", "comments and groups", "mark", "w and colours", "faces first"],
+)
+def test_ways_to_write_the_same_triangle(load, text):
+    mesh = load(text.encode("utf-8"))
+    assert np.array_equal(mesh.vertices, SQUARE_VERTICES) and np.array_equal(mesh.faces, [(0, 1, 2)])
+
+
+def test_objects_of_a_file_are_merged(load):
+    mesh = load("o one\n" + SQUARE + "f 1 2 3\no two\nv 0 0 1\nv 1 0 1\nv 0 1 1\nf 5 6 7\n")
+    assert np.array_equal(mesh.faces, [(0, 1, 2), (4, 5, 6)])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (SQUARE + "f 1 2\n", ":5: a face needs at least 3 vertices, got 2"),
+        (SQUARE + "f 1 2 5\n", ":5: v of a corner must be 1 to 4 or -4 to -1, got '5'"),
+        (SQUARE + "f 1 2 3\nf 0 1 2\n", ":6: v of a corner .* got '0'"),
+        (SQUARE + "f -1 -2 -5\n", ":5: v of a corner .* got '-5'"),
+        (SQUARE + "f 1/1 2/1 3/1\n", ":5: vt of a corner must be none, as there is no vt, got '1'"),
+        (SQUARE + "vn 0 0 1\nf 1//1 2//1 3//2\n", ":6: vn of a corner .* got '2'"),
+        (SQUARE + "f 1 2 99999999999999999999999\n", ":5: v of a corner .* got '9"),
+        (SQUARE + "f 1 2 3/1/1/1\n", ":5: expected a corner v, v/vt"),
+        (SQUARE + "f 1 2 /1\n", ":5: expected a corner v, v/vt"),
+        (SQUARE + "f 1 2 x\n", ":5: expected a whole number as v of a corner, got 'x'"),
+        (SQUARE + "f 1 2 3_0\n", ":5: expected a corner"),
+        (SQUARE + "f 1 2 3.0\n", ":5: expected a whole number .* got '3.0'"),
+        ("v 0 0 0\nv 1 0 nan\nf 1 1 1\n", r":2: v must be finite numbers, got \(1, 0, nan\)"),
+        ("v 0 0 0\nv 1 0 1e400\nf 1 1 1\n", r":2: v must be finite numbers, got \(1, 0, inf\)"),
+        (SQUARE + "vt inf 0\nf 1/1 2/1 3/1\n", ":5: vt must be finite"),
+        (SQUARE + "vn 0 nan 0\nf 1//1 2//1 3//1\n", ":5: vn must be finite"),
+        (SQUARE + "vn 0 0 0\nf 1//1 2//1 3//1\n", ": the normal of vertex 0 must have a direction"),
+        ("v 1 2\nf 1 1 1\n", ":1: v needs 3 numbers, got 2"),
+        ("v 1 2 three\n", ":1: expected numbers, got '1 2 three'"),
+        ("v 1 2 1_0\n", ":1: expected numbers, got '1 2 1_0'"),
+        ("v 1 2 \\\n\n\nv 1 2 x\n", ":1: v needs 3 numbers, got 2"),
+        ("# one\\\nv 1 2 x\n", ":2: expected numbers"),
+        (SQUARE + "ff 1 2 3\n", r":5: expected an OBJ statement \(v, vt, vn, f, ...\), got 'ff'"),
+        (b"\x00\xff\xfe\x80", r":1: expected an OBJ statement .*\\x00"),
+        (SQUARE, ": the mesh has no faces: expected at least one, got 4 vertices only"),
+        ("# nothing\n", ": the mesh has no faces"),
+        ("", r": the file is empty \(0 bytes\)"),
+    ],
+)
+def test_a_broken_file_is_an_error_with_its_line(load, text, words):
+    with pytest.raises(SceneError, match=r"mesh\.obj" + words):
+        load(text)
+
+
+def test_a_missing_file_is_missing(tmp_path):
+    with pytest.raises(FileMissing, match=r"no\.obj: cannot read this mesh file: No such file"):
+        load_mesh(tmp_path / "no.obj")
+
+
+def test_a_folder_is_not_a_mesh_file(tmp_path):
+    folder = tmp_path / "folder.obj"
+    folder.mkdir()
+    with pytest.raises(FileMissing, match="cannot read this mesh file"):
+        load_mesh(folder)
+
+
+def test_a_path_that_cannot_exist_is_missing():
+    with pytest.raises(FileMissing, match="cannot read this mesh file"):
+        load_mesh("a\0b.obj")
+
+
+@pytest.mark.parametrize(("name", "ending"), [("ball.stl", ".stl"), ("ball", "")])
+def test_an_unknown_format_is_an_error_that_names_the_known_ones(tmp_path, name, ending):
+    with pytest.raises(SceneError, match=f"unknown mesh format '{ending}': expected .obj or .ply"):
+        load_mesh(tmp_path / name)
+
+
+def test_the_ending_may_be_in_capitals(tmp_path):
+    path = tmp_path / "MESH.OBJ"
+    path.write_text(SQUARE + "f 1 2 3\n")
+    assert len(load_mesh(path).faces) == 1
+
+
+def test_the_numbers_are_the_nearest_float64(load):
+    numbers = [0.1, 1 / 3, -math.pi * 1e-300]
+    mesh = load(f"v {numbers[0]!r} {numbers[1]!r} {numbers[2]!r}\nf 1 1 1\n")
+    assert np.array_equal(mesh.vertices, [numbers])
