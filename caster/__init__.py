@@ -1,0 +1,1 @@
+"""A standalone ray caster: scenes in, depth, normals and shading out."""

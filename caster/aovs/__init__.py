@@ -1,0 +1,20 @@
+"""The registry of AOVs. Each says its NAME, its EXR CHANNELS, its value on a MISS, and how to `evaluate` it."""
+
+from types import ModuleType
+
+from caster.aovs import albedo, depth, diffuse, hit, normal, position, prim_id, shading_normal, shape_id, uv
+
+AOVS: tuple[ModuleType, ...] = (
+    hit,
+    depth,
+    normal,
+    shading_normal,
+    position,
+    uv,
+    albedo,
+    diffuse,
+    shape_id,
+    prim_id,
+)
+
+BY_NAME = {aov.NAME: aov for aov in AOVS}

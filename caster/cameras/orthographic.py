@@ -1,0 +1,63 @@
+"""The orthographic camera: every ray has the same direction."""
+
+import math
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from caster.fields import Camera, NonNegative, Positive
+from caster.kernels.jit import implement
+from caster.kernels.protocol import project, ray
+from caster.kernels.vec import add, dot, scaled, sub, vector
+
+
+class OrthographicRays(NamedTuple):
+    """The orthographic camera as its kernels read it."""
+
+    eye: np.ndarray  # (3,) float64, centre of the window
+    right: np.ndarray  # (3,) unit
+    up: np.ndarray  # (3,) unit
+    forward: np.ndarray  # (3,) unit
+    size: np.ndarray  # (2,) film width and height in pixels
+    half: np.ndarray  # (2,) half extent of the window, scene units
+    near: float
+    far: float
+
+
+class Orthographic(Camera):
+    """Parallel rays from a window `width` scene units wide around the eye; depth is measured from the window."""
+
+    type: Literal["orthographic"] = "orthographic"
+    width: Positive = 2.0
+    near: NonNegative = 0.0
+    far: Annotated[Positive | None, Field(description="None: no limit")] = None
+
+    @model_validator(mode="after")
+    def _near_is_nearer(self) -> "Orthographic":
+        if self.far is not None and self.near >= self.far:
+            raise ValueError(f"near must be < far, got near {self.near} and far {self.far}")
+        return self
+
+    def pack(self, width: int, height: int) -> OrthographicRays:
+        right, up, forward = self.frame
+        far = math.inf if self.far is None else self.far
+        half = np.array([0.5 * self.width, 0.5 * self.width * height / width])
+        size = np.array([width, height], np.float64)
+        return OrthographicRays(np.array(self.eye), right, up, forward, size, half, self.near, far)
+
+
+@implement(ray, OrthographicRays)
+def _ray(camera: Any, x: float, y: float) -> Any:
+    across = (2.0 * (x / camera.size[0]) - 1.0) * camera.half[0]
+    above = (1.0 - 2.0 * (y / camera.size[1])) * camera.half[1]
+    sideways = add(scaled(across, vector(camera.right)), scaled(above, vector(camera.up)))
+    return add(vector(camera.eye), sideways), vector(camera.forward), camera.near, camera.far
+
+
+@implement(project, OrthographicRays)
+def _project(camera: Any, p: Any) -> Any:
+    q = sub(p, vector(camera.eye))
+    x = 0.5 * (dot(q, vector(camera.right)) / camera.half[0] + 1.0) * camera.size[0]
+    y = 0.5 * (1.0 - dot(q, vector(camera.up)) / camera.half[1]) * camera.size[1]
+    return x, y, 0.5 * camera.size[0] / camera.half[0], True

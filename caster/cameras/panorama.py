@@ -1,0 +1,41 @@
+"""The equirectangular panorama: longitude across, latitude up."""
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from caster.kernels.camera_circle import mixed
+from caster.fields import Camera
+from caster.kernels.jit import implement
+from caster.kernels.protocol import ray
+from caster.kernels.vec import unit, vector
+
+
+class PanoramaRays(NamedTuple):
+    """The panorama camera as its kernel reads it."""
+
+    eye: np.ndarray  # (3,) float64
+    right: np.ndarray  # (3,) unit
+    up: np.ndarray  # (3,) unit
+    forward: np.ndarray  # (3,) unit
+    size: np.ndarray  # (2,) film width and height in pixels
+
+
+class Panorama(Camera):
+    """All directions: the film's centre looks forward, its left and right borders meet behind, up is at the top."""
+
+    type: Literal["panorama"] = "panorama"
+
+    def pack(self, width: int, height: int) -> PanoramaRays:
+        right, up, forward = self.frame
+        return PanoramaRays(np.array(self.eye), right, up, forward, np.array([width, height], np.float64))
+
+
+@implement(ray, PanoramaRays)
+def _ray(camera: Any, x: float, y: float) -> Any:
+    longitude = (2.0 * (x / camera.size[0]) - 1.0) * math.pi
+    latitude = (0.5 - y / camera.size[1]) * math.pi
+    level = math.cos(latitude)
+    d = unit(mixed(camera, level * math.sin(longitude), math.sin(latitude), level * math.cos(longitude)))
+    return vector(camera.eye), d, 0.0, math.inf

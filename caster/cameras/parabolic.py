@@ -1,0 +1,46 @@
+"""The parabolic camera: a hemisphere seen in a parabolic mirror."""
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from caster.kernels.camera_circle import film_circle, mixed, on_circle
+from caster.fields import Camera
+from caster.kernels.jit import implement
+from caster.kernels.protocol import ray
+from caster.kernels.vec import unit, vector
+
+
+class ParabolicRays(NamedTuple):
+    """The parabolic camera as its kernel reads it."""
+
+    eye: np.ndarray  # (3,) float64
+    right: np.ndarray  # (3,) unit
+    up: np.ndarray  # (3,) unit
+    forward: np.ndarray  # (3,) unit
+    circle: np.ndarray  # (3,) image circle: centre x, centre y, radius, in pixels
+
+
+class Parabolic(Camera):
+    """The hemisphere in front of the eye as a paraboloid mirror shows it; outside its circle there is no ray.
+
+    The image point (x, y) of the unit disk sees (2 x, 2 y, 1 - x^2 - y^2) / (1 + x^2 + y^2) (Heidrich and Seidel
+    1998, dual paraboloid maps).
+    """
+
+    type: Literal["parabolic"] = "parabolic"
+
+    def pack(self, width: int, height: int) -> ParabolicRays:
+        right, up, forward = self.frame
+        return ParabolicRays(np.array(self.eye), right, up, forward, film_circle(width, height))
+
+
+@implement(ray, ParabolicRays)
+def _ray(camera: Any, x: float, y: float) -> Any:
+    across, above = on_circle(camera.circle, x, y)
+    square = across * across + above * above
+    d = unit(mixed(camera, 2.0 * across, 2.0 * above, 1.0 - square))
+    if square > 1.0:
+        return vector(camera.eye), vector(camera.forward), 0.0, -1.0
+    return vector(camera.eye), d, 0.0, math.inf

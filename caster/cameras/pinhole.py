@@ -1,0 +1,95 @@
+"""The pinhole camera: every ray starts in the eye."""
+
+import math
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from caster.fields import Camera, FieldOfView, NonNegative, Number, Positive
+from caster.kernels.jit import implement
+from caster.kernels.protocol import project, ray
+from caster.kernels.vec import add, dot, scaled, sub, unit, vector
+
+# A point is projected only where its depth is more than this share of its distance from the eye: there the
+# rounding of its position moves the picture by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
+SHALLOWEST = 1e-6
+
+
+class PinholeRays(NamedTuple):
+    """The pinhole camera as its kernels read it."""
+
+    eye: np.ndarray  # (3,) float64
+    right: np.ndarray  # (3,) unit, to the right in the image
+    up: np.ndarray  # (3,) unit
+    forward: np.ndarray  # (3,) unit
+    size: np.ndarray  # (2,) film width and height in pixels
+    half: np.ndarray  # (2,) half extent of the image plane at distance 1
+    shift: np.ndarray  # (2,) principal point offset, fractions of the film
+    near: float
+    far: float
+
+
+class Pinhole(Camera):
+    """A perspective camera. `fov` is measured along `fov_axis` of the whole film, aspect from its size.
+
+    `principal_point` moves the window by fractions of the film. Nothing nearer than the plane at `near` or farther
+    than the plane at `far` is seen; depth is measured from the eye all the same.
+    """
+
+    type: Literal["pinhole"] = "pinhole"
+    fov: FieldOfView = 45.0
+    fov_axis: Literal["x", "y", "diagonal", "smaller", "larger"] = "x"
+    principal_point: tuple[Number, Number] = (0.0, 0.0)
+    near: NonNegative = 0.0
+    far: Annotated[Positive | None, Field(description="None: no limit")] = None
+
+    @model_validator(mode="after")
+    def _near_is_nearer(self) -> "Pinhole":
+        if self.far is not None and self.near >= self.far:
+            raise ValueError(f"near must be < far, got near {self.near} and far {self.far}")
+        return self
+
+    def half_extent(self, width: int, height: int) -> tuple[float, float]:
+        """Half width and half height of the image plane at distance 1."""
+        aspect = width / height
+        tan = math.tan(math.radians(self.fov) / 2.0)
+        if self.fov_axis == "diagonal":
+            x = tan / math.sqrt(1.0 + 1.0 / (aspect * aspect))
+        elif self.fov_axis == "y" or self.fov_axis == ("smaller" if aspect >= 1.0 else "larger"):
+            x = tan * aspect
+        else:
+            x = tan
+        return x, x / aspect
+
+    def pack(self, width: int, height: int) -> PinholeRays:
+        right, up, forward = self.frame
+        far = math.inf if self.far is None else self.far
+        half = np.array(self.half_extent(width, height))
+        size, shift = np.array([width, height], np.float64), np.array(self.principal_point, np.float64)
+        return PinholeRays(np.array(self.eye), right, up, forward, size, half, shift, self.near, far)
+
+
+@implement(ray, PinholeRays)
+def _ray(camera: Any, x: float, y: float) -> Any:
+    across = (2.0 * (x / camera.size[0] + camera.shift[0]) - 1.0) * camera.half[0]
+    above = (1.0 - 2.0 * (y / camera.size[1] + camera.shift[1])) * camera.half[1]
+    length = math.sqrt(across * across + above * above + 1.0)
+    sideways = add(scaled(across, vector(camera.right)), scaled(above, vector(camera.up)))
+    d = unit(add(sideways, vector(camera.forward)))
+    return vector(camera.eye), d, camera.near * length, camera.far * length
+
+
+@implement(project, PinholeRays)
+def _project(camera: Any, p: Any) -> Any:
+    q = sub(p, vector(camera.eye))
+    depth = dot(q, vector(camera.forward))
+    distance = math.sqrt(dot(q, q))
+    if depth <= SHALLOWEST * distance:
+        return 0.0, 0.0, 0.0, False
+    across = dot(q, vector(camera.right)) / depth / camera.half[0]
+    above = dot(q, vector(camera.up)) / depth / camera.half[1]
+    x = (0.5 * (across + 1.0) - camera.shift[0]) * camera.size[0]
+    y = (0.5 * (1.0 - above) - camera.shift[1]) * camera.size[1]
+    pixels = 0.5 * max(camera.size[0] / camera.half[0], camera.size[1] / camera.half[1]) / depth
+    return x, y, pixels * (1.0 + distance / depth), True

@@ -1,0 +1,273 @@
+"""Named channels and provenance <-> OpenEXR. The only module that imports OpenEXR."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import os
+import secrets
+import shutil
+import struct
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.fields import FileMissing, SceneError
+
+Window = tuple[int, int, int, int]
+"""x0, y0, x1, y1 in pixels of the full film; x1 and y1 are the first column and row outside."""
+
+PREFIX = "caster/"
+MAGIC = 20000630  # the first four bytes of every EXR file, little endian
+DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four
+LONGEST_NAME = 255  # bytes; the library drops a longer attribute without a word
+WRITE_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES)
+
+
+class OutputError(SceneError):
+    """A file that cannot be written; nothing half-written is left behind."""
+
+    exit_code = 4
+
+
+class UnreadableExr(FileMissing):
+    """A file that is there but is not a whole, single-part EXR image."""
+
+
+class Exr(NamedTuple):
+    """channels: name -> (h, w) float32, float16 or uint32, as stored. provenance: `caster/version` etc."""
+
+    channels: dict[str, np.ndarray]
+    provenance: dict[str, str]
+    data_window: Window
+    display_window: Window
+
+
+def write_exr(
+    path: str | os.PathLike[str],
+    channels: Mapping[str, np.ndarray],
+    provenance: Mapping[str, str] = {},
+    *,
+    data_window: Window | None = None,
+    display_window: Window | None = None,
+) -> None:
+    """Write a single-part scanline EXR, ZIP, float32; the same input gives the same bytes.
+
+    channels: name -> (h, w), any strides; uint32 stays UINT, floats of any width and bools become float32.
+    provenance: string attributes `caster/<key>`; a key without `caster/` gets it.
+    data_window: where the arrays lie on the film, default (0, 0, w, h).
+    display_window: the whole film, default the data window.
+    Raises SceneError for what an EXR cannot hold (another shape, a finite value that float32 cannot),
+    OutputError if the file cannot be written; an older file of that name is then still there, untouched.
+    """
+    import OpenEXR  # here, so that `--help` need not load it
+
+    height, width = _common_shape(channels)
+    window = _checked("data_window", (0, 0, width, height) if data_window is None else data_window)
+    film = _checked("display_window", window if display_window is None else display_window)
+    if (window[2] - window[0], window[3] - window[1]) != (width, height):
+        raise SceneError(f"data_window {window} does not fit channels of {width} x {height} pixels")
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "lineOrder": OpenEXR.INCREASING_Y,
+        "dataWindow": _inclusive(window),
+        "displayWindow": _inclusive(film),
+        **_attributes(provenance),
+    }
+    # The library stores the memory order of a strided array and puts its own objects into the dict it is
+    # given: it only ever gets fresh contiguous copies in a dict of ours.
+    copies = {name: _storable(name, channels[name], window) for name in sorted(channels)}
+    with _written_aside(Path(path)) as part:
+        OpenEXR.File(header, copies).write(str(part))
+
+
+def read_exr(path: str | os.PathLike[str]) -> Exr:
+    """Read every channel by name, in the type it is stored in.
+
+    Raises FileMissing if there is no such file, UnreadableExr if it is not a whole, single-part, flat EXR.
+    """
+    path = Path(path)
+    _refuse_what_is_no_image(path)
+    part = _decoded(path)
+    header = part.header
+    data_window = _exclusive(header["dataWindow"])
+    return Exr(
+        {name: _pixels(path, name, channel, data_window) for name, channel in sorted(part.channels.items())},
+        {
+            key: value
+            for key, value in sorted(header.items())
+            if key.startswith(PREFIX) and isinstance(value, str)
+        },
+        data_window,
+        _exclusive(header["displayWindow"]),
+    )
+
+
+def _common_shape(channels: Mapping[str, np.ndarray]) -> tuple[int, int]:
+    if not channels:
+        raise SceneError("an EXR needs at least one channel, got none")
+    first = next(iter(channels))
+    shape = np.shape(channels[first])
+    for name, values in channels.items():
+        _check_name("channel", name)
+        if np.ndim(values) != 2 or np.size(values) == 0:
+            raise SceneError(
+                f"channel '{name}': expected a (height, width) array, got shape {np.shape(values)}"
+            )
+        if np.shape(values) != shape:
+            raise SceneError(f"channel '{name}' has shape {np.shape(values)}, channel '{first}' has {shape}")
+    return int(shape[0]), int(shape[1])
+
+
+def _check_name(kind: str, name: object) -> None:
+    if not isinstance(name, str) or not name or "\0" in name or len(_utf8(kind, name)) > LONGEST_NAME:
+        raise SceneError(f"{kind} name {name!r:.60}: expected 1 to {LONGEST_NAME} bytes of text without NUL")
+
+
+def _utf8(what: str, text: str) -> bytes:
+    try:
+        return text.encode("utf-8")
+    except UnicodeEncodeError as e:
+        raise SceneError(f"{what}: text that is no valid Unicode cannot be stored: {text!r:.60}") from e
+
+
+def _checked(what: str, window: Window) -> Window:
+    x0, y0, x1, y1 = (int(edge) for edge in window)
+    if x1 <= x0 or y1 <= y0:
+        raise SceneError(f"{what}: expected x0 < x1 and y0 < y1, got ({x0}, {y0}, {x1}, {y1})")
+    return x0, y0, x1, y1
+
+
+def _inclusive(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
+    x0, y0, x1, y1 = window
+    return (x0, y0), (x1 - 1, y1 - 1)
+
+
+def _exclusive(box: Any) -> Window:
+    (x0, y0), (x1, y1) = box
+    return int(x0), int(y0), int(x1) + 1, int(y1) + 1
+
+
+def _attributes(provenance: Mapping[str, str]) -> dict[str, str]:
+    attributes: dict[str, str] = {}
+    for key, value in sorted(provenance.items()):
+        name = PREFIX + key.removeprefix(PREFIX)
+        _check_name("provenance", name)
+        if not isinstance(value, str) or name in attributes:
+            raise SceneError(f"provenance {name!r}: expected one string, got {value!r:.60}")
+        _utf8(f"provenance {name!r}", value)
+        attributes[name] = value
+    return attributes
+
+
+def _storable(name: str, values: np.ndarray, window: Window) -> np.ndarray:
+    values = np.asarray(values)
+    if values.dtype == np.uint32:
+        return np.array(values, np.uint32, order="C")
+    if values.dtype != bool and not np.issubdtype(values.dtype, np.floating):
+        raise SceneError(f"channel '{name}': an EXR holds floats, bools or uint32, got {values.dtype}")
+    with np.errstate(over="ignore"):
+        narrow = np.array(values, np.float32, order="C")
+    lost = np.isinf(narrow) & np.isfinite(values)
+    if lost.any():
+        y, x = np.argwhere(lost)[0]
+        raise SceneError(
+            f"channel '{name}' at pixel ({window[0] + x}, {window[1] + y}): "
+            f"{float(values[y, x])!r} is beyond float32 (largest {np.finfo(np.float32).max:.9g})"
+        )
+    return narrow
+
+
+@contextlib.contextmanager
+def _written_aside(target: Path) -> Iterator[Path]:
+    """A new file beside `target`, moved onto it if the body succeeds, gone if it does not."""
+    target = Path(os.path.realpath(target))  # through a link, so that the link stays one
+    if target.exists() and not target.is_file():
+        raise OutputError(f"{target}: expected a file to write, this is a folder or a device")
+    part = target.parent / f".{secrets.token_hex(8)}.part"
+    try:
+        # Made by us: the permissions follow the umask, and a bad folder fails before any work.
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        yield part
+        os.replace(part, target)
+    except Exception as e:  # the library raises whatever it likes
+        raise OutputError(f"{target}: cannot write: {_reason(e, target)}") from e
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink()
+
+
+def _reason(e: Exception, target: Path) -> str:
+    if isinstance(e, OSError) and e.strerror:
+        return f"{e.strerror} (folder {target.parent})"
+    known = [os.strerror(code) for code in WRITE_ERRORS if os.strerror(code) in str(e)]
+    free = shutil.disk_usage(target.parent).free // 2**20
+    return f"{known[0] if known else 'the EXR library gave up half-way'} ({free} MiB free in {target.parent})"
+
+
+def _refuse_what_is_no_image(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            start = file.read(8)
+    except FileNotFoundError as e:
+        raise FileMissing(f"{path}: no such file") from e
+    except OSError as e:
+        raise UnreadableExr(f"{path}: cannot read: {e.strerror}") from e
+    if not start:
+        raise UnreadableExr(f"{path}: expected an EXR image, the file is empty (0 bytes)")
+    magic, flags = struct.unpack("<II", start.ljust(8, b"\0"))
+    if magic != MAGIC:
+        raise UnreadableExr(f"{path}: expected an EXR image, the file starts with {start[:4]!r}")
+    if flags & DEEP:
+        raise UnreadableExr(f"{path}: a deep EXR has many samples a pixel; write a flat one")
+    if flags & MULTI_PART:
+        # Most readers see the first part only, and would compare that without a word.
+        raise UnreadableExr(f"{path}: a multi-part EXR; which part is meant? Write a single-part one")
+
+
+def _decoded(path: Path) -> Any:
+    import OpenEXR
+
+    size = path.stat().st_size
+    damaged = UnreadableExr(f"{path}: a damaged or truncated EXR ({size} bytes); write it again")
+    try:
+        with _silenced():
+            file = OpenEXR.File(str(path), separate_channels=True)
+    except Exception as e:
+        raise damaged from e
+    if len(file.parts) != 1:  # a part that fails to decode is dropped by the library
+        raise damaged
+    return file.parts[0]
+
+
+def _pixels(path: Path, name: str, channel: Any, window: Window) -> np.ndarray:
+    x0, y0, x1, y1 = window
+    shape = np.shape(channel.pixels)
+    if shape != (y1 - y0, x1 - x0):
+        raise UnreadableExr(f"{path}: channel '{name}' has {shape} values for window {window}: subsampled")
+    return np.array(channel.pixels)  # a copy of ours: the library's own lives as long as its part
+
+
+_one_at_a_time = threading.Lock()
+
+
+@contextlib.contextmanager
+def _silenced() -> Iterator[None]:
+    """Keep the library's own words from the user: it prints to sys.stdout and to file descriptor 2."""
+    with _one_at_a_time, contextlib.redirect_stdout(io.StringIO()), open(os.devnull, "wb") as nowhere:
+        try:
+            terminal = os.dup(2)
+        except OSError:  # no standard error at all
+            yield
+            return
+        try:
+            os.dup2(nowhere.fileno(), 2)
+            yield
+        finally:
+            os.dup2(terminal, 2)
+            os.close(terminal)

@@ -1,0 +1,26 @@
+"""What the cameras with a round image share: the eye, its axes, and the circle inscribed in the film."""
+
+from typing import Any
+
+import numpy as np
+
+from caster.kernels.jit import jit
+from caster.kernels.vec import add, scaled, vector
+
+
+def film_circle(width: int, height: int) -> np.ndarray:
+    """(centre x, centre y, radius) of the largest centred circle, in pixels."""
+    return np.array([0.5 * width, 0.5 * height, 0.5 * min(width, height)])
+
+
+@jit
+def on_circle(circle: Any, x: float, y: float) -> tuple[float, float]:
+    """Film position in units of the circle's radius, to the right and up from its centre."""
+    return (x - circle[0]) / circle[2], (circle[1] - y) / circle[2]
+
+
+@jit
+def mixed(camera: Any, right: float, up: float, forward: float) -> tuple[float, float, float]:
+    """right, up and forward shares of the camera's axes, added."""
+    sideways = add(scaled(right, vector(camera.right)), scaled(up, vector(camera.up)))
+    return add(sideways, scaled(forward, vector(camera.forward)))

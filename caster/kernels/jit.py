@@ -1,0 +1,124 @@
+"""The only module that names a Numba decorator; without Numba every function is handed back unchanged.
+
+`CASTER_JIT=0` switches the compiler off, so that pdb steps through the very code that runs compiled.
+"""
+
+import hashlib
+import inspect
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+PACKAGE = Path(__file__).resolve().parents[1]
+KEPT_CACHES = 4  # one for each of a few checkouts that are worked on in turn
+
+
+def _compiler() -> Any:
+    if os.environ.get("CASTER_JIT", "1") == "0":
+        return None
+    try:
+        import numba
+        import numba.extending
+    except ImportError:
+        return None
+    return numba
+
+
+def source_hash(version: str) -> str:
+    """A name for this source and this compiler.
+
+    Numba does not see an edit in a file that a cached kernel calls into, and a stale kernel is a wrong
+    answer: the cache folder changes its name with every source file of the package instead.
+    """
+    digest = hashlib.sha256(version.encode())
+    for path in sorted(PACKAGE.rglob("*.py")):
+        digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder(version: str) -> Path:
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    folder = Path(home) / "caster" / "kernels" / source_hash(version)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+    except OSError:  # a home that cannot be written: compile anew in every process
+        return Path(tempfile.mkdtemp(prefix="caster-kernels-"))
+    _drop_old_caches(folder.parent)
+    return folder
+
+
+def _drop_old_caches(parent: Path) -> None:
+    folders = sorted(parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+    for old in folders[KEPT_CACHES:]:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+NUMBA = _compiler()
+COMPILED = NUMBA is not None
+if COMPILED:
+    if not os.environ.get("NUMBA_CACHE_DIR"):
+        NUMBA.config.CACHE_DIR = str(_cache_folder(NUMBA.__version__))
+
+
+def jit(function: Function) -> Function:
+    """Compile a kernel: no fast-math, IEEE division, no GIL, cached on disk."""
+    if not COMPILED:
+        return function
+    compiled: Function = NUMBA.njit(cache=True, nogil=True, error_model="numpy")(function)
+    return compiled
+
+
+class Generic:
+    """A function whose body is chosen by the class of its first argument, a NamedTuple of arrays."""
+
+    def __init__(self, stub: Callable[..., Any]):
+        self.bodies: dict[type, Callable[..., Any]] = {}
+        self.__name__, self.__doc__ = stub.__name__, stub.__doc__
+        self.call = self._dispatcher(stub)
+
+    def _dispatcher(self, stub: Callable[..., Any]) -> Callable[..., Any]:
+        bodies = self.bodies
+
+        def dispatch(*args: Any) -> Any:
+            return bodies[type(args[0])](*args)
+
+        def choose(*args: Any) -> Any:
+            return bodies.get(getattr(args[0], "instance_class", None))  # type: ignore[arg-type]  # a Numba type
+
+        for function in (dispatch, choose):
+            function.__name__, function.__doc__ = stub.__name__, stub.__doc__
+            function.__signature__ = inspect.signature(stub)  # type: ignore[attr-defined]
+        if COMPILED:
+            NUMBA.extending.overload(dispatch, strict=False)(choose)
+        return dispatch
+
+
+_GENERICS: dict[Callable[..., Any], Generic] = {}
+
+
+def generic(stub: Function) -> Function:
+    """Declare a function of the protocol; `implement(function, Kind)` gives it a body for one kind."""
+    entry = Generic(stub)
+    _GENERICS[entry.call] = entry
+    return entry.call  # type: ignore[return-value]
+
+
+def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], Function]:
+    """Register the decorated body of `function` for arguments of class `kind`."""
+
+    def keep(body: Function) -> Function:
+        _GENERICS[function].bodies[kind] = body
+        return body
+
+    return keep
+
+
+def implements(function: Callable[..., Any], kind: type) -> bool:
+    """Whether `function` has a body for `kind`."""
+    return kind in _GENERICS[function].bodies

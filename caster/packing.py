@@ -1,0 +1,112 @@
+"""Scene -> arrays: one NamedTuple of arrays for each kind of primitive, and where each shape's primitives went."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from caster.kernels.bvh import REACH, Tree, find_boxes, grow
+from caster.kernels.protocol import hull_size
+from caster.kernels.triangles import Triangles
+from caster.placing import Rounding, as_given
+from caster.scene import Scene
+
+
+@dataclass(frozen=True)
+class Kind:
+    """All primitives of one kind, with their numbers in the scene."""
+
+    prims: Any
+    ids: np.ndarray  # (n,) int32
+
+    @cached_property
+    def bounded(self) -> bool:
+        return bool(hull_size(self.prims) > 0)
+
+    @cached_property
+    def boxes(self) -> tuple[np.ndarray, np.ndarray]:
+        """(low, high) corners, (n, 3) each."""
+        low, high = np.empty((len(self.ids), 3)), np.empty((len(self.ids), 3))
+        find_boxes(self.prims, low, high, 0, len(self.ids))
+        return low, high
+
+    @cached_property
+    def extent(self) -> float:
+        """Largest |coordinate| of any box."""
+        low, high = self.boxes
+        return float(max(np.abs(low).max(), np.abs(high).max()))
+
+    @cached_property
+    def reach(self) -> float:
+        """At which distance a ray may still count as a hit, as a share of |o| + extent."""
+        matrices = getattr(self.prims, "to_world", None)
+        return REACH if matrices is None else REACH * float(np.max(np.linalg.cond(matrices)))
+
+    @cached_property
+    def tree(self) -> Tree:
+        return grown_tree(*self.boxes, self.extent, self.reach)
+
+
+def grown_tree(low: np.ndarray, high: np.ndarray, extent: float, reach: float) -> Tree:
+    """A tree over boxes low, high (n, 3)."""
+    count = len(low)
+    room = count + 1  # a run is halved only above LEAF_SIZE, so a leaf holds at least two: fewer nodes than this
+    boxes, links = [np.zeros((room, 3)) for _ in range(2)], [np.zeros(room, np.int32) for _ in range(3)]
+    tree = Tree(*boxes, *links, np.arange(count, dtype=np.int32), extent, reach)
+    nodes = grow(low, high, np.ascontiguousarray(0.5 * low.T + 0.5 * high.T), tree)
+    return Tree(*(part[:nodes].copy() for part in (*boxes, *links)), tree.order, extent, reach)
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A scene as the kernels read it. Primitives are numbered through the scene, shape by shape."""
+
+    kinds: tuple[Kind, ...]
+    parts: tuple[Any, ...]  # each shape's own arrays, before they were joined with others of their kind
+    first: np.ndarray  # (shapes + 1,) int64, number of each shape's first primitive
+    kind_of: np.ndarray  # (shapes,) int64, place of the shape's kind in `kinds`
+    start: np.ndarray  # (shapes,) int64, place of its first primitive within the kind
+
+    def shape_of(self, prim: np.ndarray) -> np.ndarray:
+        """Shape index of each primitive number, -1 for -1; int32."""
+        return (np.searchsorted(self.first, prim, side="right") - 1).astype(np.int32)
+
+    def number_in_shape(self, prim: np.ndarray) -> np.ndarray:
+        """Index within its shape of each primitive number, -1 for -1; int32."""
+        shape = self.shape_of(prim)
+        return np.where(prim < 0, -1, prim - self.first[np.maximum(shape, 0)]).astype(np.int32)
+
+
+def pack(scene: Scene, rounded: Rounding = as_given) -> Packed:
+    """World-space arrays of all shapes, every number passed through `rounded`."""
+    parts = tuple(shape.pack(rounded) for shape in scene.shapes)
+    counts = np.array([count(part) for part in parts], np.int64)
+    first = np.concatenate([[0], np.cumsum(counts)])
+    classes = list(dict.fromkeys(type(part) for part in parts))
+    kind_of = np.array([classes.index(type(part)) for part in parts], np.int64)
+    kinds, start = [], np.zeros(len(parts), np.int64)
+    for place in range(len(classes)):
+        members = np.flatnonzero(kind_of == place)
+        start[members] = np.concatenate([[0], np.cumsum(counts[members])[:-1]])
+        ids = np.concatenate([np.arange(first[s], first[s + 1]) for s in members])
+        kinds.append(Kind(joined([parts[s] for s in members]), ids.astype(np.int32)))
+    return Packed(tuple(kinds), parts, first, kind_of, start)
+
+
+def count(part: Any) -> int:
+    """How many primitives an array tuple holds."""
+    return len(part.faces if isinstance(part, Triangles) else part[0])
+
+
+def joined(parts: Sequence[Any]) -> Any:
+    """One array tuple out of several of the same kind; faces keep pointing at their own vertices."""
+    if isinstance(parts[0], Triangles):
+        shift = np.concatenate([[0], np.cumsum([len(part.vertices) for part in parts])])
+        parts = [part._replace(faces=part.faces + shift[i]) for i, part in enumerate(parts)]
+    fields = zip(*parts, strict=True)
+    arrays = [np.ascontiguousarray(np.concatenate(arrays)) for arrays in fields]
+    if isinstance(parts[0], Triangles):
+        arrays[1] = arrays[1].astype(np.int32)
+    return type(parts[0])(*arrays)

@@ -1,0 +1,104 @@
+"""Scene in, AOVs out."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from caster.aovs import BY_NAME
+from caster.casting import Culling, find_nearest, find_nearest_on_film, in_bands
+from caster.fields import SceneError, suggestion
+from caster.kernels.gather import shoot
+from caster.kernels.nearest import Rays
+from caster.kernels.screen import Window
+from caster.packing import Packed, pack
+from caster.placing import Rounding, as_given
+from caster.plan import plan
+from caster.scene import Scene
+from caster.view import View
+
+DEFAULT_AOVS = ("hit", "depth", "normal", "diffuse")
+
+
+class Aovs(Mapping[str, np.ndarray]):
+    """Images by AOV name, (h, w) or (h, w, c) each. `hit` is there whether it was asked for or not."""
+
+    def __init__(self, images: Mapping[str, np.ndarray], hit: np.ndarray):
+        self._images = dict(images)
+        self.hit = hit  # (h, w) bool
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._images[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._images)
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+
+def render(
+    scene: Scene,
+    aovs: Sequence[str] = DEFAULT_AOVS,
+    *,
+    threads: int | None = None,
+    culling: Culling | None = None,
+) -> Aovs:
+    """Render the film, or its crop window.
+
+    aovs: names from `caster.aovs.AOVS`. Returns float64 images (ids int32); depth is inf and ids are -1 on a miss,
+    everything else 0. `culling` overrides the plan; no culling and no number of threads changes a bit.
+    Raises SceneError for an AOV that does not exist.
+    """
+    check_names(aovs)
+    return evaluate(look(scene, threads=threads, culling=culling), aovs, film_window(scene))
+
+
+def check_names(aovs: Sequence[str]) -> None:
+    for name in aovs:
+        if name not in BY_NAME:
+            raise SceneError(f"aov {name!r}: unknown{suggestion(name, BY_NAME)}; known are {', '.join(BY_NAME)}")
+
+
+def film_window(scene: Scene) -> Window:
+    """The pixels to render: the crop, or the whole film."""
+    x0, y0, x1, y1 = scene.film.window
+    return Window(x0, y0, x1 - x0, y1 - y0)
+
+
+def camera_rays(scene: Scene, threads: int | None = None) -> Rays:
+    """The rays through the pixel centres of the window, row by row from the top left. float64, d of unit length."""
+    window = film_window(scene)
+    camera = scene.camera.pack(scene.film.width, scene.film.height)
+    n = window.width * window.height
+    rays = Rays(np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty(n))
+    in_bands(lambda start, stop: shoot(camera, window, rays, start, stop), window.height, threads)
+    return rays
+
+
+def look(
+    scene: Scene, *, rounded: Rounding = as_given, threads: int | None = None, culling: Culling | None = None
+) -> View:
+    """Cast the camera's rays."""
+    packed, rays = pack(scene, rounded), camera_rays(scene, threads)
+    camera = scene.camera.pack(scene.film.width, scene.film.height)
+    culling = culling or plan(camera).culling
+    if culling == "screen":
+        nearest = find_nearest_on_film(packed, rays, camera, film_window(scene), scene.camera.shares_origin, threads)
+    else:
+        nearest = find_nearest(packed, rays, culling, threads)
+    return View(scene, packed, rays, nearest, np.zeros(len(rays.t_min)), threads)
+
+
+def look_along(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None) -> View:
+    """Cast given rays; `start` (n,) is what the depth of each counts from, beyond its origin."""
+    return View(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
+
+
+def evaluate(view: View, aovs: Sequence[str], window: Window) -> Aovs:
+    """The AOVs of a view, as images of the window."""
+    shape = (window.height, window.width)
+    images = {}
+    for name in aovs:
+        flat = BY_NAME[name].evaluate(view)
+        images[name] = flat.reshape(shape + flat.shape[1:])
+    return Aovs(images, view.hit.reshape(shape))

@@ -1,0 +1,46 @@
+"""A cube; under to_world a box."""
+
+from typing import Literal
+
+import numpy as np
+
+from caster.fields import Shape
+from caster.kernels.triangles import Triangles
+from caster.mesh import Mesh
+from caster.placing import Rounding, is_mirrored, triangles_at, unit_corners
+
+
+# The four corners of each side, counter-clockwise from outside, by the signs of x, y, z. Sides, corners and the
+# diagonal between the first and third follow Mitsuba's cube, so that a prim_id means the same triangle there.
+CORNERS = """
+    +-- +-+ --+ ---
+    ++- -+- -++ +++
+    +-- ++- +++ +-+
+    +-+ +++ -++ --+
+    --+ -++ -+- ---
+    ++- +-- --- -+-
+"""
+
+
+def _sides() -> Mesh:
+    corners = np.array([[float(sign + "1") for sign in corner] for corner in CORNERS.split()])
+    first = np.arange(0, 24, 4)[:, None]
+    faces = np.stack([first + [0, 1, 2], first + [3, 0, 2]], axis=1).reshape(-1, 3).astype(np.int32)
+    return Mesh(corners, faces, None, np.tile([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]], (6, 1)))
+
+
+SIDES = _sides()
+
+
+class Cube(Shape):
+    """The cube [-1, 1]^3 as twelve triangles, flat on every side; placed by to_world."""
+
+    type: Literal["cube"] = "cube"
+
+    def mesh(self) -> Mesh:
+        return SIDES
+
+    def pack(self, rounded: Rounding) -> Triangles:
+        corners = unit_corners(self.matrix, SIDES.vertices, rounded)
+        faces = SIDES.faces[:, [0, 2, 1]] if is_mirrored(self.matrix) else SIDES.faces
+        return triangles_at(corners, faces, SIDES, self.matrix, rounded, face_normals=True)

@@ -1,0 +1,19 @@
+"""A ball of triangles, nearly equal in size."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from caster.mesh import Mesh
+from caster.mesh_shape import MeshShape
+from caster.procedural import icosphere
+
+
+class Icosphere(MeshShape):
+    """The unit sphere as an icosahedron whose faces are split in four `subdivisions` times."""
+
+    type: Literal["icosphere"] = "icosphere"
+    subdivisions: Annotated[int, Field(ge=0, le=8)] = 3
+
+    def mesh(self) -> Mesh:
+        return icosphere(self.subdivisions)

@@ -1,0 +1,31 @@
+"""A mesh from an OBJ or PLY file."""
+
+import functools
+import os
+from typing import Literal
+
+from caster.mesh import Mesh
+from caster.mesh_files import load_mesh
+from caster.mesh_shape import MeshShape
+
+
+class MeshFile(MeshShape):
+    """Triangles of a file; its vertex normals are used where it has them, unless face_normals."""
+
+    type: Literal["mesh"] = "mesh"
+    file: str
+
+    def load(self) -> Mesh:
+        """Read the file, once as long as it does not change. Raises SceneError, FileMissing."""
+        try:
+            stamp = os.stat(self.file)
+        except OSError:
+            return load_mesh(self.file)  # which says what is wrong
+        return _loaded(self.file, stamp.st_mtime_ns, stamp.st_size)
+
+    mesh = load
+
+
+@functools.lru_cache(maxsize=16)
+def _loaded(path: str, changed: int, size: int) -> Mesh:
+    return load_mesh(path)

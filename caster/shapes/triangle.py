@@ -1,0 +1,30 @@
+"""One triangle."""
+
+from typing import Literal
+
+import numpy as np
+
+from caster.fields import Shape, UnitVec3, Vec2, Vec3
+from caster.kernels.triangles import Triangles
+from caster.mesh import Mesh
+from caster.placing import Rounding, triangles
+
+
+class Triangle(Shape):
+    """Three corners; the normal is (v1 - v0) x (v2 - v0), so it looks at you where they run counter-clockwise."""
+
+    type: Literal["triangle"] = "triangle"
+    vertices: tuple[Vec3, Vec3, Vec3]
+    normals: tuple[UnitVec3, UnitVec3, UnitVec3] | None = None
+    uv: tuple[Vec2, Vec2, Vec2] | None = None
+
+    def mesh(self) -> Mesh:
+        return Mesh(
+            np.array(self.vertices, np.float64),
+            np.array([[0, 1, 2]], np.int32),
+            None if self.normals is None else np.array(self.normals, np.float64),
+            None if self.uv is None else np.array(self.uv, np.float64),
+        )
+
+    def pack(self, rounded: Rounding) -> Triangles:
+        return triangles(self.mesh(), self.matrix, rounded, face_normals=self.normals is None)
