@@ -1,0 +1,48 @@
+"""Cylinder: Mitsuba's cylinder, or an instance of one where it is stretched; and its error model."""
+
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from caster.placing import as_given, is_mirrored, is_similarity
+from caster.shapes.cylinder import Cylinder
+from mitsuba_ref.meeting import KU, Meetings, dot, norm
+from mitsuba_ref.shapes.quadric import half_chord_error, in_object_space, roots, turned_normal
+from mitsuba_ref.xml import Writer
+
+
+def to_xml(out: Writer, shape: Cylinder, part: Any) -> list[Element]:
+    """A round, straight cylinder as it is; a stretched, sheared or mirrored one as an instance."""
+    given = shape.pack(as_given).to_world[0]
+    lengths = np.linalg.norm(given, axis=0)
+    if is_similarity(given / [lengths[0], lengths[0], lengths[2]]) and not is_mirrored(given):
+        return [out.native(shape, "cylinder", part.center[0], part.to_world[0])]
+    return out.instance(shape, "cylinder", part)
+
+
+def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[Meetings, ...]:
+    """Ray i with tube k[i]: the unit circle in the x, y of object space, then the ends."""
+    to_object = prims.to_object[k]
+    rays = in_object_space(prims.center[k], to_object, o, d)
+    flat = np.array([1.0, 1.0, 0.0])
+    one = np.ones(len(k))
+    middle, distance, s = roots(rays.o * flat, rays.d * flat, one)
+    size = norm(rays.d * flat)
+    found = []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for side in (-1.0, 1.0):
+            t = middle + side * s / size
+            q = rays.o + t[:, None] * rays.d
+            components = rays.components(t)
+            error = KU * (components[:, 0] + components[:, 1])
+            t_error = half_chord_error(s, one, error) / size + KU * np.abs(t)
+            end_error = KU * components[:, 2] + np.abs(rays.d[:, 2]) * t_error
+            out = q * flat / np.maximum(distance, 1.0)[:, None]
+            slide = np.sqrt(np.maximum(size * size - dot(out, rays.d) ** 2, 0.0))
+            n, n_error = turned_normal(to_object, out, error + slide * t_error)
+            inside = np.minimum(q[:, 2], 1.0 - q[:, 2])
+            possible = (distance - 1.0 <= error) & (inside >= -end_error)
+            certain = (1.0 - distance > error) & (inside > end_error)
+            found.append(Meetings(t, t_error, n, n_error, n, n_error, possible, certain))
+    return tuple(found)

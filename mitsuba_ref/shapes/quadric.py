@@ -1,0 +1,57 @@
+"""What the error models of sphere, ellipsoid, disk and cylinder share (docs/method.md, "Quadrics")."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mitsuba_ref.meeting import KU, dot, norm, transformed
+
+
+class ObjectRays(NamedTuple):
+    """Rays in the primitive's own coordinates, and what the rounding of getting there scales with."""
+
+    o: np.ndarray  # (m, 3)
+    d: np.ndarray  # (m, 3)
+    rows: np.ndarray  # (m, 3) length of each row of the inverse matrix
+    offset: np.ndarray  # (m, 3) |offset| of each row
+    o_size: np.ndarray  # (m,) length of the world origin
+    d_size: np.ndarray  # (m,) length of the world direction
+
+    def components(self, t: np.ndarray) -> np.ndarray:
+        """(m, 3) magnitudes whose rounding moves the point at t: row . (|o| + |t d|) + |offset|."""
+        return self.rows * (self.o_size + np.abs(t) * self.d_size)[:, None] + self.offset
+
+
+def in_object_space(center: np.ndarray, to_object: np.ndarray, o: np.ndarray, d: np.ndarray) -> ObjectRays:
+    """Rays (m, 3) seen by primitives with center (m, 3) and inverse matrix (m, 3, 3)."""
+    rows = np.sqrt(np.einsum("ijk,ijk->ij", to_object, to_object))
+    offset = np.abs(transformed(to_object, center))
+    return ObjectRays(
+        transformed(to_object, o - center), transformed(to_object, d), rows, offset, norm(o), norm(d)
+    )
+
+
+def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """How far a root may move when the radius r is off by `error`, s being the true half chord.
+
+    The half chord goes from s to sqrt(s^2 +- 2 r E); near a tangent, where s^2 <= 2 r E, it may come out of
+    nothing or vanish, and moves by at most sqrt(2 r E).
+    """
+    twice = 2.0 * r * error
+    return np.where(s * s > twice, twice / (s + np.sqrt(np.maximum(s * s - twice, 0.0))), np.sqrt(twice))
+
+
+def roots(f: np.ndarray, d: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(parameter of closest approach, its distance from the centre, half chord or 0 beyond the rim), for |f+td|=r."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        middle = -dot(f, d) / dot(d, d)
+        distance = norm(f + middle[:, None] * d)
+        return middle, distance, np.sqrt(np.maximum((r - distance) * (r + distance), 0.0))
+
+
+def turned_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A normal of the unit shape taken to world space, and its bound there."""
+    world = np.einsum("ikj,ik->ij", to_object, n)
+    length = norm(world)
+    size = np.sqrt(np.einsum("ijk,ijk->i", to_object, to_object))
+    return world / length[:, None], size / length * (n_error + KU) + KU

@@ -1,0 +1,147 @@
+"""Scene -> Mitsuba XML and binary PLY, in the very float32 numbers that both sides trace."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
+
+import numpy as np
+
+from caster.fields import Shape
+from caster.materials import Diffuse
+from caster.scene import Scene
+from mitsuba_ref.ply import ply_bytes
+
+
+@dataclass(frozen=True)
+class Export:
+    """What Mitsuba loads: the XML and the mesh files next to it. `notes` say what is not as in the scene."""
+
+    xml: str
+    meshes: dict[str, bytes]
+    shape_ids: list[str]
+    notes: list[str]
+
+    def write(self, folder: Path, name: str = "scene.xml") -> Path:
+        """Write everything into a folder, which is made; return the path of the XML."""
+        (folder / "meshes").mkdir(parents=True, exist_ok=True)
+        for file, content in self.meshes.items():
+            (folder / file).write_bytes(content)
+        (folder / name).write_text(self.xml, encoding="utf-8")
+        return folder / name
+
+
+@dataclass
+class Writer:
+    """Elements of the scene's shapes, and the mesh files they name."""
+
+    scene: Scene
+    meshes: dict[str, bytes] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def native(self, shape: Shape, plugin: str, center: np.ndarray, linear: np.ndarray) -> Element:
+        """A plugin of Mitsuba's own, placed by one matrix."""
+        element = Element("shape", type=plugin, id=self.scene.name_of(shape))
+        element.append(matrix_element(center, linear))
+        element.append(self.material(shape))
+        return element
+
+    def instance(self, shape: Shape, plugin: str, part: Any) -> list[Element]:
+        """A plugin that takes no stretching, stretched all the same: an instance of a group of one."""
+        name = self.scene.name_of(shape)
+        group = Element("shape", type="shapegroup", id=f"{name}-group")
+        unit = SubElement(group, "shape", type=plugin, id=f"{name}-unit")
+        unit.append(self.material(shape))
+        element = Element("shape", type="instance", id=name)
+        SubElement(element, "ref", id=f"{name}-group")
+        element.append(matrix_element(part.center[0], part.to_world[0]))
+        self.notes.append(f"{name}: an instance of a {plugin}, which Mitsuba itself does not stretch")
+        return [Comment(f" {self.notes[-1]} "), group, element]
+
+    def mesh(self, shape: Shape, part: Any) -> Element:
+        """Triangles as a PLY file with its corners in world space."""
+        name = self.scene.name_of(shape)
+        file = f"meshes/{len(self.meshes):04d}-{safe_name(name)}.ply"
+        self.meshes[file] = ply_bytes(part)
+        element = Element("shape", type="ply", id=name)
+        SubElement(element, "string", name="filename", value=file)
+        if not part.smooth.any():
+            SubElement(element, "boolean", name="face_normals", value="true")
+        element.append(self.material(shape))
+        return element
+
+    def material(self, shape: Shape) -> Element:
+        return bsdf_element(self.scene.material_of(shape))
+
+
+def numbers(values: Sequence[float] | np.ndarray) -> str:
+    """Shortest decimals that read back as the same float64."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def safe_name(name: str) -> str:
+    """A file name out of a shape's name."""
+    return "".join(c if c.isascii() and c.isalnum() else "-" for c in name)[:40]
+
+
+def matrix_element(center: np.ndarray, linear: np.ndarray) -> Element:
+    transform = Element("transform", name="to_world")
+    rows = np.column_stack([linear, center])
+    SubElement(transform, "matrix", value=f"{numbers(rows.ravel())} 0 0 0 1")
+    return transform
+
+
+def bsdf_element(material: Diffuse) -> Element:
+    diffuse = Element("bsdf", type="diffuse")
+    SubElement(diffuse, "rgb", name="reflectance", value=numbers(material.reflectance))
+    if not material.two_sided:
+        return diffuse
+    both = Element("bsdf", type="twosided")
+    both.append(diffuse)
+    return both
+
+
+def emitter_elements(scene: Scene) -> list[Element]:
+    """Point and directional lights. Ambient light is added apart on both sides, so Mitsuba is not told of it."""
+    elements = []
+    for light in scene.lights:
+        if light.type == "ambient":
+            elements.append(Comment(" ambient light is added apart, as reflectance times radiance "))
+            continue
+        emitter = Element("emitter", type=light.type)
+        if light.type == "point":
+            SubElement(emitter, "point", name="position", value=numbers(light.position))
+            SubElement(emitter, "rgb", name="intensity", value=numbers(light.intensity))
+        else:
+            SubElement(emitter, "vector", name="direction", value=numbers(light.direction))
+            SubElement(emitter, "rgb", name="irradiance", value=numbers(light.irradiance))
+        elements.append(emitter)
+    return elements
+
+
+def film_element(scene: Scene) -> Element:
+    """A film that keeps one unblurred float32 sample in each pixel's centre."""
+    film = Element("film", type="hdrfilm")
+    x0, y0, x1, y1 = scene.film.window
+    sizes = {"width": scene.film.width, "height": scene.film.height}
+    if scene.film.crop is not None:
+        sizes |= {"crop_offset_x": x0, "crop_offset_y": y0, "crop_width": x1 - x0, "crop_height": y1 - y0}
+    for name, value in sizes.items():
+        SubElement(film, "integer", name=name, value=str(value))
+    SubElement(film, "string", name="pixel_format", value="rgba")
+    SubElement(film, "string", name="component_format", value="float32")
+    SubElement(film, "rfilter", type="box")
+    return film
+
+
+def sampler_element() -> Element:
+    sampler = Element("sampler", type="stratified")
+    SubElement(sampler, "integer", name="sample_count", value="1")
+    SubElement(sampler, "boolean", name="jitter", value="false")
+    return sampler
+
+
+def to_text(root: Element) -> str:
+    indent(root, "    ")
+    return tostring(root, encoding="unicode") + "\n"

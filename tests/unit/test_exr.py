@@ -1,0 +1,390 @@
+"""EXR files: what is written is what was given, and what cannot be read is said plainly."""
+
+import os
+import resource
+import signal
+import struct
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from caster.exr import OutputError, UnreadableExr, read_exr, write_exr
+from caster.fields import FileMissing, SceneError
+
+SHAPE = (5, 7)
+
+
+def ramp(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=SHAPE).astype(np.float32)
+
+
+def assert_same_bits(expected: np.ndarray, got: np.ndarray) -> None:
+    assert got.dtype == expected.dtype
+    assert got.tobytes() == np.ascontiguousarray(expected).tobytes()
+
+
+def save_with_library(path: Path, channels: dict, **header) -> None:
+    defaults = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(defaults | header, channels).write(str(path))
+
+
+# ---- writing ----
+
+
+def test_channels_come_back_bit_for_bit_by_name(tmp_path):
+    channels = {"depth.Z": ramp(1), "A": ramp(2), "id.prim": np.arange(35, dtype=np.uint32).reshape(SHAPE)}
+    write_exr(tmp_path / "a.exr", channels)
+    read = read_exr(tmp_path / "a.exr").channels
+    assert list(read) == ["A", "depth.Z", "id.prim"]
+    for name, values in channels.items():
+        assert_same_bits(values, read[name])
+
+
+def test_special_values_come_back_bit_for_bit(tmp_path):
+    special = np.array([[-0.0, np.inf, -np.inf, np.nan, 1e-45, 3.4028235e38]], np.float32)
+    ids = np.array([[0, 0xFFFFFFFF, 2**24 + 1, 2**31, 1, 2]], np.uint32)
+    write_exr(tmp_path / "a.exr", {"Z": special, "id.shape": ids})
+    read = read_exr(tmp_path / "a.exr").channels
+    assert_same_bits(special, read["Z"])
+    assert_same_bits(ids, read["id.shape"])
+
+
+WIDE = np.random.default_rng(7).normal(size=(10, 14, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        pytest.param(WIDE[..., 1], id="one component of vectors"),
+        pytest.param(WIDE[::2, ::2, 0], id="every second pixel"),
+        pytest.param(WIDE[::-1, ::-1, 0], id="flipped"),
+        pytest.param(WIDE[..., 0].T, id="transposed"),
+        pytest.param(np.asfortranarray(WIDE[..., 0]), id="F-ordered"),
+        pytest.param(np.broadcast_to(WIDE[:1, :, 0], (6, 14)), id="broadcast"),
+        pytest.param(WIDE[..., 0].astype(np.float64), id="float64"),
+        pytest.param(WIDE[..., 0].astype(np.float64)[::-1].T, id="float64 flipped and transposed"),
+        pytest.param(WIDE[..., 0].astype(">f4"), id="big endian"),
+        pytest.param(WIDE[..., 0] > 0, id="bool"),
+        pytest.param((np.arange(140).reshape(14, 10).T[::-1]).astype(np.uint32), id="uint32 strided"),
+    ],
+)
+def test_memory_layout_never_reaches_the_file(tmp_path, view):
+    before = view.copy()
+    write_exr(tmp_path / "a.exr", {"Z": view})
+    kind = np.uint32 if view.dtype == np.uint32 else np.float32
+    assert_same_bits(np.array(before, kind), read_exr(tmp_path / "a.exr").channels["Z"])
+
+
+def test_float64_is_rounded_to_nearest(tmp_path):
+    write_exr(tmp_path / "a.exr", {"Z": np.array([[0.1, 1.0 + 2.0**-25, -1e-60]])})
+    read = read_exr(tmp_path / "a.exr").channels["Z"]
+    assert read.tolist() == [[float(np.float32(0.1)), 1.0, 0.0]]
+
+
+def test_the_callers_arrays_and_dicts_stay_as_they_are(tmp_path):
+    values = ramp().astype(np.float64)
+    channels, provenance = {"Z": values}, {"version": "1"}
+    write_exr(tmp_path / "a.exr", channels, provenance)
+    assert channels == {"Z": values} and channels["Z"] is values
+    assert provenance == {"version": "1"}
+    assert np.array_equal(values, ramp())
+
+
+def test_the_same_input_gives_the_same_bytes(tmp_path):
+    a, b = ramp(1), ramp(2)
+    write_exr(tmp_path / "1.exr", {"A": a, "depth.Z": b}, {"version": "1", "depth": "along the ray"})
+    write_exr(
+        tmp_path / "another-name.exr", {"depth.Z": b, "A": a}, {"depth": "along the ray", "version": "1"}
+    )
+    assert (tmp_path / "1.exr").read_bytes() == (tmp_path / "another-name.exr").read_bytes()
+
+
+def test_the_header_is_single_part_zip_scanline_without_a_name(tmp_path):
+    write_exr(tmp_path / "a.exr", {"Z": ramp(), "id.prim": np.zeros(SHAPE, np.uint32)})
+    data = (tmp_path / "a.exr").read_bytes()
+    assert struct.unpack("<II", data[:8]) == (
+        20000630,
+        2,
+    )  # version 2 and no flag: neither tiled, deep nor parts
+    header = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).header()
+    assert "name" not in header and "capDate" not in header
+    assert header["compression"] == OpenEXR.ZIP_COMPRESSION
+    assert header["lineOrder"] == OpenEXR.INCREASING_Y
+    assert header["type"] == OpenEXR.scanlineimage
+
+
+def test_provenance_lives_under_caster(tmp_path):
+    long = "x" * 100_000
+    write_exr(tmp_path / "a.exr", {"Z": ramp()}, {"version": "1 ü", "caster/scene_json": long, "empty": ""})
+    header = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).header()
+    expected = {"caster/empty": "", "caster/scene_json": long, "caster/version": "1 ü"}
+    assert {key: value for key, value in header.items() if key.startswith("caster/")} == expected
+    assert read_exr(tmp_path / "a.exr").provenance == expected
+
+
+def test_a_crop_is_stored_as_inclusive_boxes_and_comes_back(tmp_path):
+    write_exr(tmp_path / "a.exr", {"Z": ramp()}, data_window=(2, 1, 9, 6), display_window=(0, 0, 20, 10))
+    header = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).header()
+    assert np.array(header["dataWindow"]).tolist() == [[2, 1], [8, 5]]
+    assert np.array(header["displayWindow"]).tolist() == [[0, 0], [19, 9]]
+    read = read_exr(tmp_path / "a.exr")
+    assert (read.data_window, read.display_window) == ((2, 1, 9, 6), (0, 0, 20, 10))
+    assert_same_bits(ramp(), read.channels["Z"])
+
+
+def test_without_a_crop_the_window_is_the_image(tmp_path):
+    write_exr(tmp_path / "a.exr", {"Z": ramp()})
+    read = read_exr(tmp_path / "a.exr")
+    assert read.data_window == read.display_window == (0, 0, 7, 5)
+
+
+@pytest.mark.parametrize(
+    ("channels", "options", "words"),
+    [
+        ({}, {}, ["at least one channel"]),
+        ({"Z": np.zeros((2, 3)), "R": np.zeros((3, 2))}, {}, ["'R'", "(3, 2)", "'Z'", "(2, 3)"]),
+        ({"normal": np.zeros((2, 3, 3))}, {}, ["'normal'", "(2, 3, 3)"]),
+        ({"Z": np.zeros((0, 3))}, {}, ["'Z'", "(0, 3)"]),
+        ({"Z": np.zeros((2, 2), np.int32)}, {}, ["'Z'", "uint32", "int32"]),
+        ({"Z": np.zeros((2, 2), complex)}, {}, ["'Z'", "complex128"]),
+        ({"": np.zeros((2, 2))}, {}, ["channel name ''"]),
+        ({"x" * 256: np.zeros((2, 2))}, {}, ["channel name", "255"]),
+        ({"Z": np.zeros((2, 2))}, {"provenance": {"n": 3}}, ["caster/n", "string", "3"]),
+        ({"Z": np.zeros((2, 2))}, {"provenance": {"a": "1", "caster/a": "2"}}, ["caster/a"]),
+        ({"Z": np.zeros((2, 2))}, {"provenance": {"k" * 250: "v"}}, ["provenance name", "255"]),
+        ({"Z": np.zeros((2, 2))}, {"provenance": {"path": "\udcff"}}, ["caster/path", "Unicode"]),
+        ({"Z": np.zeros((2, 2))}, {"data_window": (0, 0, 3, 2)}, ["(0, 0, 3, 2)", "2 x 2"]),
+        ({"Z": np.zeros((2, 2))}, {"data_window": (2, 0, 0, 2)}, ["data_window", "(2, 0, 0, 2)"]),
+        ({"Z": np.zeros((2, 2))}, {"display_window": (0, 0, 0, 2)}, ["display_window"]),
+    ],
+)
+def test_what_an_exr_cannot_hold_is_an_error_that_says_so(tmp_path, channels, options, words):
+    with pytest.raises(SceneError) as caught:
+        write_exr(tmp_path / "a.exr", channels, **options)
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_finite_value_beyond_float32_is_named_with_its_film_pixel(tmp_path):
+    depth = np.ones(SHAPE)
+    depth[3, 4] = 1e39
+    with pytest.raises(SceneError, match=r"'depth.Z' at pixel \(14, 23\): 1e\+39"):
+        write_exr(tmp_path / "a.exr", {"depth.Z": depth}, data_window=(10, 20, 17, 25))
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---- nothing half-written ----
+
+
+def test_a_folder_that_cannot_be_written_is_an_output_error(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(OutputError, match=r"file/out\.exr: cannot write: Not a directory"):
+        write_exr(tmp_path / "file" / "out.exr", {"Z": ramp()})
+    with pytest.raises(OutputError, match="No such file or directory"):
+        write_exr(tmp_path / "absent" / "out.exr", {"Z": ramp()})
+    assert OutputError.exit_code == 4
+
+
+@pytest.mark.parametrize("target", ["/dev/null", "."])
+def test_a_device_or_folder_is_never_replaced(tmp_path, monkeypatch, target):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OutputError, match="expected a file"):
+        write_exr(target, {"Z": ramp()})
+    assert not os.path.isfile(target)
+
+
+class FailingFile:
+    """Stands for OpenEXR.File: its write stops half-way."""
+
+    error: BaseException
+
+    def __init__(self, *_):
+        pass
+
+    def write(self, path):
+        Path(path).write_bytes(b"half an image")
+        raise self.error
+
+
+@pytest.mark.parametrize(
+    ("error", "raised"),
+    [
+        (RuntimeError("Failed to write pixel data. No space left on device."), OutputError),
+        (OSError(28, "No space left on device"), OutputError),
+        (ValueError("odd"), OutputError),
+        (MemoryError(), OutputError),
+        (KeyboardInterrupt(), KeyboardInterrupt),
+        (SystemExit(1), SystemExit),
+    ],
+)
+@pytest.mark.parametrize("older", [None, b"an older image"])
+def test_a_write_that_stops_half_way_leaves_what_was_there(tmp_path, monkeypatch, error, raised, older):
+    target = tmp_path / "out.exr"
+    if older is not None:
+        target.write_bytes(older)
+    monkeypatch.setattr(FailingFile, "error", error, raising=False)
+    monkeypatch.setattr(OpenEXR, "File", FailingFile)
+    with pytest.raises(raised):
+        write_exr(target, {"Z": ramp()})
+    assert [path.name for path in tmp_path.iterdir()] == ([] if older is None else ["out.exr"])
+    assert older is None or target.read_bytes() == older
+
+
+def test_a_full_disk_is_named_and_leaves_nothing(tmp_path):
+    """A limit on the file size stands for the disk: the library's own write fails half-way."""
+    noise = np.random.default_rng(0).random((256, 256)).astype(np.float32)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    try:
+        with pytest.raises(OutputError, match=r"out\.exr: cannot write: File too large \(\d+ MiB free"):
+            write_exr(tmp_path / "out.exr", {"Z": noise})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_permissions_follow_the_umask_and_links_stay_links(tmp_path):
+    (tmp_path / "link.exr").symlink_to(tmp_path / "real.exr")
+    before = os.umask(0o027)
+    try:
+        write_exr(tmp_path / "link.exr", {"Z": ramp()})
+    finally:
+        os.umask(before)
+    assert (tmp_path / "link.exr").is_symlink()
+    assert (tmp_path / "real.exr").stat().st_mode & 0o777 == 0o640
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.exr", "real.exr"]
+
+
+# ---- reading what others wrote ----
+
+
+def test_a_missing_file_is_file_missing(tmp_path):
+    with pytest.raises(FileMissing, match=r"absent\.exr: no such file") as caught:
+        read_exr(tmp_path / "absent.exr")
+    assert not isinstance(caught.value, UnreadableExr)
+    assert caught.value.exit_code == 4
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "empty (0 bytes)"),
+        (b"P6 2 2 255\n............", "starts with b'P6 2'"),
+        (b"v/1", "starts with b'v/1'"),
+        (b"v/1\x01", "truncated"),
+        (b"v/1\x01\x02\0\0\0", "truncated"),
+        (b"v/1\x01\x02\x08\0\0channels", "deep"),
+        (b"v/1\x01\x02\x10\0\0channels", "multi-part"),
+    ],
+)
+def test_a_file_that_is_no_image_is_unreadable(tmp_path, capfd, content, words):
+    (tmp_path / "a.exr").write_bytes(content)
+    with pytest.raises(UnreadableExr) as caught:
+        read_exr(tmp_path / "a.exr")
+    assert words in str(caught.value)
+    assert str(caught.value).startswith(str(tmp_path / "a.exr"))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_folder_is_unreadable(tmp_path):
+    with pytest.raises(UnreadableExr, match="Is a directory"):
+        read_exr(tmp_path)
+
+
+def test_every_truncation_is_unreadable_and_nothing_is_printed(tmp_path, capfd):
+    write_exr(tmp_path / "a.exr", {"Z": np.random.default_rng(0).random((40, 8)), "A": np.ones((40, 8))})
+    whole = (tmp_path / "a.exr").read_bytes()
+    for length in [*range(0, 420, 7), *range(420, len(whole), 97), len(whole) - 1]:
+        (tmp_path / "a.exr").write_bytes(whole[:length])
+        with pytest.raises(UnreadableExr):
+            read_exr(tmp_path / "a.exr")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_damaged_bytes_end_in_an_image_of_the_right_shape_or_unreadable(tmp_path, capfd):
+    """Seeded damage anywhere: never another exception, never another shape than the file's window."""
+    write_exr(tmp_path / "a.exr", {"Z": np.round(np.random.default_rng(0).random((40, 8)), 1)})
+    whole = (tmp_path / "a.exr").read_bytes()
+    rng = np.random.default_rng(1)
+    refused = 0
+    for _ in range(150):
+        damaged = bytearray(whole)
+        damaged[rng.integers(8, len(whole))] ^= int(rng.integers(1, 256))
+        (tmp_path / "a.exr").write_bytes(damaged)
+        try:
+            read = read_exr(tmp_path / "a.exr")
+        except UnreadableExr:
+            refused += 1
+        else:
+            x0, y0, x1, y1 = read.data_window
+            assert all(values.shape == (y1 - y0, x1 - x0) for values in read.channels.values())
+    assert refused > 50
+    assert capfd.readouterr() == ("", "")
+
+
+def test_damaged_pixels_are_unreadable(tmp_path):
+    write_exr(tmp_path / "a.exr", {"Z": np.arange(640.0).reshape(40, 16) % 7})
+    data = bytearray((tmp_path / "a.exr").read_bytes())
+    data[-40:-20] = bytes(20)
+    (tmp_path / "a.exr").write_bytes(data)
+    with pytest.raises(UnreadableExr, match="damaged"):
+        read_exr(tmp_path / "a.exr")
+
+
+def test_multi_part_is_refused_because_readers_see_one_part(tmp_path):
+    parts = [OpenEXR.Part({}, {name: ramp()}, name) for name in ("Z", "Y")]
+    OpenEXR.File(parts).write(str(tmp_path / "a.exr"))
+    with pytest.raises(UnreadableExr, match="multi-part"):
+        read_exr(tmp_path / "a.exr")
+
+
+def test_half_and_uint_keep_their_type(tmp_path):
+    half, ids = ramp().astype(np.float16), np.arange(35, dtype=np.uint32).reshape(SHAPE)
+    save_with_library(tmp_path / "a.exr", {"Z": half.copy(), "id.prim": ids.copy()})
+    read = read_exr(tmp_path / "a.exr").channels
+    assert_same_bits(half, read["Z"])
+    assert_same_bits(ids, read["id.prim"])
+
+
+def test_rgb_channels_are_read_one_by_one(tmp_path):
+    names = ("R", "G", "B", "A")
+    save_with_library(tmp_path / "a.exr", {name: ramp(k) for k, name in enumerate(names)})
+    read = read_exr(tmp_path / "a.exr").channels
+    assert sorted(read) == sorted(names)
+    for k, name in enumerate(names):
+        assert_same_bits(ramp(k), read[name])
+
+
+def test_other_compressions_and_tiles_are_read(tmp_path):
+    save_with_library(tmp_path / "piz.exr", {"Z": ramp()}, compression=OpenEXR.PIZ_COMPRESSION)
+    tiles = {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}
+    save_with_library(tmp_path / "tiled.exr", {"Z": ramp()}, **tiles)
+    for name in ("piz", "tiled"):
+        assert_same_bits(ramp(), read_exr(tmp_path / f"{name}.exr").channels["Z"])
+
+
+def test_foreign_attributes_are_no_provenance(tmp_path):
+    save_with_library(tmp_path / "a.exr", {"Z": ramp()}, **{"generatedBy": "another", "caster/number": 3.5})
+    assert read_exr(tmp_path / "a.exr").provenance == {}
+
+
+def test_reading_works_with_standard_error_closed(tmp_path, monkeypatch):
+    write_exr(tmp_path / "a.exr", {"Z": ramp()})
+
+    def closed(_):
+        raise OSError(9, "Bad file descriptor")
+
+    monkeypatch.setattr(os, "dup", closed)
+    assert_same_bits(ramp(), read_exr(tmp_path / "a.exr").channels["Z"])
+
+
+def test_what_was_read_outlives_the_file(tmp_path):
+    write_exr(tmp_path / "a.exr", {"Z": ramp()})
+    values = read_exr(tmp_path / "a.exr").channels["Z"]
+    (tmp_path / "a.exr").unlink()
+    values += 1  # ours to change
+    assert_same_bits(ramp() + 1, values)

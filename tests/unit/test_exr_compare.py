@@ -1,0 +1,607 @@
+"""`mitsuba-ref compare`: equal images pass, and no wrong one ever does."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from caster.exr import UnreadableExr, read_exr, write_exr
+from caster.fields import FileMissing, SceneError
+from mitsuba_ref.exr_compare import DEPTH_RTOL, FileComparison, Tolerances, compare_exr
+
+WIDTH, HEIGHT = 32, 24
+EYE = (0.3, 0.4, 3.0)
+SCENE = {"caster/scene_json": json.dumps({"camera": {"type": "pinhole", "eye": EYE, "look_at": [0, 0, 0]}})}
+NO_ID = 0xFFFFFFFF
+
+Channels = dict[str, np.ndarray]
+
+
+def directions() -> np.ndarray:
+    """(h, w, 3) unit, float32 numbers: both witnesses get the very same rays."""
+    x = (2 * (np.arange(WIDTH) + 0.5) / WIDTH - 1) * 0.5
+    y = (1 - 2 * (np.arange(HEIGHT) + 0.5) / HEIGHT) * 0.5 * HEIGHT / WIDTH
+    d = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), -1)
+    return (d / np.linalg.norm(d, axis=-1, keepdims=True)).astype(np.float32)
+
+
+def image(kind: type) -> Channels:
+    """A sphere above a slanted floor that ends at z = -4, with a Lambert term; arithmetic in `kind`."""
+    o, d = np.array(EYE, np.float32).astype(kind), directions().astype(kind)
+    centre, radius = np.array([0.1, -0.2, 0.05], np.float32).astype(kind), kind(0.75)
+    floor, offset = np.array([0.1, 0.99, 0.05], np.float32).astype(kind), kind(-0.9)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        oc = o - centre
+        b = (oc * d).sum(-1)
+        apart = oc - b[..., None] * d
+        ball = -b - np.sqrt(radius**2 - (apart**2).sum(-1))
+        ground = (offset - (floor * o).sum()) / (d @ floor)
+        ground = np.where((ground > 0) & ((o + ground[..., None] * d)[..., 2] > -4), ground, np.inf)
+        ball = np.where(np.isnan(ball), np.inf, ball)
+        t = np.minimum(ball, ground).astype(kind)
+        hit, on_ball = np.isfinite(t), ball < ground
+        p = o + np.where(hit, t, 0)[..., None].astype(kind) * d
+        n = np.where(on_ball[..., None], (p - centre) / radius, floor / np.linalg.norm(floor)).astype(kind)
+        light = np.array([2, 3, 2], kind) - p
+        square = (light * light).sum(-1)
+        shade = np.maximum((n * light).sum(-1), 0) / (np.sqrt(square) * square) * kind(3.1)
+    return channels(hit, t, p, n, shade, np.where(on_ball, 0, 1))
+
+
+def channels(hit, t, p, n, shade, shape) -> Channels:
+    made = {"A": hit.astype(np.float32), "depth.Z": np.where(hit, t, np.inf)}
+    for c, axis in enumerate("XYZ"):
+        made[f"position.{axis}"] = np.where(hit, p[..., c], 0)
+        made[f"normal.{axis}"] = np.where(hit, n[..., c], 0)
+    for k, colour in enumerate("RGB"):
+        made[colour] = np.where(hit, shade * (k + 1), 0)
+    made["id.shape"] = np.where(hit, shape, NO_ID).astype(np.uint32)
+    return {name: a if a.dtype == np.uint32 else a.astype(np.float32) for name, a in made.items()}
+
+
+EXACT, ROUNDED = image(np.float64), image(np.float32)
+HIT = EXACT["A"] == 1
+INSIDE = (14, 15)  # row, column of a pixel on the ball
+
+
+def copy(image: Channels) -> Channels:
+    return {name: values.copy() for name, values in image.items()}
+
+
+def compared(folder: Path, ours: Channels, reference: Channels = ROUNDED, *args, **kwargs) -> FileComparison:
+    write_exr(folder / "ours.exr", ours, SCENE)
+    write_exr(folder / "reference.exr", reference, SCENE)
+    return compare_exr(folder / "ours.exr", folder / "reference.exr", *args, **kwargs)
+
+
+def group(result: FileComparison, name: str):
+    return next(entry for entry in result.groups if entry.name == name)
+
+
+def text(result: FileComparison) -> str:
+    return result.format_table()
+
+
+# ---- what passes ----
+
+
+def test_the_test_image_has_hits_misses_and_both_surfaces():
+    assert 250 < HIT.sum() < HIT.size - 250
+    assert set(np.unique(EXACT["id.shape"])) == {0, 1, NO_ID}
+    assert np.array_equal(EXACT["A"], ROUNDED["A"])
+    assert HIT[INSIDE] and EXACT["id.shape"][INSIDE] == 0
+
+
+def test_identical_files_pass(tmp_path):
+    result = compared(tmp_path, EXACT, EXACT)
+    assert result.ok and result.exit_code == 0 and result.differing_pixels == 0
+    assert (result.hit_ours, result.hit_reference, result.hit_either) == (HIT.sum(),) * 3
+    assert all((g.agree, g.differ, g.non_finite) == (HIT.sum(), 0, 0) for g in result.groups)
+    assert "PASS" in text(result)
+
+
+def test_a_file_passes_against_itself(tmp_path):
+    write_exr(tmp_path / "a.exr", EXACT)
+    assert compare_exr(tmp_path / "a.exr", tmp_path / "a.exr").ok
+
+
+def test_float32_arithmetic_on_the_same_rays_passes_within_the_derived_bounds(tmp_path):
+    result = compared(tmp_path, EXACT)
+    assert result.ok, text(result)
+    assert group(result, "depth").bound == "K u S / cos"
+    assert 0 < group(result, "depth").worst.ratio < 1
+    assert not np.array_equal(EXACT["depth.Z"], ROUNDED["depth.Z"])
+
+
+def test_the_derived_bound_is_a_few_roundings_and_no_more(tmp_path):
+    """Power: a hundred-thousandth of the depth is found nearly everywhere."""
+    ours = copy(EXACT)
+    ours["depth.Z"] = (ours["depth.Z"].astype(np.float64) * (1 + 1e-5)).astype(np.float32)
+    result = compared(tmp_path, ours)
+    assert result.exit_code == 1
+    assert group(result, "depth").differ > 0.9 * HIT.sum()
+
+
+def test_parallel_rays_get_a_derived_bound_too(tmp_path):
+    camera = {"camera": {"type": "orthographic", "eye": [0, 0, 3], "look_at": [0, 0, 0], "direction": None}}
+    flat = np.ones((4, 4))
+    p, n, zero = np.zeros((4, 4, 3)), np.zeros((4, 4, 3)), np.zeros((4, 4))
+    n[..., 2] = 1
+    made = channels(flat > 0, 3 * flat, p, n, flat, zero)
+    write_exr(tmp_path / "a.exr", made, {"scene_json": json.dumps(camera)})
+    result = compare_exr(tmp_path / "a.exr", tmp_path / "a.exr")
+    assert result.ok and group(result, "depth").bound == "K u S / cos"
+
+
+@pytest.mark.parametrize("scene_json", ["", "{", "[]", "3", '{"camera": 1}', '{"camera": {"eye": "here"}}'])
+def test_a_foreign_scene_text_means_the_plain_bound(tmp_path, scene_json):
+    write_exr(tmp_path / "a.exr", EXACT, {"scene_json": scene_json})
+    result = compare_exr(tmp_path / "a.exr", tmp_path / "a.exr")
+    assert result.ok and f"{DEPTH_RTOL:.2g} relative" in group(result, "depth").bound
+
+
+def test_a_hit_near_the_worlds_origin_is_not_held_to_its_own_tiny_size(tmp_path):
+    ours = copy(EXACT)
+    reference = copy(EXACT)
+    for axis in "XYZ":
+        reference[f"position.{axis}"][INSIDE] = 1e-9
+        ours[f"position.{axis}"][INSIDE] = 2e-9
+    assert compared(tmp_path, ours, reference).ok
+
+
+# ---- canaries: each must fail ----
+
+
+def with_value(name: str, value: float, where=INSIDE) -> Channels:
+    ours = copy(EXACT)
+    ours[name][where] = value
+    return ours
+
+
+MISS = tuple(int(i) for i in np.argwhere(~HIT)[0])
+FLOATS = [name for name in EXACT if name != "id.shape"]
+
+
+DEPTH_OF_A_MISS = ("depth.Z", np.inf, MISS)  # the one infinity that means something
+NOT_FINITE = [
+    (name, value, where)
+    for name in FLOATS
+    for value in (np.nan, np.inf, -np.inf)
+    for where in (INSIDE, MISS)
+    if (name, value, where) != DEPTH_OF_A_MISS
+]
+
+
+@pytest.mark.parametrize(("name", "value", "where"), NOT_FINITE)
+def test_one_value_that_is_not_finite_fails(tmp_path, name, value, where):
+    wrong = with_value(name, value, where)
+    for ours, reference in ((wrong, EXACT), (EXACT, wrong)):
+        result = compared(tmp_path, ours, reference, Tolerances(max_pixels=10**6))
+        assert result.exit_code == 1
+        assert sum(g.non_finite for g in result.groups) >= 1
+
+
+@pytest.mark.parametrize("name", FLOATS)
+@pytest.mark.parametrize("pair", [(np.nan, np.nan), (np.inf, -np.inf), (np.inf, np.inf), (-np.inf, -np.inf)])
+def test_values_that_are_not_finite_fail_even_when_both_files_agree(tmp_path, name, pair):
+    result = compared(tmp_path, with_value(name, pair[0]), with_value(name, pair[1]))
+    assert result.exit_code == 1 and not result.ok
+
+
+def test_an_image_that_is_all_nan_fails(tmp_path):
+    nothing = {name: np.full_like(a, np.nan) if name in FLOATS else a for name, a in EXACT.items()}
+    for ours, reference in ((nothing, EXACT), (EXACT, nothing), (nothing, nothing)):
+        assert compared(tmp_path, ours, reference).exit_code == 1
+    assert compared(tmp_path, {"depth.Z": nothing["depth.Z"]}, {"depth.Z": nothing["depth.Z"]}).exit_code == 1
+
+
+def test_wide_open_tolerances_do_not_pass_nan(tmp_path):
+    wide = Tolerances(1e30, 1e30, 1e30, 1e30, 1e30, max_pixels=10**9, allow_empty=True)
+    assert compared(tmp_path, with_value("normal.X", np.nan), EXACT, wide).exit_code == 1
+    assert compared(tmp_path, with_value("depth.Z", np.inf), EXACT, wide).exit_code == 1
+
+
+def test_one_missed_pixel_fails_and_is_named(tmp_path):
+    ours = copy(EXACT)
+    for name, values in ours.items():
+        values[INSIDE] = {"depth.Z": np.inf, "id.shape": NO_ID}.get(name, 0)
+    result = compared(tmp_path, ours)
+    assert result.exit_code == 1 and result.differing_pixels == 1
+    assert (group(result, "hit").differ, group(result, "hit").worst.x, group(result, "hit").worst.y) == (
+        1,
+        15,
+        14,
+    )
+    assert group(result, "depth").differ == group(result, "depth").non_finite == 0  # counted once, as a hit
+    assert result.hit_ours == HIT.sum() - 1 and result.hit_either == HIT.sum()
+    assert f"FAIL  hit: 1 of {HIT.sum()} hit pixels" in text(result) and "(15, 14)" in text(result)
+    assert compared(tmp_path, ours, EXACT, Tolerances(max_pixels=1)).ok
+
+
+def test_a_missed_pixel_shows_without_a_mask_channel(tmp_path):
+    only_depth = {"depth.Z": EXACT["depth.Z"].copy()}
+    only_depth["depth.Z"][INSIDE] = np.inf
+    result = compared(tmp_path, only_depth, {"depth.Z": EXACT["depth.Z"]})
+    assert result.exit_code == 1 and group(result, "hit").differ == 1
+
+
+def test_zero_for_the_depth_of_a_miss_fails(tmp_path):
+    ours = copy(EXACT)
+    ours["depth.Z"][~HIT] = 0
+    result = compared(tmp_path, ours)
+    assert result.exit_code == 1 and group(result, "depth").non_finite == (~HIT).sum()
+
+
+def test_a_value_in_a_missed_pixel_is_compared_too(tmp_path):
+    assert compared(tmp_path, with_value("R", 0.25, MISS)).exit_code == 1
+    assert compared(tmp_path, with_value("position.X", 0.25, MISS)).exit_code == 1
+
+
+def flipped_normals(image: Channels) -> None:
+    for axis in "XYZ":
+        image[f"normal.{axis}"] *= -1
+
+
+def shifted_by_a_pixel(image: Channels) -> None:
+    for name in image:
+        image[name] = np.roll(image[name], 1, axis=1)
+
+
+def shifted_by_half_a_pixel(image: Channels) -> None:
+    for name in FLOATS:
+        if name not in ("A", "depth.Z"):
+            image[name] = 0.5 * (image[name] + np.roll(image[name], 1, axis=1))
+
+
+def upside_down(image: Channels) -> None:
+    for name in image:
+        image[name] = image[name][::-1]
+
+
+def left_is_right(image: Channels) -> None:
+    for name in image:
+        image[name] = image[name][:, ::-1]
+
+
+def depth_as_z(image: Channels) -> None:
+    image["depth.Z"] = image["depth.Z"] * -directions()[..., 2]
+
+
+def depth_from_a_near_plane(image: Channels) -> None:
+    image["depth.Z"] = image["depth.Z"] - np.float32(0.01)
+
+
+def swapped_axes(image: Channels) -> None:
+    image["normal.X"], image["normal.Y"] = image["normal.Y"], image["normal.X"]
+
+
+def swapped_colours(image: Channels) -> None:
+    image["R"], image["B"] = image["B"], image["R"]
+
+
+def unnormalised_normals(image: Channels) -> None:
+    for axis in "XYZ":
+        image[f"normal.{axis}"] = image[f"normal.{axis}"] * np.float32(1.001)
+
+
+def one_wrong_id(image: Channels) -> None:
+    image["id.shape"][INSIDE] = 1
+
+
+def one_half_covered_pixel(image: Channels) -> None:
+    image["A"][INSIDE] = 0.5
+
+
+def a_brighter_pixel(image: Channels) -> None:
+    image["G"][INSIDE] *= np.float32(1.0001)
+
+
+def radius_a_millionth_off(image: Channels) -> None:
+    image["depth.Z"] = image["depth.Z"] + np.where(image["id.shape"] == 0, np.float32(5e-6), np.float32(0))
+
+
+FAULTS = [
+    flipped_normals,
+    shifted_by_a_pixel,
+    shifted_by_half_a_pixel,
+    upside_down,
+    left_is_right,
+    depth_as_z,
+    depth_from_a_near_plane,
+    swapped_axes,
+    swapped_colours,
+    unnormalised_normals,
+    one_wrong_id,
+    one_half_covered_pixel,
+    a_brighter_pixel,
+    radius_a_millionth_off,
+]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
+@pytest.mark.parametrize("provenance", [SCENE, {}], ids=["derived", "plain"])
+def test_a_planted_fault_fails(tmp_path, fault, provenance):
+    ours = copy(EXACT)
+    fault(ours)
+    write_exr(tmp_path / "ours.exr", ours, provenance)
+    write_exr(tmp_path / "reference.exr", EXACT, provenance)
+    result = compare_exr(tmp_path / "ours.exr", tmp_path / "reference.exr")
+    assert result.exit_code == 1, text(result)
+    assert "FAIL" in text(result)
+
+
+def test_the_half_pixel_shift_of_normals_alone_fails(tmp_path):
+    ours, shifted = copy(EXACT), copy(EXACT)
+    shifted_by_half_a_pixel(shifted)
+    for axis in "XYZ":
+        ours[f"normal.{axis}"] = shifted[f"normal.{axis}"]
+    assert group(compared(tmp_path, ours), "normal").differ > 100
+
+
+def test_one_bright_pixel_does_not_loosen_the_others(tmp_path):
+    ours, reference = copy(EXACT), copy(EXACT)
+    for image in (ours, reference):
+        image["R"][INSIDE] = 1e30
+    ours["R"][INSIDE[0], INSIDE[1] + 3] *= np.float32(1.001)
+    assert compared(tmp_path, ours, reference).exit_code == 1
+
+
+# ---- not comparable ----
+
+
+def renamed(image: Channels, old: str, new: str) -> Channels:
+    return {new if name == old else name: values for name, values in image.items()}
+
+
+def test_a_renamed_channel_is_not_comparable_and_its_likely_name_is_given(tmp_path):
+    result = compared(tmp_path, renamed(EXACT, "depth.Z", "depth.T"))
+    assert result.exit_code == 3 and not result.ok and result.groups == ()
+    assert "channel depth.T is in ours only, did you mean 'depth.Z'?" in text(result)
+    assert "channel depth.Z is in the reference only, did you mean 'depth.T'?" in text(result)
+
+
+def test_a_missing_or_extra_channel_is_not_comparable_unless_left_out(tmp_path):
+    less = {name: values for name, values in EXACT.items() if not name.startswith("normal")}
+    for ours, reference in ((less, EXACT), (EXACT, less)):
+        assert compared(tmp_path, ours, reference).exit_code == 3
+        for ignore in (("normal",), ("normal.*",), ("normal.X", "normal.Y", "normal.Z")):
+            result = compared(tmp_path, ours, reference, Tolerances(ignore=ignore))
+            assert result.ok and result.ignored == ("normal.X", "normal.Y", "normal.Z")
+            assert "not compared, as asked: normal.X, normal.Y, normal.Z" in text(result)
+
+
+def test_the_reference_still_gives_the_condition_when_ours_has_depth_only(tmp_path):
+    few = {name: ROUNDED[name] for name in ("A", "depth.Z")}
+    result = compared(tmp_path, few, EXACT, Tolerances(ignore=("normal", "position", "diffuse", "id.*")))
+    assert result.ok and group(result, "depth").bound == "K u S / cos"
+
+
+def test_leaving_out_everything_is_not_comparable(tmp_path):
+    result = compared(tmp_path, EXACT, EXACT, Tolerances(ignore=("*",)))
+    assert result.exit_code == 3 and "nothing could be compared" in text(result)
+
+
+def test_no_channel_in_common_is_not_comparable(tmp_path):
+    result = compared(tmp_path, {"depth.Z": EXACT["depth.Z"]}, {"A": EXACT["A"]})
+    assert result.exit_code == 3 and "no channel in common" in text(result)
+
+
+def test_another_size_is_not_comparable(tmp_path):
+    smaller = {name: values[:-1] for name, values in EXACT.items()}
+    result = compared(tmp_path, smaller, EXACT)
+    assert result.exit_code == 3 and "size: ours is 32 x 23, the reference 32 x 24" in text(result)
+
+
+def test_another_data_window_is_not_comparable(tmp_path):
+    write_exr(tmp_path / "a.exr", EXACT)
+    write_exr(tmp_path / "b.exr", EXACT, data_window=(1, 0, 33, 24))
+    result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
+    assert result.exit_code == 3 and "data window: ours shows pixels (0, 0, 32, 24)" in text(result)
+
+
+def test_ids_stored_as_floats_are_not_comparable(tmp_path):
+    ours = copy(EXACT)
+    ours["id.shape"] = ours["id.shape"].astype(np.float32)
+    result = compared(tmp_path, ours, EXACT)
+    assert result.exit_code == 3 and "id.shape: ours holds float32, the reference uint32" in text(result)
+
+
+def test_unusable_files_are_errors_with_exit_code_4(tmp_path):
+    write_exr(tmp_path / "a.exr", EXACT)
+    (tmp_path / "empty.exr").touch()
+    OpenEXR.File([OpenEXR.Part({}, {"Z": np.ones((2, 2), "f")}, name) for name in "ab"]).write(
+        str(tmp_path / "parts.exr")
+    )
+    for name, error in (("absent", FileMissing), ("empty", UnreadableExr), ("parts", UnreadableExr)):
+        for pair in (("a.exr", f"{name}.exr"), (f"{name}.exr", "a.exr")):
+            with pytest.raises(error) as caught:
+                compare_exr(*(tmp_path / file for file in pair))
+            assert caught.value.exit_code == 4 and f"{name}.exr" in str(caught.value)
+
+
+# ---- nothing hit ----
+
+
+def test_two_images_that_hit_nothing_are_nothing_to_compare(tmp_path):
+    flat, vectors = np.zeros((4, 4)), np.zeros((4, 4, 3))
+    empty = channels(flat > 0, flat, vectors, vectors, flat, flat)
+    result = compared(tmp_path, empty, empty)
+    assert result.exit_code == 5 and not result.ok and "--allow-empty" in text(result)
+    assert result.differing_percent is None
+    assert compared(tmp_path, empty, empty, Tolerances(allow_empty=True)).exit_code == 0
+    broken = copy(empty)
+    broken["normal.X"][1, 2] = np.nan
+    assert compared(tmp_path, broken, empty, Tolerances(allow_empty=True)).exit_code == 1
+    assert compared(tmp_path, EXACT, {n: np.zeros_like(a) for n, a in EXACT.items()}).exit_code == 1
+
+
+def test_without_any_channel_that_tells_hits_every_pixel_counts(tmp_path):
+    normals = {f"normal.{axis}": EXACT[f"normal.{axis}"] for axis in "XYZ"}
+    result = compared(tmp_path, normals, normals)
+    assert result.ok and result.hit_either is None and "hits unknown" in text(result)
+    wrong = {name: values.copy() for name, values in normals.items()}
+    wrong["normal.Y"][MISS] = 1
+    assert compared(tmp_path, wrong, normals).exit_code == 1
+
+
+# ---- tolerances that are asked for ----
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "option"),
+    [
+        ("depth.Z", 1.001, {"depth_rtol": 2e-3}),
+        ("position.Z", 1.001, {"depth_rtol": 2e-3}),
+        ("normal.Z", 1.001, {"normal_atol": 2e-3}),
+        ("R", 1.001, {"color_rtol": 2e-3}),
+        ("R", 1.001, {"color_atol": 2e-3}),
+    ],
+)
+def test_a_stated_tolerance_replaces_the_bound(tmp_path, name, factor, option):
+    ours = copy(EXACT)
+    ours[name][INSIDE] *= np.float32(factor)
+    assert compared(tmp_path, ours, EXACT).exit_code == 1
+    result = compared(tmp_path, ours, EXACT, Tolerances(**option))
+    assert result.ok and any("as asked" in g.bound for g in result.groups)
+    assert compared(tmp_path, ours, EXACT, Tolerances(**dict.fromkeys(option, 0.0))).exit_code == 1
+
+
+def test_zero_tolerances_pass_identical_files_only(tmp_path):
+    zero = Tolerances(0.0, 0.0, 0.0, 0.0, 0.0)
+    assert compared(tmp_path, EXACT, EXACT, zero).ok
+    assert compared(tmp_path, EXACT, ROUNDED, zero).exit_code == 1
+
+
+def test_max_pixels_counts_each_pixel_once(tmp_path):
+    ours = with_value("normal.X", 0.5)
+    ours["depth.Z"][INSIDE] = 1.0
+    ours["G"][INSIDE[0], INSIDE[1] + 1] = 5.0
+    result = compared(tmp_path, ours, EXACT, Tolerances(max_pixels=1))
+    assert result.exit_code == 1 and result.differing_pixels == 2
+    assert result.differing_percent == pytest.approx(200 / HIT.sum())
+    passed = compared(tmp_path, ours, EXACT, Tolerances(max_pixels=2))
+    assert passed.ok and "PASS  2 pixels differ, 2 may" in text(passed)
+
+
+@pytest.mark.parametrize(
+    "option", ["depth_rtol", "normal_atol", "uv_atol", "color_rtol", "color_atol", "max_pixels"]
+)
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
+def test_a_tolerance_that_is_no_tolerance_is_an_error(option, value):
+    with pytest.raises(SceneError, match=f"--{option.replace('_', '-')}: expected a number >= 0"):
+        Tolerances(**{option: value})
+
+
+def test_leaving_out_a_channel_nobody_has_is_an_error_with_a_suggestion(tmp_path):
+    with pytest.raises(SceneError, match=r"--ignore norml: .*did you mean 'normal'\?"):
+        compared(tmp_path, EXACT, EXACT, Tolerances(ignore=("norml",)))
+
+
+def test_unlisted_channels_and_uv_are_compared_too(tmp_path):
+    extra = {"uv.U": EXACT["R"], "uv.V": EXACT["G"], "roughness": EXACT["B"], "id.light": EXACT["id.shape"]}
+    ours, reference = copy(EXACT | extra), EXACT | extra
+    assert compared(tmp_path, ours, reference).ok
+    for name, value in (("uv.V", 0.7), ("roughness", 0.7), ("id.light", 9)):
+        changed = copy(ours)
+        changed[name][INSIDE] = value
+        result = compared(tmp_path, changed, reference)
+        assert result.exit_code == 1 and result.differing_pixels == 1, name
+
+
+# ---- what is said ----
+
+
+def test_a_failure_says_how_many_how_far_where_and_what_next(tmp_path):
+    ours = with_value("depth.Z", 3.25)
+    write_exr(tmp_path / "ours.exr", ours, SCENE | {"caster/scene": "scenes/two balls.toml"})
+    write_exr(tmp_path / "reference.exr", EXACT, SCENE)
+    result = compare_exr(tmp_path / "ours.exr", tmp_path / "reference.exr", diff=tmp_path / "diff.exr")
+    expected = f"FAIL  depth: 1 of {HIT.sum()} hit pixels"
+    line = next(line for line in result.messages if line.startswith(expected))
+    assert "worst" in line and "at (15, 14) in depth.Z: ours 3.25, reference 2." in line
+    assert any(f"look:   {tmp_path / 'diff.exr'}" in message for message in result.messages)
+    assert "      replay: mitsuba-ref probe 'scenes/two balls.toml' 15 14" in result.messages
+
+
+def test_without_a_scene_the_next_command_is_caster_info(tmp_path):
+    result = compared(tmp_path, with_value("depth.Z", 3.25))
+    assert f"      next:   caster info {tmp_path / 'ours.exr'}" in result.messages
+
+
+def test_pixels_are_named_on_the_film(tmp_path):
+    window = {"data_window": (100, 200, 132, 224), "display_window": (0, 0, 640, 480)}
+    write_exr(tmp_path / "a.exr", with_value("depth.Z", 3.25), **window)
+    write_exr(tmp_path / "b.exr", EXACT, **window)
+    result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", diff=tmp_path / "d.exr")
+    worst = group(result, "depth").worst
+    assert (worst.x, worst.y) == (115, 214)
+    assert read_exr(tmp_path / "d.exr").data_window == (100, 200, 132, 224)
+    assert read_exr(tmp_path / "d.exr").display_window == (0, 0, 640, 480)
+
+
+def test_files_that_name_different_scenes_are_noted(tmp_path):
+    write_exr(tmp_path / "a.exr", EXACT, {"scene_sha256": "1"})
+    write_exr(tmp_path / "b.exr", EXACT, {"scene_sha256": "2"})
+    assert "different scenes" in text(compare_exr(tmp_path / "a.exr", tmp_path / "b.exr"))
+
+
+def test_halves_fail_and_the_reason_is_noted(tmp_path):
+    write_exr(tmp_path / "a.exr", EXACT)
+    halves = {name: a.astype(np.float16) if name in FLOATS else a for name, a in EXACT.items()}
+    OpenEXR.File({}, halves).write(str(tmp_path / "b.exr"))
+    result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
+    assert result.exit_code == 1 and "note: the reference holds halves" in text(result)
+
+
+def test_the_json_is_strict_and_holds_the_counts(tmp_path):
+    ours = with_value("normal.X", np.nan)
+    ours["id.shape"][INSIDE] = 1
+    result = compared(tmp_path, ours)
+    told = json.loads(json.dumps(result.to_dict(), allow_nan=False))
+    assert (told["ok"], told["exit_code"], told["differing_pixels"]) == (False, 1, 1)
+    by_name = {entry["name"]: entry for entry in told["groups"]}
+    assert by_name["normal"]["non_finite"] == 1 and by_name["normal"]["worst"]["ours"] == "nan"
+    assert by_name["shape_id"]["worst"]["ratio"] == "inf" and by_name["shape_id"]["worst"]["x"] == 15
+    json.dumps(compared(tmp_path, renamed(EXACT, "A", "a")).to_dict(), allow_nan=False)
+
+
+# ---- the difference image ----
+
+
+def test_the_difference_image_is_signed_and_classifies_every_pixel(tmp_path):
+    ours = with_value("depth.Z", 3.25)
+    ours["A"][0, 0], ours["A"][MISS] = ours["A"][0, 0], 1  # hit by ours only
+    ours["depth.Z"][MISS] = 9.0
+    ours["normal.X"][INSIDE[0], INSIDE[1] + 1] = np.nan
+    compared(tmp_path, ours, EXACT, diff=tmp_path / "diff.exr")
+    diff = read_exr(tmp_path / "diff.exr")
+    assert set(diff.channels) == {*EXACT, "class.I"}
+    assert diff.channels["depth.Z"][INSIDE] == np.float32(3.25 - float(EXACT["depth.Z"][INSIDE]))
+    assert np.isneginf(diff.channels["depth.Z"][MISS])
+    classes = diff.channels["class.I"]
+    assert classes.dtype == np.uint32
+    assert (classes[INSIDE], classes[MISS], classes[INSIDE[0], INSIDE[1] + 1]) == (2, 3, 4)
+    rest = np.ones(HIT.shape, bool)
+    rest[INSIDE] = rest[MISS] = rest[INSIDE[0], INSIDE[1] + 1] = False
+    assert np.array_equal(classes[rest], HIT[rest].astype(np.uint32))
+    assert all(not diff.channels[name][rest].any() for name in EXACT)  # inf against inf is no difference
+    assert "3 hit in one image only" in diff.provenance["caster/class"]
+
+
+def test_a_difference_beyond_float32_is_written_as_the_largest(tmp_path):
+    result = compared(tmp_path, with_value("R", 3e38), with_value("R", -3e38), diff=tmp_path / "diff.exr")
+    assert result.exit_code == 1
+    assert read_exr(tmp_path / "diff.exr").channels["R"][INSIDE] == np.finfo(np.float32).max
+
+
+def test_a_difference_image_never_overwrites_what_it_compares(tmp_path):
+    for name in ("ours.exr", "reference.exr"):
+        with pytest.raises(SceneError, match="would overwrite"):
+            compared(tmp_path, EXACT, diff=tmp_path / name)
+
+
+def test_files_that_are_not_comparable_leave_no_difference_image(tmp_path):
+    compared(tmp_path, renamed(EXACT, "A", "a"), diff=tmp_path / "diff.exr")
+    assert not (tmp_path / "diff.exr").exists()

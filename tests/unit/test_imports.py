@@ -1,0 +1,236 @@
+"""Who may import whom. A wrong import is named with its file, its line and the rule it breaks."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+JIT = "caster/kernels/jit.py"
+STDLIB = frozenset(sys.stdlib_module_names)
+TYPING = ("typing", "collections.abc")  # words for the type checker; nothing of them runs per ray
+
+# What descriptions are made of: the checks of fields, and placing geometry in the world.
+DESCRIBING = (
+    "caster.fields",
+    "caster.mesh",
+    "caster.mesh_files",
+    "caster.mesh_shape",
+    "caster.placing",
+    "caster.procedural",
+    "caster.transform",
+    "pydantic",
+)
+PLUGGED_IN = {
+    "shapes": DESCRIBING,
+    "cameras": DESCRIBING,
+    "aovs": ("caster.fields", "caster.view", "caster.lights"),  # a view: rays, hits and surfaces of one scene
+}
+
+
+class Rule(NamedTuple):
+    """Modules under `where` import nothing of `never`, and if there is an `only`, nothing else."""
+
+    where: str
+    says: str
+    never: tuple[str, ...] = ()
+    only: tuple[str, ...] | None = None  # everything, when None
+    except_in: tuple[str, ...] = ()
+
+
+RULES = (
+    Rule("caster", "caster knows nothing of its judge", never=("mitsuba_ref", "mitsuba", "drjit")),
+    Rule("caster", "only caster/exr.py imports OpenEXR", never=("OpenEXR",), except_in=("caster.exr",)),
+    Rule("caster", f"only {JIT} imports numba", never=("numba",), except_in=("caster.kernels.jit",)),
+    Rule(
+        "caster.kernels",
+        "a kernel imports math, numpy and kernels",
+        only=("math", "numpy", *TYPING, "caster.kernels"),
+        except_in=("caster.kernels.jit",),
+    ),
+    Rule("caster.kernels.jit", "jit.py imports the standard library and numba", only=(*STDLIB, "numba")),
+    *(
+        Rule(
+            f"caster.{kind}",
+            f"one of {kind} imports kernels and {' '.join(vocabulary)}, not its siblings",
+            only=(*STDLIB, "numpy", "caster.kernels", *vocabulary),
+            except_in=(f"caster.{kind}",),
+        )
+        for kind, vocabulary in PLUGGED_IN.items()
+    ),
+    Rule("mitsuba_ref", "the judge never imports caster.kernels", never=("caster.kernels",)),
+    Rule("mitsuba_ref", "OpenEXR and numba are caster's business", never=("OpenEXR", "numba")),
+    Rule(
+        "mitsuba_ref",
+        "only mitsuba_ref/door.py imports Mitsuba",
+        never=("mitsuba", "drjit"),
+        except_in=("mitsuba_ref.door",),
+    ),
+    Rule(
+        "mitsuba_ref.exact",
+        "an oracle shares no code with what it judges",
+        only=(*STDLIB, "flint", "mitsuba_ref.exact"),
+    ),
+)
+
+
+class Import(NamedTuple):
+    """One imported name: `from a import b` is "a.b" from the source "a", whether b is a module or not."""
+
+    name: str
+    source: str
+    line: int
+
+
+def inside(module: str, packages: tuple[str, ...]) -> bool:
+    """Whether `module` is one of `packages` or a part of one."""
+    return any(module == package or module.startswith(package + ".") for package in packages)
+
+
+def imports_of(tree: ast.Module, package: str) -> Iterator[Import]:
+    """Every import, also those in functions, relative ones, and import_module("literal")."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (Import(alias.name, alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            source = absolute(node, package)
+            yield from (Import(f"{source}.{alias.name}", source, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
+            for name in (arg.value for arg in node.args[:1] if isinstance(arg, ast.Constant)):
+                yield Import(str(name), str(name), node.lineno)
+
+
+def absolute(node: ast.ImportFrom, package: str) -> str:
+    """The module that `from ... import` names, with leading dots resolved."""
+    if not node.level:
+        return node.module or ""
+    parents = package.split(".")[: len(package.split(".")) - node.level + 1]
+    return ".".join([*parents, *([node.module] if node.module else [])])
+
+
+def breaks(rule: Rule, found: Import) -> bool:
+    """Whether `rule` forbids the import, or does not list it."""
+    if inside(found.name, rule.never):
+        return True
+    return rule.only is not None and not inside(found.name, rule.only)
+
+
+def broken_rules(root: Path) -> list[str]:
+    """One sentence for each import under `root` that a rule forbids, however many names it brings."""
+    broken = [
+        f"{path.relative_to(root)}:{found.line}: imports {found.source}, but {rule.says}"
+        for package in ("caster", "mitsuba_ref")
+        for path in sorted((root / package).rglob("*.py"))
+        for found in imports_of(ast.parse(path.read_text(), str(path)), package_of(path, root))
+        for rule in rules_for(name_of(path, root))
+        if breaks(rule, found)
+    ]
+    return list(dict.fromkeys(broken))
+
+
+def rules_for(module: str) -> list[Rule]:
+    return [rule for rule in RULES if inside(module, (rule.where,)) and module not in rule.except_in]
+
+
+def name_of(path: Path, root: Path) -> str:
+    parts = path.relative_to(root).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def package_of(path: Path, root: Path) -> str:
+    return ".".join(path.relative_to(root).parent.parts)
+
+
+def plant(root: Path, path: str, source: str) -> list[str]:
+    file = root / path
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(source)
+    return broken_rules(root)
+
+
+def test_every_import_keeps_the_rules():
+    broken = broken_rules(ROOT)
+    assert not broken, "\n".join(["imports that break a rule:", *broken])
+
+
+def test_the_walk_reads_the_whole_tree():
+    """A checker that looks into an empty folder is content with everything."""
+    assert (ROOT / JIT).is_file()
+    jit = ast.parse((ROOT / JIT).read_text())
+    assert "numba" in {found.name for found in imports_of(jit, "caster.kernels")}
+
+
+@pytest.mark.parametrize(
+    ("path", "source", "says"),
+    [
+        ("caster/render.py", "import mitsuba_ref", "knows nothing of its judge"),
+        ("caster/render.py", "def f():\n    from mitsuba import load_file", "knows nothing of its judge"),
+        ("caster/render.py", "import OpenEXR", "only caster/exr.py"),
+        ("caster/render.py", "from numba import njit", "only " + JIT),
+        ("caster/render.py", "import importlib\nimportlib.import_module('numba')", "only " + JIT),
+        ("caster/kernels/bvh.py", "import numba.extending", "only " + JIT),
+        ("caster/kernels/bvh.py", "import os", "a kernel imports"),
+        ("caster/kernels/bvh.py", "from ..scene import Scene", "a kernel imports"),
+        ("caster/kernels/jit.py", "from caster.scene import Scene", "jit.py imports"),
+        ("caster/shapes/disk.py", "from caster.shapes.sphere import Sphere", "not its siblings"),
+        ("caster/shapes/disk.py", "from .sphere import Sphere", "not its siblings"),
+        ("caster/cameras/fisheye.py", "import caster.shapes", "not its siblings"),
+        ("caster/aovs/depth.py", "from caster import scene", "not its siblings"),
+        ("mitsuba_ref/xml.py", "from caster import kernels", "never imports caster.kernels"),
+        ("mitsuba_ref/xml.py", "from caster.kernels.vec import dot", "never imports caster.kernels"),
+        ("mitsuba_ref/xml.py", "import mitsuba as mi", "only mitsuba_ref/door.py"),
+        ("mitsuba_ref/worker.py", "import drjit", "only mitsuba_ref/door.py"),
+        ("mitsuba_ref/render.py", "import OpenEXR", "caster's business"),
+        ("mitsuba_ref/exact.py", "from caster.mesh import Mesh", "shares no code"),
+    ],
+)
+def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, source, says):
+    (broken, *_) = plant(tmp_path, path, source) or ["nothing"]
+    line = source.count("\n") + 1
+    assert broken.startswith(f"{path}:{line}: imports ") and says in broken
+
+
+@pytest.mark.parametrize(
+    ("path", "source"),
+    [
+        ("caster/exr.py", "import OpenEXR"),
+        ("caster/kernels/jit.py", "import os\nimport numba.extending"),
+        ("caster/kernels/bvh.py", "import math\nfrom typing import NamedTuple\nfrom .vec import dot"),
+        ("caster/shapes/__init__.py", "from caster.shapes.sphere import Sphere"),
+        ("caster/shapes/disk.py", "from caster.fields import Shape\nfrom caster.kernels.vec import dot"),
+        ("mitsuba_ref/door.py", "import drjit\nimport mitsuba"),
+        ("mitsuba_ref/xml.py", "from caster import Scene\nfrom caster.shapes.disk import Disk"),
+        ("mitsuba_ref/exact.py", "import fractions"),
+    ],
+)
+def test_an_import_the_rules_allow_is_left_alone(tmp_path, path, source):
+    assert plant(tmp_path, path, source) == []
+
+
+SLOW = {"numba", "llvmlite", "mitsuba", "drjit"}
+HELP = """
+import importlib, sys
+command, sys.argv = sys.argv[1], [sys.argv[2], "--help"]
+try:
+    importlib.import_module(command).main()
+except SystemExit as stop:
+    assert not stop.code, f"--help ended with {stop.code}"
+print("\\nloaded:", *sorted({name.partition(".")[0] for name in sys.modules}))
+"""
+
+
+@pytest.mark.parametrize(("module", "command"), [("caster", "caster"), ("mitsuba_ref", "mitsuba-ref")])
+def test_help_imports_neither_numba_nor_mitsuba(module, command):
+    main = ROOT / module / "__main__.py"
+    assert main.is_file(), f"{main.relative_to(ROOT)} is missing: the command {command} has no main()"
+    run = subprocess.run(
+        [sys.executable, "-c", HELP, f"{module}.__main__", command], cwd=ROOT, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    answer, _, loaded = run.stdout.partition("\nloaded:")
+    assert "usage" in answer.lower()
+    assert not SLOW & set(loaded.split()), f"{command} --help loads {', '.join(SLOW & set(loaded.split()))}"
