@@ -13,6 +13,9 @@ U = 2.0**-24
 K = 4.0
 KU = K * U
 
+# The same for a caster in float64, as ours is; twice, because what it is compared with is computed in float64 too.
+KU_OURS = 2.0 * K * 2.0**-53
+
 # Embree drops a triangle with a coordinate beyond this, silently.
 LARGEST_COORDINATE = 1.844e18
 
@@ -28,10 +31,22 @@ class Meetings(NamedTuple):
     sh_error: np.ndarray  # (m,)
     possible: np.ndarray  # (m,) bool: some perturbation within the bound hits
     certain: np.ndarray  # (m,) bool: every perturbation within the bound hits
+    p_error: np.ndarray  # (m,) bound on the position, scene units
+    edge: np.ndarray | None = None  # (m, 6) the end points of the one edge a triangle is not certain of, else NaN
+    side: np.ndarray | None = None  # (m,) on which side of that edge the triangle lies, -1 or 1
 
 
-# (prims, k (m,), o (m, 3), d (m, 3)) -> the meetings of primitive k[i] with ray i, one Meetings for each root
-Meet = Callable[[Any, np.ndarray, np.ndarray, np.ndarray], tuple[Meetings, ...]]
+# (prims, k (m,), o (m, 3), d (m, 3), ku) -> the meetings of primitive k[i] with ray i, one Meetings for each root.
+# ku is K times the unit round-off of whoever is judged: KU for the reference, KU_OURS for a float64 caster.
+Meet = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, float], tuple[Meetings, ...]]
+
+
+class ErrorModel(NamedTuple):
+    """What the judge knows of one kind of primitive."""
+
+    meet: Meet  # the reference's primitive, or what stands in for it
+    bounds: Callable[[Any], tuple[np.ndarray, np.ndarray]]  # prims -> low, high corners (n, 3) of their boxes
+    meet_ours: Meet | None = None  # our own primitive, where the reference's is a stand-in
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -60,3 +75,8 @@ def permanent(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def transformed(m: np.ndarray, v: np.ndarray) -> np.ndarray:
     """m[i] v[i] for each row."""
     return np.einsum("ijk,ik->ij", m, v)
+
+
+def position_error(o: np.ndarray, d: np.ndarray, t: np.ndarray, t_error: np.ndarray, ku: float) -> np.ndarray:
+    """Bound on o + t d: t is off by its error, and the sum is rounded."""
+    return norm(d) * t_error + ku * (norm(o) + np.abs(t) * norm(d))

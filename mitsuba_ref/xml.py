@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
@@ -12,6 +12,12 @@ from caster.fields import Shape
 from caster.materials import Diffuse
 from caster.scene import Scene
 from mitsuba_ref.ply import ply_bytes
+
+# typeshed tells elements and comments apart by what their tag is; a document holds both.
+if TYPE_CHECKING:
+    XmlElement: TypeAlias = Element[Any]
+else:
+    XmlElement = Element
 
 
 @dataclass(frozen=True)
@@ -25,8 +31,9 @@ class Export:
 
     def write(self, folder: Path, name: str = "scene.xml") -> Path:
         """Write everything into a folder, which is made; return the path of the XML."""
-        (folder / "meshes").mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         for file, content in self.meshes.items():
+            (folder / file).parent.mkdir(exist_ok=True)
             (folder / file).write_bytes(content)
         (folder / name).write_text(self.xml, encoding="utf-8")
         return folder / name
@@ -37,42 +44,70 @@ class Writer:
     """Elements of the scene's shapes, and the mesh files they name."""
 
     scene: Scene
+    name: str = ""  # id of the shape that is being written
     meshes: dict[str, bytes] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def native(self, shape: Shape, plugin: str, center: np.ndarray, linear: np.ndarray) -> Element:
+    def native(self, shape: Shape, plugin: str, center: np.ndarray, linear: np.ndarray) -> XmlElement:
         """A plugin of Mitsuba's own, placed by one matrix."""
-        element = Element("shape", type=plugin, id=self.scene.name_of(shape))
+        element = Element("shape", type=plugin, id=self.name)
         element.append(matrix_element(center, linear))
         element.append(self.material(shape))
         return element
 
-    def instance(self, shape: Shape, plugin: str, part: Any) -> list[Element]:
+    def instance(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
         """A plugin that takes no stretching, stretched all the same: an instance of a group of one."""
-        name = self.scene.name_of(shape)
-        group = Element("shape", type="shapegroup", id=f"{name}-group")
-        unit = SubElement(group, "shape", type=plugin, id=f"{name}-unit")
+        group = Element("shape", type="shapegroup", id=f"{self.name}.group")
+        unit = SubElement(group, "shape", type=plugin, id=f"{self.name}.unit")
         unit.append(self.material(shape))
-        element = Element("shape", type="instance", id=name)
-        SubElement(element, "ref", id=f"{name}-group")
+        element = Element("shape", type="instance", id=self.name)
+        SubElement(element, "ref", id=f"{self.name}.group")
         element.append(matrix_element(part.center[0], part.to_world[0]))
-        self.notes.append(f"{name}: an instance of a {plugin}, which Mitsuba itself does not stretch")
-        return [Comment(f" {self.notes[-1]} "), group, element]
+        self.notes.append(f"{self.name}: an instance of a {plugin}, which Mitsuba itself does not stretch")
+        return [group, element]
 
-    def mesh(self, shape: Shape, part: Any) -> Element:
+    def mesh(self, shape: Shape, part: Any) -> XmlElement:
         """Triangles as a PLY file with its corners in world space."""
-        name = self.scene.name_of(shape)
-        file = f"meshes/{len(self.meshes):04d}-{safe_name(name)}.ply"
+        file = f"meshes/{len(self.meshes):04d}-{safe_name(self.name)}.ply"
         self.meshes[file] = ply_bytes(part)
-        element = Element("shape", type="ply", id=name)
+        element = Element("shape", type="ply", id=self.name)
         SubElement(element, "string", name="filename", value=file)
         if not part.smooth.any():
             SubElement(element, "boolean", name="face_normals", value="true")
         element.append(self.material(shape))
         return element
 
-    def material(self, shape: Shape) -> Element:
+    def material(self, shape: Shape) -> XmlElement:
         return bsdf_element(self.scene.material_of(shape))
+
+
+def to_text(scene: Scene, shapes: Sequence[XmlElement], sensor: XmlElement | None, out: Writer) -> str:
+    """The whole document. Without a sensor, rays have to be handed over."""
+    root = Element("scene", version="3.0.0")
+    for note in out.notes:
+        root.append(Comment(f" {note.replace('--', '- -')} "))
+    # Without it, Embree lets rays slip through the edges of meshes.
+    SubElement(root, "boolean", name="embree_use_robust_intersections", value="true")
+    root.append(integrator_element())
+    if sensor is not None:
+        sensor.append(film_element(scene))
+        sensor.append(sampler_element())
+        root.append(sensor)
+    root.extend(emitter_elements(scene))
+    root.extend(shapes)
+    indent(root, "    ")
+    return tostring(root, encoding="unicode") + "\n"
+
+
+def integrator_element() -> XmlElement:
+    """What plain Mitsuba renders of it: radiance, and the same quantities that are compared."""
+    integrator = Element("integrator", type="aov")
+    names = {"depth": "depth", "normal": "geo_normal", "shading_normal": "sh_normal", "position": "position"}
+    SubElement(integrator, "string", name="aovs", value=",".join(f"{a}:{b}" for a, b in names.items()))
+    direct = SubElement(integrator, "integrator", type="direct", name="radiance")
+    SubElement(direct, "integer", name="emitter_samples", value="1")
+    SubElement(direct, "integer", name="bsdf_samples", value="0")
+    return integrator
 
 
 def numbers(values: Sequence[float] | np.ndarray) -> str:
@@ -85,14 +120,14 @@ def safe_name(name: str) -> str:
     return "".join(c if c.isascii() and c.isalnum() else "-" for c in name)[:40]
 
 
-def matrix_element(center: np.ndarray, linear: np.ndarray) -> Element:
+def matrix_element(center: np.ndarray, linear: np.ndarray) -> XmlElement:
     transform = Element("transform", name="to_world")
     rows = np.column_stack([linear, center])
     SubElement(transform, "matrix", value=f"{numbers(rows.ravel())} 0 0 0 1")
     return transform
 
 
-def bsdf_element(material: Diffuse) -> Element:
+def bsdf_element(material: Diffuse) -> XmlElement:
     diffuse = Element("bsdf", type="diffuse")
     SubElement(diffuse, "rgb", name="reflectance", value=numbers(material.reflectance))
     if not material.two_sided:
@@ -102,7 +137,7 @@ def bsdf_element(material: Diffuse) -> Element:
     return both
 
 
-def emitter_elements(scene: Scene) -> list[Element]:
+def emitter_elements(scene: Scene) -> list[XmlElement]:
     """Point and directional lights. Ambient light is added apart on both sides, so Mitsuba is not told of it."""
     elements = []
     for light in scene.lights:
@@ -120,7 +155,7 @@ def emitter_elements(scene: Scene) -> list[Element]:
     return elements
 
 
-def film_element(scene: Scene) -> Element:
+def film_element(scene: Scene) -> XmlElement:
     """A film that keeps one unblurred float32 sample in each pixel's centre."""
     film = Element("film", type="hdrfilm")
     x0, y0, x1, y1 = scene.film.window
@@ -135,13 +170,8 @@ def film_element(scene: Scene) -> Element:
     return film
 
 
-def sampler_element() -> Element:
+def sampler_element() -> XmlElement:
     sampler = Element("sampler", type="stratified")
     SubElement(sampler, "integer", name="sample_count", value="1")
     SubElement(sampler, "boolean", name="jitter", value="false")
     return sampler
-
-
-def to_text(root: Element) -> str:
-    indent(root, "    ")
-    return tostring(root, encoding="unicode") + "\n"

@@ -1,18 +1,18 @@
 """Cylinder: Mitsuba's cylinder, or an instance of one where it is stretched; and its error model."""
 
 from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from caster.placing import as_given, is_mirrored, is_similarity
-from caster.shapes.cylinder import Cylinder
-from mitsuba_ref.meeting import KU, Meetings, dot, norm
-from mitsuba_ref.shapes.quadric import half_chord_error, in_object_space, roots, turned_normal
-from mitsuba_ref.xml import Writer
+from caster.shapes.cylinder import Cylinder, Cylinders
+from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error
+from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
+from mitsuba_ref.shape_reference import ShapeReference
+from mitsuba_ref.xml import Writer, XmlElement
 
 
-def to_xml(out: Writer, shape: Cylinder, part: Any) -> list[Element]:
+def to_xml(out: Writer, shape: Cylinder, part: Any) -> list[XmlElement]:
     """A round, straight cylinder as it is; a stretched, sheared or mirrored one as an instance."""
     given = shape.pack(as_given).to_world[0]
     lengths = np.linalg.norm(given, axis=0)
@@ -21,7 +21,7 @@ def to_xml(out: Writer, shape: Cylinder, part: Any) -> list[Element]:
     return out.instance(shape, "cylinder", part)
 
 
-def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[Meetings, ...]:
+def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
     """Ray i with tube k[i]: the unit circle in the x, y of object space, then the ends."""
     to_object = prims.to_object[k]
     rays = in_object_space(prims.center[k], to_object, o, d)
@@ -35,14 +35,18 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[Meeti
             t = middle + side * s / size
             q = rays.o + t[:, None] * rays.d
             components = rays.components(t)
-            error = KU * (components[:, 0] + components[:, 1])
-            t_error = half_chord_error(s, one, error) / size + KU * np.abs(t)
-            end_error = KU * components[:, 2] + np.abs(rays.d[:, 2]) * t_error
+            error = ku * (components[:, 0] + components[:, 1])
+            t_error = half_chord_error(s, one, error) / size + ku * np.abs(t)
+            end_error = ku * components[:, 2] + np.abs(rays.d[:, 2]) * t_error
             out = q * flat / np.maximum(distance, 1.0)[:, None]
             slide = np.sqrt(np.maximum(size * size - dot(out, rays.d) ** 2, 0.0))
-            n, n_error = turned_normal(to_object, out, error + slide * t_error)
+            n, n_error = turned_normal(to_object, out, error + slide * t_error, ku)
             inside = np.minimum(q[:, 2], 1.0 - q[:, 2])
             possible = (distance - 1.0 <= error) & (inside >= -end_error)
             certain = (1.0 - distance > error) & (inside > end_error)
-            found.append(Meetings(t, t_error, n, n_error, n, n_error, possible, certain))
+            p_error = position_error(o, d, t, t_error, ku)
+            found.append(Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error))
     return tuple(found)
+
+
+REFERENCE = ShapeReference(Cylinder, to_xml, {Cylinders: ErrorModel(meet, affine_bounds)}, analytic=True)

@@ -1,10 +1,10 @@
 """What the error models of sphere, ellipsoid, disk and cylinder share (docs/method.md, "Quadrics")."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.meeting import KU, dot, norm, transformed
+from mitsuba_ref.meeting import dot, norm, transformed
 
 
 class ObjectRays(NamedTuple):
@@ -49,9 +49,17 @@ def roots(f: np.ndarray, d: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.n
         return middle, distance, np.sqrt(np.maximum((r - distance) * (r + distance), 0.0))
 
 
-def turned_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def turned_normal(
+    to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: float
+) -> tuple[np.ndarray, np.ndarray]:
     """A normal of the unit shape taken to world space, and its bound there."""
     world = np.einsum("ikj,ik->ij", to_object, n)
     length = norm(world)
     size = np.sqrt(np.einsum("ijk,ijk->i", to_object, to_object))
-    return world / length[:, None], size / length * (n_error + KU) + KU
+    return world / length[:, None], size / length * (n_error + ku) + ku
+
+
+def affine_bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes around images of a shape that lies in [-1, 1]^3, under p -> center + to_world p."""
+    reach = np.abs(prims.to_world).sum(axis=2)
+    return prims.center - reach, prims.center + reach

@@ -1,17 +1,17 @@
 """Sphere: to Mitsuba's sphere, or an instance of one where it is stretched; and its error model."""
 
 from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from caster.shapes.sphere import Ellipsoids, Sphere
-from mitsuba_ref.meeting import KU, U, Meetings, dot, norm
-from mitsuba_ref.shapes.quadric import half_chord_error, in_object_space, roots, turned_normal
-from mitsuba_ref.xml import Writer
+from caster.shapes.sphere import Ellipsoids, Sphere, Spheres
+from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error
+from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
+from mitsuba_ref.shape_reference import ShapeReference
+from mitsuba_ref.xml import Writer, XmlElement
 
 
-def to_xml(out: Writer, shape: Sphere, part: Any) -> list[Element]:
+def to_xml(out: Writer, shape: Sphere, part: Any) -> list[XmlElement]:
     """Centre and radius as one matrix; an ellipsoid as an instance, since Mitsuba's sphere takes no stretching."""
     if isinstance(part, Ellipsoids):
         return out.instance(shape, "sphere", part)
@@ -19,11 +19,11 @@ def to_xml(out: Writer, shape: Sphere, part: Any) -> list[Element]:
     return [out.native(shape, "sphere", part.center[0], scale)]
 
 
-def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[Meetings, ...]:
+def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
     """Ray i with ball k[i]: near root, far root."""
     center, r = prims.center[k], prims.radius[k]
     middle, distance, s = roots(o - center, d, r)
-    return tuple(_meeting(center, r, o, d, middle, distance, s, side) for side in (-1.0, 1.0))
+    return tuple(_meeting(center, r, o, d, (middle, distance, s), side, ku) for side in (-1.0, 1.0))
 
 
 def _meeting(
@@ -31,24 +31,25 @@ def _meeting(
     r: np.ndarray,
     o: np.ndarray,
     d: np.ndarray,
-    middle: np.ndarray,
-    distance: np.ndarray,
-    s: np.ndarray,
+    root: tuple[np.ndarray, np.ndarray, np.ndarray],
     side: float,
+    ku: float,
 ) -> Meetings:
+    middle, distance, s = root
     size = norm(d)
     t = middle + side * s / size
     n = (o - center + t[:, None] * d) / np.maximum(distance, r)[:, None]
     reach = np.abs(o) + np.abs(t)[:, None] * np.abs(d) + np.abs(center)
-    error = KU * (dot(np.abs(n), reach) + r)
-    t_error = half_chord_error(s, r, error) / size + KU * np.abs(t)
+    error = ku * (dot(np.abs(n), reach) + r)
+    t_error = half_chord_error(s, r, error) / size + ku * np.abs(t)
     slide = np.sqrt(np.maximum(size * size - dot(n, d) ** 2, 0.0))
-    n_error = (KU * norm(reach) + slide * t_error) / r + 2.0 * U
+    n_error = (ku * norm(reach) + slide * t_error) / r + 0.5 * ku
     possible, certain = distance - r <= error, r - distance > error
-    return Meetings(t, t_error, n, n_error, n, n_error, possible, certain)
+    p_error = position_error(o, d, t, t_error, ku)
+    return Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error)
 
 
-def meet_ellipsoid(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[Meetings, ...]:
+def meet_ellipsoid(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
     """Ray i with ellipsoid k[i]: the unit ball in object space, where the ray arrives rounded."""
     to_object = prims.to_object[k]
     rays = in_object_space(prims.center[k], to_object, o, d)
@@ -58,9 +59,22 @@ def meet_ellipsoid(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray) -> t
     for side in (-1.0, 1.0):
         t = middle + side * s / size
         q = (rays.o + t[:, None] * rays.d) / np.maximum(distance, 1.0)[:, None]
-        error = KU * (norm(rays.components(t)) + 1.0)
-        t_error = half_chord_error(s, np.ones(len(k)), error) / size + KU * np.abs(t)
+        error = ku * (norm(rays.components(t)) + 1.0)
+        t_error = half_chord_error(s, np.ones(len(k)), error) / size + ku * np.abs(t)
         slide = np.sqrt(np.maximum(size * size - dot(q, rays.d) ** 2, 0.0))
-        n, n_error = turned_normal(to_object, q, error + slide * t_error)
-        found.append(Meetings(t, t_error, n, n_error, n, n_error, distance - 1.0 <= error, 1.0 - distance > error))
+        n, n_error = turned_normal(to_object, q, error + slide * t_error, ku)
+        possible, certain = distance - 1.0 <= error, 1.0 - distance > error
+        p_error = position_error(o, d, t, t_error, ku)
+        found.append(Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error))
     return tuple(found)
+
+
+def ball_bounds(prims: Spheres) -> tuple[np.ndarray, np.ndarray]:
+    r = prims.radius[:, None]
+    return prims.center - r, prims.center + r
+
+
+REFERENCE = ShapeReference(Sphere, to_xml, {
+    Spheres: ErrorModel(meet, ball_bounds),
+    Ellipsoids: ErrorModel(meet_ellipsoid, affine_bounds),
+}, analytic=True)

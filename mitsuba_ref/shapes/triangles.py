@@ -4,52 +4,97 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.meeting import KU, LARGEST_COORDINATE, Meetings, dot, norm, permanent, unit
+from mitsuba_ref.meeting import LARGEST_COORDINATE, ErrorModel, Meetings, dot, norm, permanent, unit
 
 # Where the relative error of n.d reaches this, float32 cannot tell on which side of edge-on the ray passes.
 UNRESOLVABLE = 0.5
 
 
-def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[Meetings, ...]:
+def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
     """Ray i with triangle k[i], by its plane and its three edge functions."""
     corners = [prims.vertices[prims.faces[k, j]] for j in range(3)]
     a, b, c = (corner - o for corner in corners)
     across = np.cross(b - a, c - a)
     area = norm(across)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        edges, edge_errors = _edge_functions(a, b, c, d)
+        edges, edge_errors = _edge_functions(a, b, c, d, ku)
         total = edges.sum(axis=1)
         weights = edges / total[:, None]
         n = across / area[:, None]
         t = dot(n, a) / dot(n, d)
-        t_error, resolvable = _t_error(n, across, area, (a, b, c), weights, t, d)
-        spread = permanent(b - a, c - a)
-        n_error = KU * (norm(spread) / area + 1.0)
-        sign = np.sign(total)[:, None]
-        possible = np.all(edges * sign >= -edge_errors, axis=1) & (area > 0.0) & _kept(corners)
-        certain = np.all(edges * sign > edge_errors, axis=1) & resolvable & possible & np.isfinite(t)
+        t_error, resolvable = _t_error(n, across, area, (a, b, c), weights, t, d, ku)
+        n_error = ku * (norm(permanent(b - a, c - a)) / area + 1.0)
+        traced = (area > 0.0) & _kept(corners)
+        possible = (np.all(edges >= -edge_errors, axis=1) | np.all(edges <= edge_errors, axis=1)) & traced
+        inside = edges * np.sign(total)[:, None] > edge_errors
+        sure = resolvable & possible & np.isfinite(t)
         weight_errors = (edge_errors + np.abs(weights) * edge_errors.sum(axis=1)[:, None]) / np.abs(total)[:, None]
-        sh_n, sh_error = _shading(prims, k, n, n_error, weights, weight_errors)
-    return (Meetings(t, np.where(resolvable, t_error, np.inf), n, n_error, sh_n, sh_error, possible, certain),)
+        sh_n, sh_error = _shading(prims, k, n, n_error, weights, weight_errors, ku)
+        p_error = _position_error(corners, weights, weight_errors, ku)
+    edge, side = _doubtful_edge(corners, inside, np.sign(total), sure)
+    t_error = np.where(resolvable, t_error, np.inf)
+    certain = inside.all(axis=1) & sure
+    return (Meetings(t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, edge, side),)
+
+
+def _position_error(
+    corners: list[np.ndarray], weights: np.ndarray, weight_errors: np.ndarray, ku: float
+) -> np.ndarray:
+    """Mitsuba's position is the corners' mean by barycentrics: off by their errors and by its own rounding."""
+    p = sum(weights[:, j : j + 1] * corners[j] for j in range(3))
+    moved = sum(weight_errors[:, j] * norm(corners[j] - p) for j in range(3))
+    return moved + ku * sum(np.abs(weights[:, j]) * norm(corners[j]) for j in range(3))
+
+
+def _doubtful_edge(
+    corners: list[np.ndarray], inside: np.ndarray, facing: np.ndarray, sure: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where a hit hangs on one edge alone: its end points (m, 6), smaller one first, and the triangle's side of it.
+
+    A neighbour on the other side of the same edge catches the ray where this triangle lets it go.
+    """
+    edge, side = np.full((len(sure), 6), np.nan), np.zeros(len(sure))
+    for j, (p, q) in enumerate(((2, 1), (0, 2), (1, 0))):  # U belongs to the edge from c to b, and so on
+        rows = np.flatnonzero(sure & ~inside[:, j] & (inside.sum(axis=1) == 2))
+        start, end = corners[p][rows], corners[q][rows]
+        swapped = _is_after(start, end)
+        edge[rows] = np.where(swapped[:, None], np.hstack([end, start]), np.hstack([start, end]))
+        side[rows] = facing[rows] * np.where(swapped, -1.0, 1.0)
+    return edge, side
+
+
+def _is_after(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Whether p comes after q in the order of x, then y, then z."""
+    differs = p != q
+    first = np.argmax(differs, axis=1)[:, None]
+    after: np.ndarray = np.take_along_axis(p, first, axis=1) > np.take_along_axis(q, first, axis=1)
+    return after[:, 0]
 
 
 def _kept(corners: list[np.ndarray]) -> np.ndarray:
     return np.all([np.abs(corner).max(axis=1) < LARGEST_COORDINATE for corner in corners], axis=0)
 
 
-def _edge_functions(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(m, 3) U, V, W = d.(b x c), ... and how far float32 may be off in each.
+def _edge_functions(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, ku: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(m, 3) U, V, W = d.(b x c), ... and how far rounding may move each.
 
-    Embree forms each from the difference and the sum of two corners (Pluecker), so their products round; its robust
-    mode accepts |U + V + W| ulps beyond an edge on top.
+    Three sources: corners seen from the origin are rounded, each component by u of itself, which moves U by
+    |c||b x d| + |b||c x d|; Embree forms U from the difference and the sum of two corners (Pluecker), whose products
+    round; and its robust mode accepts |U + V + W| ulps beyond an edge.
     """
     pairs = ((c, b), (a, c), (b, a))
     edges = np.stack([dot(d, np.cross(p, q)) for p, q in pairs], axis=1)
     inflation = 2.0 * np.abs(edges.sum(axis=1))
     errors = [
-        dot(np.abs(d), permanent(p - q, np.abs(p) + np.abs(q)) + permanent(p, q)) + inflation for p, q in pairs
+        dot(np.abs(d), permanent(p - q, np.abs(p) + np.abs(q)))
+        + dot(np.abs(p), np.abs(np.cross(q, d)))
+        + dot(np.abs(q), np.abs(np.cross(p, d)))
+        + inflation
+        for p, q in pairs
     ]
-    return edges, KU * np.stack(errors, axis=1)
+    return edges, ku * np.stack(errors, axis=1)
 
 
 def _t_error(
@@ -60,6 +105,7 @@ def _t_error(
     weights: np.ndarray,
     t: np.ndarray,
     d: np.ndarray,
+    ku: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(bound on the error of t, whether float32 resolves the crossing at all).
 
@@ -73,13 +119,19 @@ def _t_error(
     share = [np.abs(weights[:, j : j + 1]) * np.abs(corner) for j, corner in enumerate(corners)]
     displacement = dot(np.abs(n), sum(share) + np.abs(a) + reach)
     lever = dot(np.abs(t[:, None] * d - a), spread)
-    rho = KU * (dot(np.abs(n), np.abs(d)) + dot(np.abs(d), spread)) / steepness
+    rho = ku * (dot(np.abs(n), np.abs(d)) + dot(np.abs(d), spread)) / steepness
     resolvable = rho < UNRESOLVABLE
-    return KU * ((displacement + lever) / steepness + np.abs(t)) / (1.0 - np.minimum(rho, UNRESOLVABLE)), resolvable
+    return ku * ((displacement + lever) / steepness + np.abs(t)) / (1.0 - np.minimum(rho, UNRESOLVABLE)), resolvable
 
 
 def _shading(
-    prims: Any, k: np.ndarray, n: np.ndarray, n_error: np.ndarray, weights: np.ndarray, weight_errors: np.ndarray
+    prims: Any,
+    k: np.ndarray,
+    n: np.ndarray,
+    n_error: np.ndarray,
+    weights: np.ndarray,
+    weight_errors: np.ndarray,
+    ku: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolated normal and its bound: barycentrics off by their errors, three products and a length rounded.
 
@@ -89,7 +141,15 @@ def _shading(
     summed = sum(weights[:, j : j + 1] * normals[j] for j in range(3))
     length = norm(summed)
     moved = sum(weight_errors[:, j] * norm(normals[j] - summed) for j in range(3))
-    rounded = KU * sum(np.abs(weights[:, j]) * norm(normals[j]) for j in range(3))
+    rounded = ku * sum(np.abs(weights[:, j]) * norm(normals[j]) for j in range(3))
     smooth = prims.smooth[k]
-    error = np.where(smooth, (moved + rounded) / np.where(length > 0.0, length, np.nan) + KU, n_error)
+    error = np.where(smooth, (moved + rounded) / np.where(length > 0.0, length, np.nan) + ku, n_error)
     return np.where(smooth[:, None], unit(summed), n), error
+
+
+def bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    corners = prims.vertices[prims.faces]
+    return corners.min(axis=1), corners.max(axis=1)
+
+
+MODEL = ErrorModel(meet, bounds)

@@ -1,0 +1,145 @@
+"""The bracket: which answers along a ray rounding allows, all primitives considered (docs/method.md, "Visibility").
+
+A primitive is possible where some numbers within the bound hit it, certain where all do. The nearest hit lies between
+LO, the earliest that a possible one may come, and HI, the latest that a certain one may come.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mitsuba_ref.candidates import Candidates
+from mitsuba_ref.meeting import Meetings, norm
+from mitsuba_ref.model import Model, PairMeetings
+
+
+class Claims(NamedTuple):
+    """What somebody says of each of n rays."""
+
+    t: np.ndarray  # (n,) inf on a miss
+    shape: np.ndarray  # (n,) index, -1 on a miss
+    n: np.ndarray  # (n, 3)
+    sh_n: np.ndarray  # (n, 3)
+
+
+class Finding(NamedTuple):
+    """Of each ray: whether rounding allows the claim, and whether it leaves any claim open."""
+
+    allowed: np.ndarray  # (n,) bool
+    unresolvable: np.ndarray  # (n,) bool: a surface seen so nearly edge-on that nobody can say where it is hit
+
+
+class Found(NamedTuple):
+    """Meetings in range, with ray and primitive of each."""
+
+    ray: np.ndarray  # (m,)
+    prim: np.ndarray  # (m,)
+    at: Meetings
+
+
+class Bracket:
+    """Judges claims about rays through one scene. ku, ours: as in Model.meet."""
+
+    def __init__(self, model: Model, ku: float, *, ours: bool):
+        self.model, self.ku, self.ours = model, ku, ours
+        self.candidates = Candidates(*model.boxes)
+
+    def judge(self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, claims: Claims) -> Finding:
+        """Whether the claims are within the bracket. o, d: (n, 3) float64; t_max: (n,)."""
+        allowed, unresolvable = np.ones(len(o), bool), np.zeros(len(o), bool)
+        seen = np.zeros(len(o), bool)
+        for ray, prim in self.candidates.pairs(o, d):
+            found = self._meet(ray, prim, o, d, t_max)
+            rays = np.unique(ray)
+            seen[rays] = True
+            allowed[rays], unresolvable[rays] = self._allows(found, claims, t_max, rays)
+        allowed[~seen] = claims.shape[~seen] < 0
+        return Finding(allowed, unresolvable)
+
+    def blocked(
+        self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, leaving: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(something may block the way, something does): rays o + t d, 0 < t < t_max.
+
+        leaving (n,): the primitive a ray starts on, whose meeting at the start does not count.
+        """
+        possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
+        for ray, prim in self.candidates.pairs(o, d):
+            found = self._meet(ray, prim, o, d, t_max)
+            if leaving is not None:
+                found = without_starts(found, leaving)
+            possible[found.ray] = True
+            certain[found.ray[np.isfinite(latest_hits(found, t_max))]] = True
+        return possible, certain
+
+    def _meet(
+        self, ray: np.ndarray, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t_max: np.ndarray
+    ) -> Found:
+        """The possible meetings in range."""
+        met: PairMeetings = self.model.meet(prim, o[ray], d[ray], self.ku, ours=self.ours)
+        rays = ray[met.pair]
+        with np.errstate(invalid="ignore"):
+            error = np.where(np.isfinite(met.at.t_error), met.at.t_error, np.inf)
+            in_range = ~(met.at.t + error < 0.0) & ~(met.at.t - error > t_max[rays])
+        keep = met.at.possible & in_range & ~np.isnan(met.at.t)
+        at = Meetings(*(a[keep] for a in met.at if a is not None))
+        return Found(rays[keep], prim[met.pair][keep], at)
+
+    def _allows(
+        self, found: Found, claims: Claims, t_max: np.ndarray, rays: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        at, ray = found.at, found.ray
+        latest = np.full(len(t_max), np.inf)
+        np.minimum.at(latest, ray, latest_hits(found, t_max))
+        matches = (
+            np.isfinite(at.t_error)
+            & (self.model.packed.shape_of(found.prim) == claims.shape[ray])
+            & (np.abs(claims.t[ray] - at.t) <= at.t_error)
+            & (norm(claims.n[ray] - at.n) <= at.n_error)
+            & (norm(claims.sh_n[ray] - at.sh_n) <= at.sh_error)
+            & (claims.t[ray] <= latest[ray])
+        )
+        has_match, open_end = np.zeros(len(t_max), bool), np.zeros(len(t_max), bool)
+        has_match[ray[matches]] = True
+        open_end[ray[~np.isfinite(at.t_error)]] = True
+        missed = claims.shape[rays] < 0
+        return np.where(missed, np.isinf(latest[rays]), has_match[rays]), open_end[rays]
+
+
+def latest_hits(found: Found, t_max: np.ndarray) -> np.ndarray:
+    """(m,) the latest that a certain primitive may be hit; inf for one that is not certain or not in range."""
+    at = found.at
+    with np.errstate(invalid="ignore"):
+        in_range = (at.t - at.t_error > 0.0) & (at.t + at.t_error <= t_max[found.ray])
+        latest = np.where(at.certain, at.t + at.t_error, _latest_at_edges(found))
+    return np.where(in_range, latest, np.inf)
+
+
+def _latest_at_edges(found: Found) -> np.ndarray:
+    """(m,) the same for hits that hang on one edge: finite where another face lies across it, so one of them is hit.
+
+    The reference's robust mode keeps this promise at edges, though not at corners.
+    """
+    edge, side = found.at.edge, found.at.side
+    assert edge is not None and side is not None  # Model.meet fills them in
+    rows = np.flatnonzero(side != 0.0)
+    latest = np.full(len(found.ray), np.inf)
+    if len(rows):
+        keys = np.column_stack([found.ray[rows], edge[rows] + 0.0])  # no -0.0
+        _, which = np.unique(keys, axis=0, return_inverse=True)
+        which = which.ravel()
+        left, right = (np.bincount(which[side[rows] == s], minlength=which.max() + 1) > 0 for s in (-1.0, 1.0))
+        last = np.full(which.max() + 1, -np.inf)
+        np.maximum.at(last, which, (found.at.t + found.at.t_error)[rows])
+        latest[rows] = np.where(left & right, last, np.inf)[which]
+    return latest
+
+
+def without_starts(found: Found, leaving: np.ndarray) -> Found:
+    """Drop each ray's meeting, nearest to its start, with the primitive it starts on."""
+    own = np.flatnonzero(found.prim == leaving[found.ray])
+    order = own[np.lexsort([np.abs(found.at.t[own]), found.ray[own]])]
+    first = order[np.r_[True, np.diff(found.ray[order]) != 0]] if len(order) else order
+    keep = np.ones(len(found.ray), bool)
+    keep[first] = False
+    return Found(found.ray[keep], found.prim[keep], Meetings(*(a[keep] for a in found.at if a is not None)))

@@ -1,0 +1,20 @@
+"""Depth: the distance from the eye along the ray.
+
+The bound is that of t at the primitive hit, in scene units, and one rounding of our own sum of start and t |d|.
+"""
+
+import numpy as np
+
+from mitsuba_ref.meeting import KU_OURS
+from mitsuba_ref.pixels import Pixels, share_of_bound
+
+NAME = "depth"
+
+
+def ratio(pixels: Pixels) -> np.ndarray:
+    """|ours - reference| / bound where both hit, 0 elsewhere."""
+    ours, reference = pixels.pair("depth")
+    bound = pixels.bounds.at.t_error * pixels.length + KU_OURS * np.abs(ours)
+    with np.errstate(invalid="ignore"):
+        error = np.abs(ours - reference)
+    return np.where(pixels.both_hit, share_of_bound(error, bound), 0.0)

@@ -1,0 +1,126 @@
+"""One question to Mitsuba, in a process of its own that is gone afterwards, whatever happens."""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from mitsuba_ref.jobs import Answer, Crash, Job
+
+# -P: a user's folder may hold a mitsuba.py, and `-m` would look there first.
+WORKER = (sys.executable, "-P", "-m", "mitsuba_ref.worker")
+HOME = Path(__file__).resolve().parents[1]
+FIRST_WORDS, LAST_WORDS = 1000, 3000  # bytes kept of what Mitsuba said
+ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
+
+_running: set[int] = set()
+
+
+class End(NamedTuple):
+    code: int | None  # None: it took too long
+    words: str
+    seconds: float
+
+
+def put(
+    job: Job, timeout: float, settings: Mapping[str, str] | None = None, command: Sequence[str] = WORKER
+) -> Answer | Crash:
+    """Give `command` a folder with the job, read its answer there. `settings`: its environment variables."""
+    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as name:
+        folder = Path(name)
+        job.write(folder)
+        end = _run([*command, name], folder, timeout, settings or {})
+        return _read(job, folder, end, timeout)
+
+
+def stop_all() -> None:
+    """Kill every child that is running; who waits for one gets a Crash. For Ctrl-C while threads wait."""
+    for group in list(_running):
+        _kill(group)
+
+
+def _run(command: Sequence[str], folder: Path, timeout: float, settings: Mapping[str, str]) -> End:
+    """Run it in a session of its own; its words go to a file, since a pipe that nobody empties is a hang."""
+    start = time.monotonic()
+    with (folder / "words").open("wb") as words:
+        child = subprocess.Popen(
+            command,
+            cwd=folder,
+            env={**os.environ, **settings, "PYTHONPATH": _search_path()},
+            stdin=subprocess.DEVNULL,
+            stdout=words,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        code = _wait(child, timeout)
+    return End(code, _words(folder / "words"), time.monotonic() - start)
+
+
+def _wait(child: subprocess.Popen[bytes], timeout: float) -> int | None:
+    _running.add(child.pid)
+    try:
+        return child.wait(timeout)
+    except subprocess.TimeoutExpired:
+        return None
+    finally:  # also on Ctrl-C, and for what the child may have started itself
+        _kill(child.pid)
+        child.wait()
+        _running.discard(child.pid)
+
+
+def _kill(group: int) -> None:
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # gone; macOS calls that a PermissionError
+        os.killpg(group, signal.SIGKILL)
+
+
+def _search_path() -> str:
+    """This package first, then what the user set; not the current folder, which an empty entry means, too."""
+    entries = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    here = Path.cwd()
+    kept = [entry for entry in map(os.path.abspath, filter(None, entries)) if Path(entry) != here]
+    return os.pathsep.join([str(HOME), *kept])
+
+
+def _words(path: Path) -> str:
+    """How it began and how it ended: LLVM names its error first and spells out a tree of code after it."""
+    with path.open("rb") as file:
+        words = file.read(FIRST_WORDS)
+        left = path.stat().st_size - FIRST_WORDS
+        if left > LAST_WORDS:
+            words += b"\n[...]\n"
+            file.seek(left - LAST_WORDS, os.SEEK_CUR)
+        words += file.read(LAST_WORDS)
+    return ANSI.sub("", words.decode("utf-8", "replace")).strip()
+
+
+def _read(job: Job, folder: Path, end: End, timeout: float) -> Answer | Crash:
+    if end.code is None:
+        return Crash("timeout", end.words, f"killed after {timeout:g} s", end.seconds)
+    if end.code:
+        return Crash(_kind(end.code), end.words, _exit(end.code), end.seconds)
+    try:
+        return Answer.read(folder, len(job.o))
+    except ValueError as error:
+        return Crash("garbage", f"{end.words}\n{error}".strip(), _exit(0), end.seconds)
+
+
+def _kind(code: int) -> str:
+    if code == -signal.SIGABRT:
+        return "abort"
+    return "signal" if code < 0 else "error"
+
+
+def _exit(code: int) -> str:
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return signal.Signals(-code).name
+    except ValueError:
+        return f"signal {-code}"

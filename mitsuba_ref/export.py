@@ -1,0 +1,51 @@
+"""A scene as Mitsuba loads it: every shape by its reference, the camera by its own."""
+
+import numpy as np
+
+from caster.fields import Camera
+from caster.packing import pack
+from caster.placing import as_float32
+from caster.scene import Scene
+from mitsuba_ref.camera_reference import CameraReference, Limits
+from mitsuba_ref.cameras import REFERENCES
+from mitsuba_ref.model import Model, missing_reference, model_of, reference_of
+from mitsuba_ref.rays import share
+from mitsuba_ref.xml import Export, Writer, to_text
+
+OF_CAMERA = {reference.describes: reference for reference in REFERENCES}
+
+# Where a sensor's clip planes go when the scene has none, in units of how far the scene reaches.
+NEAR, FAR = 2.0**-20, 2.0**10
+
+
+def camera_reference(camera: Camera) -> CameraReference:
+    """Raises LookupError with what to write, where a camera has no reference yet."""
+    if type(camera) not in OF_CAMERA:
+        raise LookupError(missing_reference(type(camera).__name__, "cameras"))
+    return OF_CAMERA[type(camera)]
+
+
+def export_scene(scene: Scene) -> Export:
+    """Scene -> XML and meshes, for plain Mitsuba."""
+    return export(scene, model_of(scene, pack(scene, as_float32), share(scene)))
+
+
+def export(scene: Scene, model: Model) -> Export:
+    """The same, of geometry that is packed already."""
+    out = Writer(scene)
+    shapes = []
+    for name, shape, part in zip(scene.shape_names(), scene.shapes, model.parts, strict=True):
+        out.name = name
+        shapes += reference_of(shape).to_xml(out, shape, part)
+    sensor = camera_reference(scene.camera).to_xml(scene.camera, scene.film, limits(scene, model))
+    if sensor is None:
+        out.notes.append(f"no sensor: Mitsuba has no {scene.camera.type} camera, so rays are handed over")
+    return Export(to_text(scene, shapes, sensor, out), out.meshes, scene.shape_names(), out.notes)
+
+
+def limits(scene: Scene, model: Model) -> Limits:
+    """Clip planes that cut nothing off: by the farthest corner of what has an end, and the eye."""
+    corners = np.abs(np.concatenate(model.boxes))
+    ends = corners[np.isfinite(corners)]
+    reach = float(max(ends.max(initial=0.0), np.abs(scene.camera.eye).max(), 1e-3))
+    return Limits(NEAR * reach, FAR * reach)

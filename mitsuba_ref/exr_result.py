@@ -1,0 +1,127 @@
+"""What came out of a comparison of two EXR files, as text and for JSON."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from mitsuba_ref.meeting import K
+
+LEGEND = f"u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The pixel of a group that is farthest beyond (or nearest to) its bound, in film coordinates."""
+
+    channel: str
+    x: int
+    y: int
+    ours: float
+    reference: float
+    error: float
+    bound: float
+
+    @property
+    def ratio(self) -> float:
+        """error / bound; 0 where equal, inf where the bound is 0 or a value is not finite."""
+        if self.error == 0.0:
+            return 0.0
+        return self.error / self.bound if self.bound > 0.0 and math.isfinite(self.error) else math.inf
+
+
+@dataclass(frozen=True)
+class GroupResult:
+    """One quantity. agree counts pixels hit in both images; differ and non_finite all (misses hold values).
+
+    Pixels that only one image hits count under `hit` alone, unless a value of theirs is not finite.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    bound: str
+    agree: int
+    differ: int
+    non_finite: int
+    worst: Worst | None
+
+
+@dataclass(frozen=True)
+class FileComparison:
+    """exit_code: 0 equal within the bounds, 1 differences, 3 not comparable, 5 nothing hit in either image.
+
+    hit_*: pixel counts, None if no channel tells. differing_pixels counts a pixel once, however many groups
+    differ in it.
+    """
+
+    ours: str
+    reference: str
+    width: int = 0
+    height: int = 0
+    hit_ours: int | None = None
+    hit_reference: int | None = None
+    hit_either: int | None = None
+    differing_pixels: int = 0
+    allowed_pixels: int = 0
+    groups: tuple[GroupResult, ...] = ()
+    ignored: tuple[str, ...] = ()
+    exit_code: int = 3
+    messages: tuple[str, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        return self.exit_code == 0
+
+    @property
+    def differing_percent(self) -> float | None:
+        """Of the pixels hit in either image; None if there are none or no channel tells."""
+        return 100.0 * self.differing_pixels / self.hit_either if self.hit_either else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: a number that is not finite becomes the string "nan", "inf" or "-inf"."""
+        groups = [
+            asdict(g) | {"worst": g.worst and asdict(g.worst) | {"ratio": g.worst.ratio}} for g in self.groups
+        ]
+        derived = {"groups": groups, "ok": self.ok, "differing_percent": self.differing_percent}
+        plain: dict[str, Any] = _json_safe(asdict(self) | derived)
+        return plain
+
+    def format_table(self) -> str:
+        """What `mitsuba-ref compare` prints: one line a group, then the verdict and where to look."""
+        lines = [f"ours       {self.ours}", f"reference  {self.reference}"]
+        if self.groups:
+            lines += [_hit_line(self), "", *_rows(self.groups)]
+            lines += [LEGEND, ""] if any("K u S" in g.bound for g in self.groups) else [""]
+        if self.ignored:
+            lines.append(f"not compared, as asked: {', '.join(self.ignored)}")
+        return "\n".join([*lines, *self.messages])
+
+
+def _hit_line(result: FileComparison) -> str:
+    size = f"{result.width} x {result.height} pixels"
+    if result.hit_either is None:
+        return f"{size}, hits unknown (no channel A, id.shape, id.prim or depth.Z)"
+    by_file = f"{result.hit_ours} in ours, {result.hit_reference} in the reference"
+    return f"{size}, hit: {by_file}, {result.hit_either} in either"
+
+
+def _rows(groups: tuple[GroupResult, ...]) -> list[str]:
+    table = [("quantity", "agree", "differ", "not finite", "worst", "at", "bound")]
+    for g in groups:
+        worst = (f"{g.worst.ratio:.2g}x", f"({g.worst.x}, {g.worst.y})") if g.worst else ("0x", "-")
+        table.append((g.name, str(g.agree), str(g.differ), str(g.non_finite), *worst, g.bound))
+    widths = [max(len(row[i]) for row in table) for i in range(6)]
+    numbers = [[row[i].rjust(widths[i]) for i in range(1, 6)] for row in table]
+    return [
+        "  ".join([row[0].ljust(widths[0]), *cells, row[6]])
+        for row, cells in zip(table, numbers, strict=True)
+    ]
+
+
+def _json_safe(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _json_safe(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json_safe(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value

@@ -1,0 +1,48 @@
+"""Both sides' answers along the same rays."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from caster.hits import trace
+from caster.placing import as_float32
+from caster.rendering import Aovs, evaluate, film_window
+from caster.scene import Scene
+from caster.view import View
+from mitsuba_ref.rays import SharedRays
+from mitsuba_ref.reference import Witness, aovs_of
+
+# What is compared, and the mask, which always comes along.
+COMPARED = ("depth", "normal", "shading_normal", "shape_id", "diffuse")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Ours and the reference's pictures of one scene."""
+
+    rays: SharedRays
+    ours: Aovs
+    reference: Aovs
+    t: np.ndarray  # (n,) ours, lengths of d, inf on a miss
+    prim: np.ndarray  # (n,) int32 ours, numbered through the scene, -1 on a miss
+    witness: Witness
+
+    @cached_property
+    def length(self) -> np.ndarray:
+        """(n,) of each ray's d."""
+        length: np.ndarray = np.linalg.norm(self.rays.d.astype(np.float64), axis=1)
+        return length
+
+
+def our_view(scene: Scene, rays: SharedRays) -> View:
+    """Our caster along the shared rays, on the float32 geometry."""
+    return trace(scene, rays.o, rays.d, rays.t_max, rays.start, rounded=as_float32)
+
+
+def pair_up(scene: Scene, rays: SharedRays, view: View, witness: Witness) -> Pair:
+    """The two as pictures under the same names."""
+    window = film_window(scene)
+    ours = evaluate(view, COMPARED, window)
+    reference = aovs_of(witness, rays, (window.height, window.width), COMPARED)
+    return Pair(rays, ours, reference, view.nearest.t, view.nearest.prim, witness)

@@ -1,0 +1,126 @@
+"""What is checked once a scene, beside the pixels: placement, camera, sensor, and the culling that `render` uses."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from caster.rendering import Aovs, camera_rays, render
+from caster.scene import Scene
+from mitsuba_ref.export import camera_reference
+from mitsuba_ref.meeting import KU, KU_OURS, norm
+from mitsuba_ref.pixels import flat, share_of_bound
+from mitsuba_ref.placement import disagreement
+from mitsuba_ref.reference import Witness
+
+
+class SceneCheck(NamedTuple):
+    """The outcome of one of them."""
+
+    name: str
+    ratio: float  # largest error over its bound; inf where something is there that must not be, or is missing
+    what: str  # where the largest is; says what was looked at if all is well
+
+    @property
+    def ok(self) -> bool:
+        return self.ratio <= 1.0
+
+
+def check_placement(scene: Scene) -> SceneCheck:
+    """Each shape's matrix against its steps, composed a second time."""
+    ratios = [disagreement(shape) for shape in scene.shapes if shape.to_world]
+    names = [name for name, shape in zip(scene.shape_names(), scene.shapes, strict=True) if shape.to_world]
+    if not ratios:
+        return SceneCheck("placement", 0.0, "no shape has a to_world")
+    worst = int(np.argmax(ratios))
+    return SceneCheck("placement", ratios[worst], f"to_world of {names[worst]}")
+
+
+def check_camera(scene: Scene) -> SceneCheck:
+    """Our rays in float64 against the camera's formula, written a second time."""
+    ours = camera_rays(scene)
+    x, y = pixel_centers(scene)
+    expected = camera_reference(scene.camera).rays(scene.camera, scene.film, x, y)
+    size = 1.0 + float(np.abs(expected.o).max(initial=0.0))
+    seen, ours_seen = expected.t_max >= 0.0, ours.t_max >= 0.0
+    shares = {
+        "rays there are": np.where(seen == ours_seen, 0.0, np.inf),
+        "origin": norm(ours.o - expected.o) / (CAMERA_ROUNDINGS * KU_OURS * size),
+        "direction": norm(ours.d - expected.d) / (CAMERA_ROUNDINGS * KU_OURS),
+        "near": _relative(ours.t_min, expected.t_min) / (CAMERA_ROUNDINGS * KU_OURS),
+        "far": _relative(ours.t_max, expected.t_max) / (CAMERA_ROUNDINGS * KU_OURS),
+    }
+    return _worst("camera", shares, seen | ours_seen, scene)
+
+
+# A direction goes through an orthobasis (three unit vectors of 4 roundings each), a position on the film (4), a sine
+# or tangent (2) of an angle of up to pi, and a length (3): 32 roundings, in steps of K.
+CAMERA_ROUNDINGS = 8.0
+
+
+def check_sensor(scene: Scene, witness: Witness) -> SceneCheck:
+    """Our rays against those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
+    answer = witness.answer
+    if answer.sensor_d is None or answer.sensor_o is None or answer.sensor_t_max is None:
+        return SceneCheck("sensor", 0.0, f"Mitsuba has no {scene.camera.type} camera")
+    ours, reference = camera_rays(scene), camera_reference(scene.camera)
+    o, d = answer.sensor_o.astype(np.float64), answer.sensor_d.astype(np.float64)
+    if len(d) != len(ours.d):
+        return SceneCheck("sensor", np.inf, f"Mitsuba gives {len(d)} rays, we {len(ours.d)}")
+    bound = KU * reference.amplification(scene.camera, scene.film)
+    along = np.sum((o - ours.o) * ours.d, axis=1)
+    aside = norm(o - ours.o - along[:, None] * ours.d)
+    size = norm(ours.o) + np.abs(along) + np.abs(scene.camera.eye).max()
+    shares = {"direction": norm(d - ours.d) / bound, "origin": aside / (bound * size)}
+    if getattr(scene.camera, "near", 0.0) > 0.0:
+        shares["near"] = np.abs(along - ours.t_min) / (bound * (size + ours.t_min))
+    if getattr(scene.camera, "far", None) is not None:
+        end = along + answer.sensor_t_max.astype(np.float64)
+        shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
+    return _worst("sensor", shares, np.ones(len(d), bool), scene)
+
+
+def check_culling(scene: Scene) -> SceneCheck:
+    """`render` as it is planned for this scene against every ray through the tree: the same bits."""
+    names = ("depth", "normal", "shading_normal", "shape_id", "prim_id")
+    planned, tree = render(scene, names), render(scene, names, culling="bvh")
+    differs = np.any([_bits_differ(planned, tree, name) for name in names], axis=0)
+    shares = {"bits": np.where(differs, np.inf, 0.0)}
+    return _worst("culling", shares, np.ones(len(differs), bool), scene)
+
+
+def _bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
+    rows, others = flat(a, name), flat(b, name)
+    different = rows.view(f"u{rows.itemsize}") != others.view(f"u{rows.itemsize}")
+    return different if different.ndim == 1 else different.any(axis=1)
+
+
+def pixel_centers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of the window's pixel centres, row by row."""
+    x0, y0, x1, y1 = scene.film.window
+    y, x = np.meshgrid(np.arange(y0, y1) + 0.5, np.arange(x0, x1) + 0.5, indexing="ij")
+    return x.ravel(), y.ravel()
+
+
+def _relative(ours: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        error = np.abs(ours - expected) / np.maximum(np.abs(expected), np.finfo(np.float64).tiny)
+    return np.where(ours == expected, 0.0, error)
+
+
+def _worst(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> SceneCheck:
+    """The largest share of all, and the pixel it is at."""
+    table = np.array([np.where(among, share_of_bound(share, np.ones(1)), 0.0) for share in shares.values()])
+    if not table.size:
+        return SceneCheck(name, 0.0, "nothing to look at")
+    part, pixel = np.unravel_index(int(np.argmax(table)), table.shape)
+    x0, y0, x1, _y1 = scene.film.window
+    x, y = x0 + int(pixel) % (x1 - x0), y0 + int(pixel) // (x1 - x0)
+    return SceneCheck(name, float(table[part, pixel]), f"{list(shares)[int(part)]} at ({x}, {y})")
+
+
+CHECKS_WITHOUT_REFERENCE: tuple[Callable[[Scene], SceneCheck], ...] = (
+    check_placement,
+    check_camera,
+    check_culling,
+)

@@ -1,0 +1,49 @@
+"""Lit or in shadow: which of the two each side may say (docs/method.md, "Shadows").
+
+Mitsuba starts its shadow rays off the surface and stops them short of the light; a feature thinner than that is lit
+through. So it is judged along its own ray, as its source has it, and ours along the straight way to the light.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mitsuba_ref.bracket import Bracket
+from mitsuba_ref.lambert import Hit, Lit
+from mitsuba_ref.meeting import U, dot
+
+# Mitsuba 3.9.1, math.h: how far off the surface a ray starts, in units of 1 + max |p|, and by which share of its
+# length a ray to a light stops short.
+RAY_EPSILON = 1500 * U
+SHADOW_EPSILON = 10 * RAY_EPSILON
+
+
+class Rays(NamedTuple):
+    """Shadow rays."""
+
+    o: np.ndarray  # (m, 3)
+    d: np.ndarray  # (m, 3)
+    t_max: np.ndarray  # (m,)
+
+
+def reference_rays(hit: Hit, lit: Lit) -> Rays:
+    """From p, moved along the geometric normal to the light's side, to just before the light."""
+    n, way = hit.at.n, lit.to_light
+    offset = (1.0 + np.abs(hit.p).max(axis=1)) * RAY_EPSILON
+    o = hit.p + (np.copysign(offset, dot(n, way)))[:, None] * n
+    near = np.isfinite(lit.reach)
+    d = np.where(near[:, None], hit.p + way - o, way)
+    return Rays(o, d, np.where(near, 1.0 - SHADOW_EPSILON, np.inf))
+
+
+def reference_may_say(bracket: Bracket, hit: Hit, lit: Lit) -> tuple[np.ndarray, np.ndarray]:
+    """(may say lit, may say in shadow), (m,) each."""
+    possible, certain = bracket.blocked(*reference_rays(hit, lit))
+    return ~certain, possible
+
+
+def we_may_say(bracket: Bracket, hit: Hit, lit: Lit, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same for ours, from the point that was hit; the primitive there does not shadow itself at its start."""
+    possible, certain = bracket.blocked(hit.p, lit.to_light, lit.reach, leaving=prim)
+    return ~certain, possible
+

@@ -1,0 +1,6 @@
+"""Icosphere: its triangles."""
+
+from caster.shapes.icosphere import Icosphere
+from mitsuba_ref.shapes.baked import baked
+
+REFERENCE = baked(Icosphere)

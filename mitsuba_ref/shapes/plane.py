@@ -1,0 +1,160 @@
+"""Plane: Mitsuba has none, so it gets a patch of triangles, cut to the rays.
+
+A plain large rectangle would do badly: its float32 corners tilt it, by more the larger it is, and rays that meet the
+plane nearby would pay for those that meet it at the horizon. The patch is a square with rings of trapezoids around
+it, each twice as large, so that the corners around a hit are about as far away as the hit itself.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.packing import Triangles
+from caster.shapes.plane import Plane, Planes
+from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error, unit
+from mitsuba_ref.shape_reference import ShapeReference
+from mitsuba_ref.shapes import triangles
+from mitsuba_ref.xml import Writer, XmlElement
+
+RINGS = 24  # 2^24 times the square: beyond that, float32 does not tell the hit from the horizon
+LARGEST = 1e10  # Embree's triangles are right up to about here (docs/method.md, "Domain")
+AROUND = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+TURN = 0.6  # radians; keeps the patch's edges off the rows and columns of pictures
+
+
+class Patches(NamedTuple):
+    """Planes, and the triangles that stand in for each."""
+
+    normal: np.ndarray  # (n, 3) unit
+    point: np.ndarray  # (n, 3)
+    center: np.ndarray  # (n, 3) of the patch, in the plane
+    axes: np.ndarray  # (n, 2, 3) unit, in the plane, across each other
+    half: np.ndarray  # (n,) half the side of the innermost square
+    corners: np.ndarray  # (n, 4 * (RINGS + 1), 3) float32 values, four by four from the inside out
+
+
+def patches(part: Planes, o: np.ndarray, d: np.ndarray) -> Patches:
+    """A patch for each plane, around where the rays meet it."""
+    rows = [_patch(normal, point, o, d) for normal, point in zip(part.normal, part.point, strict=True)]
+    return Patches(*(np.stack(column) for column in zip(*rows, strict=True)))
+
+
+def _patch(normal: np.ndarray, point: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, ...]:
+    n = normal / np.linalg.norm(normal)
+    eye = o.mean(axis=0) if len(o) else point
+    center = eye - n * np.dot(n, eye - point)
+    first = unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n))])[None])[0]
+    second = np.cross(n, first)
+    turned = np.cos(TURN) * first + np.sin(TURN) * second
+    axes = np.stack([turned, np.cross(n, turned)])
+    half = _half_side(n, point, center, o, d)
+    sizes = half * 2.0 ** np.arange(RINGS + 1)
+    sizes = np.minimum(sizes, LARGEST / 4.0)
+    corners = center + (sizes[:, None, None] * (AROUND @ axes)).reshape(-1, 3)
+    return n, point, center, axes, np.array(half), corners.astype(np.float32).astype(np.float64)
+
+
+def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarray, d: np.ndarray) -> float:
+    """As far from the centre as the nearest tenth of all hits."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (point - o) @ n / (d @ n)
+    met = np.isfinite(t) & (t > 0.0)
+    away = norm(o[met] + t[met, None] * d[met] - center)
+    size = float(np.quantile(away, 0.1)) if len(away) else 1.0
+    return max(size, float(np.abs(center).max()) * 2.0**-20, 1e-6)
+
+
+def faces() -> np.ndarray:
+    """The triangles of a patch: the square, then ring by ring."""
+    square = [[0, 1, 2], [0, 2, 3]]
+    rings = []
+    for start in range(0, 4 * RINGS, 4):
+        for side in range(4):
+            a, b = start + side, start + (side + 1) % 4
+            rings += [[a, a + 4, b + 4], [a, b + 4, b]]
+    return np.array(square + rings, np.int32)
+
+
+FACES = faces()
+
+
+def as_triangles(patch: Patches) -> Triangles:
+    """All patches as one mesh; patch i holds the faces from i * len(FACES) on."""
+    count = patch.corners.shape[1]
+    shifts = count * np.arange(len(patch.corners), dtype=np.int32)
+    every = (FACES[None] + shifts[:, None, None]).reshape(-1, 3)
+    vertices = patch.corners.reshape(-1, 3)
+    flat = np.zeros(len(every), bool)
+    return Triangles(vertices, every, np.zeros_like(vertices), np.zeros((len(vertices), 2)), flat, flat)
+
+
+def to_xml(out: Writer, shape: Plane, part: Patches) -> list[XmlElement]:
+    out.notes.append(f"{out.name}: a patch of triangles stands in for the infinite plane")
+    return [out.mesh(shape, as_triangles(part))]
+
+
+def meet(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
+    """Ray i with plane k[i]. The bound is that of the triangle around the hit, and the rounding of its corners.
+
+    Hits beyond the patch have no bound: there is nothing for the reference to hit.
+    """
+    n, slope = prims.normal[k], dot(prims.normal[k], d)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = dot(n, prims.point[k] - o) / slope
+    face, within = _face_of_hit(prims, k, o, d, t)
+    mesh = as_triangles(prims)
+    (local,) = triangles.meet(mesh, k * len(FACES) + face, o, d, ku)
+    corners = mesh.vertices[mesh.faces[k * len(FACES) + face]]
+    moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # one rounding, not K of them
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t_error = local.t_error + 2.0 * moved / np.abs(slope)  # 2 = 1 / (1 - UNRESOLVABLE)
+        tilt = 2.0 * moved / _height(corners)
+    n_error = local.n_error + tilt
+    sure = within & np.isfinite(t_error) & np.isfinite(t)
+    t_error = np.where(sure, t_error, np.inf)
+    p_error = local.p_error + position_error(o, d, t, t_error, ku)
+    return (Meetings(t, t_error, n, n_error, n, n_error, np.isfinite(t), sure, p_error),)
+
+
+def meet_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
+    """Ray i with the plane k[i] itself: its height above the origin and its slope, each a rounded dot product."""
+    n, point = prims.normal[k], prims.point[k]
+    slope = dot(n, d)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = dot(n, point - o) / slope
+        rho = ku * dot(np.abs(n), np.abs(d)) / np.abs(slope)
+        t_error = ku * (dot(np.abs(n), np.abs(point) + np.abs(o)) / np.abs(slope) + np.abs(t))
+        t_error = np.where(rho < triangles.UNRESOLVABLE, t_error / (1.0 - np.minimum(rho, 0.5)), np.inf)
+    met, flat = np.isfinite(t), np.full(len(k), ku)
+    sure = met & np.isfinite(t_error)
+    return (Meetings(t, t_error, n, flat, n, flat, met, sure, position_error(o, d, t, t_error, ku)),)
+
+
+def _face_of_hit(
+    prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(which of FACES, or of the faces that meet where the hit lies; whether the hit lies within the patch)."""
+    away = o + np.where(np.isfinite(t), t, 0.0)[:, None] * d - prims.center[k]
+    u, v = (dot(away, prims.axes[k, axis]) / prims.half[k] for axis in range(2))
+    size = np.maximum(np.abs(u), np.abs(v))
+    ring = np.ceil(np.log2(np.maximum(size, 1.0))).astype(int)
+    side = np.where(np.abs(v) >= np.abs(u), np.where(v > 0, 0, 2), np.where(u > 0, 3, 1))
+    within = (ring <= RINGS) & (size * prims.half[k] <= LARGEST / 4.0) & np.isfinite(t)
+    ring = np.clip(ring, 0, RINGS)
+    return np.where(ring == 0, 0, 2 + 8 * (ring - 1) + 2 * side), within
+
+
+def _height(corners: np.ndarray) -> np.ndarray:
+    """The smallest height of triangles with corners (m, 3, 3)."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    area = norm(np.cross(edges[:, 0], edges[:, 1]))
+    return area / np.sqrt(np.einsum("ijk,ijk->ij", edges, edges)).max(axis=1)
+
+
+def bounds(prims: Patches) -> tuple[np.ndarray, np.ndarray]:
+    """Everything: a plane goes on beyond its patch."""
+    everywhere = np.full((len(prims.normal), 3), np.inf)
+    return -everywhere, everywhere
+
+
+REFERENCE = ShapeReference(Plane, to_xml, {Planes: ErrorModel(meet, bounds, meet_ours)}, stand_in=patches)

@@ -1,0 +1,108 @@
+"""Comparison and brackets -> a class for every pixel -> the verdict of a scene."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from caster.scene import Scene
+from mitsuba_ref.scene_checks import SceneCheck
+
+# The classes of a pixel; the first ones pass, the last one fails.
+AGREE, EXPLAINED, OUT_OF_DOMAIN, UNDECIDED = CLASSES = ("agree", "explained", "out_of_domain", "undecided")
+PASSING = (AGREE, EXPLAINED, OUT_OF_DOMAIN)
+SHOWN = 10  # failures a scene lists; all are counted
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One pixel that nothing explains."""
+
+    x: int
+    y: int
+    check: str
+    ratio: float  # error over bound
+    ours: str
+    reference: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class SceneVerdict:
+    """What became of one scene."""
+
+    name: str
+    path: str  # as given; "" for a scene made in Python
+    pixels: int = 0
+    hit_pixels: int = 0  # hit in either picture
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CLASSES, 0))  # of hit pixels
+    ratios: dict[str, float] = field(default_factory=dict)  # largest ratio of each check among agreeing pixels
+    checks: tuple[SceneCheck, ...] = ()
+    failures: tuple[Failure, ...] = ()
+    versions: dict[str, str] = field(default_factory=dict)
+    seconds: float = 0.0
+    reference_seconds: float = 0.0
+    problem: str = ""  # why there is no comparison at all: a crash of the reference, with its words
+    size: tuple[int, int] = (0, 0)
+
+    @property
+    def ok(self) -> bool:
+        """No problem, no undecided pixel, every check within its bound."""
+        return not self.problem and not self.counts[UNDECIDED] and all(check.ok for check in self.checks)
+
+    @property
+    def worst(self) -> tuple[str, float]:
+        """The check that comes nearest to its bound, and how near."""
+        return max(self.ratios.items(), key=lambda item: item[1], default=("", 0.0))
+
+    def to_dict(self) -> dict[str, Any]:
+        """As verdict.json has it. Infinite ratios are the text "inf": JSON has no number for them."""
+        return {
+            "name": self.name,
+            "path": self.path,
+            "ok": self.ok,
+            "size": list(self.size),
+            "pixels": self.pixels,
+            "hit_pixels": self.hit_pixels,
+            "counts": self.counts,
+            "ratios": {name: number(ratio) for name, ratio in self.ratios.items()},
+            "checks": [
+                {"name": c.name, "ok": c.ok, "ratio": number(c.ratio), "what": c.what} for c in self.checks
+            ],
+            "failures": [{**vars(failure), "ratio": number(failure.ratio)} for failure in self.failures],
+            "versions": self.versions,
+            "seconds": round(self.seconds, 3),
+            "reference_seconds": round(self.reference_seconds, 3),
+            "problem": self.problem,
+        }
+
+
+def number(ratio: float) -> float | str:
+    return float(ratio) if np.isfinite(ratio) else str(float(ratio))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of all of them."""
+
+    scenes: tuple[SceneVerdict, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Every scene passes; no scene at all does not."""
+        return bool(self.scenes) and all(scene.ok for scene in self.scenes)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Hit pixels of all scenes by class."""
+        return {name: sum(scene.counts[name] for scene in self.scenes) for name in CLASSES}
+
+    def to_dict(self) -> dict[str, Any]:
+        """As verdict.json has it."""
+        return {"ok": self.ok, "counts": self.counts, "scenes": [scene.to_dict() for scene in self.scenes]}
+
+
+def pixel_of(scene: Scene, i: int) -> tuple[int, int]:
+    """x, y on the film of row i of the window."""
+    x0, y0, x1, _y1 = scene.film.window
+    return x0 + i % (x1 - x0), y0 + i // (x1 - x0)
