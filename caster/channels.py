@@ -5,10 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from caster.aovs import AOVS
-from caster.render import Aovs
+from caster.exr import NO_ID
+from caster.rendering import Aovs
 from caster.scene import Scene
-
-NO_ID = np.uint32(0xFFFFFFFF)
 
 
 def channels_of(aovs: Aovs) -> dict[str, np.ndarray]:
@@ -45,9 +44,10 @@ def _loaded(plane: np.ndarray) -> np.ndarray:
     return plane.astype(np.float64)
 
 
-def provenance(scene: Scene, version: str) -> dict[str, str]:
-    """What the file says about itself, under caster/."""
-    return {
+def provenance(scene: Scene, version: str, path: str = "") -> dict[str, str]:
+    """What the file says about itself, under caster/. path: the scene file, as its user named it."""
+    named = {"caster/scene": path.encode(errors="replace").decode()} if path else {}
+    return named | {
         "caster/version": version,
         "caster/scene_sha256": scene.sha256(),
         "caster/scene_json": scene.canonical_json(),

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import io
 import os
-import secrets
-import shutil
 import struct
 import threading
 from collections.abc import Iterator, Mapping
@@ -16,22 +13,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.fields import FileMissing, SceneError
+from caster.whole_files import OutputError, written_aside
+from caster.wording import FileMissing, SceneError
+
+__all__ = ["NO_ID", "Exr", "OutputError", "UnreadableExr", "Window", "read_exr", "write_exr"]
 
 Window = tuple[int, int, int, int]
 """x0, y0, x1, y1 in pixels of the full film; x1 and y1 are the first column and row outside."""
+
+NO_ID = 0xFFFFFFFF
+"""`id.shape` and `id.prim` of a pixel that hits nothing."""
 
 PREFIX = "caster/"
 MAGIC = 20000630  # the first four bytes of every EXR file, little endian
 DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four
 LONGEST_NAME = 255  # bytes; the library drops a longer attribute without a word
-WRITE_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES)
-
-
-class OutputError(SceneError):
-    """A file that cannot be written; nothing half-written is left behind."""
-
-    exit_code = 4
 
 
 class UnreadableExr(FileMissing):
@@ -82,7 +78,7 @@ def write_exr(
     # The library stores the memory order of a strided array and puts its own objects into the dict it is
     # given: it only ever gets fresh contiguous copies in a dict of ours.
     copies = {name: _storable(name, channels[name], window) for name in sorted(channels)}
-    with _written_aside(Path(path)) as part:
+    with written_aside(path) as part:
         OpenEXR.File(header, copies).write(str(part))
 
 
@@ -181,33 +177,6 @@ def _storable(name: str, values: np.ndarray, window: Window) -> np.ndarray:
             f"{float(values[y, x])!r} is beyond float32 (largest {np.finfo(np.float32).max:.9g})"
         )
     return narrow
-
-
-@contextlib.contextmanager
-def _written_aside(target: Path) -> Iterator[Path]:
-    """A new file beside `target`, moved onto it if the body succeeds, gone if it does not."""
-    target = Path(os.path.realpath(target))  # through a link, so that the link stays one
-    if target.exists() and not target.is_file():
-        raise OutputError(f"{target}: expected a file to write, this is a folder or a device")
-    part = target.parent / f".{secrets.token_hex(8)}.part"
-    try:
-        # Made by us: the permissions follow the umask, and a bad folder fails before any work.
-        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-        yield part
-        os.replace(part, target)
-    except Exception as e:  # the library raises whatever it likes
-        raise OutputError(f"{target}: cannot write: {_reason(e, target)}") from e
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink()
-
-
-def _reason(e: Exception, target: Path) -> str:
-    if isinstance(e, OSError) and e.strerror:
-        return f"{e.strerror} (folder {target.parent})"
-    known = [os.strerror(code) for code in WRITE_ERRORS if os.strerror(code) in str(e)]
-    free = shutil.disk_usage(target.parent).free // 2**20
-    return f"{known[0] if known else 'the EXR library gave up half-way'} ({free} MiB free in {target.parent})"
 
 
 def _refuse_what_is_no_image(path: Path) -> None:

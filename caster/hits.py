@@ -10,8 +10,8 @@ from caster.fields import SceneError
 from caster.kernels.gather import Surfaces
 from caster.kernels.nearest import Rays
 from caster.packing import Packed, pack
-from caster.placing import as_given
-from caster.render import look_along
+from caster.placing import Rounding, as_given
+from caster.rendering import look_along
 from caster.scene import Scene
 from caster.view import View
 
@@ -43,9 +43,30 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: float = 0.0, t_max:
     return Hits(view.nearest.t, view.shape_id, view.prim_id, view)
 
 
-def occluded(scene: Scene, o: ArrayLike, d: ArrayLike, t_max: float = np.inf, *, t_min: float = 0.0) -> np.ndarray:
+def occluded(
+    scene: Scene, o: ArrayLike, d: ArrayLike, t_max: float = np.inf, *, t_min: float = 0.0
+) -> np.ndarray:
     """Whether anything lies on each ray with t_min < t <= t_max. (n,) bool; arguments as in `cast`."""
     return cast(scene, o, d, t_min=t_min, t_max=t_max).shape_id >= 0
+
+
+def trace(
+    scene: Scene,
+    o: ArrayLike,
+    d: ArrayLike,
+    t_max: np.ndarray,
+    start: np.ndarray,
+    *,
+    rounded: Rounding = as_given,
+) -> View:
+    """Cast rays with limits of their own, and give the view that AOVs are evaluated from.
+
+    o, d: (n, 3); t_max: (n,), negative where there is no ray; start: (n,) what depth counts from, beyond o.
+    The geometry's numbers go through `rounded` first: as placing.as_float32 leaves them, a float32 renderer
+    sees them.
+    """
+    rays = checked_rays(o, d, 0.0, np.inf)._replace(t_max=np.ascontiguousarray(t_max, np.float64))
+    return look_along(scene, pack(scene, rounded), rays, np.asarray(start, np.float64))
 
 
 def packed(scene: Scene) -> Packed:
@@ -65,7 +86,9 @@ def checked_rays(o: ArrayLike, d: ArrayLike, t_min: float, t_max: float) -> Rays
     bad = ~np.isfinite(origins).all(axis=1) | ~np.isfinite(directions).all(axis=1) | ~directions.any(axis=1)
     if bad.any():
         i = int(np.flatnonzero(bad)[0])
-        raise SceneError(f"rays[{i}]: o and d must be finite and d not zero, got o {origins[i]} and d {directions[i]}")
+        raise SceneError(
+            f"rays[{i}]: o and d must be finite and d not zero, got o {origins[i]} and d {directions[i]}"
+        )
     n = len(origins)
     return Rays(origins, directions, np.full(n, float(t_min)), np.full(n, float(t_max)))
 

@@ -9,10 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.exr import Window, read_exr
-
-NO_ID = 0xFFFFFFFF
-"""`id.shape` and `id.prim` of a pixel that hits nothing."""
+from caster.exr import NO_ID, Window, read_exr
 
 LONGEST_VALUE = 72  # characters of a provenance value on a terminal line; --json has all of them
 TYPES = {"float32": "float", "float16": "half", "uint32": "uint"}

@@ -1,5 +1,6 @@
-"""Scene -> arrays: one NamedTuple of arrays for each kind of primitive, and where each shape's primitives went."""
+"""Scene -> arrays: a NamedTuple of arrays for each kind of primitive, and where each shape's went."""
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,9 +10,11 @@ import numpy as np
 
 from caster.kernels.bvh import REACH, Tree, find_boxes, grow
 from caster.kernels.protocol import hull_size
-from caster.kernels.triangles import Triangles
+from caster.kernels.triangles import Triangles as Triangles
 from caster.placing import Rounding, as_given
+from caster.problems import speak
 from caster.scene import Scene
+from caster.wording import SceneError
 
 
 @dataclass(frozen=True)
@@ -49,14 +52,27 @@ class Kind:
         return grown_tree(*self.boxes, self.extent, self.reach)
 
 
+PER_NODE = ("low", "high", "second", "first", "prims_in")
+
+
 def grown_tree(low: np.ndarray, high: np.ndarray, extent: float, reach: float) -> Tree:
     """A tree over boxes low, high (n, 3)."""
     count = len(low)
-    room = count + 1  # a run is halved only above LEAF_SIZE, so a leaf holds at least two: fewer nodes than this
-    boxes, links = [np.zeros((room, 3)) for _ in range(2)], [np.zeros(room, np.int32) for _ in range(3)]
-    tree = Tree(*boxes, *links, np.arange(count, dtype=np.int32), extent, reach)
+    room = (
+        count + 1
+    )  # a run is halved only above LEAF_SIZE, so a leaf holds two or more: fewer nodes than this
+    tree = Tree(
+        low=np.zeros((room, 3)),
+        high=np.zeros((room, 3)),
+        second=np.zeros(room, np.int32),
+        first=np.zeros(room, np.int32),
+        prims_in=np.zeros(room, np.int32),
+        order=np.arange(count, dtype=np.int32),
+        extent=extent,
+        reach=reach,
+    )
     nodes = grow(low, high, np.ascontiguousarray(0.5 * low.T + 0.5 * high.T), tree)
-    return Tree(*(part[:nodes].copy() for part in (*boxes, *links)), tree.order, extent, reach)
+    return tree._replace(**{name: getattr(tree, name)[:nodes].copy() for name in PER_NODE})
 
 
 @dataclass(frozen=True)
@@ -80,8 +96,11 @@ class Packed:
 
 
 def pack(scene: Scene, rounded: Rounding = as_given) -> Packed:
-    """World-space arrays of all shapes, every number passed through `rounded`."""
-    parts = tuple(shape.pack(rounded) for shape in scene.shapes)
+    """World-space arrays of all shapes, every number passed through `rounded`.
+
+    Raises SceneError for a shape whose numbers do not stay finite.
+    """
+    parts = tuple(pack_shape(scene, i, rounded) for i in range(len(scene.shapes)))
     counts = np.array([count(part) for part in parts], np.int64)
     first = np.concatenate([[0], np.cumsum(counts)])
     classes = list(dict.fromkeys(type(part) for part in parts))
@@ -93,6 +112,17 @@ def pack(scene: Scene, rounded: Rounding = as_given) -> Packed:
         ids = np.concatenate([np.arange(first[s], first[s + 1]) for s in members])
         kinds.append(Kind(joined([parts[s] for s in members]), ids.astype(np.int32)))
     return Packed(tuple(kinds), parts, first, kind_of, start)
+
+
+def pack_shape(scene: Scene, i: int, rounded: Rounding) -> Any:
+    """Arrays of one shape, all finite."""
+    part: Any = None
+    with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
+        part = scene.shapes[i].pack(rounded)
+    if part is None or not all(np.isfinite(array).all() for array in part):
+        text = "must stay finite in world space, but its numbers are too large or too small together"
+        raise SceneError(speak(("shapes", i), text, scene, Scene).text)
+    return part
 
 
 def count(part: Any) -> int:

@@ -1,8 +1,9 @@
 """From a description to numbers in world space: the numbers that are cast, exported and judged.
 
 Every shape packs itself through a `Rounding`. `as_given` keeps float64; `as_float32` rounds each number that
-defines the geometry (corner, centre, radius, matrix entry) once, so that a float32 renderer which is handed those
-numbers traces the same geometry bit for bit. What follows from them (inverses, normals) is float64 either way.
+defines the geometry (corner, centre, radius, matrix entry) once, so that a float32 renderer which is handed
+those numbers traces the same geometry bit for bit. What follows from them (inverses, normals) is float64
+either way.
 """
 
 from collections.abc import Callable
@@ -46,18 +47,6 @@ def affine_arrays(
     return rounded(center)[None], to_world[None], np.linalg.inv(to_world)[None]
 
 
-def unit_corners(matrix: np.ndarray, corners: np.ndarray, rounded: Rounding) -> np.ndarray:
-    """Images of corners whose coordinates are -1, 0 or 1, added up column by column.
-
-    Rounded after each addition, as Mitsuba places the corners of its own rectangle and cube.
-    """
-    m = rounded(matrix)
-    points = np.broadcast_to(m[:3, 3], (len(corners), 3))
-    for c in range(3):
-        points = rounded(points + corners[:, c : c + 1] * m[:3, c])
-    return points
-
-
 def triangles(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_normals: bool) -> Triangles:
     """A mesh in world space. Where it has no normals and wants some, they are generated there.
 
@@ -66,13 +55,6 @@ def triangles(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_normals: b
     """
     vertices = rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])
     faces = mesh.faces[:, [0, 2, 1]] if is_mirrored(matrix) else mesh.faces
-    return triangles_at(vertices, faces, mesh, matrix, rounded, face_normals)
-
-
-def triangles_at(
-    vertices: np.ndarray, faces: np.ndarray, mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_normals: bool
-) -> Triangles:
-    """The mesh's attributes on vertices that are in their place."""
     normals = np.zeros((len(vertices), 3))
     if not face_normals:
         normals = rounded(_placed_normals(mesh, matrix, vertices, faces))

@@ -19,5 +19,7 @@ class Plan:
 def plan(camera: Any) -> Plan:
     """The culling for a packed camera's own rays."""
     if implements(project, type(camera)):
-        return Plan("screen", "the camera keeps straight lines straight, so each primitive stays in its picture's box")
+        return Plan(
+            "screen", "the camera keeps straight lines straight, so each primitive stays in its picture's box"
+        )
     return Plan("bvh", "the camera bends straight lines, so rays go through a tree of boxes")

@@ -1,4 +1,4 @@
-"""What AOVs are computed from: rays, their nearest hits, and, where something asks for them, surfaces and shadows."""
+"""What AOVs are computed from: rays, their nearest hits and, where something asks, surfaces and shadows."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,8 +12,8 @@ from caster.lights import Light
 from caster.packing import Packed
 from caster.scene import Scene
 
-# A computed hit lies within 16 u (|o| + t + |p|) of the surface (kernels/bvh.py, REACH); shadow rays start four
-# times as far out, along the normal, so that no surface shadows itself. u = 2^-53.
+# A computed hit lies within 16 u (|o| + t + |p|) of the surface (kernels/bvh.py, REACH); shadow rays start
+# four times as far out, along the normal, so that no surface shadows itself. u = 2^-53.
 SHADOW_OFFSET = 4 * 16.0 * 2.0**-53
 
 
@@ -61,8 +61,10 @@ class View:
     @cached_property
     def reflectance(self) -> np.ndarray:
         """(n, 3) of the material that was hit, 0 on a miss."""
-        table = np.array([self.scene.material_of(shape).reflectance for shape in self.scene.shapes]).reshape(-1, 3)
-        return np.where(self.hit[:, None], table[self.shape_id], 0.0) if len(table) else np.zeros((len(self.hit), 3))
+        if not self.scene.shapes:
+            return np.zeros((len(self.hit), 3))
+        table = np.array([self.scene.material_of(shape).reflectance for shape in self.scene.shapes])
+        return np.where(self.hit[:, None], table[self.shape_id], 0.0)
 
     @cached_property
     def two_sided(self) -> np.ndarray:
@@ -71,24 +73,28 @@ class View:
         return table[self.shape_id] & self.hit if len(table) else self.hit
 
     def lit(self, light: Light, where: np.ndarray) -> np.ndarray:
-        """Whether nothing stands between the hits `where` and the light; all True in a scene without shadows."""
+        """Whether nothing stands between the hits `where` and the light; True in a scene without shadows."""
         if not self.scene.shading.shadows:
             return np.ones(len(where), bool)
-        return ~self.blocked(light, where, self.shadow_origins(light, where))
+        return find_nearest(self.packed, self.shadow_rays(light, where), threads=self.threads).prim < 0
 
-    def shadow_origins(self, light: Light, where: np.ndarray) -> np.ndarray:
-        """Hit points moved off the surface, to the side the light is on."""
+    def shadow_rays(self, light: Light, where: np.ndarray) -> Rays:
+        """From the hits `where` to the light: off the surface, to the side the light is on.
+
+        What lies nearer than the offset does not count: a hit in the crease of two faces may be a rounding
+        behind the other one.
+        """
         p, n = self.surfaces.p[where], self.surfaces.n[where]
         side = np.sign(np.sum(n * light.towards(p)[0], axis=1))
-        size = np.abs(self.rays.o[where]).max(axis=1, initial=0.0) + self.nearest.t[where] * length(self.rays.d[where])
+        size = np.abs(self.rays.o[where]).max(axis=1, initial=0.0)
+        size += self.nearest.t[where] * length(self.rays.d[where])
         size += np.abs(p).max(axis=1, initial=0.0)
-        return p + (side * SHADOW_OFFSET * size)[:, None] * n
-
-    def blocked(self, light: Light, where: np.ndarray, origins: np.ndarray) -> np.ndarray:
-        """Whether a ray from each origin to the light meets anything."""
-        d, reach = light.shadow_rays(origins)
-        rays = Rays(np.ascontiguousarray(origins), np.ascontiguousarray(d), np.zeros(len(where)), reach)
-        return find_nearest(self.packed, rays, threads=self.threads).prim >= 0
+        offset = SHADOW_OFFSET * size
+        o = np.ascontiguousarray(p + (side * offset)[:, None] * n)
+        d, reach = light.shadow_rays(o)
+        away = length(d)
+        near = np.divide(offset, away, out=np.zeros(len(where)), where=away > 0.0)
+        return Rays(o, np.ascontiguousarray(d), near, reach)
 
 
 def length(v: np.ndarray) -> np.ndarray:

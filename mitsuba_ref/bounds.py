@@ -11,8 +11,7 @@ from mitsuba_ref.model import Model, PairMeetings
 class Bounds(NamedTuple):
     """One row a ray; inf where there is nothing to hold on to."""
 
-    t: np.ndarray  # (n,) where our primitive is met, to float64; NaN on a miss
-    t_ours: np.ndarray  # (n,) how far float64 may be off in it
+    own: Meetings  # the meeting as float64 sees it
     at: Meetings  # the meeting as the reference may see it
 
 
@@ -21,12 +20,7 @@ def bounds_of(model: Model, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: n
     rows = np.flatnonzero(prim >= 0)
     ours = model.meet(prim[rows], o[rows], d[rows], KU_OURS, ours=True)
     theirs = model.meet(prim[rows], o[rows], d[rows], KU, ours=False)
-    own, at = nearest_root(ours, t[rows]), nearest_root(theirs, t[rows])
-    return Bounds(
-        _spread(own.t, rows, len(prim), np.nan),
-        _spread(own.t_error, rows, len(prim), np.inf),
-        Meetings(*(_spread(a, rows, len(prim), np.inf) for a in at if a is not None)),
-    )
+    return Bounds(*(_spread(nearest_root(met, t[rows]), rows, len(prim)) for met in (ours, theirs)))
 
 
 def nearest_root(met: PairMeetings, t: np.ndarray) -> Meetings:
@@ -38,8 +32,12 @@ def nearest_root(met: PairMeetings, t: np.ndarray) -> Meetings:
     return Meetings(*(a[first] for a in met.at if a is not None))
 
 
-def _spread(values: np.ndarray, rows: np.ndarray, count: int, rest: float) -> np.ndarray:
-    out = np.full((count, *values.shape[1:]), rest if values.dtype.kind == "f" else False)
-    out = out.astype(values.dtype)
-    out[rows] = values
-    return out
+def _spread(met: Meetings, rows: np.ndarray, count: int) -> Meetings:
+    """Meetings of some rays among those of all; inf where there is none."""
+    out = []
+    for values in met:
+        if values is not None:
+            everywhere = np.full((count, *values.shape[1:]), np.inf).astype(values.dtype)
+            everywhere[rows] = values
+            out.append(everywhere)
+    return Meetings(*out)

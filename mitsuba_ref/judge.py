@@ -93,5 +93,7 @@ class Judge:
     def _shade(self, bounds: Bounds, rows: np.ndarray, classes: np.ndarray) -> Shading:
         shading = judge_diffuse(self.scene, self.pair, bounds, rows, self.ours, self.theirs)
         beyond = shading.ratio > 1.0
-        classes[beyond] = np.where(shading.explained[beyond], CODE[EXPLAINED], CODE[UNDECIDED])
+        classes[beyond] = CODE[UNDECIDED]
+        classes[beyond & shading.unresolvable] = CODE[OUT_OF_DOMAIN]
+        classes[beyond & shading.explained] = CODE[EXPLAINED]
         return shading

@@ -14,7 +14,7 @@ from mitsuba_ref.rays import SharedRays
 from mitsuba_ref.reference import Witness, aovs_of
 
 # What is compared, and the mask, which always comes along.
-COMPARED = ("depth", "normal", "shading_normal", "shape_id", "diffuse")
+COMPARED = ("depth", "position", "normal", "shading_normal", "shape_id", "diffuse")
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ def check_sensor(scene: Scene, witness: Witness) -> SceneCheck:
     bound = KU * reference.amplification(scene.camera, scene.film)
     along = np.sum((o - ours.o) * ours.d, axis=1)
     aside = norm(o - ours.o - along[:, None] * ours.d)
-    size = norm(ours.o) + np.abs(along) + np.abs(scene.camera.eye).max()
+    size = norm(ours.o) + np.abs(along) + np.abs(scene.camera.eye).max() + getattr(scene.camera, "width", 0.0)
     shares = {"direction": norm(d - ours.d) / bound, "origin": aside / (bound * size)}
     if getattr(scene.camera, "near", 0.0) > 0.0:
         shares["near"] = np.abs(along - ours.t_min) / (bound * (size + ours.t_min))

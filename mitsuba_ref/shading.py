@@ -11,7 +11,7 @@ from mitsuba_ref import lambert, shadows
 from mitsuba_ref.bounds import Bounds
 from mitsuba_ref.bracket import Bracket
 from mitsuba_ref.lambert import Hit, Lit
-from mitsuba_ref.meeting import KU, Meetings
+from mitsuba_ref.meeting import KU, KU_OURS, Meetings
 from mitsuba_ref.pixels import flat, share_of_bound
 from mitsuba_ref.pair import Pair
 
@@ -23,6 +23,7 @@ class Shading(NamedTuple):
 
     ratio: np.ndarray  # (n,) difference over bound with Mitsuba's own shadows
     explained: np.ndarray  # (n,) bool: another choice of shadows, which rounding allows, gives our value
+    unresolvable: np.ndarray  # (n,) bool: a light nearer than Mitsuba's position is sure; ours is right by float64
 
 
 @dataclass(frozen=True)
@@ -41,14 +42,15 @@ class _Judged:
 def judge_diffuse(scene: Scene, pair: Pair, bounds: Bounds, rows: np.ndarray, ours: Bracket, theirs: Bracket) -> Shading:
     """Judge the pixels `rows`, where geometry agrees; ours and theirs: the brackets of either arithmetic."""
     count = len(pair.witness.t)
-    ratio, explained = np.zeros(count), np.zeros(count, bool)
+    ratio, explained, unresolvable = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
     case = _judged(scene, pair, bounds, rows)
     shares = _share(case, np.zeros_like(case.visible))
     ratio[rows] = shares
     doubtful = np.flatnonzero(shares > 1.0)
     if len(doubtful):
         explained[rows[doubtful]] = _explain(scene, pair, case, doubtful, ours, theirs)
-    return Shading(ratio, explained)
+        unresolvable[rows[doubtful]] = _unresolvable(scene, pair, bounds, _part_of(case, doubtful), ours)
+    return Shading(ratio, explained, unresolvable)
 
 
 def _judged(scene: Scene, pair: Pair, bounds: Bounds, rows: np.ndarray) -> _Judged:
@@ -87,7 +89,7 @@ def _explain(
     flippable = either.copy()
     if scene.shading.shadows:
         for i, light in enumerate(part.lights):
-            flippable[i] |= _may_differ(part, i, light, pair.prim[part.rows], ours, theirs)
+            flippable[i] |= _may_differ(part, i, light, pair, ours, theirs)
     explained = np.zeros(len(rows), bool)
     for flips in itertools.product((False, True), repeat=min(len(part.lights), MOST_LIGHTS)):
         if any(flips):
@@ -98,12 +100,40 @@ def _explain(
     return explained
 
 
+def _unresolvable(scene: Scene, pair: Pair, bounds: Bounds, part: _Judged, ours: Bracket) -> np.ndarray:
+    """Where Mitsuba's position has no useful bound, and our value is what float64 gives; (m,) bool."""
+    unknown = np.any([~np.isfinite(light.error).all(axis=1) for light in part.lights], axis=0)
+    at = Meetings(*(a[part.rows] for a in bounds.own if a is not None))
+    hit = Hit(part.hit.p, part.hit.d, part.hit.shape, at)
+    lights = [lambert.lit(scene, light, hit, KU_OURS) for light in scene.lights if light.type != "ambient"]
+    right = np.zeros(len(part.rows), bool)
+    said = [_we_may_say(scene, ours, hit, light, pair.prim[part.rows]) for light in lights]
+    for choice in itertools.product((0, 1), repeat=min(len(lights), MOST_LIGHTS)):
+        total, bound = part.ambient.copy(), KU * part.ambient
+        allowed = np.ones(len(part.rows), bool)
+        for dark, light, may in zip(choice, lights, said, strict=False):
+            allowed &= may[dark]
+            total += (1 - dark) * light.radiance
+            bound += (1 - dark) * light.error
+        right |= allowed & (share_of_bound(np.abs(part.ours - total), bound).max(axis=1) <= 1.0)
+    return unknown & right
+
+
+def _we_may_say(
+    scene: Scene, ours: Bracket, hit: Hit, light: Lit, prim: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    if not scene.shading.shadows:
+        return np.ones(len(prim), bool), np.zeros(len(prim), bool)
+    return shadows.we_may_say(ours, hit, light, prim)
+
+
 def _may_differ(
-    part: _Judged, i: int, light: Lit, prim: np.ndarray, ours: Bracket, theirs: Bracket
+    part: _Judged, i: int, light: Lit, pair: Pair, ours: Bracket, theirs: Bracket
 ) -> np.ndarray:
     """Where Mitsuba may say of light i what it says, and we may say the contrary."""
-    lit, shaded = shadows.reference_may_say(theirs, part.hit, light)
-    we_lit, we_shaded = shadows.we_may_say(ours, part.hit, light, prim)
+    p, n = (flat(pair.reference, name)[part.rows] for name in ("position", "normal"))
+    lit, shaded = shadows.reference_may_say(theirs, part.hit, light, p, n)
+    we_lit, we_shaded = shadows.we_may_say(ours, part.hit, light, pair.prim[part.rows])
     return np.where(part.visible[i], lit & we_shaded, shaded & we_lit)
 
 

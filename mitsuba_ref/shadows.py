@@ -26,19 +26,21 @@ class Rays(NamedTuple):
     t_max: np.ndarray  # (m,)
 
 
-def reference_rays(hit: Hit, lit: Lit) -> Rays:
-    """From p, moved along the geometric normal to the light's side, to just before the light."""
-    n, way = hit.at.n, lit.to_light
-    offset = (1.0 + np.abs(hit.p).max(axis=1)) * RAY_EPSILON
-    o = hit.p + (np.copysign(offset, dot(n, way)))[:, None] * n
+def reference_rays(hit: Hit, lit: Lit, p: np.ndarray, n: np.ndarray) -> Rays:
+    """From Mitsuba's own p (m, 3), moved along its normal n to the light's side, to just before the light."""
     near = np.isfinite(lit.reach)
-    d = np.where(near[:, None], hit.p + way - o, way)
+    way = np.where(near[:, None], hit.p + lit.to_light - p, lit.to_light)
+    offset = (1.0 + np.abs(p).max(axis=1)) * RAY_EPSILON
+    o = p + (np.copysign(offset, dot(n, way)))[:, None] * n
+    d = np.where(near[:, None], p + way - o, way)
     return Rays(o, d, np.where(near, 1.0 - SHADOW_EPSILON, np.inf))
 
 
-def reference_may_say(bracket: Bracket, hit: Hit, lit: Lit) -> tuple[np.ndarray, np.ndarray]:
-    """(may say lit, may say in shadow), (m,) each."""
-    possible, certain = bracket.blocked(*reference_rays(hit, lit))
+def reference_may_say(
+    bracket: Bracket, hit: Hit, lit: Lit, p: np.ndarray, n: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(may say lit, may say in shadow), (m,) each; p, n: what Mitsuba says of the point (both are checked, too)."""
+    possible, certain = bracket.blocked(*reference_rays(hit, lit, p, n))
     return ~certain, possible
 
 

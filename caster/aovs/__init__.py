@@ -1,4 +1,4 @@
-"""The registry of AOVs. Each says its NAME, its EXR CHANNELS, its value on a MISS, and how to `evaluate` it."""
+"""The registry of AOVs. Each says its NAME, EXR CHANNELS and value on a MISS, and how to `evaluate` it."""
 
 from types import ModuleType
 

@@ -1,4 +1,4 @@
-"""Lambert shading: what a diffuse surface sends back of each light, with hard shadows; ambient light on top."""
+"""Lambert shading: what a diffuse surface sends back of each light, with hard shadows; ambient on top."""
 
 import numpy as np
 

@@ -1,13 +1,12 @@
 """The equidistant fisheye: the angle from the axis grows evenly with the distance from the image centre."""
 
 import math
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
+from caster.fields import Camera, WideFieldOfView
 from caster.kernels.camera_circle import film_circle, mixed, on_circle
-from caster.fields import Camera, Positive
 from caster.kernels.jit import implement
 from caster.kernels.protocol import ray
 from caster.kernels.vec import unit, vector
@@ -28,7 +27,8 @@ class Fisheye(Camera):
     """`fov` degrees across the circle inscribed in the film; pixels outside the circle have no ray."""
 
     type: Literal["fisheye"] = "fisheye"
-    fov: Annotated[Positive, Field(le=360.0)] = 180.0
+    shares_origin: ClassVar[bool] = True
+    fov: WideFieldOfView = 180.0
 
     def pack(self, width: int, height: int) -> FisheyeRays:
         right, up, forward = self.frame

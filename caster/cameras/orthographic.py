@@ -26,7 +26,7 @@ class OrthographicRays(NamedTuple):
 
 
 class Orthographic(Camera):
-    """Parallel rays from a window `width` scene units wide around the eye; depth is measured from the window."""
+    """Parallel rays from a window `width` scene units wide around the eye; depth counts from the window."""
 
     type: Literal["orthographic"] = "orthographic"
     width: Positive = 2.0

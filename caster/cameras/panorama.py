@@ -1,12 +1,12 @@
 """The equirectangular panorama: longitude across, latitude up."""
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from caster.kernels.camera_circle import mixed
 from caster.fields import Camera
+from caster.kernels.camera_circle import mixed
 from caster.kernels.jit import implement
 from caster.kernels.protocol import ray
 from caster.kernels.vec import unit, vector
@@ -23,9 +23,10 @@ class PanoramaRays(NamedTuple):
 
 
 class Panorama(Camera):
-    """All directions: the film's centre looks forward, its left and right borders meet behind, up is at the top."""
+    """All directions: the centre of the film looks forward, its side borders meet behind, up is on top."""
 
     type: Literal["panorama"] = "panorama"
+    shares_origin: ClassVar[bool] = True
 
     def pack(self, width: int, height: int) -> PanoramaRays:
         right, up, forward = self.frame

@@ -1,12 +1,12 @@
 """The parabolic camera: a hemisphere seen in a parabolic mirror."""
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from caster.kernels.camera_circle import film_circle, mixed, on_circle
 from caster.fields import Camera
+from caster.kernels.camera_circle import film_circle, mixed, on_circle
 from caster.kernels.jit import implement
 from caster.kernels.protocol import ray
 from caster.kernels.vec import unit, vector
@@ -25,11 +25,12 @@ class ParabolicRays(NamedTuple):
 class Parabolic(Camera):
     """The hemisphere in front of the eye as a paraboloid mirror shows it; outside its circle there is no ray.
 
-    The image point (x, y) of the unit disk sees (2 x, 2 y, 1 - x^2 - y^2) / (1 + x^2 + y^2) (Heidrich and Seidel
-    1998, dual paraboloid maps).
+    The image point (x, y) of the unit disk sees (2 x, 2 y, 1 - x^2 - y^2) / (1 + x^2 + y^2) (Heidrich and
+    Seidel 1998, dual paraboloid maps).
     """
 
     type: Literal["parabolic"] = "parabolic"
+    shares_origin: ClassVar[bool] = True
 
     def pack(self, width: int, height: int) -> ParabolicRays:
         right, up, forward = self.frame

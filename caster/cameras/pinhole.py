@@ -1,7 +1,7 @@
 """The pinhole camera: every ray starts in the eye."""
 
 import math
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -33,11 +33,12 @@ class PinholeRays(NamedTuple):
 class Pinhole(Camera):
     """A perspective camera. `fov` is measured along `fov_axis` of the whole film, aspect from its size.
 
-    `principal_point` moves the window by fractions of the film. Nothing nearer than the plane at `near` or farther
-    than the plane at `far` is seen; depth is measured from the eye all the same.
+    `principal_point` moves the window by fractions of the film. Nothing nearer than the plane at `near` or
+    farther than the plane at `far` is seen; depth is measured from the eye all the same.
     """
 
     type: Literal["pinhole"] = "pinhole"
+    shares_origin: ClassVar[bool] = True
     fov: FieldOfView = 45.0
     fov_axis: Literal["x", "y", "diagonal", "smaller", "larger"] = "x"
     principal_point: tuple[Number, Number] = (0.0, 0.0)

@@ -11,26 +11,28 @@ from caster.kernels.protocol import hull_point, hull_size, intersect, prepare
 from caster.kernels.vec import row
 
 LEAF_SIZE = 4
-STACK_SIZE = 64  # splits halve the count, so a tree of 2^31 primitives is 30 deep; a traversal holds depth + 1
+STACK_SIZE = (
+    64  # splits halve the count, so a tree of 2^31 primitives is 30 deep; a traversal holds depth + 1
+)
 
-# Three roundings (box - origin, times 1/d, and 1/d itself) separate a computed slab distance from the true one:
-# the far side is pushed out by 1 + 2 gamma_3 (Ize 2013), gamma_3 = 3 u / (1 - 3 u), u = 2^-53.
+# Three roundings (box - origin, times 1/d, and 1/d itself) separate a computed slab distance from the true
+# one: the far side is pushed out by 1 + 2 gamma_3 (Ize 2013), gamma_3 = 3 u / (1 - 3 u), u = 2^-53.
 FAR_PADDING = 1.0 + 2.0 * (3.0 * 2.0**-53) / (1.0 - 3.0 * 2.0**-53)
 
-# The intersection tests round too, so a ray may be counted as a hit that passes a primitive at a distance of a few
-# u (|o| + extent): 3 u per sheared corner of a triangle, about 8 u for the closest approach to a ball. Rays are
-# widened by 16 u (|o| + extent), times the condition number of the kind's matrices where it has any.
+# The intersection tests round too, so a ray may be counted as a hit that passes a primitive at a distance of
+# a few u (|o| + extent): 3 u per sheared corner of a triangle, about 8 u for the closest approach to a ball.
+# Rays are widened by 16 u (|o| + extent), times the condition number of the kind's matrices if it has any.
 REACH = 16.0 * 2.0**-53
 
 
 class Tree(NamedTuple):
-    """Nodes in depth-first order. An inner node's children are node + 1 and `second`; a leaf holds a run of ids."""
+    """Nodes in depth-first order. Children of an inner node are node + 1 and `second`; a leaf holds a run."""
 
     low: np.ndarray  # (nodes, 3) float64
     high: np.ndarray  # (nodes, 3) float64
     second: np.ndarray  # (nodes,) int32, second child; 0 in a leaf
     first: np.ndarray  # (nodes,) int32, start of the leaf's run in order
-    count: np.ndarray  # (nodes,) int32, length of the run, 0 in an inner node
+    prims_in: np.ndarray  # (nodes,) int32, length of the run, 0 in an inner node
     order: np.ndarray  # (n,) int32, primitive numbers within the kind
     extent: float  # largest |coordinate| of any box
     reach: float  # REACH times the condition of the kind
@@ -106,7 +108,7 @@ def grow(low: Any, high: Any, centres: Any, tree: Any) -> int:
         nodes += 1
         axis = enclose(low, high, tree, node, start, stop)
         if stop - start <= LEAF_SIZE:
-            tree.first[node], tree.count[node] = start, stop - start
+            tree.first[node], tree.prims_in[node] = start, stop - start
             continue
         middle = split_in_half(tree.order, centres[axis], start, stop)
         stack[top, 0], stack[top, 1], stack[top, 2] = middle, stop, node
@@ -119,8 +121,8 @@ def grow(low: Any, high: Any, centres: Any, tree: Any) -> int:
 def reaches(tree: Any, node: int, o: Any, inverse: Any, pad: float, t_min: float, t_max: float) -> bool:
     """Whether the ray, widened by pad, may meet the box between t_min and t_max.
 
-    Near and far sides are chosen by the sign of 1/d, so that -0.0 and inf behave; 0 * inf gives NaN where the ray
-    runs inside a slab's plane, and the comparisons below drop NaN.
+    Near and far sides are chosen by the sign of 1/d, so that -0.0 and inf behave; 0 * inf gives NaN where the
+    ray runs inside a slab's plane, and the comparisons below drop NaN.
     """
     near, far = t_min, t_max
     for c in range(3):
@@ -144,7 +146,7 @@ def inverse_or_inf(x: float) -> float:
 
 @jit
 def cast_bvh(prims: Any, ids: Any, tree: Any, rays: Any, nearest: Any, span: Any) -> None:
-    """Rays span[0]..span[1] against one kind; a box at exactly the nearest t is still opened, so no tie is lost."""
+    """Rays span[0]..span[1] against one kind; a box at exactly the nearest t is opened, so no tie is lost."""
     stack = np.zeros(STACK_SIZE, np.int32)
     for i in range(span[0], span[1]):
         o, d, t_min = row(rays.o, i), row(rays.d, i), rays.t_min[i]
@@ -157,10 +159,10 @@ def cast_bvh(prims: Any, ids: Any, tree: Any, rays: Any, nearest: Any, span: Any
             node = stack[top]
             if not reaches(tree, node, o, inverse, pad, t_min, min(rays.t_max[i], nearest.t[i])):
                 continue
-            if tree.count[node] == 0:
+            if tree.prims_in[node] == 0:
                 stack[top], stack[top + 1] = tree.second[node], node + 1
                 top += 2
-            for at in range(tree.first[node], tree.first[node] + tree.count[node]):
+            for at in range(tree.first[node], tree.first[node] + tree.prims_in[node]):
                 k = tree.order[at]
                 t = intersect(prims, prepare(prims, k, o), d, t_min)
                 keep_nearer(nearest, i, t, ids[k], rays.t_max[i])

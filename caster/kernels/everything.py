@@ -10,7 +10,7 @@ from caster.kernels.vec import row
 
 @jit
 def cast_everything(prims: Any, ids: Any, rays: Any, nearest: Any, start: int, stop: int) -> None:
-    """Rays start..stop against all primitives of one kind; ids[k] is the number of primitive k in the scene."""
+    """Rays start..stop against all primitives of a kind; ids[k] is the number of primitive k in the scene."""
     for i in range(start, stop):
         o, d = row(rays.o, i), row(rays.d, i)
         for k in range(len(ids)):

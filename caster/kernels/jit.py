@@ -61,9 +61,8 @@ def _drop_old_caches(parent: Path) -> None:
 
 NUMBA = _compiler()
 COMPILED = NUMBA is not None
-if COMPILED:
-    if not os.environ.get("NUMBA_CACHE_DIR"):
-        NUMBA.config.CACHE_DIR = str(_cache_folder(NUMBA.__version__))
+if COMPILED and not os.environ.get("NUMBA_CACHE_DIR"):
+    NUMBA.config.CACHE_DIR = str(_cache_folder(NUMBA.__version__))
 
 
 def jit(function: Function) -> Function:

@@ -39,12 +39,13 @@ def hull_point(prims: Any, k: int, j: int) -> Any:
 
 @generic
 def ray(camera: Any, x: float, y: float) -> Any:
-    """(o, d, t_min, t_max) of the ray through film position (x, y), in pixels; t_max < 0 says: no ray here."""
+    """(o, d, t_min, t_max) of the ray through film position (x, y), in pixels; t_max < 0 says: no ray."""
 
 
 @generic
 def project(camera: Any, p: Vec3) -> Any:
-    """(x, y, pixels, valid): where p falls on the film, and at most how many pixels a unit step of p moves it.
+    """(x, y, pixels, valid): where p falls on the film; a unit step of p moves it by at most so many pixels.
 
-    Not valid where straight edges would not stay straight. A camera without a body for this goes through the tree.
+    Not valid where straight edges would not stay straight. A camera without a body for this goes through the
+    tree.
     """

@@ -9,7 +9,7 @@ from caster.kernels.jit import jit
 def both_roots(a: float, b: float, c: float, discriminant: float) -> tuple[float, float]:
     """(near, far) for a > 0 and discriminant = b^2 - a c >= 0, without cancellation.
 
-    The root of larger magnitude adds numbers of one sign; the other follows from the product of the roots, c / a.
+    The root of larger magnitude adds numbers of one sign; the other follows from the roots' product, c / a.
     """
     s = math.sqrt(discriminant)
     if b >= 0.0:
@@ -21,13 +21,13 @@ def both_roots(a: float, b: float, c: float, discriminant: float) -> tuple[float
 
 
 @jit
-def ball_roots(f: tuple[float, float, float], d: tuple[float, float, float], c: float, r: float) -> tuple[
-    float, float, bool
-]:
+def ball_roots(
+    f: tuple[float, float, float], d: tuple[float, float, float], c: float, r: float
+) -> tuple[float, float, bool]:
     """(near, far, hit) of |f + t d| = r, where f is the origin seen from the centre and c = f.f - r^2.
 
-    The discriminant is taken at the point of closest approach, f + (b/a) d, where the numbers are as small as the
-    ball: b^2 - a c would cancel for a small ball far away (Haines et al., Ray Tracing Gems, chapter 7).
+    The discriminant is taken at the point of closest approach, f + (b/a) d, where the numbers are as small as
+    the ball: b^2 - a c would cancel for a small ball far away (Haines et al., Ray Tracing Gems, chapter 7).
     """
     a = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
     if a == 0.0:

@@ -1,7 +1,7 @@
 """Culling 1: each primitive against the pixels of a rectangle that holds its picture.
 
-For cameras that keep straight lines straight (a common origin, or a common direction): the picture of a convex
-hull lies in the box around the pictures of its points.
+For cameras that keep straight lines straight (a common origin, or a common direction): the picture of a
+convex hull lies in the box around the pictures of its points.
 """
 
 import math
@@ -13,8 +13,8 @@ from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, p
 from caster.kernels.vec import row
 
 # A rectangle reaches one pixel further than the projected points on each side, plus the distance at which the
-# intersection test may still count a hit (`slack`, in scene units). The pixel has to outdo the rounding of the
-# projection alone: below 1e-9 of the film's size, where pinhole.SHALLOWEST holds.
+# intersection test may still count a hit (`slack`, in scene units). The pixel has to outdo the rounding of
+# the projection alone: below 1e-9 of the film's size, where pinhole.SHALLOWEST holds.
 MARGIN = 1.0
 
 
@@ -29,7 +29,7 @@ class Window(NamedTuple):
 
 @jit
 def film_box(prims: Any, k: int, camera: Any, slack: float) -> tuple[float, float, float, float]:
-    """(left, top, right, bottom) around the picture of primitive k; endless where a hull point has no picture."""
+    """(left, top, right, bottom) around the picture of primitive k; endless where a hull point has none."""
     left, top, right, bottom = math.inf, math.inf, -math.inf, -math.inf
     for j in range(hull_size(prims)):
         x, y, pixels, valid = project(camera, hull_point(prims, k, j))
@@ -48,7 +48,7 @@ def pixel_span(low: float, high: float, first: int, count: int) -> tuple[int, in
     """Pixels first + start .. first + stop (exclusive) hold all whose centres lie in [low, high]."""
     start = min(max(low - 0.5 - first, 0.0), float(count))
     stop = min(max(high - 0.5 - first + 1.0, 0.0), float(count))
-    return int(math.floor(start)), int(math.ceil(stop))
+    return math.floor(start), math.ceil(stop)
 
 
 @jit

@@ -53,10 +53,10 @@ def flattened(p: Vec3, d: Vec3, axis: int) -> Vec3:
 
 @jit
 def edge_functions(pre: Any, d: Vec3) -> tuple[float, float, float, float, float]:
-    """(u, v, w, height, slope): scaled barycentrics, their weighted height along the dominant axis, and d there.
+    """(u, v, w, height, slope): scaled barycentrics, their weighted height along the dominant axis, d there.
 
-    Watertight: u, v, w are differences of two rounded products. Rounding is monotonic, so a difference is zero or
-    has the right sign, never the wrong one, and zero counts as inside for both triangles of an edge
+    Watertight: u, v, w are differences of two rounded products. Rounding is monotonic, so a difference is
+    zero or has the right sign, never the wrong one, and zero counts as inside for both triangles of an edge
     (Woop, Benthin, Wald 2013). The division by d[axis] of the paper is left out: it scales all three alike.
     """
     axis = dominant_axis(d)

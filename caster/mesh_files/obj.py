@@ -137,4 +137,3 @@ def _numbers(words: list[bytes], where: str) -> list[float]:
     if b"_" in b"".join(words):  # Python would read 1_000 as a thousand
         raise SceneError(f"{where}: expected numbers, got {quoted(b' '.join(words))}")
     return numbers
-

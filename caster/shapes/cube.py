@@ -7,11 +7,10 @@ import numpy as np
 from caster.fields import Shape
 from caster.kernels.triangles import Triangles
 from caster.mesh import Mesh
-from caster.placing import Rounding, is_mirrored, triangles_at, unit_corners
+from caster.placing import Rounding, triangles
 
-
-# The four corners of each side, counter-clockwise from outside, by the signs of x, y, z. Sides, corners and the
-# diagonal between the first and third follow Mitsuba's cube, so that a prim_id means the same triangle there.
+# The four corners of each side, counter-clockwise from outside, by the signs of x, y, z. Sides, corners and
+# the diagonal between the first and third follow Mitsuba's cube: a prim_id means the same triangle there.
 CORNERS = """
     +-- +-+ --+ ---
     ++- -+- -++ +++
@@ -24,9 +23,10 @@ CORNERS = """
 
 def _sides() -> Mesh:
     corners = np.array([[float(sign + "1") for sign in corner] for corner in CORNERS.split()])
-    first = np.arange(0, 24, 4)[:, None]
-    faces = np.stack([first + [0, 1, 2], first + [3, 0, 2]], axis=1).reshape(-1, 3).astype(np.int32)
-    return Mesh(corners, faces, None, np.tile([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]], (6, 1)))
+    first = np.arange(0, 24, 4, dtype=np.int32)
+    faces = first[:, None, None] + np.array([[0, 1, 2], [3, 0, 2]], np.int32)
+    uv = np.tile([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]], (6, 1))
+    return Mesh(corners, faces.reshape(-1, 3), None, uv)
 
 
 SIDES = _sides()
@@ -41,6 +41,4 @@ class Cube(Shape):
         return SIDES
 
     def pack(self, rounded: Rounding) -> Triangles:
-        corners = unit_corners(self.matrix, SIDES.vertices, rounded)
-        faces = SIDES.faces[:, [0, 2, 1]] if is_mirrored(self.matrix) else SIDES.faces
-        return triangles_at(corners, faces, SIDES, self.matrix, rounded, face_normals=True)
+        return triangles(SIDES, self.matrix, rounded, face_normals=True)

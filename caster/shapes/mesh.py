@@ -23,7 +23,9 @@ class MeshFile(MeshShape):
             return load_mesh(self.file)  # which says what is wrong
         return _loaded(self.file, stamp.st_mtime_ns, stamp.st_size)
 
-    mesh = load
+    def mesh(self) -> Mesh:
+        """What `load` reads, in object space."""
+        return self.load()
 
 
 @functools.lru_cache(maxsize=16)

@@ -20,7 +20,7 @@ class Planes(NamedTuple):
 
 
 class Plane(Shape):
-    """The plane through `point` across `normal`, or all p with normal . p = `offset` (normal of unit length)."""
+    """The plane through `point` across `normal`, or all p with normal . p = `offset` (normal made unit)."""
 
     type: Literal["plane"] = "plane"
     normal: UnitVec3 = (0.0, 0.0, 1.0)
@@ -31,7 +31,7 @@ class Plane(Shape):
     def _has_one_place(self) -> "Plane":
         if (self.offset is None) == (self.point is None):
             got = "both" if self.point else "neither"
-            raise ValueError(f"a plane needs either offset or point, got {got}")
+            raise ValueError(f"needs either offset or point, got {got}")
         return self
 
     def pack(self, rounded: Rounding) -> Planes:

@@ -7,7 +7,7 @@ import numpy as np
 from caster.fields import Shape
 from caster.kernels.triangles import Triangles
 from caster.mesh import Mesh
-from caster.placing import Rounding, is_mirrored, triangles_at, unit_corners
+from caster.placing import Rounding, triangles
 
 CORNERS = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 FACES = np.array([[0, 1, 3], [1, 2, 3]], np.int32)
@@ -22,6 +22,4 @@ class Rectangle(Shape):
         return Mesh(CORNERS, FACES, None, 0.5 * CORNERS[:, :2] + 0.5)
 
     def pack(self, rounded: Rounding) -> Triangles:
-        corners = unit_corners(self.matrix, CORNERS, rounded)
-        faces = FACES[:, [0, 2, 1]] if is_mirrored(self.matrix) else FACES
-        return triangles_at(corners, faces, self.mesh(), self.matrix, rounded, face_normals=True)
+        return triangles(self.mesh(), self.matrix, rounded, face_normals=True)

@@ -8,7 +8,7 @@ import numpy as np
 from caster.fields import Positive, Shape, Vec3
 from caster.kernels.jit import implement
 from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, surface
-from caster.kernels.roots import ball_roots, both_roots, first_beyond
+from caster.kernels.roots import ball_roots, first_beyond
 from caster.kernels.vec import (
     MISS,
     add,
@@ -16,7 +16,6 @@ from caster.kernels.vec import (
     angle_fraction,
     dot,
     row,
-    scaled,
     sub,
     turned,
     turned_back,
@@ -74,7 +73,7 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float) -> float:
 
 @implement(surface, Spheres)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    """The normal is built from the closest approach and the half chord, which stay accurate for far, small balls."""
+    """The normal is built from the closest approach and the half chord, exact enough for far, small balls."""
     center, r = row(prims.center, k), prims.radius[k]
     f = sub(o, center)
     a = dot(d, d)
@@ -94,7 +93,9 @@ def _hull_size(prims: Any) -> int:
 
 @implement(hull_point, Spheres)
 def _hull_point(prims: Any, k: int, j: int) -> Any:
-    return along(row(prims.center, k), prims.radius[k], (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4)))
+    return along(
+        row(prims.center, k), prims.radius[k], (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
+    )
 
 
 @implement(prepare, Ellipsoids)

@@ -11,7 +11,7 @@ from caster.placing import Rounding, triangles
 
 
 class Triangle(Shape):
-    """Three corners; the normal is (v1 - v0) x (v2 - v0), so it looks at you where they run counter-clockwise."""
+    """Three corners; the normal (v1 - v0) x (v2 - v0) looks at you where they run counter-clockwise."""
 
     type: Literal["triangle"] = "triangle"
     vertices: tuple[Vec3, Vec3, Vec3]

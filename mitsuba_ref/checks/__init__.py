@@ -2,6 +2,6 @@
 
 from types import ModuleType
 
-from mitsuba_ref.checks import depth, mask, normal, on_surface, shading_normal, shape_id
+from mitsuba_ref.checks import depth, mask, normal, on_surface, position, shading_normal, shape_id
 
-CHECKS: tuple[ModuleType, ...] = (mask, shape_id, on_surface, depth, normal, shading_normal)
+CHECKS: tuple[ModuleType, ...] = (mask, shape_id, on_surface, depth, position, normal, shading_normal)

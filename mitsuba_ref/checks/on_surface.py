@@ -13,5 +13,5 @@ NAME = "on_surface"
 def ratio(pixels: Pixels) -> np.ndarray:
     """|our t - t of our primitive, worked out anew| / bound where we hit, 0 elsewhere."""
     with np.errstate(invalid="ignore"):
-        error = np.abs(pixels.t_ours - pixels.bounds.t)
-    return np.where(pixels.hits[0], share_of_bound(error, pixels.bounds.t_ours), 0.0)
+        error = np.abs(pixels.t_ours - pixels.bounds.own.t)
+    return np.where(pixels.hits[0], share_of_bound(error, pixels.bounds.own.t_error), 0.0)

@@ -1,6 +1,6 @@
-"""Cube: Mitsuba's cube."""
+"""Cube: its triangles."""
 
 from caster.shapes.cube import Cube
-from mitsuba_ref.shapes.baked import native
+from mitsuba_ref.shapes.baked import baked
 
-REFERENCE = native(Cube, "cube")
+REFERENCE = baked(Cube)

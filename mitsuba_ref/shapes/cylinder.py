@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from caster.placing import as_given, is_mirrored, is_similarity
 from caster.shapes.cylinder import Cylinder, Cylinders
 from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error
 from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
@@ -14,11 +13,27 @@ from mitsuba_ref.xml import Writer, XmlElement
 
 def to_xml(out: Writer, shape: Cylinder, part: Any) -> list[XmlElement]:
     """A round, straight cylinder as it is; a stretched, sheared or mirrored one as an instance."""
-    given = shape.pack(as_given).to_world[0]
-    lengths = np.linalg.norm(given, axis=0)
-    if is_similarity(given / [lengths[0], lengths[0], lengths[2]]) and not is_mirrored(given):
+    if passes_for_round(part.to_world[0]):
         return [out.native(shape, "cylinder", part.center[0], part.to_world[0])]
     return out.instance(shape, "cylinder", part)
+
+
+# Mitsuba refuses a cylinder whose matrix, as rotation times stretching, shears by more than 1e-6 scene units. Half of
+# that leaves room for its rounding.
+LARGEST_SHEAR = 0.5e-6
+
+
+def passes_for_round(linear: np.ndarray) -> bool:
+    """Whether Mitsuba takes a 3x3 matrix for that of a round, straight cylinder which keeps its outside outside."""
+    stretch = np.array(polar(linear)[1])
+    off = [stretch[0, 1], stretch[0, 2], stretch[1, 2], stretch[0, 0] - stretch[1, 1]]
+    return bool(np.max(np.abs(off)) <= LARGEST_SHEAR and np.linalg.det(linear) > 0.0)
+
+
+def polar(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(rotation, symmetric stretching) whose product is the matrix."""
+    u, sizes, v = np.linalg.svd(linear)
+    return u @ v, v.T @ np.diag(sizes) @ v
 
 
 def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
@@ -30,6 +45,8 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
     middle, distance, s = roots(rays.o * flat, rays.d * flat, one)
     size = norm(rays.d * flat)
     found = []
+    # Mitsuba 3.9.1 pulls a hit onto the wall by its distance from it in object space, taken for scene units: that
+    # moves points of thin cylinders by more than their rounding, and is why p_error has it.
     with np.errstate(divide="ignore", invalid="ignore"):
         for side in (-1.0, 1.0):
             t = middle + side * s / size
@@ -44,7 +61,7 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
             inside = np.minimum(q[:, 2], 1.0 - q[:, 2])
             possible = (distance - 1.0 <= error) & (inside >= -end_error)
             certain = (1.0 - distance > error) & (inside > end_error)
-            p_error = position_error(o, d, t, t_error, ku)
+            p_error = position_error(o, d, t, t_error, ku) + error + slide * t_error
             found.append(Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error))
     return tuple(found)
 

@@ -123,7 +123,8 @@ def meet_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: f
     with np.errstate(divide="ignore", invalid="ignore"):
         t = dot(n, point - o) / slope
         rho = ku * dot(np.abs(n), np.abs(d)) / np.abs(slope)
-        t_error = ku * (dot(np.abs(n), np.abs(point) + np.abs(o)) / np.abs(slope) + np.abs(t))
+        reach = np.abs(point) + np.abs(o) + np.abs(t)[:, None] * np.abs(d)
+        t_error = ku * (dot(np.abs(n), reach) / np.abs(slope) + np.abs(t))
         t_error = np.where(rho < triangles.UNRESOLVABLE, t_error / (1.0 - np.minimum(rho, 0.5)), np.inf)
     met, flat = np.isfinite(t), np.full(len(k), ku)
     sure = met & np.isfinite(t_error)

@@ -38,7 +38,8 @@ def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndar
     nothing or vanish, and moves by at most sqrt(2 r E).
     """
     twice = 2.0 * r * error
-    return np.where(s * s > twice, twice / (s + np.sqrt(np.maximum(s * s - twice, 0.0))), np.sqrt(twice))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(s * s > twice, twice / (s + np.sqrt(np.maximum(s * s - twice, 0.0))), np.sqrt(twice))
 
 
 def roots(f: np.ndarray, d: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
-"""Rectangle: Mitsuba's rectangle."""
+"""Rectangle: its triangles."""
 
 from caster.shapes.rectangle import Rectangle
-from mitsuba_ref.shapes.baked import native
+from mitsuba_ref.shapes.baked import baked
 
-REFERENCE = native(Rectangle, "rectangle")
+REFERENCE = baked(Rectangle)

@@ -85,7 +85,7 @@ def _edge_functions(
     round; and its robust mode accepts |U + V + W| ulps beyond an edge.
     """
     pairs = ((c, b), (a, c), (b, a))
-    edges = np.stack([dot(d, np.cross(p, q)) for p, q in pairs], axis=1)
+    edges = np.stack([dot(d, np.cross(p - q, q)) for p, q in pairs], axis=1)  # p x q, with less to cancel
     inflation = 2.0 * np.abs(edges.sum(axis=1))
     errors = [
         dot(np.abs(d), permanent(p - q, np.abs(p) + np.abs(q)))

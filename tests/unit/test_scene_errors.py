@@ -99,7 +99,7 @@ ONE_LINERS = [
     (
         "a sum of keys",
         shape("plane", "normal = [0, 0, 1]"),
-        "5:1: shapes[0] (plane): a plane needs either offset or point, got neither",
+        "5:1: shapes[0] (plane): needs either offset or point, got neither",
     ),
     (
         "a limit",

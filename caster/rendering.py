@@ -45,8 +45,8 @@ def render(
 ) -> Aovs:
     """Render the film, or its crop window.
 
-    aovs: names from `caster.aovs.AOVS`. Returns float64 images (ids int32); depth is inf and ids are -1 on a miss,
-    everything else 0. `culling` overrides the plan; no culling and no number of threads changes a bit.
+    aovs: names from `caster.aovs.AOVS`. Returns float64 images (ids int32); depth is inf and ids are -1 on a
+    miss, everything else 0. `culling` overrides the plan; no culling and no number of threads changes a bit.
     Raises SceneError for an AOV that does not exist.
     """
     check_names(aovs)
@@ -56,7 +56,9 @@ def render(
 def check_names(aovs: Sequence[str]) -> None:
     for name in aovs:
         if name not in BY_NAME:
-            raise SceneError(f"aov {name!r}: unknown{suggestion(name, BY_NAME)}; known are {', '.join(BY_NAME)}")
+            raise SceneError(
+                f"aov {name!r}: unknown{suggestion(name, BY_NAME)}; known are {', '.join(BY_NAME)}"
+            )
 
 
 def film_window(scene: Scene) -> Window:
@@ -66,7 +68,7 @@ def film_window(scene: Scene) -> Window:
 
 
 def camera_rays(scene: Scene, threads: int | None = None) -> Rays:
-    """The rays through the pixel centres of the window, row by row from the top left. float64, d of unit length."""
+    """Rays through the pixel centres of the window, row by row from the top left; float64, d of length 1."""
     window = film_window(scene)
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     n = window.width * window.height
@@ -83,13 +85,17 @@ def look(
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     culling = culling or plan(camera).culling
     if culling == "screen":
-        nearest = find_nearest_on_film(packed, rays, camera, film_window(scene), scene.camera.shares_origin, threads)
+        nearest = find_nearest_on_film(
+            packed, rays, camera, film_window(scene), scene.camera.shares_origin, threads
+        )
     else:
         nearest = find_nearest(packed, rays, culling, threads)
     return View(scene, packed, rays, nearest, np.zeros(len(rays.t_min)), threads)
 
 
-def look_along(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None) -> View:
+def look_along(
+    scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None
+) -> View:
     """Cast given rays; `start` (n,) is what the depth of each counts from, beyond its origin."""
     return View(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
 

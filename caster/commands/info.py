@@ -1,0 +1,20 @@
+"""`caster info`: what is in an EXR file."""
+
+import argparse
+import json
+
+HELP = "describe an EXR file: channels, ranges, NaN, inf and hit counts, provenance"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE.exr", help="a single-part EXR file")
+    parser.add_argument("--json", action="store_true", help="as JSON, with all of the provenance")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the description. Raises FileMissing, UnreadableExr."""
+    from caster.info import describe_exr, format_info
+
+    info = describe_exr(args.file)
+    print(json.dumps(info, indent=2, allow_nan=False) if args.json else format_info(info))
+    return 0

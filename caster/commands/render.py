@@ -1,0 +1,88 @@
+"""`caster render`: a scene file in, an EXR file out."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from caster import __version__
+from caster.commands.scene_arguments import add_scene, blamed_on, load
+from caster.exits import OK
+from caster.wording import SceneError
+
+if TYPE_CHECKING:
+    from caster.rendering import Aovs
+    from caster.scene import Scene
+
+HELP = "render a scene to an EXR file"
+
+# Named here too, since loading the AOVs loads the kernels (tests/unit/test_cli_help.py compares).
+AOVS = "hit, depth, normal, shading_normal, position, uv, albedo, diffuse, shape_id, prim_id"
+DEFAULT = "hit,depth,normal,diffuse"
+CORNERS = ("X0", "Y0", "X1", "Y1")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_scene(parser)
+    add = parser.add_argument
+    add("-o", "--output", metavar="OUT.exr", help="default: the scene's name with .exr, in this folder")
+    add("--aov", metavar="A,B,...", help=f"of {AOVS}; default: {DEFAULT}")
+    add("--crop", nargs=4, type=int, metavar=CORNERS, help="these pixels only; X1 and Y1 are just outside")
+    add("--threads", type=thread_count, metavar="N", help="default: as many as there are cores")
+    add("--explain", action="store_true", help="say how it was computed, and what was skipped")
+
+
+def thread_count(text: str) -> int:
+    """A whole number >= 1, or an error in argparse's way."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number >= 1, got '{text}'")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Render, write, and say what was written. Raises SceneError, FileMissing, OutputError."""
+    scene = cropped(load(args), args.crop)
+    output = output_path(args)
+    from caster.explain import explain
+    from caster.rendering import check_names, evaluate, film_window, look
+    from caster.whole_files import check_writable
+
+    aovs = tuple(dict.fromkeys((DEFAULT if args.aov is None else args.aov).split(",")))
+    check_names(aovs)
+    check_writable(output)  # before a render that may take long
+    with blamed_on(args.scene):
+        view = look(scene, threads=args.threads)
+    images = evaluate(view, aovs, film_window(scene))
+    write(output, scene, images, args.scene)
+    if args.explain:
+        print(explain(view, aovs))
+    height, width = images.hit.shape
+    print(f"{output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(aovs)}")
+    return OK
+
+
+def output_path(args: argparse.Namespace) -> str:
+    """Where to write: as asked, else the scene's name in the current folder."""
+    output = args.output if args.output is not None else f"{Path(args.scene).stem}.exr"
+    if Path(output).suffix.lower() != ".exr":
+        raise SceneError(f"-o {output}: expected a name that ends in .exr")
+    return output
+
+
+def cropped(scene: Scene, crop: list[int] | None) -> Scene:
+    """The scene with the crop that was asked for."""
+    if crop is None:
+        return scene
+    with blamed_on("--crop", *crop):
+        return scene.with_film(crop=crop)
+
+
+def write(output: str, scene: Scene, images: Aovs, path: str) -> None:
+    """The file: channels, where they lie on the film, and where they come from."""
+    from caster.channels import channels_of, provenance
+    from caster.exr import write_exr
+
+    film = (0, 0, scene.film.width, scene.film.height)
+    about = provenance(scene, __version__, path)
+    write_exr(output, channels_of(images), about, data_window=scene.film.window, display_window=film)

@@ -1,0 +1,79 @@
+"""One pixel under the lens: its ray, what it meets, and what it would meet of every shape alone."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from caster.casting import find_nearest
+from caster.fields import SceneError
+from caster.kernels.nearest import Rays
+from caster.packing import Kind, Packed
+from caster.rendering import look
+from caster.scene import Scene
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """The first hit of a ray with one shape, as if that stood alone."""
+
+    t: float
+    shape_id: int
+    prim_id: int
+
+
+@dataclass(frozen=True)
+class Probe:
+    """The ray through a pixel's centre and what it meets. t counts in lengths of d, which is 1."""
+
+    scene: Scene
+    x: int
+    y: int
+    o: np.ndarray  # (3,) float64
+    d: np.ndarray  # (3,) float64
+    t_min: float
+    t_max: float  # < 0: the camera has no ray here
+    hit: Candidate | None
+    surface: dict[str, np.ndarray]  # p, n, sh_n (3,) and uv (2,); empty on a miss
+    candidates: tuple[Candidate, ...]  # one for each shape that is hit, nearest first
+    prims: int  # how many primitives were tried
+
+    @property
+    def missed(self) -> int:
+        """How many shapes the ray does not meet."""
+        return len(self.scene.shapes) - len(self.candidates)
+
+
+def probe(scene: Scene, x: int, y: int) -> Probe:
+    """Cast the ray of one pixel, once as `render` does and once against each shape with no culling.
+
+    Raises SceneError for a pixel outside the film.
+    """
+    film = scene.film
+    if not (0 <= x < film.width and 0 <= y < film.height):
+        inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
+        raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
+    view = look(scene.with_film(crop=(x, y, x + 1, y + 1)), threads=1)
+    rays, nearest = view.rays, view.nearest
+    hit = Candidate(float(nearest.t[0]), int(view.shape_id[0]), int(view.prim_id[0])) if view.hit[0] else None
+    surface = {name: rows[0] for name, rows in view.surfaces._asdict().items()} if hit else {}
+    candidates = tuple(sorted(_each_alone(view.packed, rays), key=lambda c: (c.t, c.shape_id)))
+    ends = float(rays.t_min[0]), float(rays.t_max[0])
+    prims = int(view.packed.first[-1])
+    return Probe(scene, x, y, rays.o[0], rays.d[0], *ends, hit, surface, candidates, prims)
+
+
+def _each_alone(packed: Packed, rays: Rays) -> Iterator[Candidate]:
+    for shape_id, part in enumerate(packed.parts):
+        nearest = find_nearest(_only(part, packed, shape_id), rays, "everything", threads=1)
+        if nearest.prim[0] >= 0:
+            yield Candidate(float(nearest.t[0]), shape_id, int(nearest.prim[0]))
+
+
+def _only(part: Any, packed: Packed, shape_id: int) -> Packed:
+    """A scene of one shape, its primitives numbered from 0."""
+    count = int(packed.first[shape_id + 1] - packed.first[shape_id])
+    zero = np.zeros(1, np.int64)
+    kind = Kind(part, np.arange(count, dtype=np.int32))
+    return Packed((kind,), (part,), np.array([0, count], np.int64), zero, zero)

@@ -1,0 +1,70 @@
+"""Files that are written whole or not at all."""
+
+import contextlib
+import errno
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from caster.wording import SceneError
+
+WRITE_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES)
+
+
+class OutputError(SceneError):
+    """A file that cannot be written; nothing half-written is left behind."""
+
+    exit_code = 4
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raise OutputError now, and not after a long render, if no file can be made here."""
+    with _refused(target := _target(path)):
+        _begun(target).unlink()
+
+
+@contextlib.contextmanager
+def written_aside(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A new file beside `path`, moved onto it if the body succeeds, gone if it does not.
+
+    Raises OutputError, whatever the body raises; an older file of that name is then still there, untouched.
+    """
+    with _refused(target := _target(path)):
+        part = _begun(target)  # a bad folder fails before any work
+        try:
+            yield part
+            os.replace(part, target)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def _target(path: str | os.PathLike[str]) -> Path:
+    target = Path(os.path.realpath(path))  # through a link, so that the link stays one
+    if target.exists() and not target.is_file():
+        raise OutputError(f"{target}: expected a file to write, this is a folder or a device")
+    return target
+
+
+def _begun(target: Path) -> Path:
+    """An empty file of ours beside the target, so that its permissions follow the umask."""
+    part = target.parent / f".{secrets.token_hex(8)}.part"
+    os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    return part
+
+
+@contextlib.contextmanager
+def _refused(target: Path) -> Iterator[None]:
+    try:
+        yield
+    except Exception as e:  # the library raises whatever it likes
+        raise OutputError(f"{target}: cannot write: {_reason(e, target)}") from e
+
+
+def _reason(e: Exception, target: Path) -> str:
+    if isinstance(e, OSError) and e.strerror:
+        return f"{e.strerror} (folder {target.parent})"
+    known = [os.strerror(code) for code in WRITE_ERRORS if os.strerror(code) in str(e)]
+    free = shutil.disk_usage(target.parent).free // 2**20
+    return f"{known[0] if known else 'the EXR library gave up half-way'} ({free} MiB free in {target.parent})"

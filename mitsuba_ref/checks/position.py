@@ -1,0 +1,17 @@
+"""The point that was hit: the distance between the two.
+
+The bound is that of t along the ray, and what Mitsuba does to a position afterwards (barycentrics on triangles, a
+pull onto the wall of a cylinder); one bound for each kind of primitive.
+"""
+
+import numpy as np
+
+from mitsuba_ref.pixels import Pixels, apart, share_of_bound
+
+NAME = "position"
+
+
+def ratio(pixels: Pixels) -> np.ndarray:
+    """|ours - reference| / bound where both hit, 0 elsewhere."""
+    share = share_of_bound(apart(*pixels.pair("position")), pixels.bounds.at.p_error)
+    return np.where(pixels.both_hit, share, 0.0)

@@ -1,0 +1,82 @@
+"""Scenes in Mitsuba's own XML, and rays through them, for the tests that ask Mitsuba."""
+
+from pathlib import Path
+
+import numpy as np
+
+from mitsuba_ref.jobs import Job
+
+VARIANTS = ("scalar_rgb", "llvm_ad_rgb")
+DIFFUSE = '<bsdf type="diffuse"><rgb name="reflectance" value="0.5 0.25 0.75"/></bsdf>'
+
+
+def write(folder: Path, content: str, name: str = "scene.xml") -> Path:
+    path = folder / name
+    path.write_text(
+        '<scene version="3.0.0">\n<boolean name="embree_use_robust_intersections" value="true"/>\n'
+        f"{content}\n</scene>\n"
+    )
+    return path
+
+
+def shape(
+    plugin: str, name: str, x: float, y: float = 0.0, content: str = DIFFUSE, stretch: str = "1 1 1"
+) -> str:
+    """One shape of about unit size around (x, y, 0)."""
+    a, b, c = stretch.split()
+    matrix = f"{a} 0 0 {x} 0 {b} 0 {y} 0 0 {c} 0 0 0 0 1"
+    place = f'<transform name="to_world"><matrix value="{matrix}"/></transform>'
+    return f'<shape type="{plugin}" id="{name}">{place}{content}</shape>'
+
+
+def point_light(position: str, intensity: str) -> str:
+    numbers = f'<point name="position" value="{position}"/><rgb name="intensity" value="{intensity}"/>'
+    return f'<emitter type="point">{numbers}</emitter>'
+
+
+def sun(direction: str, irradiance: str) -> str:
+    numbers = f'<vector name="direction" value="{direction}"/><rgb name="irradiance" value="{irradiance}"/>'
+    return f'<emitter type="directional">{numbers}</emitter>'
+
+
+def film(width: int, height: int, crop: tuple[int, int, int, int] | None = None) -> str:
+    """One sample in each pixel's centre, and the sampler for it."""
+    numbers = {"width": width, "height": height}
+    if crop is not None:
+        names = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+        numbers |= dict(zip(names, crop, strict=True))
+    integers = "".join(f'<integer name="{name}" value="{value}"/>' for name, value in numbers.items())
+    return (
+        f'<film type="hdrfilm">{integers}<string name="component_format" value="float32"/>'
+        '<rfilter type="box"/></film>'
+        '<sampler type="stratified"><integer name="sample_count" value="1"/>'
+        '<boolean name="jitter" value="false"/></sampler>'
+    )
+
+
+def random_mesh(path: Path, rng: np.random.Generator, triangles: int = 200) -> np.ndarray:
+    """Triangles strewn over a cube of size 2 as a PLY without normals; returns (triangles, 3, 3) float32."""
+    corners = rng.uniform(-1.0, 1.0, (triangles, 1, 3)) + rng.normal(0.0, 0.15, (triangles, 3, 3))
+    corners = corners.astype(np.float32)
+    faces = np.zeros(triangles, [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, np.arange(3 * triangles).reshape(-1, 3)
+    names = "".join(f"property float {name}\n" for name in "xyz")
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {3 * triangles}\n{names}"
+        f"element face {triangles}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    path.write_bytes(header.encode() + corners.astype("<f4").tobytes() + faces.tobytes())
+    return corners
+
+
+def job(xml: Path, variant: str, o: object, d: object, t_max: float = np.inf, **wanted: bool) -> Job:
+    """The same t_max for every ray."""
+    o, d = (np.ascontiguousarray(rows, np.float32).reshape(-1, 3) for rows in (o, d))
+    return Job(xml, variant, o, d, np.full(len(o), t_max, np.float32), **wanted)
+
+
+def rays_at(rng: np.random.Generator, count: int, spread: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rays from around (0, 0, 6) to points of the square of half size `spread` in z = 0; d is no unit."""
+    o = rng.normal([0.0, 0.0, 6.0], 0.3, (count, 3))
+    target = np.column_stack([rng.uniform(-spread, spread, (count, 2)), np.zeros(count)])
+    return o.astype(np.float32), (target - o).astype(np.float32)

@@ -1,0 +1,247 @@
+"""What comes through the door is what Mitsuba itself says: ids, hits, light and its own sensor's rays."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mitsuba_scenes import VARIANTS, film, job, point_light, random_mesh, rays_at, shape, sun, write
+
+from mitsuba_ref import variants, worker
+from mitsuba_ref.jobs import Answer
+
+HERE = VARIANTS if variants.usable().llvm else VARIANTS[:1]  # the run's header says which
+ROOT = Path(__file__).resolve().parents[2]
+U = 2.0**-24
+
+GROUP = '<shape type="shapegroup" id="group"><shape type="sphere" id="unit"/></shape>'
+REF = '<ref id="group"/>'
+MANY = {  # where each shape's middle is: none covers another
+    "ball": shape("sphere", "ball", -4, 2),
+    "square": shape("rectangle", "square", 0, 2),
+    "lid": shape("disk", "lid", 4, 2),
+    "tube": shape("cylinder", "tube", -4, -2, stretch="1 1 3"),
+    "egg 1": shape("instance", "egg 1", 0, -2, REF, "1.5 1 1"),
+    "egg 2": shape("instance", "egg 2", 4, -2, REF, "1 1.5 2"),
+    "box": shape("cube", "box", 0, 6),
+    "strewn": '<shape type="ply" id="strewn"><string name="filename" value="strewn.ply"/></shape>',
+}
+
+
+def asked(*args, **kwargs) -> Answer:
+    answer = worker.ask(job(*args, **kwargs), timeout=120)
+    assert isinstance(answer, Answer), answer
+    return answer
+
+
+@pytest.fixture
+def many(tmp_path):
+    """Every kind of shape, and lights among them."""
+    corners = random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
+    light = point_light("0 3 9", "1 2 3")
+    return write(tmp_path, "\n".join([GROUP, light, *MANY.values(), sun("0.2 -1 -1", "3 2 1")])), corners
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_a_hit_names_its_shape_and_an_instance_goes_before_what_it_repeats(many, variant):
+    aimed = {
+        "ball": (-4, 2),
+        "square": (0, 2),
+        "lid": (4, 2),
+        "egg 1": (0, -2),
+        "egg 2": (4, -2),
+        "box": (0, 6),
+    }
+    tube = {"tube": ((-6, -2.1, 1), (1, 0, 0))}
+    down = {name: ((x + 0.3, y + 0.1, 9), (0, 0, -1)) for name, (x, y) in aimed.items()} | tube
+    answer = asked(many[0], variant, *zip(*down.values(), strict=True))
+    assert answer.names == list(MANY)
+    assert [answer.names[k] for k in answer.shape] == list(down)
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_prim_is_the_triangle_that_was_hit(many, variant):
+    xml, corners = many
+    middles = corners.mean(axis=1)
+    n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    answer = asked(xml, variant, middles + 1e-3 * n, -n, 2e-3)
+    assert np.array_equal(answer.prim, np.arange(len(corners)))
+    assert {answer.names[k] for k in answer.shape} == {"strewn"}
+
+
+@pytest.mark.skipif(len(HERE) == 1, reason="one variant has nothing to agree with")
+def test_both_variants_hit_the_same_shapes_and_primitives(many):
+    o, d = rays_at(np.random.default_rng(2), 5000, 7.0)
+    scalar, llvm = (asked(many[0], variant, o, d) for variant in VARIANTS)
+    assert np.array_equal(scalar.shape, llvm.shape) and np.array_equal(scalar.prim, llvm.prim)
+    assert np.array_equal(scalar.light_visible, llvm.light_visible)
+    assert np.array_equal(scalar.albedo, llvm.albedo)
+    assert set(scalar.shape) == set(range(-1, len(MANY)))
+
+
+@pytest.mark.skipif(len(HERE) == 1, reason="one variant has nothing to agree with")
+def test_triangles_are_met_at_the_same_bits_of_t_in_both_variants(tmp_path):
+    random_mesh(tmp_path / "strewn.ply", np.random.default_rng(3), 2000)
+    o, d = rays_at(np.random.default_rng(4), 20000, 1.2)
+    scalar, llvm = (asked(write(tmp_path, MANY["strewn"]), variant, o, d) for variant in VARIANTS)
+    assert 5000 < np.isfinite(scalar.t).sum() < 20000
+    assert scalar.t.tobytes() == llvm.t.tobytes()
+    assert np.abs(scalar.n - llvm.n).max() <= 4 * U  # a division here, a reciprocal there
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_a_miss_is_inf_minus_one_and_zero(many, variant):
+    answer = asked(many[0], variant, [[0, 2, 9], [0, 2, 9]], [[0, 0, 1], [0, 0, -1]])
+    assert answer.t.tolist() == [np.inf, 9.0]
+    assert answer.shape[0] == answer.prim[0] == -1 and answer.shape[1] >= 0
+    for name in ("n", "sh_n", "p", "uv", "albedo"):
+        assert not getattr(answer, name)[0].any(), name
+    assert not answer.light_rgb[:, 0].any() and not answer.light_visible[:, 0].any()
+    assert answer.light_rgb[:, 1].all() and answer.light_visible[:, 1].all()
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_t_counts_in_lengths_of_d_and_ends_at_t_max(many, variant):
+    rays = [[0, 2, 9]] * 2, [[0, 0, -1], [0, 0, -4]]
+    assert asked(many[0], variant, *rays).t.tolist() == [9.0, 2.25]
+    assert asked(many[0], variant, *rays, t_max=8.5).t.tolist() == [np.inf, 2.25]
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_unwanted_light_is_not_computed(many, variant):
+    answer = asked(many[0], variant, [[0, 2, 9]], [[0, 0, -1]], lights=False)
+    assert answer.light_rgb.shape == (0, 1, 3) and answer.light_visible.shape == (0, 1)
+    assert not answer.albedo.any() and answer.t.tolist() == [9.0]
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_no_rays_and_no_shapes_are_answered_too(tmp_path, many, variant):
+    none = asked(many[0], variant, [], [])
+    assert none.t.shape == (0,) and none.n.shape == (0, 3) and none.light_rgb.shape == (2, 0, 3)
+    empty = asked(write(tmp_path, "", "empty.xml"), variant, [[0, 0, 0]], [[0, 0, 1]], sensor=True)
+    assert empty.t.tolist() == [np.inf] and empty.names == [] and empty.sensor_o is None
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_lights_come_in_the_order_of_the_document(tmp_path, variant):
+    """Each of 24 lights shines straight down on the floor, with its number as its strength."""
+    lights = [
+        point_light("0 0 1", f"{k} {k} {k}") if k % 3 else sun("0 0 -1", f"{k} {k} {k}") for k in range(1, 25)
+    ]
+    floor = shape("rectangle", "floor", 0)
+    content = "\n".join([*lights[:7], floor, *lights[7:]])
+    answer = asked(write(tmp_path, content), variant, [[0, 0, 0.5]], [[0, 0, -1]])
+    expected = np.arange(1, 25)[:, None] * np.array([0.5, 0.25, 0.75]) / np.pi
+    assert np.allclose(answer.light_rgb[:, 0], expected, rtol=8 * U, atol=0)
+
+
+TWO_SIDED = '<bsdf type="twosided"><bsdf type="diffuse"/></bsdf>'
+LIT = "\n".join(
+    [
+        '<sensor type="perspective"><float name="fov" value="50"/><transform name="to_world">'
+        f'<lookat origin="0.3,-1,7" target="0,0,0" up="0,1,0"/></transform>{film(40, 30)}</sensor>',
+        GROUP,
+        shape("sphere", "ball", -1, 1),
+        shape("instance", "egg", 1, -0.5, REF, "1.5 1 1"),
+        shape("disk", "back", 2.4, 1, TWO_SIDED, "1 1 -1"),
+        shape("disk", "dark", -2.4, -1, stretch="1 1 -1"),
+        '<shape type="rectangle" id="wall"><transform name="to_world">'
+        f'<matrix value="9 0 1 0 0 9 0 0 -1 0 9 -2 0 0 0 1"/></transform>{TWO_SIDED}</shape>',
+    ]
+)
+RENDER = """
+import sys
+import mitsuba as mi, numpy as np
+mi.set_variant(sys.argv[1])
+scene = mi.load_file(sys.argv[2], optimize=False)
+np.save(sys.argv[3], np.array(mi.render(scene, integrator=mi.load_dict({"type": "direct"}), spp=1))[..., :3])
+"""
+
+
+BEHIND = (  # a wall behind the point light, and behind the camera: it shadows nothing
+    '<shape type="rectangle" id="behind"><transform name="to_world">'
+    '<matrix value="90 0 0 0 0 90 0 0 0 0 1 9 0 0 0 1"/></transform></shape>'
+)
+
+
+@pytest.mark.parametrize(
+    "light", [point_light("1 4 5", "30 20 10") + BEHIND, sun("-0.3 -0.8 -1", "3 2 1")], ids=["point", "sun"]
+)
+@pytest.mark.parametrize("variant", HERE)
+def test_light_times_its_visibility_is_what_the_direct_integrator_renders(tmp_path, variant, light):
+    xml = write(tmp_path, LIT + light)
+    command = [sys.executable, "-c", RENDER, variant, xml, tmp_path / "direct.npy"]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    rendered = np.load(tmp_path / "direct.npy").reshape(-1, 3)
+    sensor = asked(xml, variant, [], [], sensor=True)
+    answer = worker.ask(worker.Job(xml, variant, sensor.sensor_o, sensor.sensor_d, sensor.sensor_t_max))
+    lit = answer.light_rgb[0] * answer.light_visible[0][:, None]
+    assert {"wall", "ball", "egg", "back", "dark"} == {answer.names[k] for k in set(answer.shape)}
+    assert np.sum(~answer.light_visible[0] & answer.light_rgb[0].any(axis=1)) > 100, "nothing is shadowed"
+    assert np.array_equal(lit, rendered)
+
+
+@pytest.mark.parametrize("crop", [None, (3, 5, 7, 4)], ids=["whole", "crop"])
+@pytest.mark.parametrize("variant", HERE)
+def test_the_sensors_rays_are_those_of_the_formula(tmp_path, variant, crop):
+    """A pinhole in float64, its rays starting on the near plane; float32 is off by a few roundings."""
+    width, height, near, far = 33, 20, 0.5, 40.0
+    columns = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    columns *= np.sign(np.linalg.det(columns))
+    eye = np.array([1.5, -2.0, 0.75])
+    matrix = " ".join(repr(float(x)) for x in np.column_stack([columns, eye]).ravel()) + " 0 0 0 1"
+    sensor = (
+        f'<sensor type="perspective"><float name="fov" value="65"/><float name="near_clip" value="{near}"/>'
+        f'<float name="far_clip" value="{far}"/>'
+        f'<transform name="to_world"><matrix value="{matrix}"/></transform>'
+        f"{film(width, height, crop)}</sensor>"
+    )
+    answer = asked(write(tmp_path, sensor), variant, [], [], sensor=True)
+
+    x0, y0, w, h = crop or (0, 0, width, height)
+    y, x = np.mgrid[y0 : y0 + h, x0 : x0 + w] + 0.5
+    t = np.tan(np.radians(65) / 2)
+    local = np.stack(
+        [(1 - 2 * x / width) * t, (1 - 2 * y / height) * t * height / width, np.ones_like(x)], -1
+    )
+    length = np.linalg.norm(local, axis=-1).ravel()
+    d = local.reshape(-1, 3) / length[:, None] @ columns.T
+    assert np.abs(answer.sensor_d - d).max() <= 4 * U
+    assert np.abs(answer.sensor_o - (eye + d * (near * length)[:, None])).max() <= 4 * U * 2.0
+    assert np.abs(answer.sensor_t_max / ((far - near) * length) - 1).max() <= 8 * U
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_the_answer_says_who_gave_it(many, variant):
+    answer = asked(many[0], variant, [[0, 2, 9]], [[0, 0, -1]])
+    assert answer.versions["variant"] == variant
+    assert re.fullmatch(r"\d+\.\d+\.\d+", answer.versions["mitsuba"]) and answer.versions["drjit"]
+    assert (answer.versions["libllvm"] == "none") == (variant == "scalar_rgb")
+    assert 0 < answer.seconds < 60
+
+
+PRINTS = """
+import sys
+from pathlib import Path
+import numpy as np
+from mitsuba_ref import door
+from mitsuba_ref.jobs import Job
+o = np.zeros((1, 3), np.float32)
+try:
+    door.answer(Job(Path(sys.argv[1]), sys.argv[2], o, o + 1, o[:, 0] + 9, sensor=True))
+except RuntimeError as refusal:
+    assert "non-uniform" in str(refusal)
+"""
+
+
+@pytest.mark.parametrize("stretch", ["1 1 1", "2 1 1"], ids=["answered", "refused"])
+@pytest.mark.parametrize("variant", HERE)
+def test_the_door_prints_nothing(tmp_path, variant, stretch):
+    """Its words would be taken for a command's result."""
+    xml = write(tmp_path, shape("sphere", "ball", 0, stretch=stretch))
+    command = [sys.executable, "-c", PRINTS, xml, variant]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert (run.returncode, run.stdout, run.stderr) == (0, "", "")

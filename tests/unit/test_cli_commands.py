@@ -1,0 +1,185 @@
+"""The command `caster` as a whole: its help, its small commands, and how it ends."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import caster
+from caster import exits
+from caster.__main__ import main
+from caster.aovs import BY_NAME
+from caster.commands import COMMANDS, render
+from caster.rendering import DEFAULT_AOVS
+from caster.scene import scene_schema
+from caster.wording import FileMissing, SceneError
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = [command.__name__.rpartition(".")[2] for command in COMMANDS]
+SLOW = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "numpy"}
+
+
+def python(*argv, **options):
+    environment = {"PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"], "CASTER_JIT": "0"}
+    return subprocess.Popen(
+        [sys.executable, *argv],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+# ---- help ----
+
+
+def test_the_commands_are_those_of_the_contract(capsys):
+    assert sorted(NAMES) == ["check", "doctor", "info", "probe", "render", "schema"]
+    assert main(["--help"]) == 0
+    said = capsys.readouterr().out
+    assert all(f"    {name} " in said for name in NAMES) and "exit codes: 0 pass, 2 wrong usage" in said
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_of_a_command_loads_nothing_slow(name):
+    source = (
+        "import sys; from caster.__main__ import main; code = main(sys.argv[1:]); print(code, *sys.modules)"
+    )
+    out, err = python("-c", source, name, "--help").communicate()
+    said, _, last = out.rstrip().rpartition("\n")
+    code, *modules = last.split()
+    assert (code, err) == ("0", "") and said.startswith(f"usage: caster {name}")
+    assert not SLOW & {module.partition(".")[0] for module in modules}
+
+
+def test_help_names_every_aov_and_the_default(capsys):
+    assert render.AOVS.split(", ") == list(BY_NAME)
+    assert tuple(render.DEFAULT.split(",")) == DEFAULT_AOVS
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"caster {caster.__version__}\n"
+
+
+# ---- schema and doctor ----
+
+
+def test_schema_prints_the_schema(capsys):
+    assert main(["schema"]) == 0
+    assert json.loads(capsys.readouterr().out) == scene_schema()
+
+
+def test_doctor_reports_as_text_and_as_json(capsys):
+    assert main(["doctor"]) == 0
+    assert capsys.readouterr().out.endswith("Usable: everything needed was found.\n")
+    assert main(["doctor", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["usable"] is True
+
+
+def test_doctor_ends_with_4_where_something_needed_is_missing(capsys, monkeypatch):
+    from caster import doctor
+
+    missing = doctor.Part("no-such-package", "no_such_package", "1", "nothing")
+    monkeypatch.setattr(doctor, "PARTS", (*doctor.PARTS, missing))
+    assert main(["doctor"]) == 4
+    assert "Not usable without no-such-package." in capsys.readouterr().out
+
+
+# ---- how a command ends ----
+
+
+def failing(error):
+    def command():
+        raise error
+
+    return command
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (SceneError("s.toml:1:1: no"), 2, "s.toml:1:1: no\n"),
+        (FileMissing("no.toml: no"), 4, "no.toml: no\n"),
+        (KeyboardInterrupt(), 130, "interrupted\n"),
+        (MemoryError("Unable to allocate 64. GiB"), 70, "not enough memory: Unable to allocate 64. GiB; "),
+        (PermissionError(13, "Permission denied", "x"), 4, "[Errno 13] Permission denied: 'x'\n"),
+        (SystemExit(2), 2, ""),
+        (SystemExit(0), 0, ""),
+        (SystemExit(None), 0, ""),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",
+)
+def test_an_error_that_was_foreseen_is_one_sentence(capsys, error, code, said):
+    assert exits.run(failing(error)) == code
+    told = capsys.readouterr()
+    assert told.out == "" and told.err.startswith(said) and "Traceback" not in told.err
+    assert told.err.count("\n") == (1 if said else 0)
+
+
+def test_an_error_that_was_not_shows_a_traceback_and_one_line(capsys):
+    assert exits.run(failing(ZeroDivisionError("division by zero"))) == 70
+    told = capsys.readouterr().err.splitlines()
+    assert told[0] == "Traceback (most recent call last):"
+    assert told[-1] == "internal error, please report it: ZeroDivisionError: division by zero"
+
+
+def test_a_command_that_ends_well_hands_on_its_code():
+    assert [exits.run(lambda code=code: code) for code in (0, 1, 3, 5)] == [0, 1, 3, 5]
+
+
+def test_a_reader_that_goes_away_is_no_news():
+    process = python("-m", "caster", "schema")
+    process.stdout.close()  # before anything was written
+    assert (process.wait(), process.stderr.read()) == (exits.PIPE_CLOSED, "")
+    process.stderr.close()
+
+
+def test_a_full_device_is_told(capfd):
+    with open("/dev/full", "w") as full:
+        run = subprocess.run(
+            [sys.executable, "-m", "caster", "schema"],
+            cwd=ROOT,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert (run.returncode, run.stderr) == (4, "standard output: No space left on device\n")
+
+
+def test_a_name_the_terminal_cannot_show_is_escaped(monkeypatch):
+    terminal = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr("sys.stdout", terminal)
+    assert main(["check", "b\u00e4lle.toml"]) == 4
+    terminal.flush()
+    assert terminal.buffer.getvalue().startswith(rb"b\xe4lle.toml: cannot read this scene file")
+
+
+def test_an_interrupted_render_leaves_nothing_and_ends_with_130(tmp_path):
+    """Plain Python needs minutes for this film; the signal comes when the work has begun."""
+    (tmp_path / "s.toml").write_text(
+        '[film]\nwidth = 2048\nheight = 2048\n[camera]\ntype = "panorama"\neye = [0, 0, 0]\n'
+        'direction = [0, 0, 1]\n[[shape]]\ntype = "teapot"\n'
+    )
+    source = (
+        "import sys, caster.rendering as r; from caster.__main__ import main\n"
+        "shoot = r.shoot\n"
+        "def told(*a):\n    print('begun', flush=True)\n    return shoot(*a)\n"
+        "r.shoot = told\n"
+        "sys.exit(main(['render', 's.toml', '--threads', '1']))"
+    )
+    process = python("-c", source, cwd=tmp_path)
+    assert process.stdout.readline() == "begun\n"
+    time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, "interrupted\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]

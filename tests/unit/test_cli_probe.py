@@ -1,0 +1,155 @@
+"""`caster probe`: the pixel it shows is the pixel that render computes."""
+
+import json
+
+import numpy as np
+import pytest
+
+import caster
+from caster.__main__ import main
+from caster.probing import probe
+
+SCENE = """
+[film]
+width = 12
+height = 9
+[camera]
+type = "{camera}"
+eye = [0.3, 0.4, 5]
+look_at = [0, 0, 0]
+[[shape]]
+type = "sphere"
+name = "ball"
+[[shape]]
+type = "plane"
+normal = [0, 1, 0.1]
+offset = -1
+[[shape]]
+type = "cube"
+name = "box"
+to_world = [{{ scale = 0.4 }}, {{ rotate = {{ axis = [1, 2, 3], degrees = 9 }} }},
+    {{ translate = [0.7, 0.3, 1] }}]
+"""
+AOVS = ("depth", "normal", "shading_normal", "position", "uv", "shape_id", "prim_id")
+SURFACE = {"normal": "n", "shading_normal": "sh_n", "position": "p", "uv": "uv"}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write(folder, camera="pinhole"):
+    (folder / "s.toml").write_text(SCENE.format(camera=camera))
+    return caster.load_scene("s.toml")
+
+
+def probed(capsys, x, y, *options):
+    assert main(["probe", "s.toml", str(x), str(y), "--json", *options]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("camera", ["pinhole", "orthographic", "fisheye", "panorama", "parabolic"])
+def test_every_pixel_has_the_bits_of_render(folder, camera):
+    scene = write(folder, camera)
+    images = caster.render(scene, AOVS)
+    assert images.hit.any() and images.hit.all() == (camera == "orthographic")  # which looks at the plane
+    for y, x in np.ndindex(images.hit.shape):
+        found = probe(scene, x, y)
+        assert (found.hit is not None) == images.hit[y, x]
+        if found.hit:
+            assert (found.hit.shape_id, found.hit.prim_id) == (
+                images["shape_id"][y, x],
+                images["prim_id"][y, x],
+            )
+            assert all(np.array_equal(found.surface[key], images[aov][y, x]) for aov, key in SURFACE.items())
+            assert np.float32(found.hit.t) == np.float32(images["depth"][y, x])  # d is of length 1 to an ulp
+
+
+def test_the_nearest_candidate_is_the_hit_and_each_shape_answers_for_itself(folder):
+    scene = write(folder)
+    seen = set()
+    for y, x in np.ndindex(9, 12):
+        found = probe(scene, x, y)
+        alone = {c.shape_id: c.t for c in found.candidates}
+        for k, shape in enumerate(scene.shapes):
+            t = caster.cast(scene.model_copy(update={"shapes": [shape]}), [found.o], [found.d]).t[0]
+            assert alone.get(k, np.inf) == t
+        assert (found.candidates[0] if found.candidates else None) == found.hit
+        assert [c.t for c in found.candidates] == sorted(alone.values())
+        assert found.missed == 3 - len(alone) and found.prims == 14
+        seen.add(len(alone))
+    assert seen == {0, 1, 2, 3}
+
+
+def test_the_hex_numbers_are_the_decimal_ones_to_the_bit(folder, capsys):
+    write(folder)
+    found = probed(capsys, 7, 3)
+
+    def check(table):
+        pairs = [key for key in table if f"{key}_hex" in table]
+        for key in pairs:
+            values, texts = np.ravel(table[key]), np.ravel(table[f"{key}_hex"])
+            assert [float.fromhex(text) for text in texts] == list(values)
+        return len(pairs)
+
+    assert check(found["ray"]) == 3 and found["ray"]["t_max"] is None
+    assert check(found["hit"]) == 5 and all(check(candidate) == 1 for candidate in found["candidates"])
+
+
+def test_json_names_the_shape_and_counts_what_was_tried(folder, capsys):
+    write(folder)
+    found = probed(capsys, 7, 3)
+    assert (found["scene"], found["pixel"], found["film"]) == ("s.toml", [7, 3], [12, 9])
+    assert [(c["shape"], c["type"]) for c in found["candidates"]] == [
+        ("box", "cube"),
+        ("ball", "sphere"),
+        ("shape-1", "plane"),
+    ]
+    assert found["hit"].items() >= found["candidates"][0].items()
+    assert found["tried"] == {"prims": 14, "shapes": 3, "missed": 0}
+
+
+def test_the_text_shows_ray_hit_and_candidates(folder, capsys):
+    scene = write(folder)
+    found = probe(scene, 7, 3)
+    assert main(["probe", "s.toml", "7", "3"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("pixel (7, 3) of s.toml, film 12 x 9\nray    o      0.3  0.4  5.0\n")
+    assert f'hit    shapes[2] (cube "box"), prim {found.hit.prim_id}\n' in said
+    assert repr(found.hit.t) in said and found.hit.t.hex() in said
+    assert "tried  14 primitives of 3 shapes, each shape alone: 0 missed\n" in said
+    assert said.index('shapes[0] (sphere "ball"), prim 0') < said.index("shapes[1] (plane), prim 0")
+
+
+def test_a_miss_is_said_and_no_failure(folder, capsys):
+    write(folder)
+    assert main(["probe", "s.toml", "0", "0"]) == 0
+    assert "miss   nothing lies on this ray\n" in capsys.readouterr().out
+    assert probed(capsys, 0, 0)["hit"] is None
+
+
+def test_a_pixel_without_a_ray_is_said_to_have_none(folder, capsys):
+    write(folder, "fisheye")
+    assert main(["probe", "s.toml", "0", "0"]) == 0
+    assert "no ray: the pixel lies outside the image circle of the fisheye camera" in capsys.readouterr().out
+    found = probed(capsys, 0, 0)
+    assert found["ray"] is None and found["hit"] is None and found["candidates"] == []
+
+
+def test_far_candidates_are_counted_on_the_terminal_and_listed_in_json(folder, capsys):
+    camera = SCENE.partition("[[shape]]")[0].format(camera="pinhole")
+    planes = "".join(f'[[shape]]\ntype = "plane"\noffset = -{k}\n' for k in range(12))
+    (folder / "s.toml").write_text(camera + planes)
+    assert main(["probe", "s.toml", "7", "3"]) == 0
+    said = capsys.readouterr().out
+    assert said.count("(plane), prim 0\n") == 1 + 8 and "and 4 shapes farther away" in said
+    assert len(probed(capsys, 7, 3)["candidates"]) == 12
+
+
+def test_a_size_moves_the_pixels(folder, capsys):
+    write(folder)
+    assert probed(capsys, 22, 10, "--size", "36", "27")["film"] == [36, 27]
+    wide, own = probed(capsys, 22, 10, "--size", "36", "27")["ray"]["d"], probed(capsys, 7, 3)["ray"]["d"]
+    assert np.allclose(wide, own, rtol=0, atol=4 * 2.0**-53)

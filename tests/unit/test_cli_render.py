@@ -1,0 +1,194 @@
+"""`caster render`: what is written is what was computed, the same bytes every time, and whence it came."""
+
+import json
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import caster
+from caster.__main__ import main
+from caster.aovs import AOVS
+from caster.channels import aovs_of
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENE = """
+[film]
+width = 24
+height = 16
+[camera]
+type = "pinhole"
+eye = [0.3, 0.4, 5]
+look_at = [0, 0, 0]
+[[light]]
+type = "point"
+position = [2, 3, 4]
+intensity = [9, 8, 7]
+[[shape]]
+type = "sphere"
+name = "ball"
+[[shape]]
+type = "cube"
+to_world = [{ scale = 0.4 }, { rotate = { axis = [1, 2, 3], degrees = 33 } }, { translate = [1.2, 0.5, 1] }]
+"""
+ALL = ",".join(aov.NAME for aov in AOVS)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text(SCENE)
+    return tmp_path
+
+
+def render(*options):
+    assert main(["render", "s.toml", *options]) == 0
+
+
+def test_every_aov_comes_back_as_the_float32_of_what_was_computed(folder):
+    render("--aov", ALL)
+    exr = caster.read_exr("s.exr")
+    computed = caster.render(caster.load_scene("s.toml"), ALL.split(","))
+    stored = aovs_of(exr.channels)
+    assert set(stored) == set(computed) == set(ALL.split(","))
+    assert 60 < computed.hit.sum() < computed.hit.size - 60
+    for name, image in computed.items():
+        narrow = image if image.dtype == np.int32 else image.astype(np.float32)
+        assert np.array_equal(stored[name], narrow), name
+
+
+def test_the_default_is_the_scenes_name_in_this_folder_and_four_aovs(folder, capsys):
+    (folder / "deep").mkdir()
+    (folder / "deep" / "t.toml").write_text(SCENE)
+    assert main(["render", "deep/t.toml"]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("t.exr: 24 x 16 pixels, ") and said.out.endswith(
+        "; hit, depth, normal, diffuse\n"
+    )
+    assert said.err == ""
+    assert set(caster.read_exr("t.exr").channels) == {
+        "A",
+        "depth.Z",
+        "normal.X",
+        "normal.Y",
+        "normal.Z",
+        *"RGB",
+    }
+
+
+def test_two_renders_have_the_same_bytes_on_any_number_of_threads(folder):
+    for threads in ("1", "2", "5"):
+        render("--aov", ALL, "--threads", threads, "-o", f"{threads}.exr")
+    render("--aov", ALL, "-o", "again.exr")
+    images = {path.read_bytes() for path in folder.glob("*.exr")}
+    assert len(list(folder.glob("*.exr"))) == 4 and len(images) == 1
+
+
+def test_threads_are_as_many_as_asked_for(folder, monkeypatch):
+    pools = []
+
+    def pool(count):
+        pools.append(count)
+        return ThreadPoolExecutor(count)
+
+    monkeypatch.setattr("caster.casting.ThreadPoolExecutor", pool)
+    render("--threads", "3")
+    assert set(pools) == {3}
+    pools.clear()
+    render("--threads", "1")
+    assert pools == []
+
+
+def test_a_crop_is_cut_out_of_the_whole_picture_bit_by_bit(folder):
+    render("--aov", ALL, "-o", "whole.exr")
+    render("--aov", ALL, "--crop", "5", "3", "17", "11", "-o", "part.exr")
+    whole, part = caster.read_exr("whole.exr"), caster.read_exr("part.exr")
+    assert part.data_window == (5, 3, 17, 11) and part.display_window == whole.display_window == (
+        0,
+        0,
+        24,
+        16,
+    )
+    assert part.channels["A"].any() and not part.channels["A"].all()
+    for name, image in whole.channels.items():
+        assert np.array_equal(part.channels[name], image[3:11, 5:17]), name
+
+
+def test_another_size_is_the_same_view_in_other_pixels(folder):
+    render("--size", "72", "48", "--aov", "depth", "-o", "large.exr")
+    render("--aov", "depth", "-o", "small.exr")
+    large, small = caster.read_exr("large.exr").channels, caster.read_exr("small.exr").channels
+    assert large["depth.Z"].shape == (48, 72)
+    assert np.allclose(large["depth.Z"][1::3, 1::3], small["depth.Z"], rtol=4 * 2.0**-24, atol=0)
+
+
+def test_the_file_says_where_it_comes_from(folder):
+    render("--size", "6", "4")
+    scene = caster.load_scene("s.toml").with_film(width=6, height=4)
+    assert caster.read_exr("s.exr").provenance == {
+        "caster/version": caster.__version__,
+        "caster/scene": "s.toml",
+        "caster/scene_json": scene.canonical_json(),
+        "caster/scene_sha256": scene.sha256(),
+        "caster/depth": "distance from the eye along the ray, scene units; inf on a miss",
+    }
+
+
+def test_a_scene_path_that_is_no_unicode_is_stored_as_near_as_can_be(folder):
+    (folder / "s\udcff.toml").write_text(SCENE)
+    assert main(["render", "s\udcff.toml", "--size", "4", "4", "-o", "x.exr"]) == 0
+    assert caster.read_exr("x.exr").provenance["caster/scene"] == "s?.toml"
+
+
+def test_explain_tells_the_plan_and_what_was_left_out(folder, capsys):
+    render("--explain", "--aov", "depth")
+    told = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert told["culling"].startswith("screen: ")
+    assert told["surfaces"] == "skipped: no AOV asked for needs them"
+    assert told["shadow"] == "rays  skipped: diffuse was not asked for"
+    assert told["skipped"].split(", ") == [aov.NAME for aov in AOVS if aov.NAME != "depth"]
+
+
+def test_explain_tells_of_trees_surfaces_and_shadows_where_there_are_any(folder, capsys):
+    bent = SCENE.replace('"pinhole"', '"fisheye"')
+    (folder / "s.toml").write_text(bent)
+    render("--explain")
+    said = capsys.readouterr().out
+    assert "culling      bvh: " in said and "triangles, 12: a tree of 7 boxes" in said
+    assert "hits: position, normals, uv" in said
+    assert "shadow rays  from each hit to the lights it faces (of 1), through trees of boxes" in said
+    (folder / "s.toml").write_text(bent + "[shading]\nshadows = false\n")
+    render("--explain")
+    assert "shadow rays  skipped: the scene switches shadows off" in capsys.readouterr().out
+
+
+def test_an_empty_scene_is_a_picture_of_misses(folder, capsys):
+    (folder / "s.toml").write_text(SCENE.partition("[[shape]]")[0])
+    render("--aov", ALL, "--explain")
+    assert "none: every ray misses" in capsys.readouterr().out
+    exr = caster.read_exr("s.exr")
+    assert not exr.channels["A"].any() and (exr.channels["depth.Z"] == np.inf).all()
+
+
+def test_info_tells_what_was_rendered(folder, capsys):
+    render("--aov", "depth,shape_id")
+    hits = int(caster.read_exr("s.exr").channels["A"].sum())
+    capsys.readouterr()
+    assert main(["info", "s.exr", "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert (info["width"], info["height"], info["hit_pixels"], info["warnings"]) == (24, 16, hits, [])
+    assert main(["info", "s.exr"]) == 0
+    assert f"hit pixels: {hits} of 384" in capsys.readouterr().out
+
+
+def test_the_process_writes_the_bytes_that_the_function_writes(folder):
+    render("--size", "8", "6", "-o", "here.exr")
+    command = [sys.executable, "-m", "caster", "render", "s.toml", "--size", "8", "6", "-o", "there.exr"]
+    environment = {"PYTHONPATH": str(ROOT), "CASTER_JIT": "0"}
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout.startswith("there.exr: 8 x 6 pixels, ")
+    assert (folder / "here.exr").read_bytes() == (folder / "there.exr").read_bytes()
