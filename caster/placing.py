@@ -6,6 +6,7 @@ those numbers traces the same geometry bit for bit. What follows from them (inve
 either way.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -33,6 +34,13 @@ def is_similarity(linear: np.ndarray) -> bool:
     gram = linear.T @ linear
     size = np.trace(gram) / 3.0
     return bool(np.all(np.abs(gram - size * np.eye(3)) <= SIMILARITY_RTOL * size))
+
+
+def size_of_similarity(linear: np.ndarray) -> float:
+    """By how much such a matrix stretches; exact for a mere scale, and it doubles exactly where that doubles."""
+    largest = float(np.abs(linear).max())
+    ratios = linear / largest
+    return largest * math.sqrt(float((ratios * ratios).sum()) / 3.0)
 
 
 def is_mirrored(matrix: np.ndarray) -> bool:

@@ -25,6 +25,26 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         _begun(target).unlink()
 
 
+def check_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder, made if need be. Raises OutputError if it cannot be."""
+    folder = Path(path)
+    with _refused(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """A text file, whole or not at all. Raises OutputError."""
+    with written_aside(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """The same for bytes."""
+    with written_aside(path) as part:
+        part.write_bytes(content)
+
+
 @contextlib.contextmanager
 def written_aside(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A new file beside `path`, moved onto it if the body succeeds, gone if it does not.

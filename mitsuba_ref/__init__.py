@@ -1,1 +1,35 @@
-"""The judge: the same scene and the same rays given to Mitsuba 3, every pixel compared within a derived bound."""
+"""The judge: the same scene and the same rays given to Mitsuba 3, every pixel compared within a derived bound.
+
+The names below are imported when they are first used, so that `import mitsuba_ref` loads no compiler.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mitsuba_ref.exr_compare import Tolerances, compare_exr
+    from mitsuba_ref.reference_render import render_reference
+    from mitsuba_ref.validation import validate
+    from mitsuba_ref.verdict import SceneVerdict, Verdict
+
+__all__ = ["SceneVerdict", "Tolerances", "Verdict", "compare_exr", "render_reference", "validate"]
+
+_HOMES = {
+    "SceneVerdict": "verdict",
+    "Tolerances": "exr_compare",
+    "Verdict": "verdict",
+    "compare_exr": "exr_compare",
+    "render_reference": "reference_render",
+    "validate": "validation",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'mitsuba_ref' has no attribute '{name}'")
+    value = globals()[name] = getattr(import_module(f"mitsuba_ref.{_HOMES[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

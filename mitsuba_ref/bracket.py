@@ -72,6 +72,12 @@ class Bracket:
             certain[found.ray[np.isfinite(latest_hits(found, t_max))]] = True
         return possible, certain
 
+    def possible_hits(self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray) -> Found:
+        """Every possible meeting of some rays, few enough to be held at once."""
+        found = [self._meet(ray, prim, o, d, t_max) for ray, prim in self.candidates.pairs(o, d)]
+        at = Meetings(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
+        return Found(np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at)
+
     def _meet(
         self, ray: np.ndarray, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t_max: np.ndarray
     ) -> Found:

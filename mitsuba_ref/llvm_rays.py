@@ -51,7 +51,7 @@ def _shapes(mi: Any, dr: Any, scene: Any, si: Any, rays: int) -> np.ndarray:
     """Places in scene.shapes(). Dr.Jit numbers shapes in an order of its own, from 1; 0 is no shape."""
     shape, instance = (dr.reinterpret_array(mi.UInt32, pointer) for pointer in (si.shape, si.instance))
     numbers = _column(dr.select(instance != 0, instance, shape), rays, np.uint32)
-    known = np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr()), np.uint32)
+    known = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
     place = np.full(max(numbers.max(initial=0), known.max(initial=0)) + 1, -1, np.int32)
     place[known] = np.arange(len(known))
     place[0] = -1
@@ -74,7 +74,7 @@ def _columns(mi: Any, rows: np.ndarray) -> list[Any]:
 
 def _column(values: Any, rays: int, dtype: type = np.float32) -> np.ndarray:
     """One number for each ray; Dr.Jit keeps a single one where all are the same."""
-    return np.broadcast_to(np.array(values, dtype), (rays,)).copy()
+    return np.broadcast_to(values.numpy().astype(dtype, copy=False), (rays,)).copy()
 
 
 def _rows(vector: Any, rays: int) -> np.ndarray:

@@ -12,6 +12,7 @@ from mitsuba_ref.jobs import Crash
 from mitsuba_ref.judge import CODE, Judge, Judgement
 from mitsuba_ref.model import model_of
 from mitsuba_ref.pair import Pair, our_view, pair_up
+from mitsuba_ref.pictures import write_pictures
 from mitsuba_ref.pixels import flat
 from mitsuba_ref.rays import share
 from mitsuba_ref.reference import consult
@@ -32,9 +33,14 @@ def validate(scene: Scene | str | Path, *, timeout: float = DEFAULT_TIMEOUT) -> 
 
 
 def validate_scene(
-    scene: Scene, name: str, path: str = "", *, timeout: float = DEFAULT_TIMEOUT
+    scene: Scene,
+    name: str,
+    path: str = "",
+    *,
+    folder: Path | None = None,
+    timeout: float = DEFAULT_TIMEOUT,
 ) -> SceneVerdict:
-    """The verdict of one scene that is loaded."""
+    """The verdict of one scene that is loaded. folder: where the pictures of both sides go."""
     start = time.perf_counter()
     rays = share(scene)
     view = our_view(scene, rays)
@@ -48,6 +54,8 @@ def validate_scene(
         return SceneVerdict(name, path, len(rays.o), checks=checks, problem=problem, seconds=seconds, size=size)
     pair = pair_up(scene, rays, view, witness)
     judgement = Judge(scene, model, pair).judge()
+    if folder:
+        write_pictures(folder, name, scene, pair, judgement)
     return SceneVerdict(
         name,
         path,

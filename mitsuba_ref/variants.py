@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from caster.wording import SceneError
 from mitsuba_ref.smoke_test import smoke_test
 
 SCALAR, LLVM = KNOWN = ("scalar_rgb", "llvm_ad_rgb")
@@ -35,7 +36,7 @@ LIBRARIES = (
 )
 
 
-class VariantError(ValueError):
+class VariantError(SceneError):
     """The variant that was chosen does not exist or does not work here."""
 
 

@@ -43,7 +43,8 @@ class SceneVerdict:
     seconds: float = 0.0
     reference_seconds: float = 0.0
     problem: str = ""  # why there is no comparison at all: a crash of the reference, with its words
-    size: tuple[int, int] = (0, 0)
+    size: tuple[int, int] = (0, 0)  # of the film
+    resized: bool = False  # another film than the scene's own
 
     @property
     def ok(self) -> bool:
@@ -62,6 +63,7 @@ class SceneVerdict:
             "path": self.path,
             "ok": self.ok,
             "size": list(self.size),
+            "resized": self.resized,
             "pixels": self.pixels,
             "hit_pixels": self.hit_pixels,
             "counts": self.counts,
@@ -86,20 +88,32 @@ class Verdict:
     """What became of all of them."""
 
     scenes: tuple[SceneVerdict, ...]
+    asked: int = 1  # how many scenes were to be judged
 
     @property
     def ok(self) -> bool:
-        """Every scene passes; no scene at all does not."""
-        return bool(self.scenes) and all(scene.ok for scene in self.scenes)
+        """Every scene that was asked for is there and passes; no scene at all is no pass."""
+        return len(self.scenes) == self.asked > 0 and all(scene.ok for scene in self.scenes)
 
     @property
     def counts(self) -> dict[str, int]:
         """Hit pixels of all scenes by class."""
         return {name: sum(scene.counts[name] for scene in self.scenes) for name in CLASSES}
 
+    @property
+    def versions(self) -> tuple[str, ...]:
+        """What judged them, each once."""
+        said = [", ".join(f"{k} {v}" for k, v in scene.versions.items()) for scene in self.scenes]
+        return tuple(dict.fromkeys(filter(None, said)))
+
     def to_dict(self) -> dict[str, Any]:
         """As verdict.json has it."""
-        return {"ok": self.ok, "counts": self.counts, "scenes": [scene.to_dict() for scene in self.scenes]}
+        return {
+            "ok": self.ok,
+            "asked": self.asked,
+            "counts": self.counts,
+            "scenes": [scene.to_dict() for scene in self.scenes],
+        }
 
 
 def pixel_of(scene: Scene, i: int) -> tuple[int, int]:

@@ -11,6 +11,7 @@ import numpy as np
 from caster.fields import Shape
 from caster.materials import Diffuse
 from caster.scene import Scene
+from caster.whole_files import check_folder, write_bytes, write_text
 from mitsuba_ref.ply import ply_bytes
 
 # typeshed tells elements and comments apart by what their tag is; a document holds both.
@@ -30,12 +31,12 @@ class Export:
     notes: list[str]
 
     def write(self, folder: Path, name: str = "scene.xml") -> Path:
-        """Write everything into a folder, which is made; return the path of the XML."""
-        folder.mkdir(parents=True, exist_ok=True)
+        """Write everything into a folder, which is made; return the path of the XML. Raises OutputError."""
+        check_folder(folder)
         for file, content in self.meshes.items():
-            (folder / file).parent.mkdir(exist_ok=True)
-            (folder / file).write_bytes(content)
-        (folder / name).write_text(self.xml, encoding="utf-8")
+            check_folder((folder / file).parent)
+            write_bytes(folder / file, content)
+        write_text(folder / name, self.xml)
         return folder / name
 
 

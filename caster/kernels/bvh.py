@@ -20,7 +20,7 @@ STACK_SIZE = (
 FAR_PADDING = 1.0 + 2.0 * (3.0 * 2.0**-53) / (1.0 - 3.0 * 2.0**-53)
 
 # The intersection tests round too, so a ray may be counted as a hit that passes a primitive at a distance of
-# a few u (|o| + extent): 3 u per sheared corner of a triangle, about 8 u for the closest approach to a ball.
+# a few u (|o| + extent): 6 u per sheared corner of a triangle, about 8 u for the closest approach to a ball.
 # Rays are widened by 16 u (|o| + extent), times the condition number of the kind's matrices if it has any.
 REACH = 16.0 * 2.0**-53
 

@@ -21,7 +21,7 @@ from caster.kernels.vec import (
     turned_back,
     unit,
 )
-from caster.placing import Rounding, affine_arrays, is_similarity
+from caster.placing import Rounding, affine_arrays, is_similarity, size_of_similarity
 
 
 class Spheres(NamedTuple):
@@ -52,7 +52,7 @@ class Sphere(Shape):
         center = linear @ np.array(self.center) + self.matrix[:3, 3]
         if not is_similarity(linear):
             return Ellipsoids(*affine_arrays(center, self.radius * linear, rounded))
-        scale = abs(np.linalg.det(linear)) ** (1.0 / 3.0) if self.to_world else 1.0
+        scale = size_of_similarity(linear)
         turn = linear.T / scale
         return Spheres(rounded(center[None]), rounded(np.array([scale * self.radius])), rounded(turn[None]))
 

@@ -176,12 +176,13 @@ def test_the_child_goes_with_the_one_that_asked(ball, in_place_of_mitsuba, tmp_p
     pid = int((tmp_path / "pid").read_text())
     asking.send_signal(how)
     words = asking.communicate(timeout=30)[1]
-    if how == signal.SIGINT:
-        assert b"KeyboardInterrupt" in words and gone(pid)
-        assert list((tmp_path / "asked").iterdir()) == []
-    else:  # nobody was left to kill its group, but the worker itself went
+    try:
         wait_for(lambda: gone(pid))
-        os.killpg(pid, signal.SIGKILL)
+    finally:  # where nobody was left to do it
+        child._kill(pid)
+    if how == signal.SIGINT:
+        assert b"KeyboardInterrupt" in words
+        assert list((tmp_path / "asked").iterdir()) == []
 
 
 @pytest.mark.parametrize(

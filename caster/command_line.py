@@ -1,0 +1,37 @@
+"""Commands under one name: `caster` and `mitsuba-ref` are made of it."""
+
+import argparse
+from collections.abc import Sequence
+from types import ModuleType
+
+from caster import __version__, exits
+
+
+def main(
+    name: str, about: str, commands: Sequence[ModuleType], codes: Sequence[int], argv: Sequence[str] | None
+) -> int:
+    """Run one of the commands; its exit code. codes: those that --help explains."""
+
+    def run() -> int:
+        args = parser(name, about, commands, codes).parse_args(argv)
+        return int(args.run(args))
+
+    return exits.run(run)
+
+
+def parser(
+    name: str, about: str, commands: Sequence[ModuleType], codes: Sequence[int]
+) -> argparse.ArgumentParser:
+    """What may be typed."""
+    epilog = exits.explained(*codes)
+    top = argparse.ArgumentParser(name, description=about, epilog=epilog, allow_abbrev=False)
+    top.add_argument("--version", action="version", version=f"{name} {__version__}")
+    group = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for command in commands:
+        word = command.__name__.rpartition(".")[2]
+        sub = group.add_parser(
+            word, help=command.HELP, description=command.HELP, epilog=epilog, allow_abbrev=False
+        )
+        command.add_arguments(sub)
+        sub.set_defaults(run=command.run)
+    return top

@@ -1,0 +1,68 @@
+"""Many scenes, several at a time; what is done is kept when somebody stops it."""
+
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from caster.scene import Scene
+from mitsuba_ref import child
+from mitsuba_ref.validation import validate_scene
+from mitsuba_ref.verdict import SceneVerdict
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A scene that is about to be validated."""
+
+    scene: Scene
+    name: str
+    path: str
+    resized: bool = False  # by --size, which a replay has to repeat
+
+
+def default_workers() -> int:
+    """Half the work of a scene is another process's, so one worker for each core."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run(
+    entries: Sequence[Entry],
+    workers: int,
+    maxfail: int | None = None,
+    folder: Path | None = None,
+    judge: Callable[[Entry, Path | None], SceneVerdict] | None = None,
+) -> Iterator[SceneVerdict]:
+    """Verdicts in the order of the entries; at most maxfail that fail. folder: where pictures of both sides go."""
+    judge = judge or _judge
+    stop = threading.Event()
+
+    def work(entry: Entry) -> SceneVerdict | None:
+        return None if stop.is_set() else judge(entry, folder)
+
+    pool = ThreadPoolExecutor(max(1, workers))
+    failed = 0
+    try:
+        futures: list[Future[SceneVerdict | None]] = [pool.submit(work, entry) for entry in entries]
+        for future in futures:
+            verdict = future.result()
+            assert verdict is not None  # only after a stop, and then nobody asks
+            yield verdict
+            failed += not verdict.ok
+            if maxfail is not None and failed >= maxfail:
+                return
+    finally:
+        stop.set()
+        pool.shutdown(wait=False, cancel_futures=True)
+        child.stop_all()
+        pool.shutdown(wait=True)
+
+
+def _judge(entry: Entry, folder: Path | None) -> SceneVerdict:
+    try:
+        verdict = validate_scene(entry.scene, entry.name, entry.path, folder=folder)
+    except LookupError as missing:  # a shape or camera without a reference
+        verdict = SceneVerdict(entry.name, entry.path, problem=str(missing))
+    return replace(verdict, resized=entry.resized)

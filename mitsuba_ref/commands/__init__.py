@@ -1,0 +1,7 @@
+"""The registry of commands, in the order of `mitsuba-ref --help`; see caster/commands for what one is."""
+
+from types import ModuleType
+
+from mitsuba_ref.commands import compare, doctor, export, probe, render, validate
+
+COMMANDS: tuple[ModuleType, ...] = (validate, render, export, compare, probe, doctor)

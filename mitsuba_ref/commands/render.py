@@ -1,0 +1,60 @@
+"""`mitsuba-ref render`: a reference EXR, along our rays, in our channels."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from caster import __version__
+from caster.commands.scene_arguments import add_scene, load
+from caster.exits import DIFFERENCES, OK
+from caster.wording import SceneError, suggestion
+
+if TYPE_CHECKING:
+    from caster.rendering import Aovs
+    from caster.scene import Scene
+
+HELP = "render a scene with Mitsuba to an EXR file, along the rays that our caster traces"
+DEFAULT = "hit,depth,normal,shading_normal,position,uv,albedo,diffuse,shape_id,prim_id"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_scene(parser)
+    add = parser.add_argument
+    add("-o", "--output", metavar="REF.exr", required=True)
+    add("--aov", metavar="A,B,...", default=DEFAULT, help=f"of {DEFAULT.replace(',', ', ')}; default: all")
+    add("--variant", metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask Mitsuba, write, say what was written; 1 when Mitsuba ends without an answer."""
+    names = tuple(dict.fromkeys(args.aov.split(",")))
+    for name in names:
+        if name not in DEFAULT.split(","):
+            raise SceneError(f"--aov {name!r}: unknown{suggestion(name, DEFAULT.split(','))}")
+    scene = load(args)
+    from caster.whole_files import check_writable
+    from mitsuba_ref.jobs import Crash
+    from mitsuba_ref.reference_render import render_reference
+
+    check_writable(args.output)
+    rendered = render_reference(scene, names, variant=args.variant)
+    if isinstance(rendered, Crash):
+        print(f"{args.scene}: Mitsuba ended without an answer ({rendered.exit}): {rendered.words}")
+        return DIFFERENCES
+    write(args.output, scene, *rendered, path=args.scene)
+    height, width = rendered[0].hit.shape
+    print(f"{args.output}: {width} x {height} pixels, {int(rendered[0].hit.sum())} hit; {', '.join(names)}")
+    print(", ".join(f"{name} {version}" for name, version in rendered[1].items()))
+    return OK
+
+
+def write(output: str, scene: Scene, images: Aovs, versions: dict[str, str], *, path: str) -> None:
+    """The file: channels, where they lie on the film, and where they come from."""
+    from caster.channels import channels_of, provenance
+    from caster.exr import write_exr
+
+    about = provenance(scene, __version__, path)
+    about |= {f"caster/reference/{name}": version for name, version in versions.items()}
+    film = (0, 0, scene.film.width, scene.film.height)
+    write_exr(output, channels_of(images), about, data_window=scene.film.window, display_window=film)

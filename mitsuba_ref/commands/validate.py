@@ -1,0 +1,137 @@
+"""`mitsuba-ref validate`: the main job, scene by scene."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from caster.commands.scene_arguments import add_mesh_dirs, blamed_on
+from caster.exits import DIFFERENCES, INTERRUPTED, NOTHING_SELECTED, OK
+from caster.wording import SceneError
+
+if TYPE_CHECKING:
+    from mitsuba_ref.campaign import Entry
+    from mitsuba_ref.verdict import SceneVerdict, Verdict
+
+HELP = "compare our caster with Mitsuba on scenes: every pixel gets a class, the exit code says pass or fail"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("scenes", metavar="SCENE|DIR", nargs="*", default=["scenes"], help="default: the folder scenes")
+    add("-k", metavar="EXPR", dest="expression", help="scenes whose name fits, such as 'mesh and not teapot'")
+    add("-j", metavar="N", dest="workers", type=count, help="scenes at a time; default: one a core")
+    add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scenes' own")
+    add("--out", metavar="DIR", help="write verdict.json and both sides' EXR files into this folder")
+    add("--json", metavar="FILE", help="write the verdict as JSON")
+    add("--junit", metavar="FILE", help="write the verdict as JUnit XML")
+    add("--maxfail", metavar="N", type=count, help="stop after so many scenes that fail")
+    add_mesh_dirs(parser)
+
+
+def count(text: str) -> int:
+    """A whole number >= 1, or an error in argparse's way."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number >= 1, got '{text}'")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Validate what was selected; 0 all pass, 1 some do not, 5 nothing was selected, 130 interrupted."""
+    entries = selected(args)
+    if not entries:
+        print("nothing selected: no scene fits", file=sys.stderr)
+        return NOTHING_SELECTED
+    check_outputs(args)
+    from mitsuba_ref import variants
+
+    variants.variant_for(has_quadrics=False)  # a wrong choice of variant is said before any work
+    start = time.perf_counter()
+    done: list[SceneVerdict] = []
+    interrupted = False
+    try:
+        work_through(entries, args, done)
+    except KeyboardInterrupt:
+        interrupted = True
+    from mitsuba_ref.verdict import Verdict
+
+    verdict = Verdict(tuple(done), asked=len(entries))
+    report(verdict, args, time.perf_counter() - start)
+    if interrupted:
+        print("interrupted; what is above is kept", file=sys.stderr)
+        return INTERRUPTED
+    return OK if verdict.ok else DIFFERENCES
+
+
+def selected(args: argparse.Namespace) -> list[Entry]:
+    """The scenes, loaded. Raises SceneError with all that is wrong with all of them."""
+    from mitsuba_ref.selection import matching, scene_files
+
+    fits = matching(args.expression)
+    files = [file for file in scene_files(args.scenes) if fits(Path(file).stem)]
+    entries, errors = [], []
+    for file in files:
+        try:
+            entries.append(entry(file, args))
+        except SceneError as error:
+            errors.append(error)
+    if errors:
+        worst = min(errors, key=lambda error: error.exit_code)
+        raise type(worst)("\n".join(map(str, errors)))
+    return entries
+
+
+def entry(file: str, args: argparse.Namespace) -> Entry:
+    from caster.scene_files import load_scene
+    from mitsuba_ref.campaign import Entry
+
+    scene = load_scene(file, args.mesh_dir)
+    if args.size:
+        with blamed_on("--size", *args.size):
+            scene = scene.with_film(width=args.size[0], height=args.size[1])
+    return Entry(scene, Path(file).stem, file, resized=bool(args.size))
+
+
+def check_outputs(args: argparse.Namespace) -> None:
+    """Raise OutputError now, and not after all the work."""
+    from caster.whole_files import check_folder, check_writable
+
+    if args.out:
+        check_folder(args.out)
+    for path in filter(None, (args.json, args.junit)):
+        check_writable(path)
+
+
+def work_through(entries: Sequence[Entry], args: argparse.Namespace, done: list[SceneVerdict]) -> None:
+    """Print a row for each scene as soon as it and those before it are done."""
+    from mitsuba_ref import campaign, table
+
+    width = max(len(each.name) for each in entries)
+    print(table.head(width), flush=True)
+    folder = Path(args.out) if args.out else None
+    workers = args.workers or campaign.default_workers()
+    for verdict in campaign.run(entries, workers, args.maxfail, folder=folder):
+        done.append(verdict)
+        print(table.row(verdict, width), flush=True)
+
+
+def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
+    """What failed and why, the summary, and the files that were asked for."""
+    from caster.whole_files import write_text
+    from mitsuba_ref import table
+    from mitsuba_ref.junit import junit
+
+    for scene in verdict.scenes:
+        if not scene.ok:
+            print(f"\n{table.failure(scene)}")
+    print(f"\n{table.summary(verdict, seconds)}")
+    text = json.dumps(verdict.to_dict(), indent=1, allow_nan=False) + "\n"
+    for path in filter(None, (args.json, args.out and Path(args.out) / "verdict.json")):
+        write_text(path, text)
+    if args.junit:
+        write_text(args.junit, junit(verdict))

@@ -1,0 +1,28 @@
+"""A verdict as JUnit XML, which continuous integration servers read."""
+
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from mitsuba_ref.table import failure
+from mitsuba_ref.verdict import CLASSES, Verdict
+
+
+def junit(verdict: Verdict) -> str:
+    """One test case a scene; a failing one holds what the terminal says of it."""
+    failed = [scene for scene in verdict.scenes if not scene.ok]
+    suite = Element("testsuite", name="mitsuba-ref validate", tests=str(len(verdict.scenes)), failures=str(len(failed)))
+    suite.set("errors", "0")
+    suite.set("time", f"{sum(scene.seconds for scene in verdict.scenes):.3f}")
+    for scene in verdict.scenes:
+        case = SubElement(suite, "testcase", classname="scenes", name=scene.name, time=f"{scene.seconds:.3f}")
+        if not scene.ok:
+            text = failure(scene)
+            SubElement(case, "failure", message=printable(text.splitlines()[0])).text = printable(text)
+        counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
+        SubElement(case, "system-out").text = printable(f"hit={scene.hit_pixels} {counts} {scene.versions}")
+    indent(suite)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(suite, encoding="unicode") + "\n"
+
+
+def printable(text: str) -> str:
+    """Without the control characters that XML forbids."""
+    return "".join(c if c in "\n\t" or c.isprintable() else "\ufffd" for c in text)

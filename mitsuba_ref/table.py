@@ -1,0 +1,86 @@
+"""A verdict for the terminal: one row a scene, and where to look where one fails."""
+
+import shlex
+from collections.abc import Iterator
+
+from mitsuba_ref.verdict import CLASSES, UNDECIDED, SceneVerdict, Verdict
+
+WORDS_SHOWN = 12  # lines of what Mitsuba said when it ended without an answer
+
+
+def head(width: int) -> str:
+    classes = "  ".join(f"{name.replace('_', ' '):>9}" for name in CLASSES)
+    return f"      {'scene':<{width}}  {'size':>9}  {'hit':>8}  {classes}  {'worst ratio to its bound':<24}  seconds"
+
+
+def row(scene: SceneVerdict, width: int) -> str:
+    """PASS or FAIL, how many hit pixels in which class, the check that came nearest to its bound."""
+    mark = "PASS" if scene.ok else "FAIL"
+    size = f"{scene.size[0]}x{scene.size[1]}"
+    classes = "  ".join(
+        f"{scene.counts[name]:>{max(9, len(name))}}" for name in CLASSES
+    )
+    check, ratio = scene.worst
+    worst = f"{ratio:.2f} {check}" if check else ""
+    return f"{mark}  {scene.name:<{width}}  {size:>9}  {scene.hit_pixels:>8}  {classes}  {worst:<24}  {scene.seconds:7.1f}"
+
+
+def failure(scene: SceneVerdict) -> str:
+    """How many, how far, where to look, and the next command."""
+    return "\n".join(_failure_lines(scene))
+
+
+def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
+    if scene.problem:
+        yield from _problem_lines(scene)
+    for check in scene.checks:
+        if not check.ok:
+            yield f"FAIL  {scene.name}  {check.name}: {check.ratio:.3g}x its bound; {check.what}"
+    if scene.failures:
+        first = scene.failures[0]
+        count, hit = scene.counts[UNDECIDED], scene.hit_pixels
+        yield (
+            f"FAIL  {scene.name}  {first.check}: {count} of {hit} hit pixels undecided, "
+            f"worst {first.ratio:.3g}x its bound at ({first.x}, {first.y})"
+        )
+        yield f"      ours:      {first.ours}"
+        yield f"      reference: {first.reference}"
+        yield f"      why:       {first.reason}"
+        yield f"      replay:    {replay(scene, first.x, first.y)}"
+
+
+def _problem_lines(scene: SceneVerdict) -> Iterator[str]:
+    first, *rest = scene.problem.splitlines()
+    yield f"FAIL  {scene.name}  {first}"
+    yield from (f"      {line}" for line in rest[:WORDS_SHOWN])
+
+
+def replay(scene: SceneVerdict, x: int, y: int) -> str:
+    """The command that shows one pixel again."""
+    size = f" --size {scene.size[0]} {scene.size[1]}" if scene.resized else ""
+    return f"mitsuba-ref probe {shlex.quote(scene.path or 'SCENE')} {x} {y}{size}"
+
+
+def summary(verdict: Verdict, seconds: float) -> str:
+    """All scenes in three lines."""
+    passed = sum(scene.ok for scene in verdict.scenes)
+    counts = verdict.counts
+    total = sum(counts.values()) or 1
+    shares = ", ".join(f"{counts[name]} {name.replace('_', ' ')} ({share(counts[name], total)})" for name in CLASSES)
+    lines = [
+        f"{verdict.asked} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
+        f"{_not_run(verdict)}, in {seconds:.1f} s",
+        f"hit pixels: {shares}",
+    ]
+    return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
+
+
+def _not_run(verdict: Verdict) -> str:
+    left = verdict.asked - len(verdict.scenes)
+    return f", {left} not judged" if left else ""
+
+
+def share(count: int, total: int) -> str:
+    """A percentage that says 100 only when it is all."""
+    percent = 100.0 * count / total
+    return f"{percent:.4f} %" if 0 < count < total else f"{percent:.0f} %"

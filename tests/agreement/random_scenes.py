@@ -1,0 +1,72 @@
+"""Random shapes, cameras and scenes for every entry of the registries."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from random_fields import Rng, direction, own_fields, point
+
+from caster.fields import Camera, Shape
+from caster.scene import Film, Scene
+
+FILM = (37, 23)  # odd and oblong, so that a mix-up of width and height, or a lost last row, shows
+MATERIALS = {"one": {"reflectance": (0.3, 0.6, 0.9)}, "both": {"two_sided": True}}
+
+
+def random_place(rng: Rng, size: float, middle: np.ndarray) -> list[dict[str, Any]]:
+    """to_world of something about as large as 1: perhaps stretched unevenly or mirrored, turned, moved."""
+    stretch = size * 10.0 ** rng.uniform(-0.6, 0.2, 3 if rng.random() < 0.5 else 1)
+    mirrored = rng.choice([-1.0, 1.0], 3)
+    turn = {"axis": direction(rng), "degrees": rng.uniform(0.0, 360.0)}
+    return [{"scale": stretch * mirrored}, {"rotate": turn}, {"translate": middle + point(rng, size)}]
+
+
+def random_shape(cls: type[Shape], rng: Rng, size: float = 1.0, middle: Any = (0.0, 0.0, 0.0)) -> Shape:
+    """A shape of this kind somewhere within about `size` of `middle`."""
+    material = str(rng.choice(["", *MATERIALS]))
+    place = random_place(rng, size, np.array(middle))
+    return cls(**own_fields(cls, rng, 1.0), material=material, to_world=place)
+
+
+def random_camera(cls: type[Camera], rng: Rng, size: float = 1.0, middle: Any = (0.0, 0.0, 0.0)) -> Camera:
+    """A camera that looks at about `middle`, from outside or from between the shapes."""
+    away = size * rng.uniform(0.2, 2.5)
+    eye = np.array(middle) + away * direction(rng)
+    target = np.array(middle) + point(rng, 0.2 * size)
+    return cls(**own_fields(cls, rng, size), eye=eye, look_at=target, up=direction(rng))
+
+
+def random_lights(rng: Rng, size: float, middle: np.ndarray) -> list[dict[str, Any]]:
+    """One of each kind; the point light stands among the shapes or near them."""
+    place = middle + point(rng, 3.0 * size)
+    return [
+        {"type": "point", "position": place, "intensity": size * size * np.array([1.0, 2.0, 3.0])},
+        {"type": "directional", "direction": direction(rng), "irradiance": [1.0, 0.5, 0.25]},
+        {"type": "ambient", "radiance": [0.1, 0.2, 0.3]},
+    ]
+
+
+def random_scene(
+    rng: Rng,
+    shapes: Sequence[type[Shape]],
+    camera: type[Camera],
+    *,
+    count: int = 6,
+    size: float = 1.0,
+    offset: float = 0.0,
+    film: tuple[int, int] = FILM,
+) -> Scene:
+    """`count` shapes of each kind around a middle `offset` away from the origin, seen by the camera."""
+    middle = offset * direction(rng)
+    return Scene(
+        film=Film(width=film[0], height=film[1]),
+        camera=random_camera(camera, rng, size, middle),
+        lights=random_lights(rng, size, middle),
+        materials=MATERIALS,
+        shapes=[random_shape(cls, rng, size, middle) for _ in range(count) for cls in shapes],
+    )
+
+
+def name(cls: type[Shape] | type[Camera]) -> str:
+    """The name of a registered kind, for the ids of tests."""
+    return str(cls.model_fields["type"].default)

@@ -1,0 +1,74 @@
+"""The tree finds what trying every primitive finds, for rays from nowhere in particular and for hard ones."""
+
+import numpy as np
+import pytest
+from hard_rays import FAMILIES, hard_rays
+from random_scenes import name, random_scene
+from same_bits import assert_same_bits
+
+from caster.cameras import Pinhole
+from caster.casting import find_nearest
+from caster.hits import cast, checked_rays, packed
+from caster.kernels.triangles import Triangles
+from caster.packing import Kind, Packed
+from caster.scene import Scene
+from caster.shapes import SHAPES
+
+SIZES = (1e-3, 1.0, 1e3)
+RAYS = 300  # of each family, for each shape, size and offset
+
+
+def count_hits_where_tree_agrees(scene: Scene, o: np.ndarray, d: np.ndarray, what: str) -> int:
+    """How many rays hit; fails where `cast` differs from trying every primitive."""
+    hits = cast(scene, o, d)
+    slow = find_nearest(packed(scene), checked_rays(o, d, 0.0, np.inf), "everything")
+    fast = {"t": hits.t, "prim": hits.view.nearest.prim}
+    assert_same_bits({"t": slow.t, "prim": slow.prim}, fast, what)
+    assert np.isfinite(hits.t).sum() == (hits.prim_id >= 0).sum(), f"{what}: a hit without a finite t"
+    return int((hits.prim_id >= 0).sum())
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=name)
+def test_a_tree_never_changes_a_hit(shape):
+    rng = np.random.default_rng([10, SHAPES.index(shape)])
+    hits = dict.fromkeys((family.__name__ for family in FAMILIES), 0)
+    for size in SIZES:
+        for offset in (0.0, 1e3 * size):
+            scene = random_scene(rng, [shape], Pinhole, size=size, offset=offset)
+            for family, (o, d) in hard_rays(packed(scene), rng, RAYS).items():
+                hits[family] += count_hits_where_tree_agrees(scene, o, d, family)
+    assert min(hits.values()) >= 50, f"few hits prove little: {hits}"
+
+
+def test_a_tree_never_changes_a_hit_where_all_kinds_are_mixed():
+    rng = np.random.default_rng(11)
+    for size in SIZES:
+        scene = random_scene(rng, SHAPES, Pinhole, count=3, size=size, offset=size)
+        for family, (o, d) in hard_rays(packed(scene), rng, 1000).items():
+            assert count_hits_where_tree_agrees(scene, o, d, family) >= 300
+
+
+def slivers(rng: np.random.Generator, count: int) -> Packed:
+    """Long thin triangles along one line, edge-on to rays in their plane: t is noise in most of them."""
+    axis, side, place = rng.normal(size=(3, 3))
+    along, across = rng.uniform(-1.0, 1.0, (3 * count, 1)), 10.0 ** rng.uniform(-18.0, -3.0, (3 * count, 1))
+    corners = place + along * axis + across * side
+    numbers, nothing = np.arange(3 * count, dtype=np.int32).reshape(-1, 3), np.zeros(count, bool)
+    prims = Triangles(corners, numbers, np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), nothing, nothing)
+    zero = np.zeros(1, np.int64)
+    kind = Kind(prims, np.arange(count, dtype=np.int32))
+    return Packed((kind,), (prims,), np.array([0, count], np.int64), zero, zero)
+
+
+def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():
+    """Where only noise says how far along a triangle the hit is, it is still where the tree looks for it."""
+    rng = np.random.default_rng(12)
+    hits = 0
+    for _ in range(40):
+        packed = slivers(rng, 60)
+        for family, (o, d) in hard_rays(packed, rng, 500).items():
+            rays = checked_rays(o, d, 0.0, np.inf)
+            slow, fast = find_nearest(packed, rays, "everything"), find_nearest(packed, rays, "bvh")
+            assert_same_bits(slow._asdict(), fast._asdict(), family)
+            hits += int((slow.prim >= 0).sum())
+    assert hits >= 10_000

@@ -1,0 +1,77 @@
+"""A culling may skip misses; it may not skip, move or reorder hits: everything == screen == bvh."""
+
+import numpy as np
+import pytest
+from random_scenes import name, random_scene
+from same_bits import assert_same_bits
+
+from caster.aovs import BY_NAME
+from caster.cameras import CAMERAS
+from caster.kernels.jit import implements
+from caster.kernels.protocol import project
+from caster.packing import pack
+from caster.rendering import render
+from caster.scene import Scene
+from caster.shapes import SHAPES
+
+SIZES = (1e-3, 1.0, 1e3)
+FARTHEST = 1e3  # how many of its sizes a scene stands away from the origin, at most
+
+
+def cullings_for(scene: Scene) -> tuple[str, ...]:
+    """What is to agree with `everything`: the tree always, the screen where the camera can project."""
+    packed = scene.camera.pack(scene.film.width, scene.film.height)
+    return ("screen", "bvh") if implements(project, type(packed)) else ("bvh",)
+
+
+def count_hits_where_cullings_agree(scene: Scene) -> tuple[int, int]:
+    """(hits, rays); fails where a culling changes a bit of any AOV."""
+    expected = render(scene, tuple(BY_NAME), culling="everything")
+    for culling in cullings_for(scene):
+        assert_same_bits(expected, render(scene, tuple(BY_NAME), culling=culling), culling)
+    return int(expected.hit.sum()), expected.hit.size
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=name)
+@pytest.mark.parametrize("shape", SHAPES, ids=name)
+def test_culling_never_changes_a_bit(shape, camera):
+    rng = np.random.default_rng([1, SHAPES.index(shape), CAMERAS.index(camera)])
+    counts = []
+    for size in SIZES:
+        for offset in (0.0, FARTHEST * size):
+            scene = random_scene(rng, [shape], camera, size=size, offset=offset)
+            counts.append(count_hits_where_cullings_agree(scene))
+    hits, rays = np.sum(counts, axis=0)
+    misses = rays - hits if all(kind.bounded for kind in pack(scene).kinds) else np.inf
+    assert hits >= 100 and misses >= 100, f"{hits} hits of {rays} rays prove little"
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=name)
+def test_culling_never_changes_a_bit_where_all_kinds_are_mixed(camera):
+    rng = np.random.default_rng([2, CAMERAS.index(camera)])
+    kinds = set()
+    for size in SIZES:
+        scene = random_scene(rng, SHAPES, camera, count=3, size=size, offset=size)
+        assert count_hits_where_cullings_agree(scene)[0] >= 100
+        kinds |= set(np.unique(render(scene, ("shape_id",))["shape_id"]) % len(SHAPES))
+    assert len(kinds) >= len(SHAPES) // 2, f"only {len(kinds)} kinds are seen"
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=name)
+def test_a_crop_is_that_part_of_the_whole_picture_in_every_culling(camera):
+    rng = np.random.default_rng([4, CAMERAS.index(camera)])
+    scene = random_scene(rng, SHAPES, camera, count=2)
+    x0, y0, x1, y1 = crop = (11, 5, 30, 21)
+    whole = render(scene, tuple(BY_NAME))
+    part = scene.with_film(crop=crop)
+    for culling in ("everything", *cullings_for(scene)):
+        expected = {aov: image[y0:y1, x0:x1] for aov, image in whole.items()}
+        assert_same_bits(expected, render(part, tuple(BY_NAME), culling=culling), f"crop, {culling}")
+    assert part.film.window == crop and whole.hit[y0:y1, x0:x1].sum() >= 50
+
+
+def test_the_screen_is_compared_for_some_cameras_and_not_for_others():
+    rng = np.random.default_rng(3)
+    compared = {name(cls): cullings_for(random_scene(rng, SHAPES[:1], cls, count=1)) for cls in CAMERAS}
+    assert compared["pinhole"] == compared["orthographic"] == ("screen", "bvh")
+    assert compared["panorama"] == ("bvh",)

@@ -1,0 +1,85 @@
+"""A power of two scales a scene exactly: no rounding moves, so t scales too, and all else keeps its bits.
+
+The scale is the last step of every shape's `to_world`, and the packed arrays follow exactly: matrix products,
+inverses, lengths and normals are sums, products, quotients and square roots, and none of those rounds
+elsewhere when its operands are multiplied by powers of two, short of overflow and underflow. Triangles have
+the highest power, a length to the third: 2^-300 becomes 2^-900, and where two such products cancel, what is
+left of them is still above 2^-1022.
+"""
+
+import numpy as np
+import pytest
+from hard_rays import hard_rays
+from random_scenes import name, random_camera, random_scene
+from same_bits import Arrays, assert_same_bits
+
+from caster.cameras import CAMERAS, Pinhole
+from caster.hits import cast, packed
+from caster.rendering import camera_rays
+from caster.scene import Film, Scene
+from caster.shapes import SHAPES
+
+POWERS = (-300, -20, -1, 1, 20, 300)
+LENGTHS = ("eye", "look_at", "near", "far", "width")  # of cameras, in scene units
+UV_ARE_LENGTHS = ("plane",)
+
+
+def scaled_scene(scene: Scene, factor: float) -> Scene:
+    """The same scene `factor` times as large, seen from as many times as far; without its lights."""
+    shapes = [
+        shape.model_copy(update={"to_world": (*shape.to_world, {"scale": factor})}) for shape in scene.shapes
+    ]
+    return scene.model_copy(
+        update={"lights": (), "shapes": shapes, "camera": scaled_camera(scene.camera, factor)}
+    )
+
+
+def scaled_camera(camera, factor: float):
+    lengths = {key: getattr(camera, key, None) for key in LENGTHS}
+    return camera.model_copy(
+        update={key: np.multiply(factor, x) for key, x in lengths.items() if x is not None}
+    )
+
+
+def what_is_cast(scene: Scene, o: np.ndarray, d: np.ndarray, unit: float) -> Arrays:
+    """What rays meet, lengths counted in units of `unit`."""
+    hits = cast(scene, o * unit, d)
+    uv = hits.surface.uv.copy()
+    uv[[scene.shapes[k].type in UV_ARE_LENGTHS for k in hits.shape_id]] /= unit
+    ids = {"shape": hits.shape_id, "prim": hits.prim_id}
+    return ids | hits.surface._asdict() | {"t": hits.t / unit, "uv": uv, "p": hits.surface.p / unit}
+
+
+def count_hits_where_scales_agree(scene: Scene, factor: float, o: np.ndarray, d: np.ndarray) -> int:
+    """How many rays hit; fails where a scene `factor` times as large is not exactly that."""
+    expected = what_is_cast(scene, o, d, 1.0)
+    got = what_is_cast(scaled_scene(scene, factor), o, d, factor)
+    assert_same_bits(expected, got, f"scaled by {factor}")
+    return int((expected["shape"] >= 0).sum())
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=name)
+def test_a_power_of_two_scales_t_exactly_and_keeps_the_rest(shape):
+    rng = np.random.default_rng([40, SHAPES.index(shape)])
+    hits = 0
+    for power in POWERS:
+        scene = random_scene(rng, [shape], Pinhole, offset=rng.uniform(0.0, 10.0))
+        families = hard_rays(packed(scene), rng, 100)
+        del families["unnormalised"]  # a length of 1e30 to the third power leaves no room for 2^300
+        for o, d in families.values():
+            hits += count_hits_where_scales_agree(scene, 2.0**power, o, d)
+    assert hits >= 1000
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=name)
+def test_a_power_of_two_scales_a_camera_s_rays_exactly(camera):
+    rng = np.random.default_rng([41, CAMERAS.index(camera)])
+    for power in POWERS:
+        factor = 2.0**power
+        small = random_camera(camera, rng)
+        film = Film(width=37, height=23)
+        expected = camera_rays(Scene(film=film, camera=small))
+        rays = camera_rays(Scene(film=film, camera=scaled_camera(small, factor)))
+        lengths = {key: getattr(rays, key) / factor for key in ("o", "t_min", "t_max")}
+        lengths["t_max"] = np.where(rays.t_max < 0.0, rays.t_max, lengths["t_max"])  # no ray at all
+        assert_same_bits(expected._asdict(), lengths | {"d": rays.d}, f"scaled by {factor}")

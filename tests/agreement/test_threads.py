@@ -1,0 +1,52 @@
+"""The number of threads changes no bit."""
+
+import numpy as np
+import pytest
+from hard_rays import hard_rays
+from random_scenes import name, random_scene
+from same_bits import assert_same_bits
+
+from caster.aovs import BY_NAME
+from caster.cameras import CAMERAS, Panorama, Pinhole
+from caster.casting import find_nearest
+from caster.hits import checked_rays, packed
+from caster.rendering import render
+from caster.scene import Scene
+from caster.shapes import SHAPES
+
+THREADS = (2, 3, 7)
+
+
+def count_hits_where_threads_agree(scene: Scene, culling: str | None = None) -> int:
+    """How many pixels hit; fails where more threads than one change a bit of any AOV."""
+    expected = render(scene, tuple(BY_NAME), threads=1, culling=culling)
+    for threads in THREADS:
+        got = render(scene, tuple(BY_NAME), threads=threads, culling=culling)
+        assert_same_bits(expected, got, f"{threads} threads")
+    return int(expected.hit.sum())
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=name)
+def test_threads_never_change_a_bit(camera):
+    rng = np.random.default_rng([20, CAMERAS.index(camera)])
+    for culling in (None, "bvh", "everything"):
+        scene = random_scene(rng, SHAPES, camera, count=2)
+        assert count_hits_where_threads_agree(scene, culling) >= 100
+
+
+def test_threads_never_change_a_bit_of_any_ray():
+    rng = np.random.default_rng(21)
+    scene = random_scene(rng, SHAPES, Pinhole, count=3)
+    for family, (o, d) in hard_rays(packed(scene), rng, 1000).items():
+        rays = checked_rays(o, d, 0.0, np.inf)
+        expected = find_nearest(packed(scene), rays, threads=1)
+        for threads in THREADS:
+            got = find_nearest(packed(scene), rays, threads=threads)
+            assert_same_bits(expected._asdict(), got._asdict(), f"{family}, {threads} threads")
+        assert (expected.prim >= 0).sum() >= 300
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_a_film_of_fewer_rows_than_threads_is_the_same(rows):
+    scene = random_scene(np.random.default_rng([22, rows]), SHAPES, Panorama, count=2, film=(600, rows))
+    assert count_hits_where_threads_agree(scene) >= 50
