@@ -37,7 +37,7 @@ def is_similarity(linear: np.ndarray) -> bool:
 
 
 def size_of_similarity(linear: np.ndarray) -> float:
-    """By how much such a matrix stretches; exact for a mere scale, and it doubles exactly where that doubles."""
+    """By how much such a matrix stretches: exact for a mere scale, and twice that for twice the matrix."""
     largest = float(np.abs(linear).max())
     ratios = linear / largest
     return largest * math.sqrt(float((ratios * ratios).sum()) / 3.0)

@@ -16,7 +16,7 @@ from caster.plan import plan
 from caster.scene import Scene
 from caster.view import View
 
-DEFAULT_AOVS = ("hit", "depth", "normal", "diffuse")
+DEFAULT_AOVS = ("hit", "depth", "normal", "position", "diffuse")
 
 
 class Aovs(Mapping[str, np.ndarray]):

@@ -26,7 +26,9 @@ class Finding(NamedTuple):
     """Of each ray: whether rounding allows the claim, and whether it leaves any claim open."""
 
     allowed: np.ndarray  # (n,) bool
-    unresolvable: np.ndarray  # (n,) bool: a surface seen so nearly edge-on that nobody can say where it is hit
+    unresolvable: (
+        np.ndarray
+    )  # (n,) bool: a surface seen so nearly edge-on that nobody can say where it is hit
 
 
 class Found(NamedTuple):
@@ -134,7 +136,9 @@ def _latest_at_edges(found: Found) -> np.ndarray:
         keys = np.column_stack([found.ray[rows], edge[rows] + 0.0])  # no -0.0
         _, which = np.unique(keys, axis=0, return_inverse=True)
         which = which.ravel()
-        left, right = (np.bincount(which[side[rows] == s], minlength=which.max() + 1) > 0 for s in (-1.0, 1.0))
+        left, right = (
+            np.bincount(which[side[rows] == s], minlength=which.max() + 1) > 0 for s in (-1.0, 1.0)
+        )
         last = np.full(which.max() + 1, -np.inf)
         np.maximum.at(last, which, (found.at.t + found.at.t_error)[rows])
         latest[rows] = np.where(left & right, last, np.inf)[which]

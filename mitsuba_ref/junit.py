@@ -9,7 +9,9 @@ from mitsuba_ref.verdict import CLASSES, Verdict
 def junit(verdict: Verdict) -> str:
     """One test case a scene; a failing one holds what the terminal says of it."""
     failed = [scene for scene in verdict.scenes if not scene.ok]
-    suite = Element("testsuite", name="mitsuba-ref validate", tests=str(len(verdict.scenes)), failures=str(len(failed)))
+    suite = Element(
+        "testsuite", name="mitsuba-ref validate", tests=str(len(verdict.scenes)), failures=str(len(failed))
+    )
     suite.set("errors", "0")
     suite.set("time", f"{sum(scene.seconds for scene in verdict.scenes):.3f}")
     for scene in verdict.scenes:

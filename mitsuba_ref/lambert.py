@@ -50,7 +50,9 @@ def lit(scene: Scene, light: Any, hit: Hit, ku: float) -> Lit:
     error = np.where(seen[:, None], most - radiance, flux * (cosine_error * spread)[:, None]) + ku * radiance
     dark = ~seen & (cosine > cosine_error)
     error[dark] = 0.0
-    return Lit(radiance, error, flux * cosine[:, None], to_light, reach, np.abs(facing) <= hit.at.sh_error + ku)
+    return Lit(
+        radiance, error, flux * cosine[:, None], to_light, reach, np.abs(facing) <= hit.at.sh_error + ku
+    )
 
 
 def ambient(scene: Scene, shape: np.ndarray) -> np.ndarray:
@@ -58,7 +60,7 @@ def ambient(scene: Scene, shape: np.ndarray) -> np.ndarray:
     total = np.zeros(3)
     for light in scene.lights:
         if light.type == "ambient":
-            total = total + np.array(light.radiance)  # type: ignore[attr-defined]  # an Ambient
+            total = total + np.array(light.radiance)
     return _materials(scene, shape)[0] * total
 
 

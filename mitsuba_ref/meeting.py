@@ -32,7 +32,9 @@ class Meetings(NamedTuple):
     possible: np.ndarray  # (m,) bool: some perturbation within the bound hits
     certain: np.ndarray  # (m,) bool: every perturbation within the bound hits
     p_error: np.ndarray  # (m,) bound on the position, scene units
-    edge: np.ndarray | None = None  # (m, 6) the end points of the one edge a triangle is not certain of, else NaN
+    edge: np.ndarray | None = (
+        None  # (m, 6) the end points of the one edge a triangle is not certain of, else NaN
+    )
     side: np.ndarray | None = None  # (m,) on which side of that edge the triangle lies, -1 or 1
 
 

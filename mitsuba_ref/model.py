@@ -63,7 +63,9 @@ class Model:
                     found.append(with_edges(at))
         if not found:
             return PairMeetings(np.zeros(0, int), no_meetings())
-        return PairMeetings(np.concatenate(pairs), Meetings(*(np.concatenate(a) for a in zip(*found, strict=True))))
+        return PairMeetings(
+            np.concatenate(pairs), Meetings(*(np.concatenate(a) for a in zip(*found, strict=True)))
+        )
 
     @cached_property
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -89,11 +91,10 @@ def no_meetings() -> Meetings:
 def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> Model:
     """The judge's view of packed float32 geometry; stand-ins are cut to these rays."""
     references = [reference_of(shape) for shape in scene.shapes]
-    o, d = rays.o.astype(np.float64), rays.d.astype(np.float64)
     real = rays.t_max >= 0.0
+    o, d = rays.o[real].astype(np.float64), rays.d[real].astype(np.float64)
     parts = tuple(
-        reference.stand_in(part, o[real], d[real])
-        for reference, part in zip(references, packed.parts, strict=True)
+        reference.stand_in(part, o, d) for reference, part in zip(references, packed.parts, strict=True)
     )
     members = [np.flatnonzero(packed.kind_of == place) for place in range(len(packed.kinds))]
     kinds = tuple(joined([parts[s] for s in shapes]) for shapes in members)

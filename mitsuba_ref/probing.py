@@ -115,7 +115,7 @@ def _possible(scene: Scene, judge: Judge) -> Iterator[Possible]:
 
 
 def _numbers(values: Any) -> Any:
-    return np.asarray(values, np.float64).tolist() if not np.isscalar(values) else float(values)
+    return np.asarray(values, np.float64).tolist()
 
 
 def as_text(found: PixelVerdict, path: str) -> str:

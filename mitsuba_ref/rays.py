@@ -22,4 +22,8 @@ def share(scene: Scene) -> SharedRays:
     rays = camera_rays(scene)
     o = rays.o + rays.t_min[:, None] * rays.d
     left = np.where(rays.t_max < 0.0, -1.0, rays.t_max - rays.t_min)
-    return SharedRays(*(np.ascontiguousarray(a, np.float32) for a in (o, rays.d, left)), rays.t_min)
+    return SharedRays(_float32(o), _float32(rays.d), _float32(left), rays.t_min)
+
+
+def _float32(a: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(a, np.float32)

@@ -18,7 +18,18 @@ from mitsuba_ref.variants import variant_for
 from mitsuba_ref.worker import DEFAULT_TIMEOUT, ask
 
 # What the reference can tell, of all that the caster can.
-GIVEN = ("hit", "depth", "normal", "shading_normal", "position", "uv", "albedo", "diffuse", "shape_id", "prim_id")
+GIVEN = (
+    "hit",
+    "depth",
+    "normal",
+    "shading_normal",
+    "position",
+    "uv",
+    "albedo",
+    "diffuse",
+    "shape_id",
+    "prim_id",
+)
 
 
 @dataclass(frozen=True)
@@ -109,5 +120,7 @@ def aovs_of(witness: Witness, rays: SharedRays, shape: tuple[int, int], names: S
     for name in names:
         values = flat[name] if flat[name].dtype.kind != "f" else flat[name].astype(np.float64)
         there = hit if values.ndim == 1 else hit[:, None]
-        images[name] = np.where(there, values, misses[name]).astype(values.dtype).reshape(shape + values.shape[1:])
+        images[name] = (
+            np.where(there, values, misses[name]).astype(values.dtype).reshape(shape + values.shape[1:])
+        )
     return Aovs(images, hit.reshape(shape))

@@ -83,4 +83,6 @@ class _Reader:
         return taken
 
     def _error(self, what: str) -> SceneError:
-        return SceneError(f"-k {self.expression!r}: expected parts of names with and, or, not and parentheses; {what}")
+        return SceneError(
+            f"-k {self.expression!r}: expected parts of names with and, or, not and parentheses; {what}"
+        )

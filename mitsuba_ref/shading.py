@@ -12,8 +12,8 @@ from mitsuba_ref.bounds import Bounds
 from mitsuba_ref.bracket import Bracket
 from mitsuba_ref.lambert import Hit, Lit
 from mitsuba_ref.meeting import KU, KU_OURS, Meetings
-from mitsuba_ref.pixels import flat, share_of_bound
 from mitsuba_ref.pair import Pair
+from mitsuba_ref.pixels import flat, share_of_bound
 
 MOST_LIGHTS = 6  # in doubt at one pixel: 2^6 combinations of lit and in shadow are tried
 
@@ -23,7 +23,9 @@ class Shading(NamedTuple):
 
     ratio: np.ndarray  # (n,) difference over bound with Mitsuba's own shadows
     explained: np.ndarray  # (n,) bool: another choice of shadows, which rounding allows, gives our value
-    unresolvable: np.ndarray  # (n,) bool: a light nearer than Mitsuba's position is sure; ours is right by float64
+    unresolvable: (
+        np.ndarray
+    )  # (n,) bool: a light nearer than Mitsuba's position is sure; ours is right by float64
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,9 @@ class _Judged:
     visible: np.ndarray  # (lights, m), Mitsuba's
 
 
-def judge_diffuse(scene: Scene, pair: Pair, bounds: Bounds, rows: np.ndarray, ours: Bracket, theirs: Bracket) -> Shading:
+def judge_diffuse(
+    scene: Scene, pair: Pair, bounds: Bounds, rows: np.ndarray, ours: Bracket, theirs: Bracket
+) -> Shading:
     """Judge the pixels `rows`, where geometry agrees; ours and theirs: the brackets of either arithmetic."""
     count = len(pair.witness.t)
     ratio, explained, unresolvable = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
@@ -71,7 +75,7 @@ def _share(case: _Judged, flipped: np.ndarray) -> np.ndarray:
     total, bound = case.ambient.copy(), KU * case.ambient
     for i, light in enumerate(case.lights):
         given = np.where(case.visible[i][:, None], case.unshadowed[i], 0.0)
-        shines = given.any(axis=1)
+        shines: np.ndarray = given.any(axis=1)
         other = np.where(shines[:, None], 0.0, light.either_side)
         total += np.where(flipped[i][:, None], other, given)
         lit = np.where(flipped[i], ~shines, case.visible[i])
@@ -95,7 +99,7 @@ def _explain(
         if any(flips):
             flipped = np.zeros_like(part.visible)
             flipped[: len(flips)] = np.array(flips)[:, None]
-            allowed = np.all(flippable | ~flipped, axis=0)
+            allowed = np.asarray(flippable | ~flipped).all(axis=0)
             explained |= allowed & (_share(part, flipped) <= 1.0)
     return explained
 
@@ -127,9 +131,7 @@ def _we_may_say(
     return shadows.we_may_say(ours, hit, light, prim)
 
 
-def _may_differ(
-    part: _Judged, i: int, light: Lit, pair: Pair, ours: Bracket, theirs: Bracket
-) -> np.ndarray:
+def _may_differ(part: _Judged, i: int, light: Lit, pair: Pair, ours: Bracket, theirs: Bracket) -> np.ndarray:
     """Where Mitsuba may say of light i what it says, and we may say the contrary."""
     p, n = (flat(pair.reference, name)[part.rows] for name in ("position", "normal"))
     lit, shaded = shadows.reference_may_say(theirs, part.hit, light, p, n)

@@ -48,4 +48,3 @@ def we_may_say(bracket: Bracket, hit: Hit, lit: Lit, prim: np.ndarray) -> tuple[
     """The same for ours, from the point that was hit; the primitive there does not shadow itself at its start."""
     possible, certain = bracket.blocked(hit.p, lit.to_light, lit.reach, leaving=prim)
     return ~certain, possible
-

@@ -8,21 +8,28 @@ from mitsuba_ref.verdict import CLASSES, UNDECIDED, SceneVerdict, Verdict
 WORDS_SHOWN = 12  # lines of what Mitsuba said when it ended without an answer
 
 
+WIDEST_CHECK = len("0.00 shading_normal")
+
+
 def head(width: int) -> str:
-    classes = "  ".join(f"{name.replace('_', ' '):>9}" for name in CLASSES)
-    return f"      {'scene':<{width}}  {'size':>9}  {'hit':>8}  {classes}  {'worst ratio to its bound':<24}  seconds"
+    """The names of the columns; width: of the longest scene name."""
+    classes = "".join(f"  {name.replace('_', ' '):>{room(name)}}" for name in CLASSES)
+    return f"      {'scene':<{width}}  {'hit':>8}{classes}  {'worst':<{WIDEST_CHECK}}  seconds"
 
 
 def row(scene: SceneVerdict, width: int) -> str:
     """PASS or FAIL, how many hit pixels in which class, the check that came nearest to its bound."""
     mark = "PASS" if scene.ok else "FAIL"
-    size = f"{scene.size[0]}x{scene.size[1]}"
-    classes = "  ".join(
-        f"{scene.counts[name]:>{max(9, len(name))}}" for name in CLASSES
-    )
+    classes = "".join(f"  {scene.counts[name]:>{room(name)}}" for name in CLASSES)
     check, ratio = scene.worst
     worst = f"{ratio:.2f} {check}" if check else ""
-    return f"{mark}  {scene.name:<{width}}  {size:>9}  {scene.hit_pixels:>8}  {classes}  {worst:<24}  {scene.seconds:7.1f}"
+    left = f"{mark}  {scene.name:<{width}}  {scene.hit_pixels:>8}{classes}"
+    return f"{left}  {worst:<{WIDEST_CHECK}}  {scene.seconds:7.1f}"
+
+
+def room(name: str) -> int:
+    """Characters of the column of a class."""
+    return max(8, len(name))
 
 
 def failure(scene: SceneVerdict) -> str:
@@ -66,7 +73,9 @@ def summary(verdict: Verdict, seconds: float) -> str:
     passed = sum(scene.ok for scene in verdict.scenes)
     counts = verdict.counts
     total = sum(counts.values()) or 1
-    shares = ", ".join(f"{counts[name]} {name.replace('_', ' ')} ({share(counts[name], total)})" for name in CLASSES)
+    shares = ", ".join(
+        f"{counts[name]} {name.replace('_', ' ')} ({share(counts[name], total)})" for name in CLASSES
+    )
     lines = [
         f"{verdict.asked} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
         f"{_not_run(verdict)}, in {seconds:.1f} s",

@@ -17,7 +17,7 @@ from mitsuba_ref.pixels import flat
 from mitsuba_ref.rays import share
 from mitsuba_ref.reference import consult
 from mitsuba_ref.scene_checks import CHECKS_WITHOUT_REFERENCE, check_sensor
-from mitsuba_ref.verdict import CLASSES, SHOWN, UNDECIDED, Failure, SceneVerdict, Verdict, pixel_of
+from mitsuba_ref.verdict import AGREE, CLASSES, SHOWN, UNDECIDED, Failure, SceneVerdict, Verdict, pixel_of
 from mitsuba_ref.worker import DEFAULT_TIMEOUT
 
 
@@ -51,36 +51,41 @@ def validate_scene(
     if isinstance(witness, Crash):
         problem = f"Mitsuba ended without an answer ({witness.exit}): {witness.words}".strip()
         seconds = time.perf_counter() - start
-        return SceneVerdict(name, path, len(rays.o), checks=checks, problem=problem, seconds=seconds, size=size)
+        return SceneVerdict(
+            name, path, len(rays.o), checks=checks, problem=problem, seconds=seconds, size=size
+        )
     pair = pair_up(scene, rays, view, witness)
     judgement = Judge(scene, model, pair).judge()
     if folder:
         write_pictures(folder, name, scene, pair, judgement)
+    hit = pair.ours.hit.ravel() | pair.witness.hit
     return SceneVerdict(
         name,
         path,
         len(rays.o),
+        hit_pixels=int(hit.sum()),
+        counts=_counts(judgement, hit),
+        ratios=_ratios(judgement),
         checks=(*checks, check_sensor(scene, witness)),
+        failures=tuple(_failures(scene, pair, judgement)),
         versions=witness.answer.versions,
-        reference_seconds=witness.answer.seconds,
         seconds=time.perf_counter() - start,
+        reference_seconds=witness.answer.seconds,
         size=size,
-        **_summary(scene, pair, judgement),
     )
 
 
-def _summary(scene: Scene, pair: Pair, judgement: Judgement) -> dict[str, object]:
-    """What SceneVerdict says of the pixels."""
-    hit = pair.ours.hit.ravel() | pair.witness.hit
-    either = hit | (judgement.classes == CODE[UNDECIDED])
-    counted = np.bincount(judgement.classes[either], minlength=len(CLASSES))
-    agreeing = judgement.classes == CODE["agree"]
-    return {
-        "hit_pixels": int(hit.sum()),
-        "counts": dict(zip(CLASSES, map(int, counted), strict=True)),
-        "ratios": {name: float(judgement.ratio(name)[agreeing].max(initial=0.0)) for name in judgement.names},
-        "failures": tuple(_failures(scene, pair, judgement)),
-    }
+def _counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
+    """Hit pixels of each class; an undecided pixel counts, whether anybody hit there or not."""
+    counted = hit | (judgement.classes == CODE[UNDECIDED])
+    numbers = np.bincount(judgement.classes[counted], minlength=len(CLASSES))
+    return dict(zip(CLASSES, map(int, numbers), strict=True))
+
+
+def _ratios(judgement: Judgement) -> dict[str, float]:
+    """The largest ratio of each check among the pixels that agree."""
+    agreeing = judgement.classes == CODE[AGREE]
+    return {name: float(judgement.ratio(name)[agreeing].max(initial=0.0)) for name in judgement.names}
 
 
 def _failures(scene: Scene, pair: Pair, judgement: Judgement) -> Sequence[Failure]:
@@ -113,4 +118,3 @@ def _words(scene: Scene, aovs: Aovs, check: str, i: int) -> str:
         value = ", ".join(f"{v:.9g}" for v in flat(aovs, check)[i])
         words += f", {check} ({value})"
     return words
-

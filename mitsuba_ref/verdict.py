@@ -36,7 +36,9 @@ class SceneVerdict:
     pixels: int = 0
     hit_pixels: int = 0  # hit in either picture
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CLASSES, 0))  # of hit pixels
-    ratios: dict[str, float] = field(default_factory=dict)  # largest ratio of each check among agreeing pixels
+    ratios: dict[str, float] = field(
+        default_factory=dict
+    )  # largest ratio of each check among agreeing pixels
     checks: tuple[SceneCheck, ...] = ()
     failures: tuple[Failure, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)

@@ -140,7 +140,7 @@ def bsdf_element(material: Diffuse) -> XmlElement:
 
 def emitter_elements(scene: Scene) -> list[XmlElement]:
     """Point and directional lights. Ambient light is added apart on both sides, so Mitsuba is not told of it."""
-    elements = []
+    elements: list[XmlElement] = []
     for light in scene.lights:
         if light.type == "ambient":
             elements.append(Comment(" ambient light is added apart, as reflectance times radiance "))

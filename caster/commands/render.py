@@ -19,7 +19,7 @@ HELP = "render a scene to an EXR file"
 
 # Named here too, since loading the AOVs loads the kernels (tests/unit/test_cli_help.py compares).
 AOVS = "hit, depth, normal, shading_normal, position, uv, albedo, diffuse, shape_id, prim_id"
-DEFAULT = "hit,depth,normal,diffuse"
+DEFAULT = "hit,depth,normal,position,diffuse"
 CORNERS = ("X0", "Y0", "X1", "Y1")
 
 

@@ -49,23 +49,18 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-# Between these no square has lost bits to underflow, and no sum of squares overflows.
-SQUARES = (2.0**-900, 2.0**1000)
-
-
-@jit
-def near_one(a: Vec3) -> Vec3:
-    """a times a power of two, which is exact: its largest component comes between 1/2 and 1; 0 stays 0."""
-    exponent = math.frexp(max(abs(a[0]), abs(a[1]), abs(a[2])))[1]
-    return math.ldexp(a[0], -exponent), math.ldexp(a[1], -exponent), math.ldexp(a[2], -exponent)
+# Between these no square has lost bits to underflow and no sum of squares overflows. A power of two, which is
+# exact, brings all other vectors there: from below 2^-450, down to the smallest number, or from above 2^499.
+SMALLEST_SQUARE, LARGEST_SQUARE = 2.0**-900, 2.0**1000
+UP, DOWN = 2.0**600, 2.0**-600
 
 
 @jit
 def unit(a: Vec3) -> Vec3:
     """a / |a|, or a itself where it is zero."""
     square = dot(a, a)
-    if square < SQUARES[0] or square > SQUARES[1]:
-        a = near_one(a)
+    if square < SMALLEST_SQUARE or square > LARGEST_SQUARE:
+        a = scaled(UP if square < SMALLEST_SQUARE else DOWN, a)
         square = dot(a, a)
     if square == 0.0:
         return a

@@ -2,6 +2,7 @@
 
 from types import ModuleType
 
-from mitsuba_ref.commands import compare, doctor, export, probe, render, validate
+from mitsuba_ref.commands import compare, doctor, export, render, validate
+from mitsuba_ref.commands import probe as probe
 
 COMMANDS: tuple[ModuleType, ...] = (validate, render, export, compare, probe, doctor)

@@ -21,8 +21,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", metavar="DIFF.exr", help="write the differences, and a class for each pixel")
     for name, what in NUMBERS.items():
         add(f"--{name.replace('_', '-')}", type=float, metavar="TOL", help=f"tolerance {what}")
-    add("--max-pixels", type=int, default=0, metavar="N", help="so many pixels may differ (never by NaN or inf)")
-    add("--ignore", action="append", default=[], metavar="CHANNEL", help="leave a channel or group of them out")
+    add(
+        "--max-pixels",
+        type=int,
+        default=0,
+        metavar="N",
+        help="so many pixels may differ (never by NaN or inf)",
+    )
+    add(
+        "--ignore",
+        action="append",
+        default=[],
+        metavar="CHANNEL",
+        help="leave a channel or group of them out",
+    )
     add("--allow-empty", action="store_true", help="two images that hit nothing pass")
     add("--json", action="store_true", help="as JSON")
 

@@ -11,7 +11,9 @@ HELP = "write a scene as Mitsuba XML with its meshes, for plain Mitsuba"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
-    parser.add_argument("-o", "--output", metavar="DIR", required=True, help="folder to write into; made if need be")
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", required=True, help="folder to write into; made if need be"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -15,14 +15,15 @@ if TYPE_CHECKING:
     from caster.scene import Scene
 
 HELP = "render a scene with Mitsuba to an EXR file, along the rays that our caster traces"
-DEFAULT = "hit,depth,normal,shading_normal,position,uv,albedo,diffuse,shape_id,prim_id"
+KNOWN = ["hit", "depth", "normal", "shading_normal", "position", "uv", "albedo", "diffuse", "shape_id", "prim_id"]
+DEFAULT = "hit,depth,normal,position,diffuse"  # as `caster render`, so that `compare` finds the same channels
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add = parser.add_argument
     add("-o", "--output", metavar="REF.exr", required=True)
-    add("--aov", metavar="A,B,...", default=DEFAULT, help=f"of {DEFAULT.replace(',', ', ')}; default: all")
+    add("--aov", metavar="A,B,...", default=DEFAULT, help=f"of {', '.join(KNOWN)}; default: {DEFAULT}")
     add("--variant", metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
 
 
@@ -30,8 +31,10 @@ def run(args: argparse.Namespace) -> int:
     """Ask Mitsuba, write, say what was written; 1 when Mitsuba ends without an answer."""
     names = tuple(dict.fromkeys(args.aov.split(",")))
     for name in names:
-        if name not in DEFAULT.split(","):
-            raise SceneError(f"--aov {name!r}: unknown{suggestion(name, DEFAULT.split(','))}")
+        if name not in KNOWN:
+            raise SceneError(
+                f"--aov {name!r}: unknown{suggestion(name, KNOWN)}; known are {', '.join(KNOWN)}"
+            )
     scene = load(args)
     from caster.whole_files import check_writable
     from mitsuba_ref.jobs import Crash

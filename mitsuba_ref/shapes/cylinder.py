@@ -6,8 +6,8 @@ import numpy as np
 
 from caster.shapes.cylinder import Cylinder, Cylinders
 from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error
-from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
 from mitsuba_ref.shape_reference import ShapeReference
+from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
 from mitsuba_ref.xml import Writer, XmlElement
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from caster.shapes.disk import Disk, Disks
 from mitsuba_ref.meeting import ErrorModel, Meetings, norm, position_error
+from mitsuba_ref.shape_reference import ShapeReference
 from mitsuba_ref.shapes.quadric import affine_bounds, in_object_space, turned_normal
 from mitsuba_ref.shapes.triangles import UNRESOLVABLE
-from mitsuba_ref.shape_reference import ShapeReference
 from mitsuba_ref.xml import Writer, XmlElement
 
 

@@ -5,7 +5,7 @@ plane nearby would pay for those that meet it at the horizon. The patch is a squ
 it, each twice as large, so that the corners around a hit are about as far away as the hit itself.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from caster.shapes.sphere import Ellipsoids, Sphere, Spheres
 from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error
-from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
 from mitsuba_ref.shape_reference import ShapeReference
+from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
 from mitsuba_ref.xml import Writer, XmlElement
 
 
@@ -49,7 +49,9 @@ def _meeting(
     return Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error)
 
 
-def meet_ellipsoid(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
+def meet_ellipsoid(
+    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
+) -> tuple[Meetings, ...]:
     """Ray i with ellipsoid k[i]: the unit ball in object space, where the ray arrives rounded."""
     to_object = prims.to_object[k]
     rays = in_object_space(prims.center[k], to_object, o, d)
@@ -74,7 +76,12 @@ def ball_bounds(prims: Spheres) -> tuple[np.ndarray, np.ndarray]:
     return prims.center - r, prims.center + r
 
 
-REFERENCE = ShapeReference(Sphere, to_xml, {
-    Spheres: ErrorModel(meet, ball_bounds),
-    Ellipsoids: ErrorModel(meet_ellipsoid, affine_bounds),
-}, analytic=True)
+REFERENCE = ShapeReference(
+    Sphere,
+    to_xml,
+    {
+        Spheres: ErrorModel(meet, ball_bounds),
+        Ellipsoids: ErrorModel(meet_ellipsoid, affine_bounds),
+    },
+    analytic=True,
+)

@@ -28,7 +28,9 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
         possible = (np.all(edges >= -edge_errors, axis=1) | np.all(edges <= edge_errors, axis=1)) & traced
         inside = edges * np.sign(total)[:, None] > edge_errors
         sure = resolvable & possible & np.isfinite(t)
-        weight_errors = (edge_errors + np.abs(weights) * edge_errors.sum(axis=1)[:, None]) / np.abs(total)[:, None]
+        weight_errors = (edge_errors + np.abs(weights) * edge_errors.sum(axis=1)[:, None]) / np.abs(total)[
+            :, None
+        ]
         sh_n, sh_error = _shading(prims, k, n, n_error, weights, weight_errors, ku)
         p_error = _position_error(corners, weights, weight_errors, ku)
     edge, side = _doubtful_edge(corners, inside, np.sign(total), sure)
@@ -121,7 +123,9 @@ def _t_error(
     lever = dot(np.abs(t[:, None] * d - a), spread)
     rho = ku * (dot(np.abs(n), np.abs(d)) + dot(np.abs(d), spread)) / steepness
     resolvable = rho < UNRESOLVABLE
-    return ku * ((displacement + lever) / steepness + np.abs(t)) / (1.0 - np.minimum(rho, UNRESOLVABLE)), resolvable
+    return ku * ((displacement + lever) / steepness + np.abs(t)) / (
+        1.0 - np.minimum(rho, UNRESOLVABLE)
+    ), resolvable
 
 
 def _shading(
