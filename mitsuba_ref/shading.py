@@ -75,7 +75,7 @@ def _share(case: _Judged, flipped: np.ndarray) -> np.ndarray:
     total, bound = case.ambient.copy(), KU * case.ambient
     for i, light in enumerate(case.lights):
         given = np.where(case.visible[i][:, None], case.unshadowed[i], 0.0)
-        shines: np.ndarray = given.any(axis=1)
+        shines = np.asarray(given.any(axis=1))
         other = np.where(shines[:, None], 0.0, light.either_side)
         total += np.where(flipped[i][:, None], other, given)
         lit = np.where(flipped[i], ~shines, case.visible[i])

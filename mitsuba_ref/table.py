@@ -40,6 +40,8 @@ def failure(scene: SceneVerdict) -> str:
 def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
     if scene.problem:
         yield from _problem_lines(scene)
+    elif not scene.hit_pixels:
+        yield f"FAIL  {scene.name}  no pixel hits anything, so nothing was compared"
     for check in scene.checks:
         if not check.ok:
             yield f"FAIL  {scene.name}  {check.name}: {check.ratio:.3g}x its bound; {check.what}"

@@ -50,8 +50,8 @@ class SceneVerdict:
 
     @property
     def ok(self) -> bool:
-        """No problem, no undecided pixel, every check within its bound."""
-        return not self.problem and not self.counts[UNDECIDED] and all(check.ok for check in self.checks)
+        """Something was hit, no problem, no undecided pixel, every check within its bound."""
+        return self.hit_pixels > 0 and not self.problem and not self.counts[UNDECIDED] and all(check.ok for check in self.checks)
 
     @property
     def worst(self) -> tuple[str, float]:
