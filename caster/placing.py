@@ -31,7 +31,8 @@ def as_float32(numbers: np.ndarray) -> np.ndarray:
 
 def is_similarity(linear: np.ndarray) -> bool:
     """Whether a 3x3 matrix keeps angles: rotation, mirroring and one scale."""
-    gram = linear.T @ linear
+    ratios = linear / np.abs(linear).max()  # whose squares neither overflow nor vanish
+    gram = ratios.T @ ratios
     size = np.trace(gram) / 3.0
     return bool(np.all(np.abs(gram - size * np.eye(3)) <= SIMILARITY_RTOL * size))
 
@@ -44,7 +45,8 @@ def size_of_similarity(linear: np.ndarray) -> float:
 
 
 def is_mirrored(matrix: np.ndarray) -> bool:
-    return bool(np.linalg.det(matrix[:3, :3]) < 0.0)
+    linear = matrix[:3, :3]
+    return bool(np.linalg.det(linear / np.abs(linear).max()) < 0.0)
 
 
 def affine_arrays(

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mitsuba_ref.exr_compare import Tolerances, compare_exr
+    from mitsuba_ref.exr.compare import Tolerances, compare_exr
     from mitsuba_ref.reference_render import render_reference
     from mitsuba_ref.validation import validate
     from mitsuba_ref.verdict import SceneVerdict, Verdict
@@ -16,9 +16,9 @@ __all__ = ["SceneVerdict", "Tolerances", "Verdict", "compare_exr", "render_refer
 
 _HOMES = {
     "SceneVerdict": "verdict",
-    "Tolerances": "exr_compare",
+    "Tolerances": "exr.compare",
     "Verdict": "verdict",
-    "compare_exr": "exr_compare",
+    "compare_exr": "exr.compare",
     "render_reference": "reference_render",
     "validate": "validation",
 }

@@ -51,7 +51,8 @@ class SceneVerdict:
     @property
     def ok(self) -> bool:
         """Something was hit, no problem, no undecided pixel, every check within its bound."""
-        return self.hit_pixels > 0 and not self.problem and not self.counts[UNDECIDED] and all(check.ok for check in self.checks)
+        settled = not self.problem and not self.counts[UNDECIDED]
+        return self.hit_pixels > 0 and settled and all(check.ok for check in self.checks)
 
     @property
     def worst(self) -> tuple[str, float]:

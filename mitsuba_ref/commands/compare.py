@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the comparison; 0 pass, 1 differences, 3 not comparable, 5 nothing to compare."""
-    from mitsuba_ref.exr_compare import Tolerances, compare_exr
+    from mitsuba_ref.exr.compare import Tolerances, compare_exr
 
     numbers = {name: getattr(args, name) for name in NUMBERS}
     tolerances = Tolerances(

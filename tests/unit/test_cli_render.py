@@ -60,13 +60,13 @@ def test_every_aov_comes_back_as_the_float32_of_what_was_computed(folder):
         assert np.array_equal(stored[name], narrow), name
 
 
-def test_the_default_is_the_scenes_name_in_this_folder_and_four_aovs(folder, capsys):
+def test_the_default_is_the_scenes_name_in_this_folder_and_five_aovs(folder, capsys):
     (folder / "deep").mkdir()
     (folder / "deep" / "t.toml").write_text(SCENE)
     assert main(["render", "deep/t.toml"]) == 0
     said = capsys.readouterr()
     assert said.out.startswith("t.exr: 24 x 16 pixels, ") and said.out.endswith(
-        "; hit, depth, normal, diffuse\n"
+        "; hit, depth, normal, position, diffuse\n"
     )
     assert said.err == ""
     assert set(caster.read_exr("t.exr").channels) == {

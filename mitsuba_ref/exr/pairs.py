@@ -11,8 +11,8 @@ import numpy as np
 from caster.exr import Exr
 from caster.info import hit_mask
 from caster.wording import SceneError, suggestion
-from mitsuba_ref.exr_condition import Condition, camera_of, condition_of
-from mitsuba_ref.exr_layers import LAYERS, Array, stacked
+from mitsuba_ref.exr.condition import Condition, camera_of, condition_of
+from mitsuba_ref.exr.layers import LAYERS, Array, stacked
 
 
 class Pair(NamedTuple):

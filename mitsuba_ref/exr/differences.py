@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.exr_bounds import bound_of
-from mitsuba_ref.exr_layers import LAYERS, Array
-from mitsuba_ref.exr_pairs import Pair
-from mitsuba_ref.exr_result import GroupResult, Worst
-from mitsuba_ref.exr_tolerances import Tolerances
+from mitsuba_ref.exr.bounds import bound_of
+from mitsuba_ref.exr.layers import LAYERS, Array
+from mitsuba_ref.exr.pairs import Pair
+from mitsuba_ref.exr.result import GroupResult, Worst
+from mitsuba_ref.exr.tolerances import Tolerances
 
 
 class Judged(NamedTuple):

@@ -16,13 +16,13 @@ import numpy as np
 from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.exr import read_exr
 from caster.wording import SceneError
-from mitsuba_ref.exr_difference_image import write_difference
-from mitsuba_ref.exr_differences import Judged, judge, judge_hits, present_groups
-from mitsuba_ref.exr_layers import LAYERS
-from mitsuba_ref.exr_messages import messages_of
-from mitsuba_ref.exr_pairs import Pair, channels_left_out, obstacles, size_of
-from mitsuba_ref.exr_result import FileComparison, GroupResult, Worst
-from mitsuba_ref.exr_tolerances import COLOR_RTOL, DEPTH_RTOL, NORMAL_ATOL, TYPICAL_ATOL, Tolerances
+from mitsuba_ref.exr.difference_image import write_difference
+from mitsuba_ref.exr.differences import Judged, judge, judge_hits, present_groups
+from mitsuba_ref.exr.layers import LAYERS
+from mitsuba_ref.exr.messages import messages_of
+from mitsuba_ref.exr.pairs import Pair, channels_left_out, obstacles, size_of
+from mitsuba_ref.exr.result import FileComparison, GroupResult, Worst
+from mitsuba_ref.exr.tolerances import COLOR_RTOL, DEPTH_RTOL, NORMAL_ATOL, TYPICAL_ATOL, Tolerances
 
 __all__ = [
     "COLOR_RTOL",

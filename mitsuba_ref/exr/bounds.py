@@ -3,10 +3,10 @@
 import numpy as np
 
 from caster.exr import Exr
-from mitsuba_ref.exr_condition import Condition
-from mitsuba_ref.exr_layers import Array, stacked
-from mitsuba_ref.exr_pairs import Pair
-from mitsuba_ref.exr_tolerances import (
+from mitsuba_ref.exr.condition import Condition
+from mitsuba_ref.exr.layers import Array, stacked
+from mitsuba_ref.exr.pairs import Pair
+from mitsuba_ref.exr.tolerances import (
     COLOR_RTOL,
     DEPTH_RTOL,
     NORMAL_ATOL,

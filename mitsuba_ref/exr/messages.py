@@ -6,9 +6,9 @@ import shlex
 
 import numpy as np
 
-from mitsuba_ref.exr_difference_image import CLASSES
-from mitsuba_ref.exr_pairs import Pair
-from mitsuba_ref.exr_result import FileComparison, GroupResult
+from mitsuba_ref.exr.difference_image import CLASSES
+from mitsuba_ref.exr.pairs import Pair
+from mitsuba_ref.exr.result import FileComparison, GroupResult
 
 SCENE, SCENE_HASH = "caster/scene", "caster/scene_sha256"  # provenance: the scene's path, its fingerprint
 

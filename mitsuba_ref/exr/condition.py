@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.exr import Exr
-from mitsuba_ref.exr_layers import LAYERS, Array, stacked
+from mitsuba_ref.exr.layers import LAYERS, Array, stacked
 from mitsuba_ref.meeting import K, U
 
 SCENE_JSON = "caster/scene_json"  # the provenance that names the camera

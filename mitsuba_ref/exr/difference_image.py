@@ -5,9 +5,9 @@ import os
 import numpy as np
 
 from caster.exr import write_exr
-from mitsuba_ref.exr_differences import Judged
-from mitsuba_ref.exr_layers import Array
-from mitsuba_ref.exr_pairs import Pair
+from mitsuba_ref.exr.differences import Judged
+from mitsuba_ref.exr.layers import Array
+from mitsuba_ref.exr.pairs import Pair
 
 LARGEST = float(np.finfo(np.float32).max)  # what an EXR channel holds
 
