@@ -17,10 +17,27 @@ class Bounds(NamedTuple):
 
 def bounds_of(model: Model, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> Bounds:
     """The meeting of ray i with prim[i] (n,) that is nearest to t[i]; prim -1 is a miss."""
-    rows = np.flatnonzero(prim >= 0)
-    ours = model.meet(prim[rows], o[rows], d[rows], KU_OURS, ours=True)
-    theirs = model.meet(prim[rows], o[rows], d[rows], KU, ours=False)
-    return Bounds(*(_spread(nearest_root(met, t[rows]), rows, len(prim)) for met in (ours, theirs)))
+    own, at = (nowhere(len(prim)) for _ in range(2))
+    hits = np.flatnonzero(prim >= 0)
+    for start in range(0, len(hits), AT_ONCE):
+        rows = hits[start : start + AT_ONCE]
+        for out, ku, ours in ((own, KU_OURS, True), (at, KU, False)):
+            found = nearest_root(model.meet(prim[rows], o[rows], d[rows], ku, ours=ours), t[rows])
+            for everywhere, here in zip(out[:FIELDS], found, strict=False):
+                everywhere[rows] = here
+    return Bounds(own, at)
+
+
+AT_ONCE = 1 << 17  # pixels; some fifty temporary arrays of three numbers each take 150 MB
+FIELDS = len(Meetings._fields) - 2  # edges are for brackets
+
+
+def nowhere(count: int) -> Meetings:
+    """Meetings that do not take place: all numbers inf."""
+    t, t_error, n_error, sh_error, p_error = np.full((5, count), np.inf)
+    n, sh_n = np.full((2, count, 3), np.inf)
+    possible, certain = np.zeros((2, count), bool)
+    return Meetings(t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error)
 
 
 def nearest_root(met: PairMeetings, t: np.ndarray) -> Meetings:
@@ -30,14 +47,3 @@ def nearest_root(met: PairMeetings, t: np.ndarray) -> Meetings:
     order = np.lexsort([np.where(np.isnan(away), np.inf, away), met.pair])
     first = order[np.r_[True, np.diff(met.pair[order]) != 0]] if len(order) else order
     return Meetings(*(a[first] for a in met.at if a is not None))
-
-
-def _spread(met: Meetings, rows: np.ndarray, count: int) -> Meetings:
-    """Meetings of some rays among those of all; inf where there is none."""
-    out = []
-    for values in met:
-        if values is not None:
-            everywhere = np.full((count, *values.shape[1:]), np.inf).astype(values.dtype)
-            everywhere[rows] = values
-            out.append(everywhere)
-    return Meetings(*out)

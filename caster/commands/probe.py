@@ -3,15 +3,14 @@
 import argparse
 import json
 
-from caster.commands.scene_arguments import add_scene, blamed_on, load
+from caster.commands.scene_arguments import add_pixel, add_scene, blamed_on, load
 
 HELP = "one pixel: its ray, its hit, and what it meets of each shape, in decimal and hex"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
-    parser.add_argument("x", metavar="X", type=int, help="column of the pixel, 0 at the left")
-    parser.add_argument("y", metavar="Y", type=int, help="row of the pixel, 0 at the top")
+    add_pixel(parser)
     parser.add_argument("--json", action="store_true", help="as JSON, with every shape that is hit")
 
 

@@ -35,6 +35,12 @@ def add_mesh_dirs(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_pixel(parser: argparse.ArgumentParser) -> None:
+    """X and Y."""
+    parser.add_argument("x", metavar="X", type=int, help="column of the pixel, 0 at the left")
+    parser.add_argument("y", metavar="Y", type=int, help="row of the pixel, 0 at the top")
+
+
 def load(args: argparse.Namespace) -> Scene:
     """The scene that was asked for, at the size that was asked for."""
     from caster.scene_files import load_scene

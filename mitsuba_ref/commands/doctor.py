@@ -2,17 +2,14 @@
 
 import argparse
 
-HELP = "say what was found on this machine, and what each missing thing would add"
+from caster.commands import doctor as of_caster
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="as JSON")
+HELP = of_caster.HELP
+add_arguments = of_caster.add_arguments
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the findings; 4 when something needed is missing."""
     from mitsuba_ref import doctor
 
-    findings = doctor.report()
-    print(doctor.format_json(findings) if args.json else doctor.format(findings))
-    return doctor.exit_code(findings)
+    return of_caster.show(doctor.report(), args)

@@ -3,7 +3,7 @@
 import argparse
 import json
 
-from caster.commands.scene_arguments import add_scene, blamed_on, load
+from caster.commands.scene_arguments import add_pixel, add_scene, blamed_on, load
 from caster.exits import DIFFERENCES, OK
 
 HELP = "one pixel: what ours and Mitsuba say, the bounds, and every primitive that may be hit"
@@ -11,8 +11,7 @@ HELP = "one pixel: what ours and Mitsuba say, the bounds, and every primitive th
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
-    parser.add_argument("x", metavar="X", type=int, help="column of the pixel, 0 at the left")
-    parser.add_argument("y", metavar="Y", type=int, help="row of the pixel, 0 at the top")
+    add_pixel(parser)
     parser.add_argument("--json", action="store_true", help="as JSON")
 
 
