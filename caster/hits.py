@@ -38,9 +38,11 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: float = 0.0, t_max:
     Raises SceneError if a ray is not finite or has no direction, naming the first such ray.
     Source: watertight edge tests after Woop, Benthin, Wald (2013); slabs padded after Ize (2013).
     """
-    rays = checked_rays(o, d, t_min, t_max)
+    rays, exponent = _scaled(checked_rays(o, d, t_min, t_max))
     view = look_along(scene, packed(scene), rays, np.zeros(len(rays.t_min)))
-    return Hits(view.nearest.t, view.shape_id, view.prim_id, view)
+    with np.errstate(over="ignore", under="ignore"):
+        t = np.ldexp(view.nearest.t, -exponent)
+    return Hits(t, view.shape_id, view.prim_id, view)
 
 
 def occluded(
@@ -91,6 +93,18 @@ def checked_rays(o: ArrayLike, d: ArrayLike, t_min: float, t_max: float) -> Rays
         )
     n = len(origins)
     return Rays(origins, directions, np.full(n, float(t_min)), np.full(n, float(t_max)))
+
+
+def _scaled(rays: Rays) -> tuple[Rays, np.ndarray]:
+    """(rays with d of about unit length, k (n,)); t then counts in lengths of 2^-k d.
+
+    Exact, and squares of d neither overflow nor vanish, however long it was.
+    """
+    exponent = np.frexp(np.abs(rays.d).max(axis=1, initial=0.0))[1]
+    d = np.ldexp(rays.d, -exponent[:, None])
+    with np.errstate(over="ignore", under="ignore"):
+        t_min, t_max = (np.ldexp(t, exponent) for t in (rays.t_min, rays.t_max))
+    return Rays(rays.o, d, t_min, t_max), exponent
 
 
 def _rows(a: ArrayLike, name: str) -> np.ndarray:

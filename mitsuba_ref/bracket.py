@@ -20,6 +20,7 @@ class Claims(NamedTuple):
     shape: np.ndarray  # (n,) index, -1 on a miss
     n: np.ndarray  # (n, 3)
     sh_n: np.ndarray  # (n, 3)
+    p: np.ndarray  # (n, 3)
 
 
 class Finding(NamedTuple):
@@ -54,7 +55,7 @@ class Bracket:
             found = self._meet(ray, prim, o, d, t_max)
             rays = np.unique(ray)
             seen[rays] = True
-            allowed[rays], unresolvable[rays] = self._allows(found, claims, t_max, rays)
+            allowed[rays], unresolvable[rays] = self._allows(found, claims, (o, d, t_max), rays)
         allowed[~seen] = claims.shape[~seen] < 0
         return Finding(allowed, unresolvable)
 
@@ -94,9 +95,11 @@ class Bracket:
         return Found(rays[keep], prim[met.pair][keep], at)
 
     def _allows(
-        self, found: Found, claims: Claims, t_max: np.ndarray, rays: np.ndarray
+        self, found: Found, claims: Claims, line: tuple[np.ndarray, ...], rays: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         at, ray = found.at, found.ray
+        o, d, t_max = line
+        p = o[ray] + at.t[:, None] * d[ray]
         latest = np.full(len(t_max), np.inf)
         np.minimum.at(latest, ray, latest_hits(found, t_max))
         matches = (
@@ -105,6 +108,7 @@ class Bracket:
             & (np.abs(claims.t[ray] - at.t) <= at.t_error)
             & (norm(claims.n[ray] - at.n) <= at.n_error)
             & (norm(claims.sh_n[ray] - at.sh_n) <= at.sh_error)
+            & (norm(claims.p[ray] - p) <= at.p_error)
             & (claims.t[ray] <= latest[ray])
         )
         has_match, open_end = np.zeros(len(t_max), bool), np.zeros(len(t_max), bool)

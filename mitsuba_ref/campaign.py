@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from caster.scene import Scene
+from caster.wording import SceneError
 from mitsuba_ref import child
 from mitsuba_ref.validation import validate_scene
 from mitsuba_ref.verdict import SceneVerdict
@@ -58,11 +59,12 @@ def run(
         pool.shutdown(wait=False, cancel_futures=True)
         child.stop_all()
         pool.shutdown(wait=True)
+        child.start_again()
 
 
 def _judge(entry: Entry, folder: Path | None) -> SceneVerdict:
     try:
         verdict = validate_scene(entry.scene, entry.name, entry.path, folder=folder)
-    except LookupError as missing:  # a shape or camera without a reference
-        verdict = SceneVerdict(entry.name, entry.path, problem=str(missing))
+    except SceneError as error:  # no reference for a shape, or numbers beyond float32
+        verdict = SceneVerdict(entry.name, entry.path, problem=f"cannot be judged: {error}")
     return replace(verdict, resized=entry.resized)

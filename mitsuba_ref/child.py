@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,6 +22,8 @@ FIRST_WORDS, LAST_WORDS = 1000, 3000  # bytes kept of what Mitsuba said
 ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 
 _running: set[int] = set()
+_starting = threading.Lock()
+_stopped = threading.Event()  # nothing is started any more
 
 
 class End(NamedTuple):
@@ -41,30 +44,43 @@ def put(
 
 
 def stop_all() -> None:
-    """Kill every child that is running; who waits for one gets a Crash. For Ctrl-C while threads wait."""
-    for group in list(_running):
-        _kill(group)
+    """Kill every child that runs, and start no other until `start_again`: for Ctrl-C while threads wait.
+
+    Who waits for a child, or wants one, gets a Crash.
+    """
+    with _starting:
+        _stopped.set()
+        for group in list(_running):
+            _kill(group)
+
+
+def start_again() -> None:
+    """Let children be started."""
+    _stopped.clear()
 
 
 def _run(command: Sequence[str], folder: Path, timeout: float, settings: Mapping[str, str]) -> End:
     """Run it in a session of its own; its words go to a file, since a pipe that nobody empties is a hang."""
     start = time.monotonic()
     with (folder / "words").open("wb") as words:
-        child = subprocess.Popen(
-            command,
-            cwd=folder,
-            env={**os.environ, **settings, "PYTHONPATH": _search_path()},
-            stdin=subprocess.DEVNULL,
-            stdout=words,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
+        with _starting:
+            if _stopped.is_set():
+                return End(-signal.SIGKILL, "stopped before it began", 0.0)
+            child = subprocess.Popen(
+                command,
+                cwd=folder,
+                env={**os.environ, **settings, "PYTHONPATH": _search_path()},
+                stdin=subprocess.DEVNULL,
+                stdout=words,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+            _running.add(child.pid)
         code = _wait(child, timeout)
     return End(code, _words(folder / "words"), time.monotonic() - start)
 
 
 def _wait(child: subprocess.Popen[bytes], timeout: float) -> int | None:
-    _running.add(child.pid)
     try:
         return child.wait(timeout)
     except subprocess.TimeoutExpired:

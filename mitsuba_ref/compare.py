@@ -22,10 +22,6 @@ class Comparison:
         """(n,) the largest ratio of each pixel."""
         return np.max(list(self.ratios.values()), axis=0)
 
-    def worst_check(self, i: int) -> str:
-        """The check that pixel i fails by most."""
-        return max(self.ratios, key=lambda name: float(self.ratios[name][i]))
-
 
 def compare(pixels: Pixels, allowed: Mapping[str, Check]) -> Comparison:
     """All checks; a scene's own [check.AOV] makes a bound stricter or laxer by its ratio."""

@@ -8,7 +8,7 @@ from caster.placing import as_float32
 from caster.scene import Scene
 from mitsuba_ref.camera_reference import CameraReference, Limits
 from mitsuba_ref.cameras import REFERENCES
-from mitsuba_ref.model import Model, missing_reference, model_of, reference_of
+from mitsuba_ref.model import MissingReferenceError, Model, missing_reference, model_of, reference_of
 from mitsuba_ref.rays import share
 from mitsuba_ref.xml import Export, Writer, to_text
 
@@ -19,9 +19,9 @@ NEAR, FAR = 2.0**-20, 2.0**10
 
 
 def camera_reference(camera: Camera) -> CameraReference:
-    """Raises LookupError with what to write, where a camera has no reference yet."""
+    """Raises MissingReferenceError with what to write, where a camera has no reference yet."""
     if type(camera) not in OF_CAMERA:
-        raise LookupError(missing_reference(type(camera).__name__, "cameras"))
+        raise MissingReferenceError(missing_reference(type(camera).__name__, "cameras"))
     return OF_CAMERA[type(camera)]
 
 
@@ -34,13 +34,18 @@ def export(scene: Scene, model: Model) -> Export:
     """The same, of geometry that is packed already."""
     out = Writer(scene)
     shapes = []
-    for name, shape, part in zip(scene.shape_names(), scene.shapes, model.parts, strict=True):
+    for name, shape, part in zip(shape_ids(scene), scene.shapes, model.parts, strict=True):
         out.name = name
         shapes += reference_of(shape).to_xml(out, shape, part)
     sensor = camera_reference(scene.camera).to_xml(scene.camera, scene.film, limits(scene, model))
     if sensor is None:
         out.notes.append(f"no sensor: Mitsuba has no {scene.camera.type} camera, so rays are handed over")
-    return Export(to_text(scene, shapes, sensor, out), out.meshes, scene.shape_names(), out.notes)
+    return Export(to_text(scene, shapes, sensor, out), out.meshes, shape_ids(scene), out.notes)
+
+
+def shape_ids(scene: Scene) -> list[str]:
+    """One id per shape: its name, unless Mitsuba would read a parameter in it."""
+    return [f"shapes[{i}]" if "$" in name else name for i, name in enumerate(scene.shape_names())]
 
 
 def limits(scene: Scene, model: Model) -> Limits:

@@ -9,6 +9,7 @@ from caster.rendering import Aovs
 from caster.scene import Scene
 from mitsuba_ref.bounds import Bounds, bounds_of
 from mitsuba_ref.bracket import Bracket, Claims
+from mitsuba_ref.coherence import coherent
 from mitsuba_ref.compare import Comparison, compare
 from mitsuba_ref.meeting import KU, KU_OURS
 from mitsuba_ref.model import Model
@@ -54,6 +55,11 @@ class Judge:
     def theirs(self) -> Bracket:
         return Bracket(self.model, KU, ours=False)
 
+    @cached_property
+    def coherent(self) -> np.ndarray:
+        """(n,) bool: our picture holds no value that contradicts our own hit; no rounding excuses one."""
+        return coherent(self.pair)
+
     def judge(self) -> Judgement:
         """Geometry first; the diffuse AOV where geometry agrees."""
         pair, rays = self.pair, self.pair.rays
@@ -61,7 +67,7 @@ class Judge:
         bounds = bounds_of(self.model, pair.prim, o, d, pair.t)
         pixels = Pixels(pair.ours, pair.reference, bounds, pair.t, pair.length, rays.start)
         comparison = compare(pixels, self.scene.checks)
-        classes = np.where(comparison.worst <= 1.0, CODE[AGREE], CODE[UNDECIDED])
+        classes = np.where((comparison.worst <= 1.0) & self.coherent, CODE[AGREE], CODE[UNDECIDED])
         disputed = np.flatnonzero(classes == CODE[UNDECIDED])
         ours_fails = np.zeros(len(classes), bool)
         if len(disputed):
@@ -74,7 +80,7 @@ class Judge:
         t_max = self.pair.rays.t_max[rows].astype(np.float64)
         ours = self.ours.judge(o, d, t_max, self._our_claims(rows))
         theirs = self.theirs.judge(o, d, t_max, self._their_claims(rows))
-        fine = ours.allowed | ours.unresolvable
+        fine = (ours.allowed | ours.unresolvable) & self.coherent[rows]
         classes = np.full(len(rows), CODE[UNDECIDED])
         classes[fine & theirs.unresolvable] = CODE[OUT_OF_DOMAIN]
         classes[fine & theirs.allowed] = CODE[EXPLAINED]
@@ -87,7 +93,7 @@ class Judge:
         return self._claims(self.pair.reference, self.pair.witness.t, rows)
 
     def _claims(self, aovs: Aovs, t: np.ndarray, rows: np.ndarray) -> Claims:
-        names = ("shape_id", "normal", "shading_normal")
+        names = ("shape_id", "normal", "shading_normal", "position")
         return Claims(t[rows], *(flat(aovs, name)[rows] for name in names))
 
     def _shade(self, bounds: Bounds, rows: np.ndarray, classes: np.ndarray) -> Shading:

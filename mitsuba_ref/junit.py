@@ -7,18 +7,19 @@ from mitsuba_ref.verdict import CLASSES, Verdict
 
 
 def junit(verdict: Verdict) -> str:
-    """One test case a scene; a failing one holds what the terminal says of it."""
+    """One test case a scene; a failing one holds what the terminal says of it. No answer at all is an error."""
     failed = [scene for scene in verdict.scenes if not scene.ok]
-    suite = Element(
-        "testsuite", name="mitsuba-ref validate", tests=str(len(verdict.scenes)), failures=str(len(failed))
-    )
-    suite.set("errors", "0")
+    errors = sum(bool(scene.problem) for scene in failed)
+    suite = Element("testsuite", name="mitsuba-ref validate", tests=str(len(verdict.scenes)))
+    suite.set("failures", str(len(failed) - errors))
+    suite.set("errors", str(errors))
     suite.set("time", f"{sum(scene.seconds for scene in verdict.scenes):.3f}")
     for scene in verdict.scenes:
         case = SubElement(suite, "testcase", classname="scenes", name=scene.name, time=f"{scene.seconds:.3f}")
         if not scene.ok:
             text = failure(scene)
-            SubElement(case, "failure", message=printable(text.splitlines()[0])).text = printable(text)
+            kind = "error" if scene.problem else "failure"
+            SubElement(case, kind, message=printable(text.splitlines()[0])).text = printable(text)
         counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
         SubElement(case, "system-out").text = printable(f"hit={scene.hit_pixels} {counts} {scene.versions}")
     indent(suite)

@@ -9,7 +9,7 @@ import numpy as np
 U = 2.0**-24
 
 # Mitsuba's answer is accepted where it is the exact answer to numbers perturbed by at most K u each. The largest K
-# any measured ray inside the domain needed is 2.8 (docs/method.md); typical rays need 0.3 to 1.3.
+# that t needed on any measured ray inside the domain is 2.8 (docs/method.md, "Measured"); a typical ray needs 0.1.
 K = 4.0
 KU = K * U
 

@@ -10,6 +10,7 @@ import numpy as np
 from caster.fields import Shape
 from caster.packing import Packed, joined
 from caster.scene import Scene
+from caster.wording import SceneError
 from mitsuba_ref.meeting import ErrorModel, Meetings
 from mitsuba_ref.rays import SharedRays
 from mitsuba_ref.shape_reference import ShapeReference
@@ -18,10 +19,14 @@ from mitsuba_ref.shapes import REFERENCES
 OF_SHAPE = {reference.describes: reference for reference in REFERENCES}
 
 
+class MissingReferenceError(SceneError, LookupError):
+    """A scene with a shape or a camera that the judge does not know."""
+
+
 def reference_of(shape: Shape) -> ShapeReference:
-    """Raises LookupError with what to write, where a shape has no reference yet."""
+    """Raises MissingReferenceError with what to write, where a shape has no reference yet."""
     if type(shape) not in OF_SHAPE:
-        raise LookupError(missing_reference(type(shape).__name__, "shapes"))
+        raise MissingReferenceError(missing_reference(type(shape).__name__, "shapes"))
     return OF_SHAPE[type(shape)]
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from caster.aovs import BY_NAME
 from caster.rendering import Aovs
 from mitsuba_ref.bounds import Bounds
 
@@ -32,6 +33,12 @@ class Pixels:
     def both_hit(self) -> np.ndarray:
         ours, reference = self.hits
         return ours & reference
+
+    def where_both_hit(self, name: str, share: np.ndarray) -> np.ndarray:
+        """(n,) the share of an AOV's bound; elsewhere 0, and inf where ours is a miss that holds a value."""
+        values = flat(self.ours, name)
+        holds = (values != BY_NAME[name].MISS).reshape(len(share), -1).any(axis=1)
+        return np.where(self.both_hit, share, np.where(holds & ~self.hits[0], np.inf, 0.0))
 
 
 def flat(aovs: Aovs, name: str) -> np.ndarray:

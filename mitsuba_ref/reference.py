@@ -10,7 +10,7 @@ import numpy as np
 from caster.aovs import AOVS
 from caster.rendering import Aovs
 from caster.scene import Scene
-from mitsuba_ref.export import export
+from mitsuba_ref.export import export, shape_ids
 from mitsuba_ref.jobs import Answer, Crash, Job
 from mitsuba_ref.model import Model, reference_of
 from mitsuba_ref.rays import SharedRays
@@ -82,7 +82,7 @@ def consult(
 
 def witness(scene: Scene, answer: Answer) -> Witness:
     """The answer in the scene's own terms."""
-    place = {name: index for index, name in enumerate(scene.shape_names())}
+    place = {name: index for index, name in enumerate(shape_ids(scene))}
     table = np.array([*(place.get(name, -1) for name in answer.names), -1], np.int32)
     radiance = np.zeros(3)
     for light in scene.lights:

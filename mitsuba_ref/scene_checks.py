@@ -1,39 +1,21 @@
-"""What is checked once a scene, beside the pixels: placement, camera, sensor, and the culling that `render` uses."""
+"""What is checked once a scene, beside the pixels: shapes, camera, sensor, and what `render` makes of them."""
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
-from caster.rendering import Aovs, camera_rays, render
+from caster.fields import Camera
+from caster.packing import pack
+from caster.placing import as_given
+from caster.rendering import Aovs, camera_rays, evaluate, film_window, look_along, render
 from caster.scene import Scene
+from mitsuba_ref.camera_reference import axes
 from mitsuba_ref.export import camera_reference
 from mitsuba_ref.meeting import KU, KU_OURS, norm
 from mitsuba_ref.pixels import flat, share_of_bound
-from mitsuba_ref.placement import disagreement
 from mitsuba_ref.reference import Witness
-
-
-class SceneCheck(NamedTuple):
-    """The outcome of one of them."""
-
-    name: str
-    ratio: float  # largest error over its bound; inf where something is there that must not be, or is missing
-    what: str  # where the largest is; says what was looked at if all is well
-
-    @property
-    def ok(self) -> bool:
-        return self.ratio <= 1.0
-
-
-def check_placement(scene: Scene) -> SceneCheck:
-    """Each shape's matrix against its steps, composed a second time."""
-    ratios = [disagreement(shape) for shape in scene.shapes if shape.to_world]
-    names = [name for name, shape in zip(scene.shape_names(), scene.shapes, strict=True) if shape.to_world]
-    if not ratios:
-        return SceneCheck("placement", 0.0, "no shape has a to_world")
-    worst = int(np.argmax(ratios))
-    return SceneCheck("placement", ratios[worst], f"to_world of {names[worst]}")
+from mitsuba_ref.scene_check import SceneCheck
+from mitsuba_ref.shape_checks import check_geometry, check_materials, check_placement
 
 
 def check_camera(scene: Scene) -> SceneCheck:
@@ -42,20 +24,41 @@ def check_camera(scene: Scene) -> SceneCheck:
     x, y = pixel_centers(scene)
     expected = camera_reference(scene.camera).rays(scene.camera, scene.film, x, y)
     size = 1.0 + float(np.abs(expected.o).max(initial=0.0))
-    seen, ours_seen = expected.t_max >= 0.0, ours.t_max >= 0.0
+    rounding = CAMERA_ROUNDINGS * KU_OURS / _slant_of_up(scene.camera)
+    seen, rim = expected.t_max >= 0.0, _on_rim(scene, x, y)
     shares = {
-        "rays there are": np.where(seen == ours_seen, 0.0, np.inf),
-        "origin": norm(ours.o - expected.o) / (CAMERA_ROUNDINGS * KU_OURS * size),
-        "direction": norm(ours.d - expected.d) / (CAMERA_ROUNDINGS * KU_OURS),
-        "near": _relative(ours.t_min, expected.t_min) / (CAMERA_ROUNDINGS * KU_OURS),
-        "far": _relative(ours.t_max, expected.t_max) / (CAMERA_ROUNDINGS * KU_OURS),
+        "rays there are": np.where(seen == (ours.t_max >= 0.0), 0.0, np.inf),
+        "origin": norm(ours.o - expected.o) / (rounding * size),
+        "direction": norm(ours.d - expected.d) / rounding,
+        "near": _relative(ours.t_min, expected.t_min) / rounding,
+        "far": _relative(ours.t_max, expected.t_max) / rounding,
     }
-    return _worst("camera", shares, seen | ours_seen, scene)
+    return _worst("camera", shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
 
 
 # A direction goes through an orthobasis (three unit vectors of 4 roundings each), a position on the film (4), a sine
 # or tangent (2) of an angle of up to pi, and a length (3): 32 roundings, in steps of K.
 CAMERA_ROUNDINGS = 8.0
+
+
+def _slant_of_up(camera: Camera) -> float:
+    """The sine of the angle between view and up: the orthobasis rounds by as much more as this is less than 1."""
+    forward, up = axes(camera)[2], np.array(camera.up, np.float64)
+    return float(np.linalg.norm(np.cross(forward, up)) / np.linalg.norm(up))
+
+
+def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(n,) bool: pixels on the edge of a round picture, up to rounding, so that either side may have a ray there."""
+    film, reference = scene.film, camera_reference(scene.camera)
+    middle_x, middle_y = film.width / 2.0, film.height / 2.0
+    seen = []
+    for scale in (1.0 - KU_OURS, 1.0 + KU_OURS):
+        rays = reference.rays(
+            scene.camera, film, middle_x + scale * (x - middle_x), middle_y + scale * (y - middle_y)
+        )
+        seen.append(rays.t_max >= 0.0)
+    differs: np.ndarray = seen[0] != seen[1]
+    return differs
 
 
 def check_sensor(scene: Scene, witness: Witness) -> SceneCheck:
@@ -76,17 +79,35 @@ def check_sensor(scene: Scene, witness: Witness) -> SceneCheck:
         shares["near"] = np.abs(along - ours.t_min) / (bound * (size + ours.t_min))
     if getattr(scene.camera, "far", None) is not None:
         end = along + answer.sensor_t_max.astype(np.float64)
-        shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
+        with np.errstate(invalid="ignore"):  # a far plane at infinity is beyond every bound
+            shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
     return _worst("sensor", shares, np.ones(len(d), bool), scene)
 
 
 def check_culling(scene: Scene) -> SceneCheck:
-    """`render` as it is planned for this scene against every ray through the tree: the same bits."""
-    names = ("depth", "normal", "shading_normal", "shape_id", "prim_id")
-    planned, tree = render(scene, names), render(scene, names, culling="bvh")
+    """`render`, as it is planned for this scene, against the way that pixels are judged: the same bits."""
+    names = ("depth", "normal", "shading_normal", "position", "shape_id", "prim_id")
+    rays = camera_rays(scene)
+    judged = look_along(scene, pack(scene, as_given), rays, np.zeros(len(rays.o)))
+    planned, tree = render(scene, names), evaluate(judged, names, film_window(scene))
     differs = np.any([_bits_differ(planned, tree, name) for name in names], axis=0)
     shares = {"bits": np.where(differs, np.inf, 0.0)}
     return _worst("culling", shares, np.ones(len(differs), bool), scene)
+
+
+def check_clip(scene: Scene) -> SceneCheck:
+    """What `render` hits lies between the clip planes; the pixels do not show it: their rays start at the near one."""
+    depth = flat(render(scene, ("depth",)), "depth")
+    x, y = pixel_centers(scene)
+    limits = camera_reference(scene.camera).rays(scene.camera, scene.film, x, y)
+    slack = 1.0 + CAMERA_ROUNDINGS * KU_OURS
+    hit = np.isfinite(depth)
+    beyond = hit & (depth > limits.t_max * slack)
+    before = hit & (depth * slack < limits.t_min)
+    shares = {
+        name: np.where(bad, np.inf, 0.0) for name, bad in (("before near", before), ("beyond far", beyond))
+    }
+    return _worst("clip", shares, hit, scene)
 
 
 def _bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
@@ -121,6 +142,9 @@ def _worst(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: S
 
 CHECKS_WITHOUT_REFERENCE: tuple[Callable[[Scene], SceneCheck], ...] = (
     check_placement,
+    check_geometry,
+    check_materials,
     check_camera,
+    check_clip,
     check_culling,
 )

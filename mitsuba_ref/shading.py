@@ -45,16 +45,23 @@ def judge_diffuse(
     scene: Scene, pair: Pair, bounds: Bounds, rows: np.ndarray, ours: Bracket, theirs: Bracket
 ) -> Shading:
     """Judge the pixels `rows`, where geometry agrees; ours and theirs: the brackets of either arithmetic."""
-    count = len(pair.witness.t)
-    ratio, explained, unresolvable = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
+    ratio = _impossible(pair)
+    explained, unresolvable = np.zeros(len(ratio), bool), np.zeros(len(ratio), bool)
     case = _judged(scene, pair, bounds, rows)
     shares = _share(case, np.zeros_like(case.visible))
-    ratio[rows] = shares
+    ratio[rows] = np.maximum(ratio[rows], shares)
     doubtful = np.flatnonzero(shares > 1.0)
     if len(doubtful):
         explained[rows[doubtful]] = _explain(scene, pair, case, doubtful, ours, theirs)
         unresolvable[rows[doubtful]] = _unresolvable(scene, pair, bounds, _part_of(case, doubtful), ours)
     return Shading(ratio, explained, unresolvable)
+
+
+def _impossible(pair: Pair) -> np.ndarray:
+    """(n,) inf where ours is not a number, or shines on a miss; else 0."""
+    values, hit = flat(pair.ours, "diffuse"), pair.ours.hit.ravel()
+    fine = np.where(hit, np.isfinite(values).all(axis=1), (values == 0.0).all(axis=1))
+    return np.where(fine, 0.0, np.inf)
 
 
 def _judged(scene: Scene, pair: Pair, bounds: Bounds, rows: np.ndarray) -> _Judged:

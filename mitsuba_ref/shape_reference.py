@@ -8,6 +8,7 @@ import numpy as np
 
 from caster.fields import Shape
 from mitsuba_ref.meeting import ErrorModel
+from mitsuba_ref.placed import Placed
 from mitsuba_ref.xml import Writer, XmlElement
 
 
@@ -27,6 +28,9 @@ class ShapeReference:
 
     # for each kind of primitive the shape packs to
     models: Mapping[type, ErrorModel] = field(repr=False)
+
+    # (description, its packed arrays) -> what has to hold of them, worked out a second time
+    placed: Placed
 
     # Mitsuba intersects it with code of its own, which is float64 in its scalar variant only
     analytic: bool = False

@@ -45,6 +45,7 @@ def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
     for check in scene.checks:
         if not check.ok:
             yield f"FAIL  {scene.name}  {check.name}: {check.ratio:.3g}x its bound; {check.what}"
+            yield f"      replay:    {replay(scene)}"
     if scene.failures:
         first = scene.failures[0]
         count, hit = scene.counts[UNDECIDED], scene.hit_pixels
@@ -55,7 +56,7 @@ def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
         yield f"      ours:      {first.ours}"
         yield f"      reference: {first.reference}"
         yield f"      why:       {first.reason}"
-        yield f"      replay:    {replay(scene, first.x, first.y)}"
+        yield f"      replay:    {replay(scene, (first.x, first.y))}"
 
 
 def _problem_lines(scene: SceneVerdict) -> Iterator[str]:
@@ -64,10 +65,13 @@ def _problem_lines(scene: SceneVerdict) -> Iterator[str]:
     yield from (f"      {line}" for line in rest[:WORDS_SHOWN])
 
 
-def replay(scene: SceneVerdict, x: int, y: int) -> str:
-    """The command that shows one pixel again."""
+def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
+    """The command that shows one pixel, or else the scene, again."""
     size = f" --size {scene.size[0]} {scene.size[1]}" if scene.resized else ""
-    return f"mitsuba-ref probe {shlex.quote(scene.path or 'SCENE')} {x} {y}{size}"
+    path = shlex.quote(scene.path or "SCENE")
+    if pixel is None:
+        return f"mitsuba-ref validate {path}{size}"
+    return f"mitsuba-ref probe {path} {pixel[0]} {pixel[1]}{size}"
 
 
 def summary(verdict: Verdict, seconds: float) -> str:

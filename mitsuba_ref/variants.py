@@ -73,7 +73,7 @@ def variant_for(has_quadrics: bool) -> str:
     """
     chosen = os.environ.get(CHOICE)
     if chosen:
-        return _checked(chosen)
+        return checked(chosen, CHOICE)
     return LLVM if not has_quadrics and usable().llvm else SCALAR
 
 
@@ -83,11 +83,12 @@ def settings(variant: str) -> dict[str, str]:
     return {LIBRARY: library} if library else {}
 
 
-def _checked(chosen: str) -> str:
+def checked(chosen: str, option: str) -> str:
+    """The variant that an option or environment variable chose. Raises VariantError if it is none or does not work."""
     if chosen not in KNOWN:
-        raise VariantError(f"{CHOICE}: expected {' or '.join(KNOWN)}, got {chosen!r}")
+        raise VariantError(f"{option} {chosen!r}: expected {' or '.join(KNOWN)}")
     if chosen not in usable().names:
-        raise VariantError(f"{CHOICE}={chosen}: it does not work here: {usable().why}")
+        raise VariantError(f"{option} {chosen!r}: it does not work here: {usable().why}")
     return chosen
 
 

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 
 from caster.scene import Scene
-from mitsuba_ref.scene_checks import SceneCheck
+from mitsuba_ref.scene_check import SceneCheck
 
 # The classes of a pixel; the first ones pass, the last one fails.
 AGREE, EXPLAINED, OUT_OF_DOMAIN, UNDECIDED = CLASSES = ("agree", "explained", "out_of_domain", "undecided")
-PASSING = (AGREE, EXPLAINED, OUT_OF_DOMAIN)
 SHOWN = 10  # failures a scene lists; all are counted
 
 

@@ -24,6 +24,7 @@ class Setting(NamedTuple):
     distances: tuple[float, float] = (3.0, 100.0)  # between rays' origins and what they aim at, in sizes
     slopes: tuple[float, float] = (1e-3, 1.0)  # |cos| between ray and normal
     thin: float = 1.0  # the least extent over the greatest, where a shape can be stretched
+    shear: float = 1.0  # a second stretch, along another axis, where a shape may be sheared
     edges: float = 0.3  # share of rays that aim at an edge, a corner or a rim
 
 
@@ -38,9 +39,11 @@ def decades(rng: Rng, low: float, high: float, count: int) -> np.ndarray:
 
 
 def placed(rng: Rng, setting: Setting, middle: np.ndarray, stretch: Any) -> list[dict[str, Any]]:
+    """Steps that stretch, turn, shear and move."""
     turn = {"axis": direction(rng, 1)[0], "degrees": rng.uniform(0.0, 360.0)}
     move = middle + setting.size * rng.normal(size=3)
-    return [{"scale": setting.size * np.array(stretch)}, {"rotate": turn}, {"translate": move}]
+    across = [] if np.ndim(stretch) == 0 else [{"scale": [1.0, setting.shear, 1.0]}]
+    return [{"scale": setting.size * np.array(stretch)}, {"rotate": turn}, *across, {"translate": move}]
 
 
 def a_triangle(rng: Rng, setting: Setting, middle: np.ndarray) -> Shape:
@@ -120,8 +123,8 @@ def spots(part: Any, rng: Rng, count: int, edges: float) -> Spots:
         q = direction(rng, count)
         return Spots(part.center[0] + part.radius[0] * q, q)
     if hasattr(part, "normal"):
-        across = np.cross(part.normal[0], rng.normal(size=(count, 3)))
-        return Spots(part.point[0] + across * decades(rng, 1e-2, 1e3, count)[:, None], np.tile(part.normal[0], (count, 1)))
+        across = np.cross(part.normal[0], rng.normal(size=(count, 3))) * decades(rng, 1e-2, 1e3, count)[:, None]
+        return Spots(part.point[0] + across, np.tile(part.normal[0], (count, 1)))
     q, n = spots_of_unit(type(part).__name__, rng, on_edge)
     n = n @ part.to_object[0]
     return Spots(part.center[0] + q @ part.to_world[0].T, n / np.linalg.norm(n, axis=1, keepdims=True))

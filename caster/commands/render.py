@@ -65,9 +65,14 @@ def run(args: argparse.Namespace) -> int:
 def output_path(args: argparse.Namespace) -> str:
     """Where to write: as asked, else the scene's name in the current folder."""
     output = args.output if args.output is not None else f"{Path(args.scene).stem}.exr"
+    check_suffix(output)
+    return output
+
+
+def check_suffix(output: str) -> None:
+    """Raise SceneError for an output that other programs would not take for an EXR file."""
     if Path(output).suffix.lower() != ".exr":
         raise SceneError(f"-o {output}: expected a name that ends in .exr")
-    return output
 
 
 def cropped(scene: Scene, crop: list[int] | None) -> Scene:

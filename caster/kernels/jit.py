@@ -3,6 +3,8 @@
 `CASTER_JIT=0` switches the compiler off, so that pdb steps through the very code that runs compiled.
 """
 
+import atexit
+import contextlib
 import hashlib
 import inspect
 import os
@@ -48,15 +50,18 @@ def _cache_folder(version: str) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
     except OSError:  # a home that cannot be written: compile anew in every process
-        return Path(tempfile.mkdtemp(prefix="caster-kernels-"))
+        folder = Path(tempfile.mkdtemp(prefix="caster-kernels-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        return folder
     _drop_old_caches(folder.parent)
     return folder
 
 
 def _drop_old_caches(parent: Path) -> None:
-    folders = sorted(parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
-    for old in folders[KEPT_CACHES:]:
-        shutil.rmtree(old, ignore_errors=True)
+    with contextlib.suppress(OSError):  # another process drops the same ones
+        folders = sorted(parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+        for old in folders[KEPT_CACHES:]:
+            shutil.rmtree(old, ignore_errors=True)
 
 
 NUMBA = _compiler()

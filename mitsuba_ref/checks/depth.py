@@ -12,9 +12,9 @@ NAME = "depth"
 
 
 def ratio(pixels: Pixels) -> np.ndarray:
-    """|ours - reference| / bound where both hit, 0 elsewhere."""
+    """|ours - reference| / bound where both hit."""
     ours, reference = pixels.pair("depth")
     bound = pixels.bounds.at.t_error * pixels.length + KU_OURS * np.abs(ours)
     with np.errstate(invalid="ignore"):
         error = np.abs(ours - reference)
-    return np.where(pixels.both_hit, share_of_bound(error, bound), 0.0)
+    return pixels.where_both_hit(NAME, share_of_bound(error, bound))

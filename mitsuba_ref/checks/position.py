@@ -12,6 +12,6 @@ NAME = "position"
 
 
 def ratio(pixels: Pixels) -> np.ndarray:
-    """|ours - reference| / bound where both hit, 0 elsewhere."""
+    """|ours - reference| / bound where both hit."""
     share = share_of_bound(apart(*pixels.pair("position")), pixels.bounds.at.p_error)
-    return np.where(pixels.both_hit, share, 0.0)
+    return pixels.where_both_hit(NAME, share)

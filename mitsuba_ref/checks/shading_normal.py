@@ -11,6 +11,6 @@ NAME = "shading_normal"
 
 
 def ratio(pixels: Pixels) -> np.ndarray:
-    """|ours - reference| / bound where both hit, 0 elsewhere."""
+    """|ours - reference| / bound where both hit."""
     share = share_of_bound(apart(*pixels.pair("shading_normal")), pixels.bounds.at.sh_error)
-    return np.where(pixels.both_hit, share, 0.0)
+    return pixels.where_both_hit(NAME, share)

@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CHANNEL",
         help="leave a channel or group of them out",
     )
+    add("--other-scene", action="store_true", help="compare images of different scenes, too")
     add("--allow-empty", action="store_true", help="two images that hit nothing pass")
     add("--json", action="store_true", help="as JSON")
 
@@ -45,7 +46,11 @@ def run(args: argparse.Namespace) -> int:
 
     numbers = {name: getattr(args, name) for name in NUMBERS}
     tolerances = Tolerances(
-        **numbers, max_pixels=args.max_pixels, ignore=tuple(args.ignore), allow_empty=args.allow_empty
+        **numbers,
+        max_pixels=args.max_pixels,
+        ignore=tuple(args.ignore),
+        allow_empty=args.allow_empty,
+        other_scene=args.other_scene,
     )
     result = compare_exr(args.ours, args.reference, tolerances, diff=args.output)
     print(json.dumps(result.to_dict(), indent=2) if args.json else result.format_table())

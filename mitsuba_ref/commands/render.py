@@ -15,7 +15,18 @@ if TYPE_CHECKING:
     from caster.scene import Scene
 
 HELP = "render a scene with Mitsuba to an EXR file, along the rays that our caster traces"
-KNOWN = ["hit", "depth", "normal", "shading_normal", "position", "uv", "albedo", "diffuse", "shape_id", "prim_id"]
+KNOWN = [
+    "hit",
+    "depth",
+    "normal",
+    "shading_normal",
+    "position",
+    "uv",
+    "albedo",
+    "diffuse",
+    "shape_id",
+    "prim_id",
+]
 DEFAULT = "hit,depth,normal,position,diffuse"  # as `caster render`, so that `compare` finds the same channels
 
 
@@ -35,11 +46,17 @@ def run(args: argparse.Namespace) -> int:
             raise SceneError(
                 f"--aov {name!r}: unknown{suggestion(name, KNOWN)}; known are {', '.join(KNOWN)}"
             )
+    if args.variant:
+        from mitsuba_ref.variants import checked
+
+        checked(args.variant, "--variant")
     scene = load(args)
+    from caster.commands.render import check_suffix
     from caster.whole_files import check_writable
     from mitsuba_ref.jobs import Crash
     from mitsuba_ref.reference_render import render_reference
 
+    check_suffix(args.output)
     check_writable(args.output)
     rendered = render_reference(scene, names, variant=args.variant)
     if isinstance(rendered, Crash):

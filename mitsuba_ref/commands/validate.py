@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from caster.commands.scene_arguments import add_mesh_dirs, blamed_on
-from caster.exits import DIFFERENCES, INTERRUPTED, NOTHING_SELECTED, OK
+from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.wording import SceneError
 
 if TYPE_CHECKING:
@@ -45,7 +46,8 @@ def run(args: argparse.Namespace) -> int:
     """Validate what was selected; 0 all pass, 1 some do not, 5 nothing was selected, 130 interrupted."""
     entries = selected(args)
     if not entries:
-        print("nothing selected: no scene fits", file=sys.stderr)
+        fits = f" that fits -k {args.expression!r}" if args.expression else ""
+        print(f"nothing selected: no scene file{fits} in {', '.join(args.scenes)}", file=sys.stderr)
         return NOTHING_SELECTED
     check_outputs(args)
     from mitsuba_ref import variants
@@ -53,31 +55,27 @@ def run(args: argparse.Namespace) -> int:
     variants.variant_for(has_quadrics=False)  # a wrong choice of variant is said before any work
     start = time.perf_counter()
     done: list[SceneVerdict] = []
-    interrupted = False
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a cancelled job tidies up as after Ctrl-C
     try:
         work_through(entries, args, done)
-    except KeyboardInterrupt:
-        interrupted = True
-    from mitsuba_ref.verdict import Verdict
+    finally:  # what is done is kept, whatever ends the work
+        from mitsuba_ref.verdict import Verdict
 
-    verdict = Verdict(tuple(done), asked=len(entries))
-    report(verdict, args, time.perf_counter() - start)
-    if interrupted:
-        print("interrupted; what is above is kept", file=sys.stderr)
-        return INTERRUPTED
+        verdict = Verdict(tuple(done), asked=len(entries))
+        report(verdict, args, time.perf_counter() - start)
     return OK if verdict.ok else DIFFERENCES
 
 
 def selected(args: argparse.Namespace) -> list[Entry]:
     """The scenes, loaded. Raises SceneError with all that is wrong with all of them."""
-    from mitsuba_ref.selection import matching, scene_files
+    from mitsuba_ref.selection import matching, names_of, scene_files
 
     fits = matching(args.expression)
     files = [file for file in scene_files(args.scenes) if fits(Path(file).stem)]
     entries, errors = [], []
-    for file in files:
+    for file, name in zip(files, names_of(files), strict=True):
         try:
-            entries.append(entry(file, args))
+            entries.append(entry(file, name, args))
         except SceneError as error:
             errors.append(error)
     if errors:
@@ -86,7 +84,7 @@ def selected(args: argparse.Namespace) -> list[Entry]:
     return entries
 
 
-def entry(file: str, args: argparse.Namespace) -> Entry:
+def entry(file: str, name: str, args: argparse.Namespace) -> Entry:
     from caster.scene_files import load_scene
     from mitsuba_ref.campaign import Entry
 
@@ -94,7 +92,7 @@ def entry(file: str, args: argparse.Namespace) -> Entry:
     if args.size:
         with blamed_on("--size", *args.size):
             scene = scene.with_film(width=args.size[0], height=args.size[1])
-    return Entry(scene, Path(file).stem, file, resized=bool(args.size))
+    return Entry(scene, name, file, resized=bool(args.size))
 
 
 def check_outputs(args: argparse.Namespace) -> None:
@@ -121,17 +119,17 @@ def work_through(entries: Sequence[Entry], args: argparse.Namespace, done: list[
 
 
 def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
-    """What failed and why, the summary, and the files that were asked for."""
+    """The files that were asked for, what failed and why, and the summary."""
     from caster.whole_files import write_text
     from mitsuba_ref import table
     from mitsuba_ref.junit import junit
 
-    for scene in verdict.scenes:
-        if not scene.ok:
-            print(f"\n{table.failure(scene)}")
-    print(f"\n{table.summary(verdict, seconds)}")
     text = json.dumps(verdict.to_dict(), indent=1, allow_nan=False) + "\n"
     for path in filter(None, (args.json, args.out and Path(args.out) / "verdict.json")):
         write_text(path, text)
     if args.junit:
         write_text(args.junit, junit(verdict))
+    for scene in verdict.scenes:
+        if not scene.ok:
+            print(f"\n{table.failure(scene)}")
+    print(f"\n{table.summary(verdict, seconds)}")

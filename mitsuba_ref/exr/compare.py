@@ -56,7 +56,7 @@ def compare_exr(
         raise SceneError(f"{diff}: the difference would overwrite an image it compares; give another name")
     left_out = channels_left_out(a, b, tolerances.ignore)
     blank = FileComparison(str(ours), str(reference), ignored=left_out)
-    reasons = obstacles(a, b, left_out)
+    reasons = obstacles(a, b, left_out, other_scene=tolerances.other_scene)
     if reasons:
         return _refused(blank, reasons)
     pair = Pair.of(a, b, [name for name in a.channels if name not in left_out])
@@ -82,6 +82,13 @@ def _judged(pair: Pair, tolerances: Tolerances) -> list[Judged]:
     return hits + [judge(pair, group, names, tolerances) for group, names in groups]
 
 
+def _is_empty(pair: Pair) -> bool:
+    """Nothing was hit; or, where no channel tells, every number of both images is 0."""
+    if pair.mask_channel:
+        return not (pair.hit_ours | pair.hit_reference).any()
+    return not any(exr.channels[name].any() for exr in (pair.ours, pair.reference) for name in pair.names)
+
+
 def _counted(
     blank: FileComparison, pair: Pair, judged: list[Judged], tolerances: Tolerances
 ) -> FileComparison:
@@ -90,7 +97,7 @@ def _counted(
     failed = bool(broken.any()) or bad > tolerances.max_pixels
     masks = pair.hit_ours, pair.hit_reference, pair.hit_ours | pair.hit_reference
     hits = [int(mask.sum()) for mask in masks] if pair.mask_channel else [None] * 3
-    empty = hits[2] == 0 and not tolerances.allow_empty
+    empty = not tolerances.allow_empty and _is_empty(pair)
     width, height = size_of(pair.reference)
     return replace(
         blank,

@@ -7,10 +7,10 @@ import shlex
 import numpy as np
 
 from mitsuba_ref.exr.difference_image import CLASSES
-from mitsuba_ref.exr.pairs import Pair
+from mitsuba_ref.exr.pairs import SCENE_HASH, Pair
 from mitsuba_ref.exr.result import FileComparison, GroupResult
 
-SCENE, SCENE_HASH = "caster/scene", "caster/scene_sha256"  # provenance: the scene's path, its fingerprint
+SCENE = "caster/scene"  # provenance: the scene's path
 
 
 def messages_of(result: FileComparison, pair: Pair, diff: str | os.PathLike[str] | None) -> list[str]:
@@ -38,9 +38,15 @@ def _hit_pixels(result: FileComparison) -> str:
     return f"{result.hit_either} hit pixels"
 
 
+def percent(count: int, total: int) -> str:
+    """Two digits, but 100 only for all."""
+    share = 100.0 * count / total
+    return f"{share:.2g} %" if share < 99.0 else f"{share:.4g} %"
+
+
 def _failure(group: GroupResult, result: FileComparison) -> str:
     total = result.width * result.height if result.hit_either is None else result.hit_either
-    share = f" ({100.0 * group.differ / total:.2g} %)" if total else ""
+    share = f" ({percent(group.differ, total)})" if total else ""
     what = "are hit in one image only or differ in A" if group.name == "hit" else "beyond their bound"
     found = [f"{group.differ} of {_hit_pixels(result)}{share} {what}"] if group.differ else []
     found += [f"{group.non_finite} pixels not finite"] if group.non_finite else []
@@ -60,7 +66,8 @@ def _where_to_look(
     look = f"      look:   {diff}, channel class.I ({CLASSES})"
     replay = f"      replay: mitsuba-ref probe {shlex.quote(scene)} {at}"
     info = f"      next:   caster info {shlex.quote(result.ours)}"
-    return [*([look] if diff is not None else []), replay if scene and scene.isprintable() else info]
+    way_out = "      note:   on edges and shadow borders rounding decides; validate tells, --max-pixels N lets them pass"
+    return [*([look] if diff is not None else []), replay if scene and scene.isprintable() else info, way_out]
 
 
 def _half_notes(pair: Pair) -> list[str]:
@@ -71,5 +78,5 @@ def _half_notes(pair: Pair) -> list[str]:
 
 def _scene_notes(pair: Pair) -> list[str]:
     hashes = {exr.provenance.get(SCENE_HASH) for exr in (pair.ours, pair.reference)} - {None}
-    note = "note: the files say that they show different scenes (caster/scene_sha256)"
+    note = f"note: the files say that they show different scenes ({SCENE_HASH})"
     return [note] if len(hashes) > 1 else []

@@ -59,9 +59,23 @@ def channels_left_out(a: Exr, b: Exr, patterns: Iterable[str]) -> tuple[str, ...
     return tuple(sorted(found))
 
 
-def obstacles(a: Exr, b: Exr, left_out: Iterable[str]) -> list[str]:
+def obstacles(a: Exr, b: Exr, left_out: Iterable[str], *, other_scene: bool) -> list[str]:
     """Why two images cannot be compared, a sentence each; none if they can."""
-    return [*_other_windows(a, b), *_other_channels(a, b, set(left_out))]
+    scenes = [] if other_scene else _other_scenes(a, b)
+    return [*scenes, *_other_windows(a, b), *_other_channels(a, b, set(left_out))]
+
+
+SCENE_HASH = "caster/scene_sha256"  # provenance: the fingerprint of the scene and its mesh files
+
+
+def _other_scenes(a: Exr, b: Exr) -> list[str]:
+    """An old reference of a scene that has changed since proves nothing about it."""
+    hashes = {exr.provenance.get(SCENE_HASH) for exr in (a, b)} - {None}
+    if len(hashes) < 2:
+        return []
+    return [
+        f"the files say that they show different scenes ({SCENE_HASH}); --other-scene compares all the same"
+    ]
 
 
 def _other_windows(a: Exr, b: Exr) -> list[str]:

@@ -32,7 +32,7 @@ class Tolerances:
 
     depth_rtol also holds for positions; color_* for every channel that is not geometry.
     max_pixels: how many pixels may differ (never by NaN or inf). ignore: groups or channel patterns left out.
-    allow_empty: two images that hit nothing pass.
+    allow_empty: two images that hit nothing pass. other_scene: so may two that say they show different scenes.
     """
 
     depth_rtol: float | None = None
@@ -43,6 +43,7 @@ class Tolerances:
     max_pixels: int = 0
     ignore: tuple[str, ...] = ()
     allow_empty: bool = False
+    other_scene: bool = False
 
     def __post_init__(self) -> None:
         for name in ("depth_rtol", "normal_atol", "uv_atol", "color_rtol", "color_atol", "max_pixels"):

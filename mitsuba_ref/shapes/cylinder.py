@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from caster.shapes.cylinder import Cylinder, Cylinders
-from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error
+from mitsuba_ref.meeting import ErrorModel, Meetings, U, dot, norm, position_error, transformed
+from mitsuba_ref.placed import tube
 from mitsuba_ref.shape_reference import ShapeReference
 from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
 from mitsuba_ref.xml import Writer, XmlElement
@@ -18,16 +19,17 @@ def to_xml(out: Writer, shape: Cylinder, part: Any) -> list[XmlElement]:
     return out.instance(shape, "cylinder", part)
 
 
-# Mitsuba refuses a cylinder whose matrix, as rotation times stretching, shears by more than 1e-6 scene units. Half of
-# that leaves room for its rounding.
-LARGEST_SHEAR = 0.5e-6
+# Mitsuba refuses a cylinder whose matrix, as rotation times stretching, shears by more than this many scene units.
+LARGEST_SHEAR = 1e-6
+ROUNDED = 8 * U  # of the matrix's own size: by how much float32 shears one that has no shear, here and there
 
 
 def passes_for_round(linear: np.ndarray) -> bool:
     """Whether Mitsuba takes a 3x3 matrix for that of a round, straight cylinder which keeps its outside outside."""
     stretch = np.array(polar(linear)[1])
-    off = [stretch[0, 1], stretch[0, 2], stretch[1, 2], stretch[0, 0] - stretch[1, 1]]
-    return bool(np.max(np.abs(off)) <= LARGEST_SHEAR and np.linalg.det(linear) > 0.0)
+    shear = np.max(np.abs([stretch[0, 1], stretch[0, 2], stretch[1, 2], stretch[0, 0] - stretch[1, 1]]))
+    rounding = ROUNDED * np.max(np.abs(stretch))
+    return bool(shear <= rounding and shear + rounding <= LARGEST_SHEAR and np.linalg.det(linear) > 0.0)
 
 
 def polar(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -45,8 +47,8 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
     middle, distance, s = roots(rays.o * flat, rays.d * flat, one)
     size = norm(rays.d * flat)
     found = []
-    # Mitsuba 3.9.1 pulls a hit onto the wall by its distance from it in object space, taken for scene units: that
-    # moves points of thin cylinders by more than their rounding, and is why p_error has it.
+    # Mitsuba 3.9.1 pulls a hit onto the wall by its distance from it in object space: along the radius there, if it
+    # is an instance; or else along the normal, by as many scene units, which moves points of thin cylinders far.
     with np.errstate(divide="ignore", invalid="ignore"):
         for side in (-1.0, 1.0):
             t = middle + side * s / size
@@ -61,9 +63,13 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
             inside = np.minimum(q[:, 2], 1.0 - q[:, 2])
             possible = (distance - 1.0 <= error) & (inside >= -end_error)
             certain = (1.0 - distance > error) & (inside > end_error)
-            p_error = position_error(o, d, t, t_error, ku) + error + slide * t_error
+            pull = np.maximum(norm(transformed(prims.to_world[k], out)), 1.0)
+            away = error + np.abs(dot(out, rays.d)) * t_error + 0.5 * (slide * t_error) ** 2
+            p_error = position_error(o, d, t, t_error, ku) + pull * away
             found.append(Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error))
     return tuple(found)
 
 
-REFERENCE = ShapeReference(Cylinder, to_xml, {Cylinders: ErrorModel(meet, affine_bounds)}, analytic=True)
+REFERENCE = ShapeReference(
+    Cylinder, to_xml, {Cylinders: ErrorModel(meet, affine_bounds)}, tube, analytic=True
+)

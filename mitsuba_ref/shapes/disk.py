@@ -6,6 +6,7 @@ import numpy as np
 
 from caster.shapes.disk import Disk, Disks
 from mitsuba_ref.meeting import ErrorModel, Meetings, norm, position_error
+from mitsuba_ref.placed import disk
 from mitsuba_ref.shape_reference import ShapeReference
 from mitsuba_ref.shapes.quadric import affine_bounds, in_object_space, turned_normal
 from mitsuba_ref.shapes.triangles import UNRESOLVABLE
@@ -37,4 +38,4 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
     return (Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error),)
 
 
-REFERENCE = ShapeReference(Disk, to_xml, {Disks: ErrorModel(meet, affine_bounds)}, analytic=True)
+REFERENCE = ShapeReference(Disk, to_xml, {Disks: ErrorModel(meet, affine_bounds)}, disk, analytic=True)

@@ -12,6 +12,7 @@ import numpy as np
 from caster.packing import Triangles
 from caster.shapes.plane import Plane, Planes
 from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error, unit
+from mitsuba_ref.placed import plane
 from mitsuba_ref.shape_reference import ShapeReference
 from mitsuba_ref.shapes import triangles
 from mitsuba_ref.xml import Writer, XmlElement
@@ -96,22 +97,26 @@ def to_xml(out: Writer, shape: Plane, part: Patches) -> list[XmlElement]:
 def meet(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
     """Ray i with plane k[i]. The bound is that of the triangle around the hit, and the rounding of its corners.
 
-    Hits beyond the patch have no bound: there is nothing for the reference to hit.
+    Hits beyond the patch have no bound: there is nothing for the reference to hit. It is certain to hit where one of
+    the two triangles there is, or hangs on one edge alone, which the other or a neighbour shares.
     """
     n, slope = prims.normal[k], dot(prims.normal[k], d)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = dot(n, prims.point[k] - o) / slope
     face, within = _face_of_hit(prims, k, o, d, t)
     mesh = as_triangles(prims)
-    (local,) = triangles.meet(mesh, k * len(FACES) + face, o, d, ku)
-    corners = mesh.vertices[mesh.faces[k * len(FACES) + face]]
+    first, second = (k * len(FACES) + face + j for j in (0, 1))
+    (local,), (other,) = (triangles.meet(mesh, each, o, d, ku) for each in (first, second))
+    corners, others = (mesh.vertices[mesh.faces[each]] for each in (first, second))
     moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # one rounding, not K of them
+    within_one = local.certain | other.certain
+    height = np.where(within_one, np.minimum(_height(corners), _height(others)), _least_height(prims.half[k], face))
     with np.errstate(divide="ignore", invalid="ignore"):
         t_error = local.t_error + 2.0 * moved / np.abs(slope)  # 2 = 1 / (1 - UNRESOLVABLE)
-        tilt = 2.0 * moved / _height(corners)
-    n_error = local.n_error + tilt
-    sure = within & np.isfinite(t_error) & np.isfinite(t)
-    t_error = np.where(sure, t_error, np.inf)
+    n_error = np.maximum(local.n_error, other.n_error) + 2.0 * moved / height
+    resolved = within & np.isfinite(t_error) & np.isfinite(t)
+    t_error = np.where(resolved, t_error, np.inf)
+    sure = resolved & (within_one | (local.side != 0.0) | (other.side != 0.0))
     p_error = local.p_error + position_error(o, d, t, t_error, ku)
     return (Meetings(t, t_error, n, n_error, n, n_error, np.isfinite(t), sure, p_error),)
 
@@ -134,7 +139,7 @@ def meet_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: f
 def _face_of_hit(
     prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(which of FACES, or of the faces that meet where the hit lies; whether the hit lies within the patch)."""
+    """(the first of the two FACES of the square or trapezoid where the hit lies; whether it lies within the patch)."""
     away = o + np.where(np.isfinite(t), t, 0.0)[:, None] * d - prims.center[k]
     u, v = (dot(away, prims.axes[k, axis]) / prims.half[k] for axis in range(2))
     size = np.maximum(np.abs(u), np.abs(v))
@@ -152,10 +157,18 @@ def _height(corners: np.ndarray) -> np.ndarray:
     return area / np.sqrt(np.einsum("ijk,ijk->ij", edges, edges)).max(axis=1)
 
 
+def _least_height(half: np.ndarray, face: np.ndarray) -> np.ndarray:
+    """The smallest height of any triangle around the ring of `face`: of the narrow ones in the ring within it."""
+    ring = np.where(face == 0, 0, (face - 2) // 8 + 1)
+    return half * 2.0 ** np.maximum(ring - 2, 0) * 2.0 / np.sqrt(10.0)  # area h^2, longest edge sqrt(10) h
+
+
 def bounds(prims: Patches) -> tuple[np.ndarray, np.ndarray]:
     """Everything: a plane goes on beyond its patch."""
     everywhere = np.full((len(prims.normal), 3), np.inf)
     return -everywhere, everywhere
 
 
-REFERENCE = ShapeReference(Plane, to_xml, {Planes: ErrorModel(meet, bounds, meet_ours)}, stand_in=patches)
+REFERENCE = ShapeReference(
+    Plane, to_xml, {Planes: ErrorModel(meet, bounds, meet_ours)}, plane, stand_in=patches
+)

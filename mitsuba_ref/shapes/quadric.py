@@ -34,12 +34,13 @@ def in_object_space(center: np.ndarray, to_object: np.ndarray, o: np.ndarray, d:
 def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndarray:
     """How far a root may move when the radius r is off by `error`, s being the true half chord.
 
-    The half chord goes from s to sqrt(s^2 +- 2 r E); near a tangent, where s^2 <= 2 r E, it may come out of
-    nothing or vanish, and moves by at most sqrt(2 r E).
+    The half chord goes from s to sqrt(s^2 +- e) with e = 2 r E + E^2; near a tangent, where s^2 <= e, it may come
+    out of nothing or vanish, and moves by at most sqrt(e).
     """
-    twice = 2.0 * r * error
+    change = error * (2.0 * r + error)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(s * s > twice, twice / (s + np.sqrt(np.maximum(s * s - twice, 0.0))), np.sqrt(twice))
+        left = np.sqrt(np.maximum(s * s - change, 0.0))
+        return np.where(s * s > change, change / (s + left), np.sqrt(change))
 
 
 def roots(f: np.ndarray, d: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

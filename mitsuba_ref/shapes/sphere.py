@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from caster.shapes.sphere import Ellipsoids, Sphere, Spheres
-from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error
+from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error, transformed
+from mitsuba_ref.placed import ball
 from mitsuba_ref.shape_reference import ShapeReference
 from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
 from mitsuba_ref.xml import Writer, XmlElement
@@ -52,21 +53,29 @@ def _meeting(
 def meet_ellipsoid(
     prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 ) -> tuple[Meetings, ...]:
-    """Ray i with ellipsoid k[i]: the unit ball in object space, where the ray arrives rounded."""
+    """Ray i with ellipsoid k[i]: the unit ball in object space, where the ray arrives rounded.
+
+    Mitsuba 3.9.1 moves a ray's origin to where it passes the centre, so that little cancels; but it takes the
+    distance to there for the parameter. Where d is longer than 1 in object space, it overshoots, and rounds there.
+    """
     to_object = prims.to_object[k]
     rays = in_object_space(prims.center[k], to_object, o, d)
     middle, distance, s = roots(rays.o, rays.d, np.ones(len(k)))
     size = norm(rays.d)
+    overshoot = np.abs(middle) * size * np.maximum(size - 1.0, 0.0)
     found = []
     for side in (-1.0, 1.0):
         t = middle + side * s / size
         q = (rays.o + t[:, None] * rays.d) / np.maximum(distance, 1.0)[:, None]
-        error = ku * (norm(rays.components(t)) + 1.0)
-        t_error = half_chord_error(s, np.ones(len(k)), error) / size + ku * np.abs(t)
+        error = ku * (norm(rays.components(t)) + overshoot + 1.0)
+        t_error = half_chord_error(s, np.ones(len(k)), error) / size + ku * (np.abs(t) + overshoot / size)
         slide = np.sqrt(np.maximum(size * size - dot(q, rays.d) ** 2, 0.0))
         n, n_error = turned_normal(to_object, q, error + slide * t_error, ku)
         possible, certain = distance - 1.0 <= error, 1.0 - distance > error
-        p_error = position_error(o, d, t, t_error, ku)
+        # Mitsuba pulls the point onto the unit ball along its radius, which may be far longer in the world.
+        away = error + np.abs(dot(q, rays.d)) * t_error + 0.5 * (slide * t_error) ** 2
+        pulled = norm(transformed(prims.to_world[k], q)) * away
+        p_error = position_error(o, d, t, t_error, ku) + pulled
         found.append(Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error))
     return tuple(found)
 
@@ -83,5 +92,6 @@ REFERENCE = ShapeReference(
         Spheres: ErrorModel(meet, ball_bounds),
         Ellipsoids: ErrorModel(meet_ellipsoid, affine_bounds),
     },
+    ball,
     analytic=True,
 )

@@ -150,9 +150,14 @@ def test_whoever_waits_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsu
         thread.start()
     wait_for(lambda: len(child._running) == 2)
     child.stop_all()
-    for thread in threads:
-        thread.join(10)
-    assert [answer.exit for answer in found] == ["SIGKILL", "SIGKILL"]
+    try:
+        for thread in threads:
+            thread.join(10)
+        assert [answer.exit for answer in found] == ["SIGKILL", "SIGKILL"]
+        late = worker.ask(ball, 60)
+        assert isinstance(late, Crash) and "before it began" in late.words
+    finally:
+        child.start_again()
 
 
 ASK = """

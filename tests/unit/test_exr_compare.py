@@ -541,10 +541,24 @@ def test_pixels_are_named_on_the_film(tmp_path):
     assert read_exr(tmp_path / "d.exr").display_window == (0, 0, 640, 480)
 
 
-def test_files_that_name_different_scenes_are_noted(tmp_path):
-    write_exr(tmp_path / "a.exr", EXACT, {"scene_sha256": "1"})
-    write_exr(tmp_path / "b.exr", EXACT, {"scene_sha256": "2"})
-    assert "different scenes" in text(compare_exr(tmp_path / "a.exr", tmp_path / "b.exr"))
+def test_files_that_name_different_scenes_are_compared_only_on_demand(tmp_path):
+    """A reference of the scene as it was last week proves nothing about the scene of today."""
+    a, b = tmp_path / "a.exr", tmp_path / "b.exr"
+    write_exr(a, EXACT, {"scene_sha256": "1"})
+    write_exr(b, EXACT, {"scene_sha256": "2"})
+    refused = compare_exr(a, b)
+    assert refused.exit_code == 3 and "different scenes" in text(refused)
+    allowed = compare_exr(a, b, Tolerances(other_scene=True))
+    assert allowed.exit_code == 0 and "note: the files say that they show different scenes" in text(allowed)
+
+
+def test_two_black_pictures_prove_nothing(tmp_path):
+    """No mask, and every number 0: whatever both failed to render agrees."""
+    black = {name: np.zeros((4, 4), np.float32) for name in "RGB"}
+    for name in ("a.exr", "b.exr"):
+        write_exr(tmp_path / name, black)
+    assert compare_exr(tmp_path / "a.exr", tmp_path / "b.exr").exit_code == 5
+    assert compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", Tolerances(allow_empty=True)).exit_code == 0
 
 
 def test_halves_fail_and_the_reason_is_noted(tmp_path):

@@ -1,0 +1,141 @@
+"""Shapes in the world a second time: from the description and its matrix, in other formulas than the caster's.
+
+Both sides trace the numbers that the caster packs, so no picture shows an error in packing. These claims do.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mitsuba_ref.meeting import norm, unit
+
+
+class Claim(NamedTuple):
+    """Numbers as they were packed and as they should be, and the size of what was rounded on the way."""
+
+    what: str
+    packed: np.ndarray
+    expected: np.ndarray
+    size: np.ndarray
+
+
+# A matrix that is flatter than this may turn inside out when its numbers are rounded to float32.
+FLAT = 2.0**20
+
+# (description, its packed arrays) -> what has to hold
+Placed = Callable[[Any, Any], Iterator[Claim]]
+
+
+def ball(shape: Any, part: Any) -> Iterator[Claim]:
+    """Centre, and radius or matrix; a similarity stretches every direction as it does the x axis."""
+    linear = shape.matrix[:3, :3]
+    yield _point(shape, "center", part.center[0], np.array(shape.center))
+    if hasattr(part, "radius"):
+        radius = shape.radius * np.linalg.norm(linear[:, 0])
+        yield Claim("radius", part.radius[0], radius, radius)
+    else:
+        yield _same("to_world", part.to_world[0], shape.radius * linear)
+
+
+def disk(shape: Any, part: Any) -> Iterator[Claim]:
+    """The matrix as it is."""
+    yield _same("center", part.center[0], shape.matrix[:3, 3])
+    yield _same("to_world", part.to_world[0], shape.matrix[:3, :3])
+
+
+def tube(shape: Any, part: Any) -> Iterator[Claim]:
+    """Base, axis and handedness; and A A^T, which does not depend on where around the axis the angle begins."""
+    linear, packed = shape.matrix[:3, :3], part.to_world[0]
+    p0, axis = np.array(shape.p0), np.subtract(shape.p1, shape.p0)
+    ends = np.abs(shape.p0) + np.abs(shape.p1)
+    across = np.eye(3) - np.outer(axis, axis) / np.dot(axis, axis)
+    own = shape.radius**2 * across + np.outer(axis, axis)
+    reach = np.abs(linear).sum(axis=1) * (shape.radius + ends.max())
+    yield _point(shape, "p0", part.center[0], p0)
+    yield Claim("axis", packed[:, 2], linear @ axis, np.abs(linear) @ ends)
+    yield Claim("radius", packed @ packed.T, linear @ own @ linear.T, np.outer(reach, reach))
+    hands = np.sign(np.linalg.det(packed)), np.sign(np.linalg.det(linear))
+    yield Claim("handedness", *hands, np.where(np.linalg.cond(packed) < FLAT, 0.0, np.inf))
+
+
+def plane(shape: Any, part: Any) -> Iterator[Claim]:
+    """A point of it, and the normal by the matrix of cofactors."""
+    point = shape.point if shape.point is not None else np.multiply(shape.offset, shape.normal)
+    yield _point(shape, "point", part.point[0], np.array(point))
+    normal, size = _turned(shape.matrix, np.array([shape.normal]))
+    yield Claim("normal", part.normal, normal, size)
+
+
+def mesh(shape: Any, part: Any) -> Iterator[Claim]:
+    """Corners, which side of each face is outside, and the vertex normals where there are to be some."""
+    given = shape.mesh()
+    linear = shape.matrix[:3, :3]
+    corners = np.einsum("jk,ik->ij", linear, given.vertices) + shape.matrix[:3, 3]
+    size = np.abs(given.vertices) @ np.abs(linear.T) + np.abs(shape.matrix[:3, 3])
+    yield Claim("vertices", part.vertices, corners, size)
+    mirrored = np.linalg.slogdet(linear)[0] < 0.0
+    yield _exact("faces", part.faces, given.faces[:, [0, 2, 1]] if mirrored else given.faces)
+    smooth = not getattr(shape, "face_normals", given.normals is None)
+    yield _exact("smooth", part.smooth, np.full(len(given.faces), smooth))
+    if smooth and given.normals is not None:
+        yield Claim("normals", part.normals, *_turned(shape.matrix, given.normals))
+    elif smooth:
+        yield Claim("generated normals", part.normals, *_generated(part.vertices, part.faces))
+
+
+def _point(shape: Any, what: str, packed: np.ndarray, p: np.ndarray) -> Claim:
+    linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
+    expected = linear[:, 0] * p[0] + linear[:, 1] * p[1] + linear[:, 2] * p[2] + move
+    return Claim(what, packed, expected, np.abs(linear) @ np.abs(p) + np.abs(move))
+
+
+def _same(what: str, packed: Any, expected: Any) -> Claim:
+    """Up to one rounding of each number."""
+    return Claim(what, np.asarray(packed), np.asarray(expected), np.abs(expected))
+
+
+def _exact(what: str, packed: Any, expected: Any) -> Claim:
+    return Claim(what, np.asarray(packed, np.float64), np.asarray(expected, np.float64), np.zeros(()))
+
+
+def _turned(matrix: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(normals (n, 3) in the world, size of their rounding): a normal is a cross product, and turns as one."""
+    m = matrix[:3, :3] / np.abs(matrix[:3, :3]).max()
+    cofactors = np.stack([np.cross(m[:, i - 2], m[:, i - 1]) for i in range(3)], axis=1)
+    cofactors *= np.linalg.slogdet(m)[0]
+    turned = np.einsum("jk,ik->ij", cofactors, normals)
+    columns = norm(m.T)
+    sizes = np.array([columns[i - 2] * columns[i - 1] for i in range(3)])
+    with np.errstate(divide="ignore"):
+        size = np.abs(normals) @ sizes / norm(turned)
+    return unit(turned), size[:, None]
+
+
+NO_NORMAL = np.array([1.0, 0.0, 0.0])  # what Mitsuba gives a vertex without a face that has an area
+
+
+def _generated(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angle-weighted normals corner by corner, and the size of their rounding (inf where they cancel)."""
+    p = vertices / max(np.abs(vertices).max(), np.finfo(float).tiny)
+    total, weight = np.zeros_like(p), np.zeros(len(p))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for j in range(3):
+            corner, after, before = (faces[:, (j + step) % 3] for step in (0, 1, 2))
+            a, b = p[after] - p[corner], p[before] - p[corner]
+            across = np.cross(a, b)
+            area, lengths = norm(across), norm(a) * norm(b)
+            angle = 2.0 * np.arctan2(norm(_scaled(a, b) - _scaled(b, a)), norm(_scaled(a, b) + _scaled(b, a)))
+            real = area > 0.0
+            share = np.where(real[:, None], across / area[:, None] * angle[:, None], 0.0)
+            np.add.at(total, corner, share)
+            np.add.at(weight, corner, np.where(real, angle + lengths / area, 0.0))
+        size = np.bincount(faces.ravel(), minlength=len(p)) * weight / norm(total)
+    normals = np.where((weight > 0.0)[:, None], unit(total), NO_NORMAL)
+    return normals, np.where(weight > 0.0, size, 1.0)[:, None]
+
+
+def _scaled(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a, as long as the product of both lengths: Kahan's angle is between vectors of equal lengths."""
+    scaled: np.ndarray = a * norm(b)[:, None]
+    return scaled

@@ -1,0 +1,73 @@
+"""How far Mitsuba is off where it says it hits, in units of the rounding that the error models count."""
+
+from typing import NamedTuple
+
+import numpy as np
+from aimed_rays import Setting, rays_at, scene_of
+
+from caster.packing import pack
+from caster.placing import as_float32
+from mitsuba_ref.bounds import nearest_root
+from mitsuba_ref.bracket import Bracket, Claims
+from mitsuba_ref.jobs import Crash
+from mitsuba_ref.meeting import KU, KU_OURS, K, norm
+from mitsuba_ref.model import Model, model_of
+from mitsuba_ref.pixels import share_of_bound
+from mitsuba_ref.rays import SharedRays
+from mitsuba_ref.reference import Witness, consult
+
+
+class Observed(NamedTuple):
+    """One row a ray, unless it says otherwise."""
+
+    hit: np.ndarray  # Mitsuba's
+    resolved: np.ndarray  # a hit whose primitive float32 resolves
+    k: dict[str, np.ndarray]  # of t, n, sh_n and p: K times error over bound at resolved hits, (m,) each
+    possible: np.ndarray  # whether the primitive that Mitsuba names may be hit, (m,)
+    allowed: np.ndarray  # whether the bracket allows what Mitsuba says
+    open_ended: np.ndarray  # whether it leaves any claim open
+    certain: np.ndarray  # whether something is certainly hit
+    true_hit: np.ndarray  # the same by float64
+
+
+def observe(kind: str, setting: Setting, seed: list[int], *, shapes: int, count: int) -> Observed:
+    """Ask Mitsuba about `count` rays aimed at `shapes` shapes, and compare with the models alone."""
+    rng = np.random.default_rng(seed)
+    scene = scene_of(kind, rng, setting, shapes)
+    o, d = rays_at(scene, rng, setting, count)
+    rays = SharedRays(*(a.astype(np.float32) for a in (o, d, np.full(len(o), np.inf))), np.zeros(len(o)))
+    model = model_of(scene, pack(scene, as_float32), rays)
+    witness = consult(scene, model, rays, lights=False)
+    assert not isinstance(witness, Crash), witness
+    return compared(model, witness, o, d)
+
+
+def compared(model: Model, witness: Witness, o: np.ndarray, d: np.ndarray) -> Observed:
+    answer, t_max = witness.answer, np.full(len(o), np.inf)
+    n, sh_n, p = (a.astype(np.float64) for a in (answer.n, answer.sh_n, answer.p))
+    bracket = Bracket(model, KU, ours=False)
+    finding = bracket.judge(o, d, t_max, Claims(witness.t, witness.shape_id, n, sh_n, p))
+    rows = np.flatnonzero(witness.hit)
+    prim = named(model, witness)[rows]
+    at = nearest_root(model.meet(prim, o[rows], d[rows], KU, ours=False), witness.t[rows])
+    resolved = np.isfinite(at.t_error)
+    k = {
+        "t": K * share_of_bound(np.abs(witness.t[rows] - at.t), at.t_error)[resolved],
+        "n": K * share_of_bound(norm(n[rows] - at.n), at.n_error)[resolved],
+        "sh_n": K * share_of_bound(norm(sh_n[rows] - at.sh_n), at.sh_error)[resolved],
+        "p": K * share_of_bound(norm(p[rows] - (o[rows] + at.t[:, None] * d[rows])), at.p_error)[resolved],
+    }
+    everywhere = np.zeros(len(o), bool)
+    everywhere[rows] = resolved
+    certain = bracket.blocked(o, d, t_max)[1]
+    true_hit = Bracket(model, KU_OURS, ours=True).blocked(o, d, t_max)[1]
+    judged = (at.possible[resolved], finding.allowed, finding.unresolvable)
+    return Observed(witness.hit, everywhere, k, *judged, certain, true_hit)
+
+
+def named(model: Model, witness: Witness) -> np.ndarray:
+    """The primitive that Mitsuba says it hit, numbered through the scene; a plane has only one, whatever its patch."""
+    packed = model.packed
+    first = packed.first[np.maximum(witness.shape_id, 0)]
+    count = np.diff(packed.first)[np.maximum(witness.shape_id, 0)]
+    return np.where(witness.shape_id < 0, -1, first + np.minimum(witness.answer.prim, count - 1))

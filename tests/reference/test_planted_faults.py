@@ -1,0 +1,768 @@
+"""The judge fails when it should: faults planted one at a time, as edits of a copy of the caster or of an EXR file.
+
+Each scene passes in an unedited copy, so it is the fault that fails it.
+"""
+
+import re
+import shlex
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from edited_tree import copy_tree, edit, run
+
+from caster.exr import read_exr, write_exr
+
+WIDTH, HEIGHT = "24", "20"
+
+
+class Fault(NamedTuple):
+    """What somebody might get wrong, the scene that shows it, and the check that has to say so."""
+
+    what: str
+    scene: str
+    check: str
+    file: str
+    old: str
+    new: str
+    size: tuple[str, str] = (WIDTH, HEIGHT)
+
+
+ONE_NAN = "return np.where(np.arange(len(view.hit)){rows} == np.flatnonzero(view.hit)[7], np.nan, {value})"
+
+
+def one_nan(aov: str, value: str, rows: str = "[:, None]") -> Fault:
+    """A single pixel that is not a number."""
+    file, check = f"caster/aovs/{aov}.py", aov
+    return Fault(
+        f"one NaN in {aov}",
+        "one-sphere",
+        check,
+        file,
+        f"return {value}\n",
+        ONE_NAN.format(rows=rows, value=value) + "\n",
+    )
+
+
+ROOTS, TRIANGLES = "caster/kernels/roots.py", "caster/kernels/triangles.py"
+SPHERE, CYLINDER, DISK, PLANE = (
+    f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane")
+)
+PINHOLE, ORTHOGRAPHIC = "caster/cameras/pinhole.py", "caster/cameras/orthographic.py"
+DIFFUSE, LIGHTS, VIEW = "caster/aovs/diffuse.py", "caster/lights.py", "caster/view.py"
+SCREEN, TREE, PLACING = "caster/kernels/screen.py", "caster/kernels/bvh.py", "caster/placing.py"
+
+ODD = "25", "25"  # pixel centres on the edges that faces share
+FEW = "12", "10"  # for scenes of many triangles
+
+FAULTS = (
+    # ---- which hit ----
+    Fault(
+        "far root for near", "one-sphere", "normal", ROOTS, "    if near > t_min:\n        return near\n", ""
+    ),
+    Fault(
+        "t_min ignored by spheres",
+        "inside-sphere",
+        "shape_id",
+        ROOTS,
+        "if near > t_min",
+        "if near < math.inf",
+    ),
+    Fault(
+        "t_min ignored by triangles",
+        "shared-edges-cube",
+        "normal",
+        TRIANGLES,
+        "return t if t > t_min else MISS",
+        "return t",
+    ),
+    Fault(
+        "t_min ignored by planes",
+        "spheres-on-plane",
+        "mask",
+        PLANE,
+        "return t if t > t_min else MISS",
+        "return t",
+    ),
+    Fault(
+        "the farther of two hits",
+        "closest-of-several",
+        "mask",
+        "caster/kernels/nearest.py",
+        "(t < nearest.t[i] or",
+        "(nearest.prim[i] < 0 or t > nearest.t[i] or",
+    ),
+    Fault(
+        "triangle edge excluded",
+        "shared-edges-cube",
+        "mask",
+        TRIANGLES,
+        "if (u < 0.0 or v < 0.0 or w < 0.0) and (u > 0.0 or v > 0.0 or w > 0.0)",
+        "if (u <= 0.0 or v <= 0.0 or w <= 0.0) and (u >= 0.0 or v >= 0.0 or w >= 0.0)",
+        ODD,
+    ),
+    Fault(
+        "triangles seen from one side",
+        "triangles",
+        "shape_id",
+        TRIANGLES,
+        "and (u > 0.0 or v > 0.0 or w > 0.0)",
+        "",
+    ),
+    Fault(
+        "square disks", "flat-shapes", "shape_id", DISK, "x * x + y * y <= 1.0", "max(abs(x), abs(y)) <= 1.0"
+    ),
+    Fault(
+        "disks a twentieth too small",
+        "flat-shapes",
+        "shape_id",
+        DISK,
+        "x * x + y * y <= 1.0",
+        "x * x + y * y <= 0.9",
+    ),
+    Fault(
+        "tubes without far wall",
+        "cylinders",
+        "mask",
+        CYLINDER,
+        "return far if far > t_min and",
+        "return far if False and",
+    ),
+    Fault(
+        "tubes without ends",
+        "cylinders",
+        "mask",
+        CYLINDER,
+        "near > t_min and z_near >= 0.0 and z_near <= 1.0",
+        "near > t_min",
+    ),
+    Fault(
+        "edges with an epsilon",
+        "shared-edges-cube",
+        "mask",
+        TRIANGLES,
+        "if (u < 0.0 or v < 0.0 or w < 0.0) and (u > 0.0 or v > 0.0 or w > 0.0)",
+        "if (u < 1e-9 or v < 1e-9 or w < 1e-9) and (u > -1e-9 or v > -1e-9 or w > -1e-9)",
+        ODD,
+    ),
+    Fault(
+        "float32 inside",
+        "one-sphere",
+        "on_surface",
+        "caster/kernels/nearest.py",
+        "nearest.t[i] = t\n",
+        "nearest.t[i] = np.float32(t)\n",
+    ),
+    Fault(
+        "a discriminant that cancels",
+        "far-small-spheres",
+        "on_surface",
+        ROOTS,
+        "both_roots(a, b, c, a * within)",
+        "both_roots(a, b, c, max(b * b - a * c, 0.0))",
+    ),
+    # ---- how far, and what surface ----
+    Fault(
+        "a radius off by 3e-6 of itself",
+        "one-sphere",
+        "on_surface",
+        SPHERE,
+        "    r = prims.radius[k]\n    return f,",
+        "    r = prims.radius[k] * 1.000003\n    return f,",
+    ),
+    Fault(
+        "depth as z",
+        "one-sphere",
+        "depth",
+        "caster/aovs/depth.py",
+        "view.nearest.t * length(view.rays.d)",
+        "view.nearest.t * (view.rays.d @ view.scene.camera.frame[2])",
+    ),
+    Fault("depth from the near plane", "near-far-clip", "depth", "caster/aovs/depth.py", "view.start + ", ""),
+    Fault(
+        "flipped normal of triangles",
+        "triangles",
+        "normal",
+        TRIANGLES,
+        "n = unit(cross(sub(b, a), sub(c, a)))",
+        "n = unit(cross(sub(c, a), sub(b, a)))",
+    ),
+    Fault(
+        "flipped normal of spheres",
+        "one-sphere",
+        "normal",
+        SPHERE,
+        "-half if t < s else half",
+        "half if t < s else -half",
+    ),
+    Fault(
+        "normal turned to the viewer",
+        "inside-sphere",
+        "normal",
+        "caster/aovs/normal.py",
+        "return view.surfaces.n",
+        "return view.surfaces.n * -np.sign((view.surfaces.n * view.rays.d).sum(axis=1, keepdims=True))",
+    ),
+    Fault(
+        "unnormalised normal",
+        "triangles",
+        "normal",
+        TRIANGLES,
+        "n = unit(cross(sub(b, a), sub(c, a)))",
+        "n = cross(sub(b, a), sub(c, a))",
+    ),
+    Fault(
+        "vertex normals not renormalised",
+        "coarse-silhouettes",
+        "shading_normal",
+        TRIANGLES,
+        "sh_n = unit(add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2))))",
+        "sh_n = add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2)))",
+    ),
+    Fault(
+        "vertex normals in the wrong order",
+        "coarse-silhouettes",
+        "shading_normal",
+        TRIANGLES,
+        "add(scaled(b0, n0), add(scaled(b1, n1)",
+        "add(scaled(b1, n0), add(scaled(b0, n1)",
+    ),
+    Fault(
+        "normals of ellipsoids by the plain matrix",
+        "ellipsoids",
+        "normal",
+        SPHERE,
+        "n = unit(turned_back(prims.to_object, k, q))",
+        "n = unit(turned(prims.to_world, k, q))",
+    ),
+    Fault(
+        "position from the ray's length alone",
+        "one-sphere",
+        "position",
+        SPHERE,
+        "return along(center, r, n), n, n,",
+        "return along(o, 1.0001 * t, d), n, n,",
+    ),
+    Fault(
+        "shapes numbered from the back",
+        "closest-of-several",
+        "shape_id",
+        "caster/aovs/shape_id.py",
+        "return view.shape_id",
+        "return np.where(view.hit, len(view.scene.shapes) - 1 - view.shape_id, -1).astype(np.int32)",
+    ),
+    one_nan("depth", "view.start + view.nearest.t * length(view.rays.d)", ""),
+    one_nan("normal", "view.surfaces.n"),
+    one_nan("shading_normal", "view.surfaces.sh_n"),
+    one_nan("position", "view.surfaces.p"),
+    one_nan("diffuse", "direct(view) + ambient(view)"),
+    Fault(
+        "depth 0 on a miss",
+        "one-sphere",
+        "depth",
+        "caster/aovs/depth.py",
+        "return view.start + view.nearest.t * length(view.rays.d)",
+        "return np.where(view.hit, view.start + view.nearest.t * length(view.rays.d), 0.0)",
+    ),
+    Fault(
+        "light on a miss",
+        "one-sphere",
+        "diffuse",
+        DIFFUSE,
+        "return direct(view) + ambient(view)",
+        "return np.where(view.hit[:, None], direct(view) + ambient(view), 0.1)",
+    ),
+    # ---- where shapes stand ----
+    Fault(
+        "face_normals ignored",
+        "ply-normals",
+        "geometry",
+        PLACING,
+        "np.full(len(faces), not face_normals)",
+        "np.full(len(faces), True)",
+    ),
+    Fault(
+        "steps of to_world the other way round",
+        "transforms",
+        "placement",
+        "caster/transform.py",
+        "(m[:, k, None] * total[None, k, :]",
+        "(total[:, k, None] * m[None, k, :]",
+        FEW,
+    ),
+    Fault(
+        "turns the other way",
+        "transforms",
+        "placement",
+        "caster/steps.py",
+        "self.rotate.axis, self.rotate.degrees",
+        "self.rotate.axis, -self.rotate.degrees",
+        FEW,
+    ),
+    Fault(
+        "faces of mirrored meshes not turned round",
+        "transforms",
+        "geometry",
+        PLACING,
+        "mesh.faces[:, [0, 2, 1]] if is_mirrored(matrix) else mesh.faces",
+        "mesh.faces",
+        FEW,
+    ),
+    Fault(
+        "vertex normals by the plain matrix",
+        "transforms",
+        "geometry",
+        PLACING,
+        "mesh.normals @ np.linalg.inv(matrix[:3, :3])",
+        "mesh.normals @ matrix[:3, :3].T",
+        FEW,
+    ),
+    Fault(
+        "generated normals not weighted by angles",
+        "ply-normals",
+        "geometry",
+        "caster/mesh.py",
+        "[:, None, :] * angle[:, :, None]",
+        "[:, None, :] * (angle > 0.0)[:, :, None]",
+    ),
+    Fault(
+        "a sphere's centre not placed",
+        "ellipsoids",
+        "geometry",
+        SPHERE,
+        "center = linear @ np.array(self.center) + self.matrix[:3, 3]",
+        "center = np.array(self.center) + self.matrix[:3, 3]",
+    ),
+    Fault(
+        "a packed radius off by 3e-6 of itself",
+        "one-sphere",
+        "geometry",
+        SPHERE,
+        "np.array([scale * self.radius])",
+        "np.array([1.000003 * scale * self.radius])",
+    ),
+    Fault(
+        "a plane's normal by the plain matrix",
+        "transforms",
+        "geometry",
+        PLANE,
+        "turned = n @ np.linalg.inv(linear)",
+        "turned = linear @ n",
+        FEW,
+    ),
+    Fault(
+        "a plane's offset with the wrong sign",
+        "spheres-on-plane",
+        "geometry",
+        PLANE,
+        "else self.offset * n",
+        "else -self.offset * n",
+    ),
+    Fault(
+        "a tube's radius taken for its diameter",
+        "cylinders",
+        "geometry",
+        CYLINDER,
+        "self.radius * first, self.radius * np.cross",
+        "0.5 * self.radius * first, 0.5 * self.radius * np.cross",
+    ),
+    Fault(
+        "meshes not moved",
+        "ply-normals",
+        "geometry",
+        PLACING,
+        "rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])",
+        "rounded(mesh.vertices @ matrix[:3, :3].T)",
+    ),
+    # ---- cameras ----
+    Fault(
+        "half a pixel to the left and up",
+        "one-sphere",
+        "camera",
+        "caster/kernels/gather.py",
+        "window.x0 + x + 0.5, window.y0 + y + 0.5",
+        "window.x0 + x, window.y0 + y",
+    ),
+    Fault("swapped aspect", "one-sphere", "camera", PINHOLE, "return x, x / aspect", "return x, x * aspect"),
+    Fault(
+        "y flipped",
+        "one-sphere",
+        "camera",
+        PINHOLE,
+        "above = (1.0 - 2.0 * (y / camera.size[1] + camera.shift[1]))",
+        "above = (2.0 * (y / camera.size[1] + camera.shift[1]) - 1.0)",
+    ),
+    Fault(
+        "x mirrored",
+        "one-sphere",
+        "camera",
+        PINHOLE,
+        "across = (2.0 * (x / camera.size[0] + camera.shift[0]) - 1.0)",
+        "across = (1.0 - 2.0 * (x / camera.size[0] + camera.shift[0]))",
+    ),
+    Fault(
+        "principal point to the other side",
+        "shifted-view",
+        "camera",
+        PINHOLE,
+        "x / camera.size[0] + camera.shift[0]",
+        "x / camera.size[0] - camera.shift[0]",
+    ),
+    Fault("fov_axis ignored", "shifted-view", "camera", PINHOLE, "x = tan * aspect", "x = tan"),
+    Fault("near plane ignored", "near-far-clip", "camera", PINHOLE, "d, camera.near * length,", "d, 0.0,"),
+    Fault(
+        "near as a distance, not a plane",
+        "near-far-clip",
+        "camera",
+        PINHOLE,
+        "d, camera.near * length,",
+        "d, camera.near,",
+    ),
+    Fault("far plane ignored", "near-far-clip", "camera", PINHOLE, "camera.far * length", "math.inf"),
+    Fault(
+        "clip planes ignored by what is hit",
+        "near-far-clip",
+        "clip",
+        ROOTS,
+        "if near > t_min",
+        "if near > 0.0",
+    ),
+    Fault(
+        "a square window",
+        "orthographic",
+        "camera",
+        ORTHOGRAPHIC,
+        "0.5 * self.width * height / width]",
+        "0.5 * self.width]",
+    ),
+    Fault(
+        "an equisolid fisheye",
+        "fisheye",
+        "camera",
+        "caster/cameras/fisheye.py",
+        "angle = distance * camera.half_angle",
+        "angle = 2.0 * math.asin(distance * math.sin(camera.half_angle / 2.0))",
+    ),
+    Fault(
+        "a panorama inside out",
+        "panorama",
+        "camera",
+        "caster/cameras/panorama.py",
+        "level * math.sin(longitude)",
+        "-level * math.sin(longitude)",
+        FEW,
+    ),
+    Fault(
+        "a spherical mirror for a parabolic one",
+        "parabolic",
+        "camera",
+        "caster/cameras/parabolic.py",
+        "1.0 - square))",
+        "math.sqrt(max(1.0 - square, 0.0))))",
+    ),
+    # ---- light ----
+    Fault("no 1/pi", "one-sphere", "diffuse", DIFFUSE, "/ np.pi * irradiance", "* irradiance"),
+    Fault(
+        "light that does not fall off",
+        "one-sphere",
+        "diffuse",
+        LIGHTS,
+        "np.array(self.intensity) / safe",
+        "np.array(self.intensity)",
+    ),
+    Fault(
+        "light that falls off with the distance",
+        "one-sphere",
+        "diffuse",
+        LIGHTS,
+        "np.array(self.intensity) / safe",
+        "np.array(self.intensity) / np.sqrt(safe)",
+    ),
+    Fault(
+        "one-sided surfaces lit from behind",
+        "two-sided",
+        "diffuse",
+        DIFFUSE,
+        "(cosine > 0.0) & (facing > 0.0)",
+        "cosine * facing > 0.0",
+    ),
+    Fault(
+        "two-sided surfaces dark from behind",
+        "two-sided",
+        "diffuse",
+        DIFFUSE,
+        "np.where(view.two_sided[where], cosine",
+        "np.where(False, cosine",
+    ),
+    Fault(
+        "ambient light twice",
+        "fisheye",
+        "diffuse",
+        DIFFUSE,
+        "return direct(view) + ambient(view)",
+        "return direct(view) + 2.0 * ambient(view)",
+    ),
+    Fault(
+        "the sun from the other side",
+        "lights-and-shadows",
+        "diffuse",
+        LIGHTS,
+        "0.0 - np.array(self.direction)",
+        "np.array(self.direction)",
+        FEW,
+    ),
+    Fault(
+        "shadows cast by what is behind the light",
+        "inside-sphere",
+        "diffuse",
+        LIGHTS,
+        "np.array(self.position) - p, np.ones(len(p))",
+        "np.array(self.position) - p, np.full(len(p), np.inf)",
+    ),
+    Fault(
+        "no shadows",
+        "spheres-on-plane",
+        "diffuse",
+        VIEW,
+        "if not self.scene.shading.shadows:",
+        "if self.scene.shading.shadows:",
+    ),
+    Fault(
+        "surfaces that shadow themselves",
+        "spheres-on-plane",
+        "diffuse",
+        VIEW,
+        "SHADOW_OFFSET = 4 *",
+        "SHADOW_OFFSET = 0 *",
+    ),
+    Fault(
+        "shadow rays that start too far out",
+        "lights-and-shadows",
+        "diffuse",
+        VIEW,
+        "SHADOW_OFFSET = 4 *",
+        "SHADOW_OFFSET = 2.0**49 *",
+        FEW,
+    ),
+    Fault(
+        "cosine of the geometric normal",
+        "coarse-silhouettes",
+        "diffuse",
+        DIFFUSE,
+        "cosine = np.sum(towards * view.surfaces.sh_n[where], axis=1)",
+        "cosine = np.sum(towards * view.surfaces.n[where], axis=1)",
+    ),
+    Fault(
+        "only some kinds of shape cast shadows",
+        "lights-and-shadows",
+        "diffuse",
+        VIEW,
+        "return find_nearest(self.packed, self.shadow",
+        "from dataclasses import replace\n\n"
+        "        return find_nearest(replace(self.packed, kinds=self.packed.kinds[:1]), self.shadow",
+        FEW,
+    ),
+    Fault(
+        "blue for red",
+        "one-sphere",
+        "diffuse",
+        VIEW,
+        "table[self.shape_id], 0.0)",
+        "table[self.shape_id][:, ::-1], 0.0)",
+    ),
+    Fault(
+        "the first material for every shape",
+        "cornell-box",
+        "materials",
+        "caster/scene_model.py",
+        "self.materials[shape.material] if shape.material else DEFAULT",
+        "next(iter(self.materials.values()))",
+    ),
+    # ---- cullings ----
+    Fault(
+        "the tree forgets a leaf",
+        "coarse-silhouettes",
+        "culling",
+        TREE,
+        "            if tree.prims_in[node] == 0:",
+        "            if node == len(tree.prims_in) - 1:\n                continue\n"
+        "            if tree.prims_in[node] == 0:",
+    ),
+    Fault(
+        "depth that counts from elsewhere in render",
+        "one-sphere",
+        "culling",
+        "caster/rendering.py",
+        "np.zeros(len(rays.t_min)), threads)",
+        "np.ones(len(rays.t_min)), threads)",
+    ),
+    Fault(
+        "a camera's rays cast without their near plane",
+        "near-far-clip",
+        "culling",
+        SCREEN,
+        "t = intersect(prims, pre, row(rays.d, i), rays.t_min[i])",
+        "t = intersect(prims, pre, row(rays.d, i), 0.0)",
+    ),
+    Fault(
+        "pictures of primitives too narrow", "triangles", "culling", SCREEN, "MARGIN = 1.0", "MARGIN = -2.0"
+    ),
+)
+
+CASES = sorted({(fault.scene, *fault.size) for fault in FAULTS})
+
+
+def validate(tree, scene, size):
+    """What `validate` says, with its exit code; an internal error is no verdict."""
+    found = run(tree, "validate", f"scenes/{scene}.toml", "--size", *size, "-j", "1")
+    assert found.returncode in (0, 1), found.stderr
+    return found
+
+
+@pytest.fixture(scope="session")
+def unedited(tmp_path_factory):
+    return copy_tree(tmp_path_factory.mktemp("unedited"))
+
+
+@pytest.mark.parametrize(("scene", "width", "height"), CASES)
+def test_without_a_fault_the_scene_passes(unedited, scene, width, height):
+    found = validate(unedited, scene, (width, height))
+    assert (found.returncode, found.stderr) == (0, ""), found.stdout
+    assert f"PASS  {scene} " in found.stdout and "FAIL" not in found.stdout
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.what)
+def test_a_planted_fault_fails_by_the_check_it_offends(tmp_path, fault):
+    tree = copy_tree(tmp_path)
+    edit(tree, fault.file, fault.old, fault.new)
+    found = validate(tree, fault.scene, fault.size)
+    assert found.returncode == 1, f"this passes: {fault.what}\n{found.stdout}"
+    assert re.search(rf"^FAIL  {fault.scene}  {fault.check}: ", found.stdout, re.MULTILINE), found.stdout
+    again = re.findall(r"^      replay:    mitsuba-ref (.*)", found.stdout, re.MULTILINE)
+    assert again and all(line.endswith(f" --size {' '.join(fault.size)}") for line in again)
+
+
+@pytest.mark.parametrize(
+    "what", ["far root for near", "a radius off by 3e-6 of itself", "no 1/pi", "depth as z"]
+)
+def test_the_replay_of_a_pixel_shows_its_failure_again(tmp_path, what):
+    (fault,) = (fault for fault in FAULTS if fault.what == what)
+    tree = copy_tree(tmp_path)
+    edit(tree, fault.file, fault.old, fault.new)
+    found = validate(tree, fault.scene, fault.size)
+    (again,) = re.findall(r"^      replay:    mitsuba-ref (probe .*)", found.stdout, re.MULTILINE)
+    shown = run(tree, *shlex.split(again))
+    assert (shown.returncode, shown.stderr) == (1, "") and shown.stdout.splitlines()[0].endswith(
+        ": undecided"
+    )
+
+
+# ---- pictures ----
+
+FILM = ("31", "24")
+
+
+def picture(tree, folder, module, name):
+    """One sphere as an EXR file, by `caster` or by `mitsuba_ref`."""
+    words = ["--aov", "hit,depth,normal,shading_normal,position,diffuse,shape_id"]
+    found = run(
+        tree,
+        "render",
+        "scenes/one-sphere.toml",
+        "--size",
+        *FILM,
+        "-o",
+        str(folder / name),
+        *words,
+        module=module,
+    )
+    assert found.returncode == 0, found.stderr
+    return folder / name
+
+
+@pytest.fixture(scope="session")
+def pictures(unedited, tmp_path_factory):
+    """(ours, the reference's)"""
+    folder = tmp_path_factory.mktemp("pictures")
+    return picture(unedited, folder, "caster", "ours.exr"), picture(
+        unedited, folder, "mitsuba_ref", "reference.exr"
+    )
+
+
+def compare(tree, ours, reference):
+    found = run(tree, "compare", str(ours), str(reference))
+    assert found.returncode in (0, 1), found.stdout + found.stderr
+    return found
+
+
+def test_without_a_fault_the_pictures_pass(unedited, pictures):
+    found = compare(unedited, *pictures)
+    assert found.returncode == 0 and "PASS" in found.stdout
+
+
+SEEN_IN_PICTURES = (
+    ("far root for near", "depth"),
+    ("half a pixel to the left and up", "hit"),
+    ("y flipped", "hit"),
+    ("x mirrored", "hit"),
+    ("swapped aspect", "hit"),
+    ("depth as z", "depth"),
+    ("flipped normal of spheres", "normal"),
+    ("light that does not fall off", "diffuse"),
+    ("one NaN in depth", "depth"),
+    ("one NaN in normal", "normal"),
+    ("one NaN in diffuse", "diffuse"),
+)
+
+
+@pytest.mark.parametrize(("what", "quantity"), SEEN_IN_PICTURES)
+def test_compare_fails_on_what_a_faulty_caster_renders(tmp_path, pictures, what, quantity):
+    (fault,) = (fault for fault in FAULTS if fault.what == what)
+    tree = copy_tree(tmp_path)
+    edit(tree, fault.file, fault.old, fault.new)
+    found = compare(tree, picture(tree, tmp_path, "caster", "faulty.exr"), pictures[1])
+    assert found.returncode == 1, f"this passes: {what}\n{found.stdout}"
+    assert f"FAIL  {quantity}: " in found.stdout and "replay: mitsuba-ref probe" in found.stdout
+
+
+def spoilt(channel, value):
+    """Another value in one hit pixel of a channel."""
+
+    def spoil(channels):
+        pixels = channels[channel].copy()
+        pixels[tuple(np.argwhere(channels["A"] > 0.0)[50])] = value
+        return {**channels, channel: pixels}
+
+    return spoil
+
+
+IN_DATA = {
+    "y flipped": lambda channels: {name: pixels[::-1] for name, pixels in channels.items()},
+    "half a pixel to the side": lambda channels: {
+        name: (pixels if pixels.dtype == np.uint32 else 0.5 * (pixels + np.roll(pixels, 1, axis=1)))
+        for name, pixels in channels.items()
+    },
+    "unnormalised normal": lambda channels: {
+        **channels,
+        "normal.Z": channels["normal.Z"] * np.float32(1.001),
+    },
+    **{
+        f"one {value} in {channel}": spoilt(channel, value)
+        for channel in ("R", "depth.Z", "normal.X", "shading_normal.Y", "position.Z")
+        for value in (np.nan, np.inf)
+    },
+    "one NaN in the mask": spoilt("A", np.nan),
+    "one pixel missed": spoilt("A", 0.0),
+    "one pixel of another shape": spoilt("id.shape", 7),
+}
+
+
+@pytest.mark.parametrize("what", IN_DATA)
+def test_compare_fails_on_a_picture_with_a_fault(tmp_path, pictures, unedited, what):
+    good = read_exr(pictures[0])
+    faulty = tmp_path / "faulty.exr"
+    with np.errstate(invalid="ignore"):  # inf where an average leaves the silhouette
+        write_exr(faulty, IN_DATA[what](good.channels), good.provenance)
+    found = compare(unedited, faulty, pictures[1])
+    assert found.returncode == 1, f"this passes: {what}\n{found.stdout}"
+    assert re.search(r"^FAIL  \w+: ", found.stdout, re.MULTILINE)

@@ -1,0 +1,357 @@
+"""The command `mitsuba-ref` from outside: exit codes, what it prints and writes, and what it survives."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
+
+from caster.exr import read_exr
+from mitsuba_ref.verdict import CLASSES
+
+SIZE = ("--size", "24", "20")
+CAMERA = '[film]\nwidth = 24\nheight = 20\n\n[camera]\ntype = "pinhole"\neye = [0.1, 0.2, 5.3]\nlook_at = [0, 0, 0]\n'
+BALL = '\n[[shape]]\ntype = "sphere"\nname = "ball"\ncenter = [0.1, 0.2, {z}]\nradius = 1.3\n'
+ROW = re.compile(r"^(PASS|FAIL)  (\S+) +(\d+)" + r" +(\d+)" * len(CLASSES) + r"\b", re.MULTILINE)
+
+
+def ref(*argv, tree=ROOT, **environment):
+    """`mitsuba-ref` with these words; whatever comes, it is no traceback."""
+    before = {name: os.environ.get(name) for name in environment}
+    os.environ.update(environment)
+    try:
+        found = run(tree, *map(str, argv))
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+    assert "Traceback" not in found.stderr and found.returncode != 70, found.stderr
+    return found
+
+
+@pytest.fixture
+def scenes(tmp_path):
+    """ball and other pass, empty-1 and empty-2 show nothing."""
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    for name, z in (("ball", 0.3), ("empty-1", 17.0), ("empty-2", 19.0), ("other", -0.7)):
+        (folder / f"{name}.toml").write_text(CAMERA + BALL.format(z=z), encoding="utf-8")
+    return folder
+
+
+def names_in(found):
+    return [row[1] for row in ROW.findall(found.stdout)]
+
+
+# ---- what is selected ----
+
+
+def test_a_folder_is_judged_in_order_and_an_expression_chooses(scenes):
+    assert names_in(ref("validate", scenes)) == ["ball", "empty-1", "empty-2", "other"]
+    found = ref("validate", scenes, "-k", "not empty")
+    assert (found.returncode, names_in(found)) == (0, ["ball", "other"])
+    assert "2 scenes: 2 pass, 0 fail, in " in found.stdout and "agree (100 %)" in found.stdout
+
+
+def test_the_default_is_the_folder_scenes():
+    found = ref("validate", "-k", "one-sphere", *SIZE)
+    assert (found.returncode, names_in(found)) == (0, ["one-sphere"])
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "says"),
+    [
+        (["-k", "nothing-like-it"], 5, "nothing selected: no scene fits"),
+        (["-k", "ball and"], 2, "a part of a name is missing"),
+        (["-j", "0"], 2, "-j: expected a whole number >= 1, got '0'"),
+        (["--maxfail", "0"], 2, "--maxfail: expected a whole number >= 1"),
+        (["--size", "0", "20"], 2, "--size 0 20: "),
+        (["--nonsense"], 2, "unrecognized arguments: --nonsense"),
+        (["--json", "{folder}/none/verdict.json"], 4, "none"),
+        (["--junit", "{folder}/none/verdict.xml"], 4, "none"),
+        (["--out", "{folder}/ball.toml"], 4, "ball.toml"),
+        (
+            ["{folder}/nowhere.toml"],
+            4,
+            "nowhere.toml: expected a scene file or a folder of them, found nothing",
+        ),
+        (["{folder}/nowhere"], 4, "nowhere: expected a scene file or a folder of them, found nothing"),
+    ],
+)
+def test_bad_usage_is_told_before_any_work(scenes, words, code, says):
+    found = ref("validate", scenes, *(word.format(folder=scenes) for word in words))
+    assert (found.returncode, found.stdout) == (code, "")
+    assert says in found.stderr
+
+
+def test_a_folder_without_scenes_is_no_pass(tmp_path):
+    assert ref("validate", tmp_path).returncode == 5
+
+
+def test_a_variant_that_is_none_is_refused(scenes):
+    found = ref("validate", scenes, MITSUBA_REF_VARIANT="cuda_rgb")
+    assert (found.returncode, found.stdout) == (2, "")
+    assert "MITSUBA_REF_VARIANT 'cuda_rgb': expected scalar_rgb or llvm_ad_rgb" in found.stderr
+
+
+def test_a_variant_that_does_not_work_here_is_refused(scenes, tmp_path):
+    broken = tmp_path / "libLLVM.so"
+    broken.write_bytes(b"not a library")
+    chosen = {"MITSUBA_REF_VARIANT": "llvm_ad_rgb", "DRJIT_LIBLLVM_PATH": str(broken)}
+    found = ref("validate", scenes, **chosen, XDG_CACHE_HOME=str(tmp_path / "cache"))
+    assert (found.returncode, found.stdout) == (2, "")
+    assert "MITSUBA_REF_VARIANT 'llvm_ad_rgb': it does not work here: " in found.stderr
+
+
+def test_all_scenes_that_cannot_be_used_are_named_at_once(scenes):
+    (scenes / "bad-1.toml").write_text(CAMERA + "foov = 3\n", encoding="utf-8")
+    (scenes / "bad-2.toml").write_text(CAMERA + BALL.format(z=0.0) + "radios = 1\n", encoding="utf-8")
+    found = ref("validate", scenes)
+    assert (found.returncode, found.stdout) == (2, "")
+    assert "bad-1.toml:9:1: " in found.stderr and "radios is an unknown key" in found.stderr
+
+
+# ---- what it says and writes ----
+
+
+def test_rows_add_up_and_name_what_came_nearest(scenes):
+    found = ref("validate", "scenes/shared-edges-cube.toml", "--size", "25", "25")
+    ((mark, name, hit, *counts),) = ROW.findall(found.stdout)
+    assert (mark, name, int(hit)) == ("PASS", "shared-edges-cube", 625)
+    assert sum(map(int, counts)) == 625 and int(counts[CLASSES.index("explained")]) > 0
+    assert re.search(r"reference:  mitsuba [\d.]+, drjit [\d.]+, variant \w+", found.stdout)
+
+
+def test_a_scene_that_shows_nothing_is_no_evidence_and_no_pass(scenes):
+    found = ref("validate", scenes / "empty-1.toml")
+    assert found.returncode == 1
+    assert "FAIL  empty-1  no pixel hits anything, so nothing was compared" in found.stdout
+
+
+def test_maxfail_stops_and_says_what_was_left(scenes):
+    found = ref("validate", scenes, "-j", "1", "--maxfail", "1", "--json", scenes / "v.out")
+    assert (found.returncode, names_in(found)) == (1, ["ball", "empty-1"])
+    assert "4 scenes: 1 pass, 1 fail, 2 not judged" in found.stdout
+    verdict = strict_json(scenes / "v.out")
+    assert (verdict["ok"], verdict["asked"], len(verdict["scenes"])) == (False, 4, 2)
+
+
+def strict_json(path: Path):
+    def refuse(constant):
+        raise AssertionError(f"{constant} is no JSON")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def test_several_at_a_time_give_the_same_verdict(scenes):
+    verdicts = []
+    for workers in ("1", "3"):
+        ref("validate", scenes, "-j", workers, "--json", scenes / "v.out")
+        verdict = strict_json(scenes / "v.out")
+        for scene in verdict["scenes"]:
+            del scene["seconds"], scene["reference_seconds"]
+        verdicts.append(verdict)
+    assert verdicts[0] == verdicts[1]
+
+
+def test_out_holds_the_verdict_and_the_pictures_it_is_about(tmp_path):
+    out = tmp_path / "out"
+    found = ref("validate", "scenes/shared-edges-cube.toml", "--size", "25", "25", "--out", out)
+    assert found.returncode == 0
+    files = {f"shared-edges-cube.{which}.exr" for which in ("ours", "reference", "verdict")}
+    assert {path.name for path in out.iterdir()} == {"verdict.json", *files}
+    (scene,) = strict_json(out / "verdict.json")["scenes"]
+    codes = read_exr(out / "shared-edges-cube.verdict.exr").channels["class.I"]
+    assert np.bincount(codes.ravel(), minlength=len(CLASSES)).tolist() == list(scene["counts"].values())
+    assert set(scene["counts"]) == set(CLASSES) and scene["size"] == [25, 25] and scene["resized"] is True
+    assert scene["ok"] is True and scene["failures"] == [] and scene["problem"] == ""
+    assert {check["name"] for check in scene["checks"]} >= {
+        "placement",
+        "camera",
+        "sensor",
+        "culling",
+        "geometry",
+    }
+
+
+def test_a_failure_is_in_json_and_junit_with_where_and_why(tmp_path):
+    tree = copy_tree(tmp_path / "tree")
+    edit(tree, "caster/kernels/roots.py", "if near > t_min", "if near < math.inf")
+    words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml", "--out", tmp_path / "out"]
+    found = ref(
+        "validate", "scenes/inside-sphere.toml", "scenes/shared-edges-cube.toml", *SIZE, *words, tree=tree
+    )
+    assert found.returncode == 1
+    bad, good = strict_json(tmp_path / "v.json")["scenes"]
+    assert (bad["ok"], good["ok"]) == (False, True)
+    assert strict_json(tmp_path / "out/verdict.json")["scenes"] == [bad, good]
+    first = bad["failures"][0]
+    assert {"x", "y", "check", "ratio", "ours", "reference", "reason"} == set(first) and first[
+        "ratio"
+    ] == "inf"
+    suite = ElementTree.parse(tmp_path / "v.xml").getroot()
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("2", "1", "0")
+    cases = {case.get("name"): case.find("failure") for case in suite.iter("testcase")}
+    assert cases["shared-edges-cube"] is None and cases["inside-sphere"] is not None
+    assert "replay:    mitsuba-ref probe scenes/inside-sphere.toml" in cases["inside-sphere"].text
+
+
+# ---- what it survives ----
+
+
+@pytest.fixture
+def fake_mitsuba(tmp_path):
+    """Environment in which `import mitsuba` runs this instead; the copy of our packages goes first."""
+
+    def plant(source):
+        tree = copy_tree(tmp_path / "tree")
+        (tree / "mitsuba.py").write_text(source, encoding="utf-8")
+        return {"tree": tree, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+
+    return plant
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ("import os, sys\nprint('last words', flush=True)\nos.abort()", ["(SIGABRT)", "last words"]),
+        ("import os\nos.kill(os.getpid(), 11)", ["(SIGSEGV)"]),
+        ("raise ImportError('there is no mitsuba')", ["(exit code 1)", "there is no mitsuba"]),
+        ("raise SystemExit(0)", ["(exit code 0)"]),
+    ],
+    ids=["abort", "segfault", "missing", "silence"],
+)
+def test_the_end_of_mitsuba_is_a_scene_that_fails(scenes, tmp_path, fake_mitsuba, source, says):
+    words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml"]
+    found = ref("validate", scenes, "-k", "ball or other", *words, **fake_mitsuba(source))
+    assert (found.returncode, [row[0] for row in ROW.findall(found.stdout)]) == (1, ["FAIL", "FAIL"])
+    for name in ("ball", "other"):
+        assert f"FAIL  {name}  Mitsuba ended without an answer {says[0]}" in found.stdout
+    assert all(text in found.stdout for text in says)
+    assert "2 scenes: 0 pass, 2 fail" in found.stdout
+    assert all(says[0] in scene["problem"] for scene in strict_json(tmp_path / "v.json")["scenes"])
+    suite = ElementTree.parse(tmp_path / "v.xml").getroot()
+    assert (suite.get("failures"), suite.get("errors"), len(list(suite.iter("error")))) == ("0", "2", 2)
+
+
+def test_an_interruption_keeps_what_is_done_and_leaves_no_child(tmp_path):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    mark = f"caster-test-{os.getpid()}-{time.monotonic_ns()}"
+    words = [sys.executable, "-P", "-m", "mitsuba_ref", "validate", "scenes", *SIZE, "-j", "2"]
+    environment = os.environ | {
+        "PYTHONPATH": str(ROOT),
+        "CASTER_JIT": "0",
+        "MARK": mark,
+        "TMPDIR": str(temporary),
+    }
+    child = subprocess.Popen(
+        [*words, "--json", str(tmp_path / "v.json")],
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    late = threading.Timer(DEADLINE, child.kill)
+    late.start()
+    try:
+        lines = []
+        while not any(line.startswith("PASS") for line in lines):
+            lines.append(child.stdout.readline())
+            assert lines[-1], child.stderr.read()
+        child.send_signal(signal.SIGINT)
+        out, err = child.communicate()
+    finally:
+        late.cancel()
+    assert child.returncode == 130, err
+    assert err.strip() == "interrupted"
+    done = strict_json(tmp_path / "v.json")
+    rows = ROW.findall("".join(lines) + out)
+    assert [scene["name"] for scene in done["scenes"]] == [row[1] for row in rows]
+    assert 0 < len(rows) < done["asked"] and done["ok"] is False and " not judged, in " in out
+    assert list(temporary.iterdir()) == []
+    assert [pid for pid in running_with(mark) if pid != child.pid] == []
+
+
+def running_with(mark: str) -> list[int]:
+    """Processes of ours that carry the mark in their environment."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (folder / "environ").read_bytes():
+                found.append(int(folder.name))
+        except OSError:  # gone, or somebody else's
+            continue
+    return found
+
+
+# ---- the other commands ----
+
+
+def test_probe_gives_the_class_that_validate_gave(tmp_path):
+    size = ("--size", "25", "25")
+    ref("validate", "scenes/shared-edges-cube.toml", *size, "--out", tmp_path)
+    codes = read_exr(tmp_path / "shared-edges-cube.verdict.exr").channels["class.I"]
+    seen = set()
+    for code in np.unique(codes):
+        y, x = map(int, np.argwhere(codes == code)[-1])
+        found = ref("probe", "scenes/shared-edges-cube.toml", x, y, *size, "--json")
+        said = json.loads(found.stdout)
+        assert (said["verdict"], said["ok"], found.returncode) == (CLASSES[code], True, 0)
+        seen.add(said["verdict"])
+    assert seen == {"agree", "explained"}
+
+
+@pytest.mark.parametrize(
+    "scene", ["one-sphere", "near-far-clip", "crop-window", "fisheye", "lights-and-shadows"]
+)
+def test_two_renders_of_a_scene_compare_equal(tmp_path, scene):
+    ours, reference = tmp_path / "ours.exr", tmp_path / "reference.exr"
+    aovs = ["--aov", "hit,depth,normal,shading_normal,position,diffuse,shape_id"]
+    file = f"scenes/{scene}.toml"
+    rendered = run(ROOT, "render", file, "-o", str(ours), *SIZE, *aovs, module="caster")
+    assert rendered.returncode == 0, rendered.stderr
+    assert ref("render", file, "-o", reference, *SIZE, *aovs).returncode == 0
+    found = ref("compare", ours, reference)
+    assert found.returncode == 0 and "PASS" in found.stdout, found.stdout
+
+
+STRICT = """
+import sys, mitsuba as mi
+mi.set_variant("scalar_rgb")
+mi.logger().set_error_level(mi.LogLevel.Warn)
+scene = mi.load_file(sys.argv[1], optimize=False)
+print(len(scene.shapes()), len(scene.sensors()))
+"""
+PLAIN = ("every-shape", "transforms", "ellipsoids", "crop-window", "orthographic-clip", "two-sided")
+
+
+@pytest.mark.parametrize("scene", [*PLAIN, "fisheye"])
+def test_what_export_writes_loads_in_plain_mitsuba_without_a_warning(tmp_path, scene):
+    exported = ref("export", f"scenes/{scene}.toml", "-o", tmp_path, *SIZE)
+    assert exported.returncode == 0, exported.stderr
+    words = [sys.executable, "-c", STRICT, str(tmp_path / "scene.xml")]
+    loaded = subprocess.run(words, capture_output=True, text=True, timeout=DEADLINE, cwd=tmp_path)
+    assert loaded.returncode == 0, loaded.stderr
+    shapes, sensors = map(int, loaded.stdout.split())
+    assert f"{shapes} shapes, " in exported.stdout and sensors == (scene in PLAIN)
+
+
+@pytest.mark.parametrize("scene", ["every-shape", "ellipsoids", "crop-window"])
+def test_the_command_mitsuba_renders_what_export_writes(tmp_path, scene):
+    ref("export", f"scenes/{scene}.toml", "-o", tmp_path, *SIZE)
+    words = [Path(sys.executable).with_name("mitsuba"), "-m", "scalar_rgb", "-t", "3", "scene.xml"]
+    rendered = subprocess.run(words, capture_output=True, text=True, timeout=DEADLINE, cwd=tmp_path)
+    assert rendered.returncode == 0 and "WARN" not in rendered.stdout, rendered.stdout + rendered.stderr
+    image = read_exr(tmp_path / "scene.exr")
+    depth = next(pixels for name, pixels in image.channels.items() if "depth" in name)
+    assert np.isfinite(depth).all() and (depth > 0.0).any()

@@ -1,0 +1,191 @@
+"""The bracket refuses what no rounding explains and allows what some rounding does, in scenes made for it."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from caster.packing import pack
+from caster.placing import as_float32
+from caster.scene import Scene
+from caster.shapes import Icosphere, Plane, Sphere, Triangle
+from mitsuba_ref.bracket import Bracket, Claims, Finding
+from mitsuba_ref.meeting import KU, KU_OURS, U
+from mitsuba_ref.model import Model, model_of
+from mitsuba_ref.rays import SharedRays
+
+UP = np.array([0.0, 0.0, 1.0])
+DOWN = -UP
+# Two triangles that share the diagonal from (-1, -1) to (1, 1), a third of a unit off any lattice.
+A, B, C, D = (np.array(p) / 3.0 for p in ([-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]))
+RIGHT, LEFT = Triangle(name="right", vertices=(A, B, C)), Triangle(name="left", vertices=(A, C, D))
+
+
+def modelled(shapes: list[Any], o: Any, d: Any) -> Model:
+    camera = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
+    scene = Scene(camera=camera, shapes=shapes)
+    o, d = (np.atleast_2d(np.asarray(v, np.float32)) for v in (o, d))
+    rays = SharedRays(o, d, np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
+    return model_of(scene, pack(scene, as_float32), rays)
+
+
+def bracket(shapes: list[Any], o: Any, d: Any, *, ours: bool = False) -> Bracket:
+    return Bracket(modelled(shapes, o, d), KU_OURS if ours else KU, ours=ours)
+
+
+def judged(
+    shapes: list[Any], o: Any, d: Any, t: float, shape: int, n: Any = UP, *, t_max: float = np.inf, ours: bool = False
+) -> Finding:
+    """One ray, one claim; the claimed point follows from t."""
+    o, d, n = (np.asarray(v, float)[None] for v in (o, d, n))
+    p = o + (t if np.isfinite(t) else 0.0) * d
+    claims = Claims(np.array([t]), np.array([shape]), n, n, p)
+    return bracket(shapes, o, d, ours=ours).judge(o, d, np.array([t_max]), claims)
+
+
+def allows(*args: Any, **kwargs: Any) -> bool:
+    return bool(judged(*args, **kwargs).allowed[0])
+
+
+MISS = (np.inf, -1)
+BALL = Sphere(name="ball", center=(0, 0, 0), radius=1)
+FAR_BALL = Sphere(name="behind", center=(0, 0, -4), radius=1)
+ABOVE = [0.0, 0.0, 5.0]
+
+
+@pytest.mark.parametrize("ours", [False, True])
+def test_the_nearest_hit_is_allowed_and_a_hidden_one_is_not(ours):
+    balls = [BALL, FAR_BALL]
+    assert allows(balls, ABOVE, DOWN, 4.0, 0, ours=ours)
+    assert not allows(balls, ABOVE, DOWN, 8.0, 1, ours=ours)
+    assert not allows(balls, ABOVE, DOWN, 6.0, 0, DOWN, ours=ours)  # the far side of the first
+    assert allows([FAR_BALL], ABOVE, DOWN, 8.0, 0, ours=ours)
+
+
+@pytest.mark.parametrize("ours", [False, True])
+def test_a_miss_is_refused_where_something_is_certainly_hit(ours):
+    assert not allows([BALL], ABOVE, DOWN, *MISS, ours=ours)
+    assert allows([BALL], [2.0, 0.0, 5.0], DOWN, *MISS, ours=ours)
+    assert not allows([BALL], [2.0, 0.0, 5.0], DOWN, 5.0, 0, [1, 0, 0], ours=ours)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_at_a_silhouette_both_hit_and_miss_are_allowed(side):
+    o = [1.0 + side * U, 0.0, 5.0]
+    assert allows([BALL], o, DOWN, *MISS)
+    assert allows([BALL], o, DOWN, 5.0, 0, [1, 0, 0])
+    beyond = [1.0 + side * 1e-4, 0.0, 5.0]
+    assert allows([BALL], beyond, DOWN, *MISS) == (side > 0)
+    float64 = judged([BALL], o, DOWN, *MISS, ours=True)
+    assert bool(float64.allowed[0]) == (side > 0)  # 2^-24 is wide for float64
+
+
+def test_what_is_behind_a_silhouette_is_allowed_just_beside_it_only():
+    balls = [BALL, Sphere(center=(0, 0, -4), radius=3)]
+    for away, expected in ((U, True), (-U, True), (-1e-4, False)):
+        x = 1.0 + away
+        z = -4.0 + np.sqrt(9.0 - x * x)
+        n = np.array([x, 0.0, z + 4.0]) / 3.0
+        assert allows(balls, [x, 0.0, 5.0], DOWN, 5.0 - z, 1, n) is expected
+
+
+@pytest.mark.parametrize("ours", [False, True])
+def test_a_miss_is_refused_on_an_edge_that_two_triangles_share(ours):
+    on_edge = [0.1, 0.1, 5.0]
+    assert not allows([RIGHT, LEFT], on_edge, DOWN, *MISS, ours=ours)
+    assert allows([RIGHT, LEFT], on_edge, DOWN, 5.0, 0, ours=ours)
+    assert allows([RIGHT, LEFT], on_edge, DOWN, 5.0, 1, ours=ours)
+
+
+def test_a_miss_is_allowed_on_an_edge_without_a_neighbour_across_it():
+    on_edge = [0.1, 0.1, 5.0]
+    assert allows([RIGHT], on_edge, DOWN, *MISS)
+    turned = Triangle(vertices=(A, C, B))
+    assert allows([RIGHT, turned], on_edge, DOWN, *MISS)  # both lie on the same side of it
+    assert allows([RIGHT, LEFT], A + ABOVE, DOWN, *MISS)  # a corner: no promise there
+
+
+def test_what_is_hidden_behind_a_shared_edge_is_refused():
+    floor = Plane(normal=(0, 0, 1), offset=-1)
+    assert not allows([RIGHT, LEFT, floor], [0.1, 0.1, 5.0], DOWN, 6.0, 2)
+    assert allows([RIGHT, floor], [0.1, 0.1, 5.0], DOWN, 6.0, 1)
+    assert not allows([RIGHT, floor], [0.2, 0.1, 5.0], DOWN, 6.0, 1)
+
+
+def test_a_neighbour_with_another_corner_does_not_close_an_edge():
+    """Edges close by their end points: this one ends elsewhere, so the edge is a crack."""
+    shorter = Triangle(vertices=(A, C * 0.999, D))
+    assert allows([RIGHT, shorter], [0.1, 0.1, 5.0], DOWN, *MISS)
+
+
+def test_nothing_counts_beyond_t_max_or_behind_the_origin():
+    assert not allows([BALL], ABOVE, DOWN, 4.0, 0, t_max=3.5)
+    assert allows([BALL], ABOVE, DOWN, *MISS, t_max=3.5)
+    assert allows([BALL], ABOVE, DOWN, 4.0, 0, t_max=4.0) and allows([BALL], ABOVE, DOWN, *MISS, t_max=4.0)
+    assert not allows([BALL], ABOVE, UP, -4.0, 0) and allows([BALL], ABOVE, UP, *MISS)
+
+
+@pytest.mark.parametrize("t", [4.0 + 1e-4, 4.0 - 1e-4, np.nan, -4.0, 0.0])
+def test_a_wrong_t_is_refused(t):
+    assert not allows([BALL], ABOVE, DOWN, t, 0)
+
+
+@pytest.mark.parametrize(
+    "n", [DOWN, [0, 0, 2], [0, 0, 0.99999], [1e-4, 0, 1], [np.nan] * 3, [0, 0, 0]], ids=str
+)
+def test_a_wrong_normal_is_refused(n):
+    assert allows([BALL], ABOVE, DOWN, 4.0, 0, UP)
+    assert not allows([BALL], ABOVE, DOWN, 4.0, 0, n)
+
+
+def test_a_shape_that_is_not_there_is_refused():
+    assert not allows([BALL, FAR_BALL], ABOVE, DOWN, 4.0, 1)
+    assert not allows([FAR_BALL, BALL], ABOVE, DOWN, 4.0, 0)
+    assert not allows([BALL], ABOVE, DOWN, 4.0, -1)
+
+
+def test_each_part_of_a_claim_counts():
+    o, d, t_max = np.array([ABOVE]), DOWN[None], np.array([np.inf])
+    good = Claims(np.array([4.0]), np.array([0]), UP[None], UP[None], UP[None])
+    judge = bracket([BALL], o, d).judge
+    assert judge(o, d, t_max, good).allowed[0]
+    for change in ({"p": UP[None] * 1.0001}, {"sh_n": DOWN[None]}, {"p": np.full((1, 3), np.nan)}):
+        assert not judge(o, d, t_max, good._replace(**change)).allowed[0], change
+
+
+def test_a_triangle_seen_edge_on_leaves_the_claim_open():
+    """Turned off the axes: along them, nothing rounds and everything can be told."""
+    corners = np.array([[0.31, 0.17, -0.53], [-0.71, 0.43, 0.29], [0.23, -0.61, 0.37]])
+    along, n = corners[1] - corners[0], np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    for slope, expected in ((1e-9, True), (0.1, False)):
+        d = along / np.linalg.norm(along) - slope * n / np.linalg.norm(n)
+        o = corners.mean(axis=0) - 5.0 * d
+        found = judged([Triangle(vertices=corners)], o, d, *MISS)
+        assert bool(found.unresolvable[0]) is expected
+
+
+def test_shadow_rays_do_not_count_the_surface_they_leave():
+    """From a point of a ball to the outside nothing blocks; through the ball, its far side does."""
+    o = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    d, t_max = np.array([[0.1, 0.0, 1.0], [0.1, 0.0, -1.0]]), np.array([np.inf, np.inf])
+    alone = bracket([BALL], o, d, ours=True)
+    possible, certain = alone.blocked(o, d, t_max, leaving=np.array([0, 0]))
+    assert possible.tolist() == certain.tolist() == [False, True]
+    possible, _ = alone.blocked(o, d, t_max)
+    assert possible.tolist() == [True, True]  # its own start, unless told
+    roofed = bracket([BALL, Plane(normal=(0, 0, 1), offset=9)], o, d, ours=True)
+    assert roofed.blocked(o, d, t_max, leaving=np.array([0, 0]))[1].tolist() == [True, True]
+    assert roofed.blocked(o, d, np.array([5.0, 1.0]), leaving=np.array([0, 0]))[1].tolist() == [False, False]
+
+
+@pytest.mark.parametrize("aim", ["middles of edges", "middles of faces"])
+def test_a_closed_mesh_has_no_hole_for_rays_from_inside(aim):
+    ball = Icosphere(subdivisions=2, to_world=[{"rotate": {"axis": [1, 2, 3], "degrees": 40}}])
+    mesh = ball.pack(as_float32)
+    corners = mesh.vertices[mesh.faces]
+    targets = corners.mean(axis=1) if aim == "middles of faces" else 0.5 * (corners[:, 0] + corners[:, 1])
+    o = as_float32(np.tile([0.011, -0.023, 0.017], (len(targets), 1)))
+    d, count = as_float32(targets - o), len(targets)
+    nothing = Claims(np.full(count, np.inf), np.full(count, -1), 0 * d, 0 * d, 0 * d)
+    assert count == 320
+    assert not bracket([ball], o, d).judge(o, d, nothing.t, nothing).allowed.any()

@@ -1,0 +1,168 @@
+"""Every camera's formula is written twice; each fault of a camera that these tests plant is seen."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from caster.cameras import CAMERAS
+from caster.kernels.nearest import Rays
+from caster.rendering import camera_rays
+from caster.scene import Film, Scene
+from mitsuba_ref import scene_checks
+from mitsuba_ref.export import camera_reference
+from mitsuba_ref.scene_checks import check_camera, pixel_centers
+
+TYPES = [camera.model_fields["type"].default for camera in CAMERAS]
+every_camera = pytest.mark.parametrize("camera", TYPES)
+
+
+def random_scene(camera: str, rng: np.random.Generator) -> Scene:
+    """Any pose, film, crop and field of view."""
+    own: dict[str, Any] = {
+        "pinhole": {
+            "fov": 10.0 ** rng.uniform(-2.0, np.log10(179.0)),
+            "fov_axis": rng.choice(["x", "y", "smaller", "larger", "diagonal"]),
+            "principal_point": rng.uniform(-0.4, 0.4, 2),
+            "near": rng.uniform(0.1, 1.0),
+            "far": rng.uniform(2.0, 100.0),
+        },
+        "orthographic": {"width": 10.0 ** rng.uniform(-3, 3), "near": rng.uniform(0.1, 1.0), "far": 7.5},
+        "fisheye": {"fov": rng.uniform(20.0, 360.0)},
+    }.get(camera, {})
+    eye = 10.0 ** rng.uniform(-2, 3) * rng.normal(size=3)
+    pose = {"type": camera, "eye": eye, "direction": rng.normal(size=3), "up": rng.normal(size=3)}
+    width, height = (int(n) for n in rng.integers(9, 60, 2))
+    crop = [width // 4, height // 3, width - 2, height] if rng.random() < 0.3 else None
+    return Scene(film=Film(width=width, height=height, crop=crop), camera=pose | own)
+
+
+@every_camera
+def test_our_rays_are_those_of_the_second_formula(camera):
+    rng = np.random.default_rng([130, TYPES.index(camera)])
+    ratios = []
+    for _ in range(60):
+        check = check_camera(random_scene(camera, rng))
+        assert check.ok, check
+        ratios.append(check.ratio)
+    assert np.median(ratios) > 1e-3  # not vacuous: they do round differently
+
+
+Fault = Callable[[Scene], Any]
+
+
+def rays_of(scene: Scene, camera: Any, film: Film, move: Callable[[Any, Any], Any] = lambda x, y: (x, y)) -> Rays:
+    """What the second formula gives another camera, another film or other pixels."""
+    x, y = pixel_centers(scene)
+    found = camera_reference(camera).rays(camera, film, *move(x, y))
+    return Rays(found.o, found.d, found.t_min, found.t_max)
+
+
+def shifted(scene: Scene) -> Rays:
+    return rays_of(scene, scene.camera, scene.film, lambda x, y: (x + 0.5, y))
+
+
+def flipped(scene: Scene) -> Rays:
+    return rays_of(scene, scene.camera, scene.film, lambda x, y: (x, scene.film.height - y))
+
+
+def swapped(scene: Scene) -> Rays:
+    film = Film(width=scene.film.height, height=scene.film.width)
+    return rays_of(scene, scene.camera, film)
+
+
+def mirrored(scene: Scene) -> Rays:
+    return rays_of(scene, scene.camera, scene.film, lambda x, y: (scene.film.width - x, y))
+
+
+def nudged(scene: Scene) -> Rays:
+    """A hundred-millionth of a pixel."""
+    return rays_of(scene, scene.camera, scene.film, lambda x, y: (x + 1e-8, y))
+
+
+def stretched(scene: Scene) -> Rays:
+    rays = camera_rays(scene)
+    return rays._replace(d=rays.d * (1.0 + 1e-12))
+
+
+def moved(scene: Scene) -> Rays:
+    rays = camera_rays(scene)
+    return rays._replace(o=rays.o + 1e-12 * (1.0 + np.abs(rays.o).max()))
+
+
+def one_missing(scene: Scene) -> Rays:
+    rays = camera_rays(scene)
+    t_max = rays.t_max.copy()
+    t_max[len(t_max) // 2] = -1.0
+    return rays._replace(t_max=t_max)
+
+
+def one_not_a_number(scene: Scene) -> Rays:
+    rays = camera_rays(scene)
+    d = rays.d.copy()
+    d[len(d) // 2] = np.nan
+    return rays._replace(d=d)
+
+
+def with_camera(**change: Any) -> Fault:
+    return lambda scene: rays_of(scene, scene.camera.model_copy(update=change), scene.film)
+
+
+def near_off(scene: Scene) -> Rays:
+    rays = camera_rays(scene)
+    return rays._replace(t_min=rays.t_min * (1.0 + 1e-6))
+
+
+def far_off(scene: Scene) -> Rays:
+    rays = camera_rays(scene)
+    return rays._replace(t_max=rays.t_max * (1.0 - 1e-6))
+
+
+def plane_for_sphere(scene: Scene) -> Rays:
+    """Near as a distance along each ray, where it is a plane."""
+    rays = camera_rays(scene)
+    return rays._replace(t_min=np.full_like(rays.t_min, scene.camera.near))
+
+
+COMMON = (shifted, flipped, mirrored, swapped, nudged, stretched, moved, one_missing, one_not_a_number)
+PINHOLE = {
+    "fov axis": with_camera(fov_axis="y"),
+    "sign of the principal point": with_camera(principal_point=(-0.2, 0.1)),
+    "fov": with_camera(fov=40.0 * (1.0 + 1e-10)),
+    "near": near_off,
+    "far": far_off,
+    "near as a distance": plane_for_sphere,
+}
+
+
+def fixed_scene(camera: str) -> Scene:
+    own: dict[str, Any] = {
+        "pinhole": {"fov": 40, "principal_point": (0.2, -0.1), "near": 0.3, "far": 9.0},
+        "orthographic": {"width": 3, "near": 0.3, "far": 9.0},
+    }.get(camera, {})
+    pose = {"type": camera, "eye": [1.1, -2.3, 0.7], "look_at": [0.1, 0.3, -0.2], "up": [0.1, 0.2, 1.0]}
+    return Scene(film={"width": 37, "height": 23}, camera=pose | own)
+
+
+def seen(monkeypatch: pytest.MonkeyPatch, scene: Scene, fault: Fault) -> bool:
+    assert check_camera(scene).ok
+    rays = fault(scene)
+    monkeypatch.setattr(scene_checks, "camera_rays", lambda scene: rays)
+    return not check_camera(scene).ok
+
+
+@every_camera
+@pytest.mark.parametrize("fault", COMMON, ids=lambda fault: fault.__name__)
+def test_a_fault_of_any_camera_is_seen(monkeypatch, camera, fault):
+    assert seen(monkeypatch, fixed_scene(camera), fault)
+
+
+@pytest.mark.parametrize("fault", PINHOLE)
+def test_a_fault_of_the_pinhole_is_seen(monkeypatch, fault):
+    assert seen(monkeypatch, fixed_scene("pinhole"), PINHOLE[fault])
+
+
+@pytest.mark.parametrize("fault", [near_off, far_off], ids=lambda fault: fault.__name__)
+def test_a_fault_of_the_orthographic_limits_is_seen(monkeypatch, fault):
+    assert seen(monkeypatch, fixed_scene("orthographic"), fault)

@@ -1,0 +1,93 @@
+"""No primitive that a ray hits is left out of its candidates."""
+
+import numpy as np
+import pytest
+from aimed_rays import KINDS, Setting, rays_at, scene_of
+
+from caster.packing import pack
+from caster.placing import as_float32
+from caster.shapes import Plane
+from mitsuba_ref import candidates
+from mitsuba_ref.candidates import GROUP, Candidates, along_a_curve, spread_bits
+from mitsuba_ref.meeting import KU_OURS
+from mitsuba_ref.model import Model, model_of
+from mitsuba_ref.rays import SharedRays
+
+SETTINGS = (Setting(), Setting(distances=(1e3, 1e4)), Setting(size=10.0, offset=1e5), Setting(distances=(1e-3, 1.0)))
+
+
+def crowd(kind: str, seed: list[int], setting: Setting, rays: int) -> tuple[Model, np.ndarray, np.ndarray]:
+    """A scene of many primitives with a plane among them, and rays at every one."""
+    rng = np.random.default_rng(seed)
+    scene = scene_of(kind, rng, setting, 1 if kind == "meshes" else 70)
+    o, d = rays_at(scene, rng, setting, rays)
+    if kind != "planes":
+        scene = scene.model_copy(update={"shapes": (*scene.shapes, Plane(point=o[0] + 1.0, normal=(0, 0.6, 0.8)))})
+    shared = SharedRays(*(a.astype(np.float32) for a in (o, d, np.full(len(o), np.inf))), np.zeros(len(o)))
+    return model_of(scene, pack(scene, as_float32), shared), o, d
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_possible_hit_ahead_is_among_the_candidates(kind):
+    """Against every ray with every primitive: what float64 takes for possible holds all exact hits."""
+    tried, hits = 0, 0
+    for number, setting in enumerate(SETTINGS):
+        model, o, d = crowd(kind, [110, number], setting, 400)
+        count = len(model.boxes[0])
+        ray, prim = (a.ravel() for a in np.meshgrid(np.arange(len(o)), np.arange(count), indexing="ij"))
+        met = model.meet(prim, o[ray], d[ray], KU_OURS, ours=True)
+        sure = met.pair[met.at.possible & (met.at.t > 0.0)]
+        needed = set((ray[sure] * count + prim[sure]).tolist())
+        given = [r * count + p for r, p in Candidates(*model.boxes).pairs(o, d)]
+        assert needed <= set(np.concatenate(given).tolist())
+        tried, hits = tried + len(ray), hits + len(needed)
+    assert tried >= 1e5 and hits >= 1000
+
+
+def test_each_ray_is_in_one_piece_only(monkeypatch):
+    """And pieces change nothing."""
+    model, o, d = crowd("triangles", [111], Setting(), 500)
+    whole = list(Candidates(*model.boxes).pairs(o, d))
+    monkeypatch.setattr(candidates, "TESTS_AT_ONCE", 64 * GROUP * 7)
+    pieces = list(Candidates(*model.boxes).pairs(o, d))
+    assert len(whole) == 1 and len(pieces) > 50
+    rays = [set(ray.tolist()) for ray, _ in pieces]
+    assert sum(map(len, rays)) == len(set.union(*rays))
+    for i in range(2):
+        assert np.array_equal(np.concatenate([piece[i] for piece in pieces]), whole[0][i])
+
+
+def test_most_of_what_a_ray_passes_by_is_left_out():
+    model, o, d = crowd("meshes", [112], Setting(distances=(10.0, 20.0)), 300)
+    ((_, prim),) = Candidates(*model.boxes).pairs(o, d)
+    assert len(prim) < 0.1 * len(o) * len(model.boxes[0])
+
+
+def test_boxes_without_bounds_come_last_and_spoil_no_others():
+    rng = np.random.default_rng(113)
+    low = rng.uniform(-1.0, 1.0, (200, 3))
+    high = low + 0.01
+    endless = np.arange(0, 200, 5)
+    low[endless], high[endless] = -np.inf, np.inf
+    order = along_a_curve(low, high)
+    assert sorted(order.tolist()) == list(range(200))
+    assert order[-len(endless) :].tolist() == endless.tolist()
+    boxes = Candidates(low, high)
+    assert np.isfinite(boxes.group_low[: 160 // GROUP]).all()
+    ((_, prim),) = boxes.pairs(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, 1.0]]))  # away from all
+    assert sorted(prim.tolist()) == endless.tolist()
+
+
+def test_boxes_at_one_place_or_none_at_all_are_fine():
+    same = np.zeros((GROUP + 1, 3))
+    ((_, prim),) = Candidates(same, same).pairs(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, -1.0]]))
+    assert len(prim) == GROUP + 1
+    nothing = np.zeros((0, 3))
+    ((ray, prim),) = Candidates(nothing, nothing).pairs(np.zeros((2, 3)), np.ones((2, 3)))
+    assert len(ray) == len(prim) == 0
+
+
+def test_bits_are_spread_three_apart():
+    x = np.arange(1024)
+    expected = [int(f"{value:010b}".replace("0", "000").replace("1", "001"), 2) for value in x.tolist()]
+    assert spread_bits(x).tolist() == expected

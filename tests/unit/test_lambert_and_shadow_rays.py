@@ -1,0 +1,118 @@
+"""What a light gives, from the textbook, one point at a time; and Mitsuba's shadow rays, from its constants."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from caster.scene import Scene
+from mitsuba_ref import shadows
+from mitsuba_ref.lambert import Hit, ambient, lit
+from mitsuba_ref.meeting import KU, Meetings
+
+LIGHTS = [
+    {"type": "point", "position": [1.3, 2.1, 0.4], "intensity": [10, 20, 5]},
+    {"type": "directional", "direction": [1, -3, 0.5], "irradiance": [1, 2, 3]},
+    {"type": "ambient", "radiance": [0.1, 0.2, 0.3]},
+    {"type": "ambient", "radiance": [0.01, 0.0, 0.02]},
+]
+MATERIALS = {"one": {"reflectance": [0.5, 0.25, 0.75]}, "both": {"reflectance": [0.2, 0.9, 0.4], "two_sided": True}}
+SCENE = Scene(
+    camera={"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]},
+    lights=LIGHTS,
+    materials=MATERIALS,
+    shapes=[{"type": "sphere", "material": "one"}, {"type": "sphere", "material": "both"}],
+)
+COUNT = 600
+
+
+def units(rng: np.random.Generator) -> np.ndarray:
+    v = rng.normal(size=(COUNT, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def hits(rng: np.random.Generator, p: Any, d: Any, sh_n: Any, p_error: float, sh_error: float) -> Hit:
+    flat, none = np.zeros(COUNT), np.zeros(COUNT, bool)
+    errors = np.full(COUNT, sh_error)
+    at = Meetings(flat, flat, sh_n, errors, sh_n, errors, ~none, ~none, np.full(COUNT, p_error))
+    return Hit(p, d, np.arange(COUNT) % 2, at)
+
+
+def some(rng: np.random.Generator, p_error: float = 0.0, sh_error: float = 0.0) -> Hit:
+    return hits(rng, rng.uniform(-1.0, 1.0, (COUNT, 3)), 3.0 * units(rng), units(rng), p_error, sh_error)
+
+
+def radiance(light: dict[str, Any], material: dict[str, Any], p: Any, d: Any, n: Any) -> list[float]:
+    """By hand, for one point: reflectance / pi * cosine * irradiance, 0 on the unlit side."""
+    if light["type"] == "point":
+        way = [a - b for a, b in zip(light["position"], p, strict=True)]
+        away = math.hypot(*way)
+        arriving = [i / away**2 for i in light["intensity"]]
+    else:
+        way, away = [-c for c in light["direction"]], math.hypot(*light["direction"])
+        arriving = light["irradiance"]
+    cosine = math.fsum(a * b for a, b in zip(way, n, strict=True)) / away
+    facing = -math.fsum(a * b for a, b in zip(d, n, strict=True))
+    if facing < 0.0 and material.get("two_sided"):
+        cosine, facing = -cosine, -facing
+    if cosine <= 0.0 or facing <= 0.0:
+        return [0.0, 0.0, 0.0]
+    return [r / math.pi * cosine * e for r, e in zip(material["reflectance"], arriving, strict=True)]
+
+
+@pytest.mark.parametrize("light", [0, 1], ids=["point", "directional"])
+def test_radiance_is_that_of_the_textbook(light):
+    hit = some(np.random.default_rng([140, light]))
+    found = lit(SCENE, SCENE.lights[light], hit, KU)
+    materials = list(MATERIALS.values())
+    expected = np.array([
+        radiance(LIGHTS[light], materials[i % 2], hit.p[i], hit.d[i], hit.at.sh_n[i]) for i in range(COUNT)
+    ])
+    assert np.allclose(found.radiance, expected, rtol=1e-14, atol=0.0)
+    assert 0.3 < np.mean(expected[:, 0] > 0.0) < 0.7
+    assert found.reach[0] == (1.0, np.inf)[light]
+
+
+@pytest.mark.parametrize("light", [0, 1], ids=["point", "directional"])
+@pytest.mark.parametrize("error", [1e-6, 1e-4, 1e-2])
+def test_the_bound_holds_for_points_and_normals_that_are_off_by_theirs(light, error):
+    """And is not far from what happens: some point uses more than half of it."""
+    rng = np.random.default_rng([141, light])
+    hit = some(rng, error, error)
+    found = lit(SCENE, SCENE.lights[light], hit, KU)
+    used = np.zeros(COUNT)
+    for _ in range(10):
+        n = hit.at.sh_n + error * units(rng)
+        moved = hits(rng, hit.p + error * units(rng), hit.d, n, 0.0, 0.0)
+        change = np.abs(lit(SCENE, SCENE.lights[light], moved, KU).radiance - found.radiance)
+        sure = ~found.doubtful  # where either side may be seen, the judge tries both
+        with np.errstate(invalid="ignore"):
+            share = np.where(change[sure] == 0.0, 0.0, change[sure] / found.error[sure]).max(axis=1)
+        assert share.max() <= 1.0
+        used[sure] = np.maximum(used[sure], share)
+    assert used.max() > 0.5
+
+
+def test_ambient_light_is_reflectance_times_radiance():
+    assert np.allclose(ambient(SCENE, np.array([0, 1])), [[0.055, 0.05, 0.24], [0.022, 0.18, 0.128]], rtol=1e-15)
+
+
+def test_mitsubas_constants():
+    assert 1500 * np.finfo(np.float32).eps / 2 == shadows.RAY_EPSILON
+    assert shadows.SHADOW_EPSILON == 10 * shadows.RAY_EPSILON
+
+
+def test_mitsubas_shadow_rays_start_off_the_surface_and_stop_short_of_the_light():
+    rng = np.random.default_rng(142)
+    hit, normals = some(rng), units(rng)
+    point, sun = (lit(SCENE, SCENE.lights[i], hit, KU) for i in (0, 1))
+    p = hit.p + 1e-6 * units(rng)
+    near, far = (shadows.reference_rays(hit, light, p, normals) for light in (point, sun))
+    for rays, way in ((near, np.array(LIGHTS[0]["position"]) - p), (far, sun.to_light)):
+        height = np.sum((rays.o - p) * normals, axis=1)
+        assert np.allclose(np.abs(height), (1.0 + np.abs(p).max(axis=1)) * 8.940697e-05, rtol=1e-6)
+        assert np.array_equal(np.sign(height), np.sign(np.sum(way * normals, axis=1)))
+    assert np.allclose(near.o + near.d, LIGHTS[0]["position"], rtol=0.0, atol=1e-14)
+    assert np.allclose(near.t_max, 1.0 - 8.940697e-04, rtol=1e-9) and np.isposinf(far.t_max).all()
+    assert np.allclose(far.d, -np.array([1, -3, 0.5]) / math.sqrt(10.25), rtol=1e-15)

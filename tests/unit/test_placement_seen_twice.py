@@ -1,0 +1,91 @@
+"""The judge composes to_world a second time, and sees what goes wrong in composing it."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from caster.scene import Scene
+from caster.shapes import Disk, Sphere
+from mitsuba_ref.placement import disagreement, placement
+from mitsuba_ref.scene_checks import check_placement
+
+TURN = {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}}
+MOVE = {"translate": [0.3, -0.7, 1.9]}
+STRETCH = {"scale": [1.0, 2.0, 3.0]}
+LOOK = {"look_at": {"origin": [1, 2, 3], "target": [0.1, 0.2, -4], "up": [0, 1, 0.1]}}
+ROWS = {"matrix": [[1, 0.5, 0, 2], [0, 2, 0.1, 0], [0.3, 0, -1, 1], [0, 0, 0, 1]]}
+STEPS = (TURN, MOVE, STRETCH, LOOK, ROWS)
+
+
+def placed(matrix: np.ndarray, steps: Any) -> Any:
+    """A disk with these steps whose caster came to that matrix."""
+
+    class Misplaced(Disk):
+        @property
+        def matrix(self) -> np.ndarray:
+            return matrix
+
+    return Misplaced(to_world=steps)
+
+
+def random_steps(rng: np.random.Generator) -> list[dict[str, Any]]:
+    def one() -> dict[str, Any]:
+        v = rng.normal(size=3) * 10.0 ** rng.uniform(-3, 3)
+        return [
+            {"translate": v},
+            {"scale": np.where(np.abs(v) > 1e-6, v, 1.0)},
+            {"rotate": {"axis": v, "degrees": rng.uniform(-1000.0, 1000.0)}},
+            {"look_at": {"origin": v, "target": v + rng.normal(size=3), "up": rng.normal(size=3)}},
+            {"matrix": np.vstack([rng.normal(size=(3, 4)), [0, 0, 0, 1]])},
+        ][rng.integers(5)]
+
+    return [one() for _ in range(rng.integers(1, 6))]
+
+
+def test_both_sides_agree_on_random_steps():
+    rng = np.random.default_rng(120)
+    shares = np.array([disagreement(Disk(to_world=random_steps(rng))) for _ in range(500)])
+    assert shares.max() <= 1.0
+    assert np.median(shares) > 1e-3  # not vacuous: they do round differently
+
+
+@pytest.mark.parametrize(("first", "then"), [(TURN, MOVE), (STRETCH, TURN), (LOOK, STRETCH), (ROWS, MOVE)], ids=str)
+def test_steps_in_the_wrong_order_are_seen(first, then):
+    right, wrong = Disk(to_world=[first, then]), Disk(to_world=[then, first])
+    assert disagreement(right) <= 1.0
+    assert disagreement(placed(wrong.matrix, [first, then])) > 1e10
+
+
+def test_an_axis_that_is_not_normalised_is_seen():
+    """Rodrigues' formula on the axis as given shears and stretches."""
+    axis, angle = np.array(TURN["rotate"]["axis"]), np.deg2rad(TURN["rotate"]["degrees"])
+    cross = np.cross(np.eye(3), axis)
+    matrix = np.eye(4)
+    matrix[:3, :3] += np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    assert disagreement(placed(matrix, [TURN])) > 1e10
+
+
+@pytest.mark.parametrize("steps", [[TURN], [LOOK], [ROWS]], ids=str)
+def test_a_transposed_matrix_is_seen(steps):
+    matrix = Disk(to_world=steps).matrix.copy()
+    matrix[:3, :3] = matrix[:3, :3].T
+    assert disagreement(placed(matrix, steps)) > 1e10
+
+
+@pytest.mark.parametrize("step", STEPS, ids=lambda step: next(iter(step)))
+def test_one_entry_off_by_a_billionth_is_seen(step):
+    shape = Disk(to_world=[step])
+    assert np.array_equal(placement(shape.to_world).shape, (4, 4))
+    matrix = shape.matrix.copy()
+    matrix[0, 0] += 1e-9
+    assert disagreement(placed(matrix, [step])) > 1e3
+
+
+def test_the_check_names_the_shape():
+    shapes = [Sphere(), Disk(to_world=[TURN]), placed(np.eye(4), [MOVE]).model_copy(update={"name": "lid"})]
+    camera = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
+    scene = Scene(camera=camera, shapes=shapes[:2])
+    assert check_placement(scene).ok
+    broken = scene.model_copy(update={"shapes": tuple(shapes)})
+    assert check_placement(broken).what == "to_world of lid" and not check_placement(broken).ok

@@ -1,0 +1,79 @@
+"""What stands in one registry has what it needs in the others: shapes and cameras a reference, AOVs a check."""
+
+import pytest
+
+from caster.aovs import AOVS
+from caster.cameras import CAMERAS
+from caster.fields import Shape
+from caster.mesh_shape import MeshShape
+from caster.shapes import SHAPES
+from mitsuba_ref import cameras, shapes
+from mitsuba_ref.checks import CHECKS
+from mitsuba_ref.model import missing_reference, reference_of
+from mitsuba_ref.pair import COMPARED
+from mitsuba_ref.reference import GIVEN
+
+# AOVs that no check of `validate` looks at, and why.
+NOT_COMPARED = {
+    "uv": "no picture that is compared depends on it",
+    "prim_id": "triangles of one edge may both be right, so the shape is compared, and the surface hit",
+    "albedo": "diffuse holds it: reflectance times light",
+}
+SEEN_THROUGH = {"hit": "mask"}  # AOV -> the check it goes by
+
+
+def test_every_shape_has_exactly_one_reference():
+    described = [reference.describes for reference in shapes.REFERENCES]
+    for shape in SHAPES:
+        assert described.count(shape) == 1, missing_reference(shape.__name__, "shapes")
+    assert len(described) == len(SHAPES), "a reference without its shape in caster/shapes/__init__.py"
+
+
+def test_every_camera_has_exactly_one_reference():
+    described = [reference.describes for reference in cameras.REFERENCES]
+    for camera in CAMERAS:
+        assert described.count(camera) == 1, missing_reference(camera.__name__, "cameras")
+    assert len(described) == len(CAMERAS), "a reference without its camera in caster/cameras/__init__.py"
+
+
+def test_every_aov_is_compared_or_listed_as_not_compared():
+    for aov in AOVS:
+        assert (aov.NAME in COMPARED or aov.NAME in SEEN_THROUGH) != (aov.NAME in NOT_COMPARED), (
+            f"{aov.NAME}: write mitsuba_ref/checks/{aov.NAME}.py, add its line to mitsuba_ref/checks/__init__.py "
+            "and its name to COMPARED in mitsuba_ref/pair.py, or say in NOT_COMPARED why it is not compared"
+        )
+    assert {*COMPARED, *SEEN_THROUGH, *NOT_COMPARED} == {aov.NAME for aov in AOVS}
+
+
+def test_what_is_compared_has_a_check_of_its_name():
+    checks = [check.NAME for check in CHECKS]
+    assert len(set(checks)) == len(checks)
+    for name in (*COMPARED, *SEEN_THROUGH.values()):
+        assert name in checks or name == "diffuse", f"{name}: no module of mitsuba_ref.checks has it"
+
+
+def test_the_reference_gives_every_aov():
+    assert set(GIVEN) == {aov.NAME for aov in AOVS}
+
+
+def test_types_are_named_once():
+    for registry in (SHAPES, CAMERAS):
+        types = [entry.model_fields["type"].default for entry in registry]
+        assert len(set(types)) == len(types)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.__name__)
+def test_a_shape_says_how_it_packs(shape):
+    assert shape.pack is not Shape.pack
+    assert not issubclass(shape, MeshShape) or shape.mesh is not MeshShape.mesh
+
+
+def test_a_shape_without_a_reference_is_told_what_to_write():
+    class Cone(Shape):
+        type: str = "cone"
+
+    with pytest.raises(LookupError) as error:
+        reference_of(Cone())
+    said = str(error.value)
+    assert said.startswith("Cone has no reference: write mitsuba_ref/shapes/cone.py and add its line to ")
+    assert "mitsuba_ref/shapes/__init__.py" in said

@@ -1,0 +1,87 @@
+"""Which scenes `validate` is about: files, folders, and -k."""
+
+import pytest
+
+from caster.wording import FileMissing, SceneError
+from mitsuba_ref.selection import matching, scene_files
+
+NAMES = ("teapot", "mesh-tea", "mesh", "sphere")
+
+
+def chosen(expression: str) -> list[str]:
+    fits = matching(expression)
+    return [name for name in NAMES if fits(name)]
+
+
+@pytest.mark.parametrize(
+    ("expression", "names"),
+    [
+        ("mesh", ["mesh-tea", "mesh"]),
+        ("mesh and tea", ["mesh-tea"]),
+        ("mesh or tea", ["teapot", "mesh-tea", "mesh"]),
+        ("not mesh", ["teapot", "sphere"]),
+        ("not not mesh", ["mesh-tea", "mesh"]),
+        ("mesh and not tea", ["mesh"]),
+        ("not mesh and not sphere", ["teapot"]),
+        ("sphere or mesh and tea", ["mesh-tea", "sphere"]),
+        ("(sphere or mesh) and tea", ["mesh-tea"]),
+        ("not (sphere or tea)", ["mesh"]),
+        ("((mesh))", ["mesh-tea", "mesh"]),
+        ("(mesh)and(tea)", ["mesh-tea"]),
+        ("  mesh   and\ttea ", ["mesh-tea"]),
+        ("mesh-", ["mesh-tea"]),
+        ("organd", []),
+        ("Mesh", []),
+    ],
+)
+def test_an_expression_chooses_by_parts_of_names(expression, names):
+    assert chosen(expression) == names
+
+
+def test_without_an_expression_every_name_fits():
+    assert all(map(matching(None), NAMES))
+
+
+@pytest.mark.parametrize(
+    ("expression", "what"),
+    [
+        ("", "a part of a name is missing"),
+        ("  ", "a part of a name is missing"),
+        ("and", "a part of a name is missing"),
+        ("mesh and", "a part of a name is missing"),
+        ("or mesh", "a part of a name is missing"),
+        ("not", "a part of a name is missing"),
+        ("()", "a part of a name is missing"),
+        ("(mesh", "a ')' is missing"),
+        ("mesh)", "')' is one too many"),
+        ("mesh tea", "'tea' is one too many"),
+        ("mesh (tea)", "'(' is one too many"),
+    ],
+)
+def test_an_expression_that_does_not_read_is_refused_with_the_reason(expression, what):
+    with pytest.raises(SceneError) as error:
+        matching(expression)
+    assert str(error.value).startswith(f"-k {expression!r}: ") and str(error.value).endswith(f"; {what}")
+    assert error.value.exit_code == 2
+
+
+def test_a_folder_gives_its_scene_files_in_order_and_not_what_lies_deeper(tmp_path):
+    for name in ("b.toml", "a.json", "notes.txt", "deeper/c.toml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    assert scene_files([str(tmp_path)]) == [str(tmp_path / "a.json"), str(tmp_path / "b.toml")]
+
+
+def test_a_file_that_is_named_is_taken_whatever_its_suffix_and_only_once(tmp_path):
+    file = tmp_path / "scene.txt"
+    file.touch()
+    assert scene_files([str(file), str(file)]) == [str(file)]
+    (tmp_path / "scene.toml").touch()
+    assert scene_files([str(tmp_path), str(tmp_path / "scene.toml")]) == [str(tmp_path / "scene.toml")]
+
+
+def test_a_place_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(
+        FileMissing, match=r"nowhere: expected a scene file or a folder of them, found nothing"
+    ):
+        scene_files([str(tmp_path / "nowhere")])
