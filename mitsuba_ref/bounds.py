@@ -14,6 +14,11 @@ class Bounds(NamedTuple):
     own: Meetings  # the meeting as float64 sees it
     at: Meetings  # the meeting as the reference may see it
 
+    @property
+    def resolved(self) -> np.ndarray:
+        """(n,) bool: the reference's t has a bound."""
+        return np.isfinite(self.at.t_error)
+
 
 def bounds_of(model: Model, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> Bounds:
     """The meeting of ray i with prim[i] (n,) that is nearest to t[i]; prim -1 is a miss."""
@@ -23,17 +28,17 @@ def bounds_of(model: Model, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: n
         rows = hits[start : start + AT_ONCE]
         for out, ku, ours in ((own, KU_OURS, True), (at, KU, False)):
             found = nearest_root(model.meet(prim[rows], o[rows], d[rows], ku, ours=ours), t[rows])
-            for everywhere, here in zip(out[:FIELDS], found, strict=False):
-                everywhere[rows] = here
+            for everywhere, here in zip(out, found, strict=True):
+                if everywhere is not None:
+                    everywhere[rows] = here
     return Bounds(own, at)
 
 
 AT_ONCE = 1 << 17  # pixels; some fifty temporary arrays of three numbers each take 150 MB
-FIELDS = len(Meetings._fields) - 2  # edges are for brackets
 
 
 def nowhere(count: int) -> Meetings:
-    """Meetings that do not take place: all numbers inf."""
+    """Meetings that do not take place: all numbers inf. Without edges, which are for brackets."""
     t, t_error, n_error, sh_error, p_error = np.full((5, count), np.inf)
     n, sh_n = np.full((2, count, 3), np.inf)
     possible, certain = np.zeros((2, count), bool)
@@ -46,4 +51,4 @@ def nearest_root(met: PairMeetings, t: np.ndarray) -> Meetings:
         away = np.abs(met.at.t - t[met.pair])
     order = np.lexsort([np.where(np.isnan(away), np.inf, away), met.pair])
     first = order[np.r_[True, np.diff(met.pair[order]) != 0]] if len(order) else order
-    return Meetings(*(a[first] for a in met.at if a is not None))
+    return met.at.taken(first)

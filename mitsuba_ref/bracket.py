@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mitsuba_ref.candidates import Candidates
-from mitsuba_ref.meeting import Meetings, norm
+from mitsuba_ref.meeting import Meetings, dot, norm
 from mitsuba_ref.model import Model, PairMeetings
 
 
@@ -24,12 +24,12 @@ class Claims(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """Of each ray: whether rounding allows the claim, and whether it leaves any claim open."""
+    """Of each ray: whether rounding allows the claim, and whether the claim cannot be tested."""
 
     allowed: np.ndarray  # (n,) bool
-    unresolvable: (
+    open: (
         np.ndarray
-    )  # (n,) bool: a surface seen so nearly edge-on that nobody can say where it is hit
+    )  # (n,) bool: the claim names a surface seen so nearly edge-on that nobody can say where it is hit
 
 
 class Found(NamedTuple):
@@ -49,28 +49,33 @@ class Bracket:
 
     def judge(self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, claims: Claims) -> Finding:
         """Whether the claims are within the bracket. o, d: (n, 3) float64; t_max: (n,)."""
-        allowed, unresolvable = np.ones(len(o), bool), np.zeros(len(o), bool)
+        allowed, untestable = np.ones(len(o), bool), np.zeros(len(o), bool)
         seen = np.zeros(len(o), bool)
         for ray, prim in self.candidates.pairs(o, d):
             found = self._meet(ray, prim, o, d, t_max)
             rays = np.unique(ray)
             seen[rays] = True
-            allowed[rays], unresolvable[rays] = self._allows(found, claims, (o, d, t_max), rays)
+            allowed[rays], untestable[rays] = self._allows(found, claims, (o, d, t_max), rays)
         allowed[~seen] = claims.shape[~seen] < 0
-        return Finding(allowed, unresolvable)
+        return Finding(allowed, untestable)
 
     def blocked(
-        self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, leaving: np.ndarray | None = None
+        self,
+        o: np.ndarray,
+        d: np.ndarray,
+        t_max: np.ndarray,
+        leaving: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """(something may block the way, something does): rays o + t d, 0 < t < t_max.
 
-        leaving (n,): the primitive a ray starts on, whose meeting at the start does not count.
+        leaving: (n,) the primitive that a ray starts on, and (n,) how far off it that start may be; the meeting with
+        it there does not count.
         """
         possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
         for ray, prim in self.candidates.pairs(o, d):
             found = self._meet(ray, prim, o, d, t_max)
             if leaving is not None:
-                found = without_starts(found, leaving)
+                found = without_starts(found, d, *leaving)
             possible[found.ray] = True
             certain[found.ray[np.isfinite(latest_hits(found, t_max))]] = True
         return possible, certain
@@ -91,8 +96,7 @@ class Bracket:
             error = np.where(np.isfinite(met.at.t_error), met.at.t_error, np.inf)
             in_range = ~(met.at.t + error < 0.0) & ~(met.at.t - error > t_max[rays])
         keep = met.at.possible & in_range & ~np.isnan(met.at.t)
-        at = Meetings(*(a[keep] for a in met.at if a is not None))
-        return Found(rays[keep], prim[met.pair][keep], at)
+        return Found(rays[keep], prim[met.pair][keep], met.at.taken(keep))
 
     def _allows(
         self, found: Found, claims: Claims, line: tuple[np.ndarray, ...], rays: np.ndarray
@@ -102,20 +106,20 @@ class Bracket:
         p = o[ray] + at.t[:, None] * d[ray]
         latest = np.full(len(t_max), np.inf)
         np.minimum.at(latest, ray, latest_hits(found, t_max))
+        named = (self.model.packed.shape_of(found.prim) == claims.shape[ray]) & (claims.t[ray] <= latest[ray])
+        named &= norm(claims.n[ray] - at.n) <= at.n_error
         matches = (
-            np.isfinite(at.t_error)
-            & (self.model.packed.shape_of(found.prim) == claims.shape[ray])
+            named
+            & np.isfinite(at.t_error)
             & (np.abs(claims.t[ray] - at.t) <= at.t_error)
-            & (norm(claims.n[ray] - at.n) <= at.n_error)
             & (norm(claims.sh_n[ray] - at.sh_n) <= at.sh_error)
             & (norm(claims.p[ray] - p) <= at.p_error)
-            & (claims.t[ray] <= latest[ray])
         )
-        has_match, open_end = np.zeros(len(t_max), bool), np.zeros(len(t_max), bool)
+        has_match, untestable = np.zeros(len(t_max), bool), np.zeros(len(t_max), bool)
         has_match[ray[matches]] = True
-        open_end[ray[~np.isfinite(at.t_error)]] = True
+        untestable[ray[named & ~np.isfinite(at.t_error)]] = True
         missed = claims.shape[rays] < 0
-        return np.where(missed, np.isinf(latest[rays]), has_match[rays]), open_end[rays]
+        return np.where(missed, np.isinf(latest[rays]), has_match[rays]), untestable[rays]
 
 
 def latest_hits(found: Found, t_max: np.ndarray) -> np.ndarray:
@@ -149,11 +153,8 @@ def _latest_at_edges(found: Found) -> np.ndarray:
     return latest
 
 
-def without_starts(found: Found, leaving: np.ndarray) -> Found:
-    """Drop each ray's meeting, nearest to its start, with the primitive it starts on."""
-    own = np.flatnonzero(found.prim == leaving[found.ray])
-    order = own[np.lexsort([np.abs(found.at.t[own]), found.ray[own]])]
-    first = order[np.r_[True, np.diff(found.ray[order]) != 0]] if len(order) else order
-    keep = np.ones(len(found.ray), bool)
-    keep[first] = False
-    return Found(found.ray[keep], found.prim[keep], Meetings(*(a[keep] for a in found.at if a is not None)))
+def without_starts(found: Found, d: np.ndarray, leaving: np.ndarray, off: np.ndarray) -> Found:
+    """Drop the meetings with the primitive that a ray starts on which are no farther from it than the start may be."""
+    height = (np.abs(found.at.t) - found.at.t_error) * np.abs(dot(found.at.n, d[found.ray]))
+    start = (found.prim == leaving[found.ray]) & ~(height > off[found.ray])
+    return Found(found.ray[~start], found.prim[~start], found.at.taken(~start))

@@ -11,8 +11,8 @@ import numpy as np
 from mitsuba_ref.meeting import KU
 
 # How much boxes are grown, as a share of |o| + their farthest corner. The bound of an edge function, divided by the
-# length of the edge, is 6 to 8 KU of that (shapes/triangles.py); of a quadric 2 to 4. Leaving out what lies beyond
-# only makes the verdict stricter: it takes an excuse away from both sides.
+# length of the edge, is 6 to 8 KU of that (shapes/triangles.py); of a quadric 2 to 4. What lies beyond is at best
+# possible (a certain one is passed by the ray itself), and leaving it out takes an excuse away from both sides.
 MARGIN = 16 * KU
 
 GROUP = 32  # primitives in a box of the first pass

@@ -5,9 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from caster.fields import SceneError
 from caster.scene import Check
 from mitsuba_ref.checks import CHECKS
 from mitsuba_ref.pixels import Pixels
+
+# The quantities with a bound that a scene's own [check.AOV] may make stricter or laxer; the others are exact.
+BOUNDED = ("depth", "position", "normal", "shading_normal", "diffuse")
 
 
 @dataclass(frozen=True)
@@ -15,18 +19,29 @@ class Comparison:
     """Error over bound by check, (n,) each; 1 is as much as the bound allows, inf what no bound covers."""
 
     ratios: Mapping[str, np.ndarray]
-    pixels: Pixels
+    allowed: Mapping[str, float]  # how much of the bound each may use; 1 unless the scene says otherwise
 
     @property
-    def worst(self) -> np.ndarray:
-        """(n,) the largest ratio of each pixel."""
-        return np.max(list(self.ratios.values()), axis=0)
+    def agrees(self) -> np.ndarray:
+        """(n,) bool: no check finds more than it allows."""
+        return np.all([ratio <= self.allowed[name] for name, ratio in self.ratios.items()], axis=0)
+
+    @property
+    def derived(self) -> np.ndarray:
+        """(n,) bool: no check finds more than its derived bound."""
+        return np.all([ratio <= 1.0 for ratio in self.ratios.values()], axis=0)
 
 
-def compare(pixels: Pixels, allowed: Mapping[str, Check]) -> Comparison:
-    """All checks; a scene's own [check.AOV] makes a bound stricter or laxer by its ratio."""
-    ratios = {}
-    for check in CHECKS:
-        share = allowed[check.NAME].ratio if check.NAME in allowed else 1.0
-        ratios[check.NAME] = check.ratio(pixels) / share
-    return Comparison(ratios, pixels)
+def compare(pixels: Pixels, checks: Mapping[str, Check]) -> Comparison:
+    """All checks. checks: the scene's own [check.AOV]."""
+    ratios = {check.NAME: check.ratio(pixels) for check in CHECKS}
+    return Comparison(ratios, {name: checks[name].ratio if name in checks else 1.0 for name in ratios})
+
+
+def check_allowances(checks: Mapping[str, Check]) -> None:
+    """Raise SceneError for a [check.AOV] that nothing would heed."""
+    for name in checks:
+        if name not in BOUNDED:
+            raise SceneError(
+                f"check.{name}: is compared exactly or not at all; there are bounds of {', '.join(BOUNDED)}"
+            )

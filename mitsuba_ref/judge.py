@@ -7,18 +7,23 @@ import numpy as np
 
 from caster.rendering import Aovs
 from caster.scene import Scene
-from mitsuba_ref.bounds import Bounds, bounds_of
+from mitsuba_ref.bounds import bounds_of
 from mitsuba_ref.bracket import Bracket, Claims
 from mitsuba_ref.coherence import coherent
-from mitsuba_ref.compare import Comparison, compare
+from mitsuba_ref.compare import Comparison, check_allowances, compare
 from mitsuba_ref.meeting import KU, KU_OURS
 from mitsuba_ref.model import Model
 from mitsuba_ref.pair import Pair
 from mitsuba_ref.pixels import Pixels, flat
-from mitsuba_ref.shading import Shading, judge_diffuse
+from mitsuba_ref.shading import Shading, judge_diffuse, right_in_float64
 from mitsuba_ref.verdict import AGREE, CLASSES, EXPLAINED, OUT_OF_DOMAIN, UNDECIDED
 
 CODE = {name: code for code, name in enumerate(CLASSES)}
+EXCUSED = [CODE[EXPLAINED], CODE[OUT_OF_DOMAIN]]
+
+
+# Where normals are not bounded any closer than this, float32 says nothing useful of the pixel: an angle of 3.6 degrees.
+VAGUE = 2.0**-4
 
 
 @dataclass(frozen=True)
@@ -39,13 +44,14 @@ class Judgement:
         return (*self.comparison.ratios, "diffuse")
 
 
-@dataclass(frozen=True)
 class Judge:
     """One scene's pair of pictures, about to be judged."""
 
-    scene: Scene
-    model: Model
-    pair: Pair
+    def __init__(self, scene: Scene, model: Model, pair: Pair):
+        self.scene, self.model, self.pair = scene, model, pair
+        self.o, self.d = pair.rays.o.astype(np.float64), pair.rays.d.astype(np.float64)
+        self.bounds = bounds_of(model, pair.prim, self.o, self.d, pair.t)
+        self.coherent = coherent(pair)  # no rounding excuses a picture that contradicts itself
 
     @cached_property
     def ours(self) -> Bracket:
@@ -55,51 +61,57 @@ class Judge:
     def theirs(self) -> Bracket:
         return Bracket(self.model, KU, ours=False)
 
-    @cached_property
-    def coherent(self) -> np.ndarray:
-        """(n,) bool: our picture holds no value that contradicts our own hit; no rounding excuses one."""
-        return coherent(self.pair)
-
     def judge(self) -> Judgement:
-        """Geometry first; the diffuse AOV where geometry agrees."""
-        pair, rays = self.pair, self.pair.rays
-        o, d = rays.o.astype(np.float64), rays.d.astype(np.float64)
-        bounds = bounds_of(self.model, pair.prim, o, d, pair.t)
-        pixels = Pixels(pair.ours, pair.reference, bounds, pair.t, pair.length, rays.start)
+        """Geometry first, then the diffuse AOV. Raises SceneError for a [check] that nothing would heed."""
+        check_allowances(self.scene.checks)
+        pair, bounds = self.pair, self.bounds
+        pixels = Pixels(pair.ours, pair.reference, bounds, pair.t, pair.length)
         comparison = compare(pixels, self.scene.checks)
-        classes = np.where((comparison.worst <= 1.0) & self.coherent, CODE[AGREE], CODE[UNDECIDED])
-        disputed = np.flatnonzero(classes == CODE[UNDECIDED])
-        ours_fails = np.zeros(len(classes), bool)
+        vague = pixels.both_hit & ~(np.maximum(bounds.at.n_error, bounds.at.sh_error) <= VAGUE)
+        classes = np.where(comparison.agrees & self.coherent & ~vague, CODE[AGREE], CODE[UNDECIDED])
+        ours_fails = ~self.coherent
+        # What the derived bounds let pass, but the scene's own stricter ones do not, has no excuse.
+        disputed = np.flatnonzero(
+            (classes == CODE[UNDECIDED]) & self.coherent & (vague | ~comparison.derived)
+        )
         if len(disputed):
-            classes[disputed], ours_fails[disputed] = self._settle(disputed, o[disputed], d[disputed])
-        shading = self._shade(bounds, np.flatnonzero((classes == CODE[AGREE]) & pixels.both_hit), classes)
+            classes[disputed], ours_fails[disputed] = self._settle(disputed, vague[disputed])
+        shading = self._shade(classes)
         return Judgement(classes, comparison, shading, ours_fails)
 
-    def _settle(self, rows: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _settle(self, rows: np.ndarray, vague: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(class, whether ours is wrong by float64) of disputed pixels."""
-        t_max = self.pair.rays.t_max[rows].astype(np.float64)
-        ours = self.ours.judge(o, d, t_max, self._our_claims(rows))
-        theirs = self.theirs.judge(o, d, t_max, self._their_claims(rows))
-        fine = (ours.allowed | ours.unresolvable) & self.coherent[rows]
+        o, d, t_max = self.o[rows], self.d[rows], self.pair.rays.t_max[rows].astype(np.float64)
+        ours = self.ours.judge(o, d, t_max, self._claims(self.pair.ours, self.pair.t, rows))
+        theirs = self.theirs.judge(o, d, t_max, self._claims(self.pair.reference, self.pair.witness.t, rows))
+        fine, beyond = (
+            ours.allowed | ours.open,
+            self.pair.ours.hit.ravel()[rows] & ~self.bounds.resolved[rows],
+        )
         classes = np.full(len(rows), CODE[UNDECIDED])
-        classes[fine & theirs.unresolvable] = CODE[OUT_OF_DOMAIN]
-        classes[fine & theirs.allowed] = CODE[EXPLAINED]
+        classes[fine & theirs.open] = CODE[OUT_OF_DOMAIN]
+        classes[fine & theirs.allowed] = np.where(vague | beyond, CODE[OUT_OF_DOMAIN], CODE[EXPLAINED])[
+            fine & theirs.allowed
+        ]
         return classes, ~fine
-
-    def _our_claims(self, rows: np.ndarray) -> Claims:
-        return self._claims(self.pair.ours, self.pair.t, rows)
-
-    def _their_claims(self, rows: np.ndarray) -> Claims:
-        return self._claims(self.pair.reference, self.pair.witness.t, rows)
 
     def _claims(self, aovs: Aovs, t: np.ndarray, rows: np.ndarray) -> Claims:
         names = ("shape_id", "normal", "shading_normal", "position")
         return Claims(t[rows], *(flat(aovs, name)[rows] for name in names))
 
-    def _shade(self, bounds: Bounds, rows: np.ndarray, classes: np.ndarray) -> Shading:
-        shading = judge_diffuse(self.scene, self.pair, bounds, rows, self.ours, self.theirs)
-        beyond = shading.ratio > 1.0
+    def _shade(self, classes: np.ndarray) -> Shading:
+        """Judge diffuse where geometry agrees by Mitsuba's lights, elsewhere by float64 alone; classes change."""
+        hit = self.pair.ours.hit.ravel()
+        agreeing = np.flatnonzero((classes == CODE[AGREE]) & hit)
+        shading = judge_diffuse(self.scene, self.pair, self.bounds, agreeing, (self.ours, self.theirs))
+        allowed = self.scene.checks["diffuse"].ratio if "diffuse" in self.scene.checks else 1.0
+        beyond = shading.ratio > allowed
         classes[beyond] = CODE[UNDECIDED]
-        classes[beyond & shading.unresolvable] = CODE[OUT_OF_DOMAIN]
+        classes[beyond & (shading.ratio > 1.0) & shading.unresolvable] = CODE[OUT_OF_DOMAIN]
         classes[beyond & shading.explained] = CODE[EXPLAINED]
+        excused = np.flatnonzero(np.isin(classes, EXCUSED) & hit & np.isfinite(self.bounds.own.t_error))
+        if len(excused):
+            right = right_in_float64(self.scene, self.pair, self.bounds, excused, self.ours)
+            classes[excused[~right]] = CODE[UNDECIDED]
+            shading.ratio[excused[~right]] = np.inf
         return shading

@@ -10,6 +10,9 @@ import numpy as np
 from caster.scene import Scene
 from mitsuba_ref.meeting import Meetings, dot, norm
 
+# Where the direction to a light is known to no better than this, the light's value is not known at all.
+UNRESOLVABLE = 0.5
+
 
 class Hit(NamedTuple):
     """Pixels that hit: positions, directions of their rays, and the bounds there."""
@@ -38,6 +41,7 @@ def lit(scene: Scene, light: Any, hit: Hit, ku: float) -> Lit:
     distance = norm(to_light)
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = np.where(np.isinf(reach), 0.0, 2.0 * hit.at.p_error / distance)
+        turn = np.where(turn < UNRESOLVABLE, turn, np.inf)
         cosine = dot(to_light, hit.at.sh_n) / distance
         facing = -dot(hit.d, hit.at.sh_n) / norm(hit.d)
         seen = np.where(two_sided, cosine * facing > 0.0, (cosine > 0.0) & (facing > 0.0))
@@ -48,7 +52,7 @@ def lit(scene: Scene, light: Any, hit: Hit, ku: float) -> Lit:
         most = flux * (spread * (cosine + cosine_error))[:, None]
         radiance = np.where(seen[:, None], flux * cosine[:, None], 0.0)
     error = np.where(seen[:, None], most - radiance, flux * (cosine_error * spread)[:, None]) + ku * radiance
-    dark = ~seen & (cosine > cosine_error)
+    dark = ~seen & (cosine > cosine_error) & (np.abs(facing) > hit.at.sh_error + ku)
     error[dark] = 0.0
     return Lit(
         radiance, error, flux * cosine[:, None], to_light, reach, np.abs(facing) <= hit.at.sh_error + ku

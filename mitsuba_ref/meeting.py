@@ -37,6 +37,10 @@ class Meetings(NamedTuple):
     )
     side: np.ndarray | None = None  # (m,) on which side of that edge the triangle lies, -1 or 1
 
+    def taken(self, rows: np.ndarray) -> "Meetings":
+        """Some of them, by index or mask."""
+        return Meetings(*(a[rows] for a in self if a is not None))
+
 
 # (prims, k (m,), o (m, 3), d (m, 3), ku) -> the meetings of primitive k[i] with ray i, one Meetings for each root.
 # ku is K times the unit round-off of whoever is judged: KU for the reference, KU_OURS for a float64 caster.

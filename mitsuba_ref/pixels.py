@@ -18,7 +18,6 @@ class Pixels:
     bounds: Bounds
     t_ours: np.ndarray  # (n,) float64 lengths of d, inf on a miss
     length: np.ndarray  # (n,) of each ray's d
-    start: np.ndarray  # (n,) distance from the eye to the ray's origin
 
     def pair(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """(ours, the reference's) of one AOV, (n,) or (n, c)."""

@@ -4,12 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from caster.casting import find_nearest
 from caster.fields import Camera
 from caster.packing import pack
 from caster.placing import as_given
 from caster.rendering import Aovs, camera_rays, evaluate, film_window, look_along, render
 from caster.scene import Scene
-from mitsuba_ref.camera_reference import axes
+from mitsuba_ref.camera_reference import axes, no_sensor
 from mitsuba_ref.export import camera_reference
 from mitsuba_ref.meeting import KU, KU_OURS, norm
 from mitsuba_ref.pixels import flat, share_of_bound
@@ -23,7 +24,7 @@ def check_camera(scene: Scene) -> SceneCheck:
     ours = camera_rays(scene)
     x, y = pixel_centers(scene)
     expected = camera_reference(scene.camera).rays(scene.camera, scene.film, x, y)
-    size = 1.0 + float(np.abs(expected.o).max(initial=0.0))
+    size = float(np.abs(expected.o).max(initial=np.finfo(np.float64).tiny))
     rounding = CAMERA_ROUNDINGS * KU_OURS / _slant_of_up(scene.camera)
     seen, rim = expected.t_max >= 0.0, _on_rim(scene, x, y)
     shares = {
@@ -37,7 +38,8 @@ def check_camera(scene: Scene) -> SceneCheck:
 
 
 # A direction goes through an orthobasis (three unit vectors of 4 roundings each), a position on the film (4), a sine
-# or tangent (2) of an angle of up to pi, and a length (3): 32 roundings, in steps of K.
+# or tangent (2) of an angle of up to pi, and a length (3): 32 roundings on either side, in steps of KU_OURS, which is
+# K roundings on either side.
 CAMERA_ROUNDINGS = 8.0
 
 
@@ -65,7 +67,9 @@ def check_sensor(scene: Scene, witness: Witness) -> SceneCheck:
     """Our rays against those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
     answer = witness.answer
     if answer.sensor_d is None or answer.sensor_o is None or answer.sensor_t_max is None:
-        return SceneCheck("sensor", 0.0, f"Mitsuba has no {scene.camera.type} camera")
+        expected = camera_reference(scene.camera).to_xml is not no_sensor
+        what = "the answer lacks its rays" if expected else f"Mitsuba has no {scene.camera.type} camera"
+        return SceneCheck("sensor", np.inf if expected else 0.0, what)
     ours, reference = camera_rays(scene), camera_reference(scene.camera)
     o, d = answer.sensor_o.astype(np.float64), answer.sensor_d.astype(np.float64)
     if len(d) != len(ours.d):
@@ -84,15 +88,29 @@ def check_sensor(scene: Scene, witness: Witness) -> SceneCheck:
     return _worst("sensor", shares, np.ones(len(d), bool), scene)
 
 
+SAMPLE = 1 << 24  # rays times primitives that are tried without any culling
+
+
 def check_culling(scene: Scene) -> SceneCheck:
-    """`render`, as it is planned for this scene, against the way that pixels are judged: the same bits."""
+    """`render`, as it is planned for this scene, against the way that pixels are judged, and a sample of rays against
+    every primitive there is: the same bits."""
     names = ("depth", "normal", "shading_normal", "position", "shape_id", "prim_id")
     rays = camera_rays(scene)
     judged = look_along(scene, pack(scene, as_given), rays, np.zeros(len(rays.o)))
     planned, tree = render(scene, names), evaluate(judged, names, film_window(scene))
     differs = np.any([_bits_differ(planned, tree, name) for name in names], axis=0)
+    rows = _sample(len(rays.o), int(judged.packed.first[-1]))
+    obvious = find_nearest(judged.packed, type(rays)(*(a[rows] for a in rays)), "everything")
+    found = judged.nearest
+    differs[rows] |= (obvious.t != found.t[rows]) | (obvious.prim != found.prim[rows])
     shares = {"bits": np.where(differs, np.inf, 0.0)}
     return _worst("culling", shares, np.ones(len(differs), bool), scene)
+
+
+def _sample(rays: int, prims: int) -> np.ndarray:
+    """Some rays, spread by a fixed seed: at least 64, as far as there are as many."""
+    count = min(rays, max(64, SAMPLE // max(prims, 1)))
+    return np.sort(np.random.default_rng(1).choice(rays, count, replace=False))
 
 
 def check_clip(scene: Scene) -> SceneCheck:

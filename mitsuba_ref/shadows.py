@@ -10,7 +10,7 @@ import numpy as np
 
 from mitsuba_ref.bracket import Bracket
 from mitsuba_ref.lambert import Hit, Lit
-from mitsuba_ref.meeting import U, dot
+from mitsuba_ref.meeting import KU_OURS, U, dot, norm
 
 # Mitsuba 3.9.1, math.h: how far off the surface a ray starts, in units of 1 + max |p|, and by which share of its
 # length a ray to a light stops short.
@@ -45,6 +45,10 @@ def reference_may_say(
 
 
 def we_may_say(bracket: Bracket, hit: Hit, lit: Lit, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same for ours, from the point that was hit; the primitive there does not shadow itself at its start."""
-    possible, certain = bracket.blocked(hit.p, lit.to_light, lit.reach, leaving=prim)
+    """The same for ours, from the point that was hit; the primitive there does not shadow itself at its start.
+
+    That point is o + t d, so it lies off the surface by what the sum rounds.
+    """
+    off = KU_OURS * (norm(hit.p) + norm(hit.d) * np.abs(hit.at.t))
+    possible, certain = bracket.blocked(hit.p, lit.to_light, lit.reach, leaving=(prim, off))
     return ~certain, possible

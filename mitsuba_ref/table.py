@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Iterator
 
-from mitsuba_ref.verdict import CLASSES, UNDECIDED, SceneVerdict, Verdict
+from mitsuba_ref.verdict import AGREE, CLASSES, EXPLAINED, OUT_OF_DOMAIN, UNDECIDED, SceneVerdict, Verdict
 
 WORDS_SHOWN = 12  # lines of what Mitsuba said when it ended without an answer
 
@@ -22,7 +22,7 @@ def row(scene: SceneVerdict, width: int) -> str:
     mark = "PASS" if scene.ok else "FAIL"
     classes = "".join(f"  {scene.counts[name]:>{room(name)}}" for name in CLASSES)
     check, ratio = scene.worst
-    worst = f"{ratio:.2f} {check}" if check else ""
+    worst = f"{ratio:.2f} {check}" if check and scene.counts[AGREE] else "-"
     left = f"{mark}  {scene.name:<{width}}  {scene.hit_pixels:>8}{classes}"
     return f"{left}  {worst:<{WIDEST_CHECK}}  {scene.seconds:7.1f}"
 
@@ -40,8 +40,8 @@ def failure(scene: SceneVerdict) -> str:
 def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
     if scene.problem:
         yield from _problem_lines(scene)
-    elif not scene.hit_pixels:
-        yield f"FAIL  {scene.name}  no pixel hits anything, so nothing was compared"
+    elif not scene.has_evidence:
+        yield f"FAIL  {scene.name}  {_lack_of_evidence(scene)}"
     for check in scene.checks:
         if not check.ok:
             yield f"FAIL  {scene.name}  {check.name}: {check.ratio:.3g}x its bound; {check.what}"
@@ -57,6 +57,13 @@ def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
         yield f"      reference: {first.reference}"
         yield f"      why:       {first.reason}"
         yield f"      replay:    {replay(scene, (first.x, first.y))}"
+
+
+def _lack_of_evidence(scene: SceneVerdict) -> str:
+    if not scene.hit_pixels:
+        return "no pixel hits anything, so nothing was compared"
+    excused = scene.counts[EXPLAINED] + scene.counts[OUT_OF_DOMAIN]
+    return f"{scene.counts[AGREE]} pixels agree and {excused} are excused: that proves nothing"
 
 
 def _problem_lines(scene: SceneVerdict) -> Iterator[str]:
@@ -87,7 +94,14 @@ def summary(verdict: Verdict, seconds: float) -> str:
         f"{_not_run(verdict)}, in {seconds:.1f} s",
         f"hit pixels: {shares}",
     ]
+    lines += [
+        f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed
+    ]
     return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
+
+
+def _allowed(scene: SceneVerdict) -> str:
+    return ", ".join(f"{share:g} of the bound of {name}" for name, share in scene.allowed.items())
 
 
 def _not_run(verdict: Verdict) -> str:

@@ -24,7 +24,7 @@ from mitsuba_ref.worker import DEFAULT_TIMEOUT
 def validate(scene: Scene | str | Path, *, timeout: float = DEFAULT_TIMEOUT) -> Verdict:
     """Compare our caster with Mitsuba on one scene, given as a Scene or as the path of its file.
 
-    Raises SceneError for a scene that is not valid, FileMissing where there is none, LookupError for a shape
+    Raises SceneError for a scene that is not valid, FileMissing where there is none, MissingReferenceError for a shape
     without a reference. A crash of Mitsuba is a verdict that does not pass.
     """
     if isinstance(scene, Scene):
@@ -72,6 +72,7 @@ def validate_scene(
         seconds=time.perf_counter() - start,
         reference_seconds=witness.answer.seconds,
         size=size,
+        allowed={name: check.ratio for name, check in scene.checks.items()},
     )
 
 

@@ -34,7 +34,9 @@ class SceneVerdict:
     path: str  # as given; "" for a scene made in Python
     pixels: int = 0
     hit_pixels: int = 0  # hit in either picture
-    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CLASSES, 0))  # of hit pixels
+    counts: dict[str, int] = field(
+        default_factory=lambda: dict.fromkeys(CLASSES, 0)
+    )  # hit or undecided pixels
     ratios: dict[str, float] = field(
         default_factory=dict
     )  # largest ratio of each check among agreeing pixels
@@ -46,12 +48,21 @@ class SceneVerdict:
     problem: str = ""  # why there is no comparison at all: a crash of the reference, with its words
     size: tuple[int, int] = (0, 0)  # of the film
     resized: bool = False  # another film than the scene's own
+    allowed: dict[str, float] = field(default_factory=dict)  # the scene's own [check.AOV]: shares of bounds
 
     @property
     def ok(self) -> bool:
-        """Something was hit, no problem, no undecided pixel, every check within its bound."""
-        settled = not self.problem and not self.counts[UNDECIDED]
-        return self.hit_pixels > 0 and settled and all(check.ok for check in self.checks)
+        """No problem, no undecided pixel, every check within its bound, and more evidence than excuses."""
+        return not self.problem and not self.counts[UNDECIDED] and self.has_evidence and self.checks_pass
+
+    @property
+    def has_evidence(self) -> bool:
+        """More hit pixels agree than are excused; a scene that hits nothing proves nothing."""
+        return self.counts[AGREE] > self.counts[EXPLAINED] + self.counts[OUT_OF_DOMAIN]
+
+    @property
+    def checks_pass(self) -> bool:
+        return all(check.ok for check in self.checks)
 
     @property
     def worst(self) -> tuple[str, float]:
@@ -66,6 +77,7 @@ class SceneVerdict:
             "ok": self.ok,
             "size": list(self.size),
             "resized": self.resized,
+            "allowed": self.allowed,
             "pixels": self.pixels,
             "hit_pixels": self.hit_pixels,
             "counts": self.counts,

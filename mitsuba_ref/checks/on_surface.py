@@ -11,7 +11,8 @@ NAME = "on_surface"
 
 
 def ratio(pixels: Pixels) -> np.ndarray:
-    """|our t - t of our primitive, worked out anew| / bound where we hit, 0 elsewhere."""
+    """|our t - t of our primitive, worked out anew| / bound where we hit, inf beside it, 0 where we miss."""
     with np.errstate(invalid="ignore"):
         error = np.abs(pixels.t_ours - pixels.bounds.own.t)
-    return np.where(pixels.hits[0], share_of_bound(error, pixels.bounds.own.t_error), 0.0)
+    share = share_of_bound(error, pixels.bounds.own.t_error)
+    return np.where(pixels.hits[0], np.where(pixels.bounds.own.possible, share, np.inf), 0.0)

@@ -66,7 +66,7 @@ def _where_to_look(
     look = f"      look:   {diff}, channel class.I ({CLASSES})"
     replay = f"      replay: mitsuba-ref probe {shlex.quote(scene)} {at}"
     info = f"      next:   caster info {shlex.quote(result.ours)}"
-    way_out = "      note:   on edges and shadow borders rounding decides; validate tells, --max-pixels N lets them pass"
+    way_out = "      note:   rounding decides edges and shadow borders; validate tells, --max-pixels N lets them pass"
     return [*([look] if diff is not None else []), replay if scene and scene.isprintable() else info, way_out]
 
 

@@ -27,13 +27,13 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
         rho = ku * rays.rows[:, 2] * rays.d_size / slope
         resolvable = rho < UNRESOLVABLE
         t_error = ku * (components[:, 2] / slope + np.abs(t)) / (1.0 - np.minimum(rho, UNRESOLVABLE))
+        t_error = np.where(resolvable, t_error, np.inf)
         q = rays.o + t[:, None] * rays.d
         rim = np.hypot(q[:, 0], q[:, 1])
         rim_error = ku * (components[:, 0] + components[:, 1]) + t_error * norm(rays.d[:, :2])
         possible, certain = rim - 1.0 <= rim_error, (1.0 - rim > rim_error) & resolvable
     up = np.tile([0.0, 0.0, 1.0], (len(k), 1))
     n, n_error = turned_normal(to_object, up, np.zeros(len(k)), ku)
-    t_error = np.where(resolvable, t_error, np.inf)
     p_error = position_error(o, d, t, t_error, ku)
     return (Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error),)
 

@@ -110,7 +110,9 @@ def meet(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float)
     corners, others = (mesh.vertices[mesh.faces[each]] for each in (first, second))
     moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # one rounding, not K of them
     within_one = local.certain | other.certain
-    height = np.where(within_one, np.minimum(_height(corners), _height(others)), _least_height(prims.half[k], face))
+    height = np.where(
+        within_one, np.minimum(_height(corners), _height(others)), _least_height(prims.half[k], face)
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         t_error = local.t_error + 2.0 * moved / np.abs(slope)  # 2 = 1 / (1 - UNRESOLVABLE)
     n_error = np.maximum(local.n_error, other.n_error) + 2.0 * moved / height

@@ -69,7 +69,7 @@ def test_the_default_is_the_folder_scenes():
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
-        (["-k", "nothing-like-it"], 5, "nothing selected: no scene fits"),
+        (["-k", "nothing-like-it"], 5, "nothing selected: no scene file that fits -k 'nothing-like-it' in "),
         (["-k", "ball and"], 2, "a part of a name is missing"),
         (["-j", "0"], 2, "-j: expected a whole number >= 1, got '0'"),
         (["--maxfail", "0"], 2, "--maxfail: expected a whole number >= 1"),
