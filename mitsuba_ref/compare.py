@@ -35,7 +35,9 @@ class Comparison:
 def compare(pixels: Pixels, checks: Mapping[str, Check]) -> Comparison:
     """All checks. checks: the scene's own [check.AOV]."""
     ratios = {check.NAME: check.ratio(pixels) for check in CHECKS}
-    return Comparison(ratios, {name: checks[name].ratio if name in checks else 1.0 for name in ratios})
+    return Comparison(
+        ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")}
+    )
 
 
 def check_allowances(checks: Mapping[str, Check]) -> None:

@@ -43,6 +43,10 @@ class Judgement:
     def names(self) -> tuple[str, ...]:
         return (*self.comparison.ratios, "diffuse")
 
+    def excess(self, name: str) -> np.ndarray:
+        """(n,) error over what the scene allows of the bound."""
+        return self.ratio(name) / self.comparison.allowed.get(name, 1.0)
+
 
 class Judge:
     """One scene's pair of pictures, about to be judged."""
@@ -76,7 +80,7 @@ class Judge:
         )
         if len(disputed):
             classes[disputed], ours_fails[disputed] = self._settle(disputed, vague[disputed])
-        shading = self._shade(classes)
+        shading = self._shade(classes, comparison.allowed["diffuse"])
         return Judgement(classes, comparison, shading, ours_fails)
 
     def _settle(self, rows: np.ndarray, vague: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -99,12 +103,11 @@ class Judge:
         names = ("shape_id", "normal", "shading_normal", "position")
         return Claims(t[rows], *(flat(aovs, name)[rows] for name in names))
 
-    def _shade(self, classes: np.ndarray) -> Shading:
+    def _shade(self, classes: np.ndarray, allowed: float) -> Shading:
         """Judge diffuse where geometry agrees by Mitsuba's lights, elsewhere by float64 alone; classes change."""
         hit = self.pair.ours.hit.ravel()
         agreeing = np.flatnonzero((classes == CODE[AGREE]) & hit)
         shading = judge_diffuse(self.scene, self.pair, self.bounds, agreeing, (self.ours, self.theirs))
-        allowed = self.scene.checks["diffuse"].ratio if "diffuse" in self.scene.checks else 1.0
         beyond = shading.ratio > allowed
         classes[beyond] = CODE[UNDECIDED]
         classes[beyond & (shading.ratio > 1.0) & shading.unresolvable] = CODE[OUT_OF_DOMAIN]

@@ -83,6 +83,11 @@ def transformed(m: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.einsum("ijk,ik->ij", m, v)
 
 
+def somewhere(t: np.ndarray, t_error: np.ndarray) -> np.ndarray:
+    """t, or 0 where it is no number but its error says that it might be any: a ray in a surface, edge-on."""
+    return np.where(np.isinf(t_error) & ~np.isfinite(t), 0.0, t)
+
+
 def position_error(o: np.ndarray, d: np.ndarray, t: np.ndarray, t_error: np.ndarray, ku: float) -> np.ndarray:
     """Bound on o + t d: t is off by its error, and the sum is rounded."""
     return norm(d) * t_error + ku * (norm(o) + np.abs(t) * norm(d))

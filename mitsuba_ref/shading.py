@@ -60,7 +60,7 @@ def right_in_float64(
     if scene.shading.shadows:
         for i, light in enumerate(each):
             lit[i], shaded[i] = shadows.we_may_say(bracket, hit, light, pair.prim[rows])
-    doubtful = np.array([light.doubtful for light in each]).reshape(shape)
+    doubtful = np.array([light.doubtful for light in each], bool).reshape(shape)
     value = _stacked(
         [np.where(light.doubtful[:, None], light.either_side, light.radiance) for light in each], rows
     )
@@ -111,7 +111,7 @@ def _choices(
 
     A face seen nearly from the side may be the one or the other; and a shadow may be there or not.
     """
-    doubtful = np.array([lit.doubtful for lit in lights.each]).reshape(lights.visible.shape)
+    doubtful = np.array([lit.doubtful for lit in lights.each], bool).reshape(lights.visible.shape)
     doubt = doubtful.copy()
     if scene.shading.shadows:
         for i, lit in enumerate(lights.each):

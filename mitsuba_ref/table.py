@@ -40,7 +40,7 @@ def failure(scene: SceneVerdict) -> str:
 def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
     if scene.problem:
         yield from _problem_lines(scene)
-    elif not scene.has_evidence:
+    elif not scene.has_evidence and not scene.counts[UNDECIDED]:
         yield f"FAIL  {scene.name}  {_lack_of_evidence(scene)}"
     for check in scene.checks:
         if not check.ok:
@@ -63,7 +63,7 @@ def _lack_of_evidence(scene: SceneVerdict) -> str:
     if not scene.hit_pixels:
         return "no pixel hits anything, so nothing was compared"
     excused = scene.counts[EXPLAINED] + scene.counts[OUT_OF_DOMAIN]
-    return f"{scene.counts[AGREE]} pixels agree and {excused} are excused: that proves nothing"
+    return f"too little evidence: {scene.counts[AGREE]} pixels agree, {excused} are only excused"
 
 
 def _problem_lines(scene: SceneVerdict) -> Iterator[str]:

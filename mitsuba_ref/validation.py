@@ -92,22 +92,24 @@ def _ratios(judgement: Judgement) -> dict[str, float]:
 def _failures(scene: Scene, pair: Pair, judgement: Judgement) -> Sequence[Failure]:
     """The worst of the pixels that nothing explains."""
     rows = np.flatnonzero(judgement.classes == CODE[UNDECIDED])
-    ratios = np.array([judgement.ratio(name)[rows] for name in judgement.names])
-    order = np.argsort(-ratios.max(axis=0), kind="stable")[:SHOWN]
-    return [_failure(scene, pair, judgement, int(rows[j]), ratios[:, j]) for j in order]
+    excess = np.array([judgement.excess(name)[rows] for name in judgement.names])
+    order = np.argsort(-excess.max(axis=0), kind="stable")[:SHOWN]
+    return [_failure(scene, pair, judgement, int(rows[j]), int(np.argmax(excess[:, j]))) for j in order]
 
 
-def _failure(scene: Scene, pair: Pair, judgement: Judgement, i: int, ratios: np.ndarray) -> Failure:
+def _failure(scene: Scene, pair: Pair, judgement: Judgement, i: int, worst: int) -> Failure:
     x, y = pixel_of(scene, i)
-    worst = int(np.argmax(ratios))
     check = judgement.names[worst]
+    ratio = float(judgement.ratio(check)[i])
     reason = "beyond what float32 rounding allows Mitsuba to answer"
-    if judgement.ours_fails[i]:
+    if ratio <= 1.0:
+        reason = f"beyond the share of the bound that [check.{check}] allows"
+    elif judgement.ours_fails[i]:
         reason = "beyond what float64 rounding allows our caster to answer"
     elif check == "diffuse":
         reason = "no shadow that rounding allows gives this value"
     ours, reference = (_words(scene, aovs, check, i) for aovs in (pair.ours, pair.reference))
-    return Failure(x, y, check, float(ratios[worst]), ours, reference, reason)
+    return Failure(x, y, check, ratio, ours, reference, reason)
 
 
 def _words(scene: Scene, aovs: Aovs, check: str, i: int) -> str:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from caster.shapes.disk import Disk, Disks
-from mitsuba_ref.meeting import ErrorModel, Meetings, norm, position_error
+from mitsuba_ref.meeting import ErrorModel, Meetings, norm, position_error, somewhere
 from mitsuba_ref.placed import disk
 from mitsuba_ref.shape_reference import ShapeReference
 from mitsuba_ref.shapes.quadric import affine_bounds, in_object_space, turned_normal
@@ -31,9 +31,10 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
         q = rays.o + t[:, None] * rays.d
         rim = np.hypot(q[:, 0], q[:, 1])
         rim_error = ku * (components[:, 0] + components[:, 1]) + t_error * norm(rays.d[:, :2])
-        possible, certain = rim - 1.0 <= rim_error, (1.0 - rim > rim_error) & resolvable
+        possible, certain = ~(rim - 1.0 > rim_error), (1.0 - rim > rim_error) & resolvable
     up = np.tile([0.0, 0.0, 1.0], (len(k), 1))
     n, n_error = turned_normal(to_object, up, np.zeros(len(k)), ku)
+    t = somewhere(t, t_error)
     p_error = position_error(o, d, t, t_error, ku)
     return (Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error),)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from caster.packing import Triangles
 from caster.shapes.plane import Plane, Planes
-from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error, unit
+from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error, somewhere, unit
 from mitsuba_ref.placed import plane
 from mitsuba_ref.shape_reference import ShapeReference
 from mitsuba_ref.shapes import triangles
@@ -50,7 +50,6 @@ def _patch(normal: np.ndarray, point: np.ndarray, o: np.ndarray, d: np.ndarray) 
     axes = np.stack([turned, np.cross(n, turned)])
     half = _half_side(n, point, center, o, d)
     sizes = half * 2.0 ** np.arange(RINGS + 1)
-    sizes = np.minimum(sizes, LARGEST / 4.0)
     corners = center + (sizes[:, None, None] * (AROUND @ axes)).reshape(-1, 3)
     return n, point, center, axes, np.array(half), corners.astype(np.float32).astype(np.float64)
 
@@ -62,7 +61,10 @@ def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarr
     met = np.isfinite(t) & (t > 0.0)
     away = norm(o[met] + t[met, None] * d[met] - center)
     size = float(np.quantile(away, 0.1)) if len(away) else 1.0
-    return max(size, float(np.abs(center).max()) * 2.0**-20, 1e-6)
+    size = max(size, float(np.abs(center).max()) * 2.0**-20, 1e-6)
+    return min(
+        size, LARGEST / 4.0 * 2.0**-RINGS
+    )  # or the outer rings would have no area, which Embree may hit
 
 
 def faces() -> np.ndarray:
@@ -119,8 +121,9 @@ def meet(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float)
     resolved = within & np.isfinite(t_error) & np.isfinite(t)
     t_error = np.where(resolved, t_error, np.inf)
     sure = resolved & (within_one | (local.side != 0.0) | (other.side != 0.0))
+    t, everywhere = somewhere(t, t_error), np.ones(len(k), bool)
     p_error = local.p_error + position_error(o, d, t, t_error, ku)
-    return (Meetings(t, t_error, n, n_error, n, n_error, np.isfinite(t), sure, p_error),)
+    return (Meetings(t, t_error, n, n_error, n, n_error, everywhere, sure, p_error),)
 
 
 def meet_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
@@ -133,9 +136,10 @@ def meet_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: f
         reach = np.abs(point) + np.abs(o) + np.abs(t)[:, None] * np.abs(d)
         t_error = ku * (dot(np.abs(n), reach) / np.abs(slope) + np.abs(t))
         t_error = np.where(rho < triangles.UNRESOLVABLE, t_error / (1.0 - np.minimum(rho, 0.5)), np.inf)
-    met, flat = np.isfinite(t), np.full(len(k), ku)
-    sure = met & np.isfinite(t_error)
-    return (Meetings(t, t_error, n, flat, n, flat, met, sure, position_error(o, d, t, t_error, ku)),)
+    t_error = np.where(np.isfinite(t), t_error, np.inf)
+    t, everywhere, flat = somewhere(t, t_error), np.ones(len(k), bool), np.full(len(k), ku)
+    p_error = position_error(o, d, t, t_error, ku)
+    return (Meetings(t, t_error, n, flat, n, flat, everywhere, np.isfinite(t_error), p_error),)
 
 
 def _face_of_hit(

@@ -4,7 +4,16 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.meeting import LARGEST_COORDINATE, ErrorModel, Meetings, dot, norm, permanent, unit
+from mitsuba_ref.meeting import (
+    LARGEST_COORDINATE,
+    ErrorModel,
+    Meetings,
+    dot,
+    norm,
+    permanent,
+    somewhere,
+    unit,
+)
 
 # Where the relative error of n.d reaches this, float32 cannot tell on which side of edge-on the ray passes.
 UNRESOLVABLE = 0.5
@@ -35,6 +44,7 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
         p_error = _position_error(corners, weights, weight_errors, ku)
     edge, side = _doubtful_edge(corners, inside, np.sign(total), sure)
     t_error = np.where(resolvable, t_error, np.inf)
+    t = somewhere(t, t_error)
     certain = inside.all(axis=1) & sure
     return (Meetings(t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, edge, side),)
 

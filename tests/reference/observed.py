@@ -61,7 +61,7 @@ def compared(model: Model, witness: Witness, o: np.ndarray, d: np.ndarray) -> Ob
     everywhere[rows] = resolved
     certain = bracket.blocked(o, d, t_max)[1]
     true_hit = Bracket(model, KU_OURS, ours=True).blocked(o, d, t_max)[1]
-    judged = (at.possible[resolved], finding.allowed, finding.unresolvable)
+    judged = (at.possible[resolved], finding.allowed, finding.open)
     return Observed(witness.hit, everywhere, k, *judged, certain, true_hit)
 
 

@@ -153,15 +153,24 @@ def test_each_part_of_a_claim_counts():
         assert not judge(o, d, t_max, good._replace(**change)).allowed[0], change
 
 
-def test_a_triangle_seen_edge_on_leaves_the_claim_open():
+def test_a_triangle_seen_edge_on_leaves_open_where_it_is_hit_and_nothing_else():
     """Turned off the axes: along them, nothing rounds and everything can be told."""
     corners = np.array([[0.31, 0.17, -0.53], [-0.71, 0.43, 0.29], [0.23, -0.61, 0.37]])
     along, n = corners[1] - corners[0], np.cross(corners[1] - corners[0], corners[2] - corners[0])
     for slope, expected in ((1e-9, True), (0.1, False)):
         d = along / np.linalg.norm(along) - slope * n / np.linalg.norm(n)
         o = corners.mean(axis=0) - 5.0 * d
-        found = judged([Triangle(vertices=corners)], o, d, *MISS)
-        assert bool(found.unresolvable[0]) is expected
+        ball = Sphere(center=tuple(o + 2.0 * d), radius=0.5)
+        shapes, up = [Triangle(vertices=corners), ball], n / np.linalg.norm(n)
+        alone = shapes[:1]
+        assert bool(judged(alone, o, d, 4.9, 0, up).open[0]) is expected
+        assert not judged(alone, o, d, 4.9, 0, -up).open[0]  # its normal is known all the same
+        assert not judged(alone, o, d, *MISS).open[0]
+        assert not judged(shapes, o, d, 4.9, 0, up).open[0]  # behind the ball, which is certain
+        assert not judged(shapes, o, d, 1.5, 1, d).open[0]  # a normal of the ball turned round is no edge-on triangle
+
+
+START = (np.array([0, 0]), np.array([1e-15, 1e-15]))  # the primitive they leave, and how far off it they start
 
 
 def test_shadow_rays_do_not_count_the_surface_they_leave():
@@ -169,13 +178,21 @@ def test_shadow_rays_do_not_count_the_surface_they_leave():
     o = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     d, t_max = np.array([[0.1, 0.0, 1.0], [0.1, 0.0, -1.0]]), np.array([np.inf, np.inf])
     alone = bracket([BALL], o, d, ours=True)
-    possible, certain = alone.blocked(o, d, t_max, leaving=np.array([0, 0]))
+    possible, certain = alone.blocked(o, d, t_max, leaving=START)
     assert possible.tolist() == certain.tolist() == [False, True]
     possible, _ = alone.blocked(o, d, t_max)
     assert possible.tolist() == [True, True]  # its own start, unless told
     roofed = bracket([BALL, Plane(normal=(0, 0, 1), offset=9)], o, d, ours=True)
-    assert roofed.blocked(o, d, t_max, leaving=np.array([0, 0]))[1].tolist() == [True, True]
-    assert roofed.blocked(o, d, np.array([5.0, 1.0]), leaving=np.array([0, 0]))[1].tolist() == [False, False]
+    assert roofed.blocked(o, d, t_max, leaving=START)[1].tolist() == [True, True]
+    assert roofed.blocked(o, d, np.array([5.0, 1.0]), leaving=START)[1].tolist() == [False, False]
+
+
+def test_only_the_meeting_at_the_start_is_left_out():
+    """Seen from inside, the far wall of the ball is no start of it, even where nothing else of the ball is met."""
+    o, d = np.array([[0.0, 0.0, 0.999]]), np.array([[0.0, 0.0, -1.0]])
+    inside = bracket([BALL], o, d, ours=True)
+    possible, certain = inside.blocked(o, d, np.array([np.inf]), leaving=(np.array([0]), np.array([1e-15])))
+    assert possible[0] and certain[0]
 
 
 @pytest.mark.parametrize("aim", ["middles of edges", "middles of faces"])

@@ -75,6 +75,9 @@ def test_the_default_is_the_scenes_name_in_this_folder_and_five_aovs(folder, cap
         "normal.X",
         "normal.Y",
         "normal.Z",
+        "position.X",
+        "position.Y",
+        "position.Z",
         *"RGB",
     }
 

@@ -1,0 +1,123 @@
+"""What explained and out_of_domain may excuse, and what they may not."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import caster
+from caster.scene import Scene, load_scene
+from mitsuba_ref import validate
+from mitsuba_ref.jobs import Crash
+from mitsuba_ref.judge import CODE, EXCUSED, Judge
+from mitsuba_ref.model import model_of
+from mitsuba_ref.pair import our_view, pair_up
+from mitsuba_ref.pixels import flat
+from mitsuba_ref.rays import share
+from mitsuba_ref.reference import consult
+from mitsuba_ref.table import failure
+from mitsuba_ref.verdict import SceneVerdict
+
+SCENES = Path(__file__).parents[2] / "scenes"
+LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
+
+
+def scene_of(*shapes: Any, **more: Any) -> Scene:
+    camera = caster.Pinhole(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), fov=40)
+    usual = {"film": caster.Film(width=48, height=32), "camera": camera, "lights": [LAMP]}
+    return Scene(**(usual | more), shapes=shapes)
+
+
+def judged(scene: Scene) -> SceneVerdict:
+    return validate(scene).scenes[0]
+
+
+@pytest.fixture(scope="module")
+def shaded() -> Judge:
+    """A scene with many pixels that are excused: their rays pass through edges, exactly."""
+    scene = load_scene(SCENES / "shared-edges-icosphere.toml")
+    rays = share(scene)
+    view = our_view(scene, rays)
+    model = model_of(scene, view.packed, rays)
+    witness = consult(scene, model, rays)
+    assert not isinstance(witness, Crash), witness
+    return Judge(scene, model, pair_up(scene, rays, view, witness))
+
+
+@pytest.mark.parametrize("name", ["diffuse", "depth", "position", "normal"])
+@pytest.mark.parametrize("change", [lambda v: v * 1.5 + 0.1, lambda v: v * np.nan], ids=["other", "nan"])
+def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, name, change):
+    before = shaded.judge().classes
+    excused = np.isin(before, EXCUSED) & shaded.pair.ours.hit.ravel()
+    assert 50 <= excused.sum() < len(excused) // 10
+    image = flat(shaded.pair.ours, name)
+    kept = image.copy()
+    image[excused] = change(image[excused])
+    try:
+        after = Judge(shaded.scene, shaded.model, shaded.pair).judge().classes
+    finally:
+        image[:] = kept
+    assert np.all(after[excused] == CODE["undecided"])
+    assert np.array_equal(after[~excused], before[~excused])
+
+
+def test_more_excuses_than_evidence_do_not_pass():
+    """From a point of a plane, Mitsuba sees the plane at distance 0 and nothing else; ours sees the ball."""
+    camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 1, 0), fov=40)
+    found = judged(scene_of(caster.Plane(normal=(0, 1, 0), offset=0), caster.Sphere(center=(0, 1, 0)), camera=camera))
+    assert not found.ok and found.counts["undecided"] == 0
+    assert "too little evidence: 0 pixels agree, " in failure(found)
+
+
+def test_a_plane_edge_on_excuses_neither_what_stands_before_it_nor_beside_it(monkeypatch):
+    """The plane holds the rays up to rounding: nobody can say where they meet. The ball is another matter."""
+    shapes = (caster.Sphere(), caster.Plane(normal=(0, 0.6, 0.8), offset=0))
+    camera = caster.Orthographic(eye=(0, -4, 3), direction=(0, 0.8, -0.6), up=(0, 0, 1), width=1.5)
+    scene = scene_of(*shapes, camera=camera)
+    assert judged(scene).ok
+    from caster.aovs import normal
+
+    evaluate = normal.evaluate
+    monkeypatch.setattr(normal, "evaluate", lambda view: -evaluate(view))
+    found = judged(scene)
+    assert not found.ok and found.counts["undecided"] > 0.9 * found.hit_pixels
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_doubtful_shadow_counts_whichever_place_its_light_has(first):
+    """Pixel centres lie on a shadow's border, exactly; six more lights are in no doubt."""
+    others = [caster.Point(position=(i, 0.5, 9), intensity=(1, 1, 1)) for i in range(9)]
+    sun = [caster.Directional(direction=(-1, -1, 0), irradiance=(1, 1, 1))]
+    roof = caster.Rectangle(
+        to_world=[{"rotate": {"axis": [1, 0, 0], "degrees": -90}}, {"translate": [0.125, 1, 0.125]}]
+    )
+    scene = scene_of(
+        caster.Plane(normal=(0, 1, 0), offset=0),
+        roof,
+        camera=caster.Orthographic(eye=(0, 5, 0), look_at=(0, 0, 0), up=(0, 0, 1), width=8),
+        film=caster.Film(width=32, height=32),
+        lights=sun + others if first else others + sun,
+    )
+    found = judged(scene)
+    assert found.ok and found.counts["explained"] > 0, found
+
+
+@pytest.mark.parametrize("name", ["depth", "position", "normal", "shading_normal", "diffuse"])
+def test_a_scene_may_ask_for_less_than_the_derived_bound(name):
+    strict = scene_of(caster.Sphere(), checks={name: {"ratio": 1e-6}})
+    found = judged(strict)
+    assert not found.ok and found.counts["undecided"] > 100
+    assert f"beyond the share of the bound that [check.{name}] allows" in failure(found)
+    lax = judged(scene_of(caster.Sphere(), checks={name: {"ratio": 2.0}}))
+    assert lax.ok and lax.allowed == {name: 2.0}
+
+
+def test_a_check_that_nothing_would_heed_is_refused():
+    with pytest.raises(caster.SceneError, match=r"check.uv: is compared exactly or not at all"):
+        judged(scene_of(caster.Sphere(), checks={"uv": {"ratio": 0.1}}))
+
+
+@pytest.mark.parametrize("name", ["$x", "a$", "ball & chain", "<ball>", "a.b", "Kugel, groß"])
+def test_a_shape_may_be_called_what_it_likes(name):
+    assert judged(scene_of(caster.Sphere(name=name))).ok
