@@ -8,14 +8,16 @@ from mitsuba_ref.pair import COMPARED, Pair
 from mitsuba_ref.pixels import flat
 
 
-def coherent(pair: Pair) -> np.ndarray:
-    """(n,) bool: on a hit all numbers are finite and depth follows from t; on a miss each AOV says so."""
+def contradictions(pair: Pair) -> dict[str, np.ndarray]:
+    """Where each check's AOV contradicts our hits, (n,) bool: not finite on a hit, a value on a miss, another depth."""
     hit = np.isfinite(pair.t)
-    fine = (pair.ours.hit.ravel() == hit) & np.where(hit, _depth_follows(pair), True)
+    found = {"mask": pair.ours.hit.ravel() != hit}
     for name in COMPARED:
         values = flat(pair.ours, name).reshape(len(hit), -1)
-        fine &= np.where(hit, np.isfinite(values).all(axis=1), (values == BY_NAME[name].MISS).all(axis=1))
-    return fine
+        on_hit, on_miss = np.isfinite(values).all(axis=1), (values == BY_NAME[name].MISS).all(axis=1)
+        found[name] = ~np.where(hit, on_hit, on_miss)
+    found["depth"] |= hit & ~_depth_follows(pair)
+    return found
 
 
 def _depth_follows(pair: Pair) -> np.ndarray:

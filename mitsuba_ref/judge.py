@@ -9,7 +9,7 @@ from caster.rendering import Aovs
 from caster.scene import Scene
 from mitsuba_ref.bounds import bounds_of
 from mitsuba_ref.bracket import Bracket, Claims
-from mitsuba_ref.coherence import coherent
+from mitsuba_ref.coherence import contradictions
 from mitsuba_ref.compare import Comparison, check_allowances, compare
 from mitsuba_ref.meeting import KU, KU_OURS
 from mitsuba_ref.model import Model
@@ -55,7 +55,8 @@ class Judge:
         self.scene, self.model, self.pair = scene, model, pair
         self.o, self.d = pair.rays.o.astype(np.float64), pair.rays.d.astype(np.float64)
         self.bounds = bounds_of(model, pair.prim, self.o, self.d, pair.t)
-        self.coherent = coherent(pair)  # no rounding excuses a picture that contradicts itself
+        self.contradictions = contradictions(pair)  # no rounding excuses a picture that contradicts itself
+        self.coherent = ~np.any(list(self.contradictions.values()), axis=0)
 
     @cached_property
     def ours(self) -> Bracket:
@@ -80,8 +81,12 @@ class Judge:
         )
         if len(disputed):
             classes[disputed], ours_fails[disputed] = self._settle(disputed, vague[disputed])
-        shading = self._shade(classes, comparison.allowed["diffuse"])
-        return Judgement(classes, comparison, shading, ours_fails)
+        judgement = Judgement(
+            classes, comparison, self._shade(classes, comparison.allowed["diffuse"]), ours_fails
+        )
+        for name, where in self.contradictions.items():
+            judgement.ratio(name)[where] = np.inf
+        return judgement
 
     def _settle(self, rows: np.ndarray, vague: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(class, whether ours is wrong by float64) of disputed pixels."""
