@@ -39,6 +39,10 @@ class Found(NamedTuple):
     prim: np.ndarray  # (m,)
     at: Meetings
 
+    def taken(self, rows: np.ndarray) -> "Found":
+        """Some of them, by index or mask."""
+        return Found(self.ray[rows], self.prim[rows], self.at.taken(rows))
+
 
 class Bracket:
     """Judges claims about rays through one scene. ku, ours: as in Model.meet."""
@@ -68,16 +72,18 @@ class Bracket:
     ) -> tuple[np.ndarray, np.ndarray]:
         """(something may block the way, something does): rays o + t d, 0 < t < t_max.
 
-        leaving: (n,) the primitive that a ray starts on, and (n,) how far off it that start may be; the meeting with
-        it there does not count.
+        leaving: (n,) the primitive that a ray starts on, and (n,) how far off it that start may be. The meeting with it
+        there does not count, and what else is as near as that, such as the next face of an edge, is not certain.
         """
+        prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
         possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
-        for ray, prim in self.candidates.pairs(o, d):
-            found = self._meet(ray, prim, o, d, t_max)
-            if leaving is not None:
-                found = without_starts(found, d, *leaving)
+        for ray, each in self.candidates.pairs(o, d):
+            found = self._meet(ray, each, o, d, t_max)
+            near = at_start(found, d, off)
+            kept = ~(near & (found.prim == prim[found.ray]))
+            found, near = found.taken(kept), near[kept]
             possible[found.ray] = True
-            certain[found.ray[np.isfinite(latest_hits(found, t_max))]] = True
+            certain[found.ray[np.isfinite(latest_hits(found, t_max)) & ~near]] = True
         return possible, certain
 
     def possible_hits(self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray) -> Found:
@@ -96,7 +102,7 @@ class Bracket:
             error = np.where(np.isfinite(met.at.t_error), met.at.t_error, np.inf)
             in_range = ~(met.at.t + error < 0.0) & ~(met.at.t - error > t_max[rays])
         keep = met.at.possible & in_range & ~np.isnan(met.at.t)
-        return Found(rays[keep], prim[met.pair][keep], met.at.taken(keep))
+        return Found(rays, prim[met.pair], met.at).taken(keep)
 
     def _allows(
         self, found: Found, claims: Claims, line: tuple[np.ndarray, ...], rays: np.ndarray
@@ -153,8 +159,9 @@ def _latest_at_edges(found: Found) -> np.ndarray:
     return latest
 
 
-def without_starts(found: Found, d: np.ndarray, leaving: np.ndarray, off: np.ndarray) -> Found:
-    """Drop the meetings with the primitive that a ray starts on which are no farther from it than the start may be."""
-    height = (np.abs(found.at.t) - found.at.t_error) * np.abs(dot(found.at.n, d[found.ray]))
-    start = (found.prim == leaving[found.ray]) & ~(height > off[found.ray])
-    return Found(found.ray[~start], found.prim[~start], found.at.taken(~start))
+def at_start(found: Found, d: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """(m,) bool: meetings with surfaces that are no farther from the ray's start than that may be off."""
+    with np.errstate(invalid="ignore"):
+        height = (np.abs(found.at.t) - found.at.t_error) * np.abs(dot(found.at.n, d[found.ray]))
+    near: np.ndarray = ~(height > off[found.ray])
+    return near & (off[found.ray] > 0.0)
