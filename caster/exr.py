@@ -13,21 +13,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.exr_content import PREFIX, Window, attributes_of, checked_window, common_shape, storable
 from caster.whole_files import OutputError, written_aside
 from caster.wording import FileMissing, SceneError
 
 __all__ = ["NO_ID", "Exr", "OutputError", "UnreadableExr", "Window", "read_exr", "write_exr"]
 
-Window = tuple[int, int, int, int]
-"""x0, y0, x1, y1 in pixels of the full film; x1 and y1 are the first column and row outside."""
-
 NO_ID = 0xFFFFFFFF
 """`id.shape` and `id.prim` of a pixel that hits nothing."""
 
-PREFIX = "caster/"
 MAGIC = 20000630  # the first four bytes of every EXR file, little endian
 DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four
-LONGEST_NAME = 255  # bytes; the library drops a longer attribute without a word
 
 
 class UnreadableExr(FileMissing):
@@ -62,9 +58,9 @@ def write_exr(
     """
     import OpenEXR  # here, so that `--help` need not load it
 
-    height, width = _common_shape(channels)
-    window = _checked("data_window", (0, 0, width, height) if data_window is None else data_window)
-    film = _checked("display_window", window if display_window is None else display_window)
+    height, width = common_shape(channels)
+    window = checked_window("data_window", (0, 0, width, height) if data_window is None else data_window)
+    film = checked_window("display_window", window if display_window is None else display_window)
     if (window[2] - window[0], window[3] - window[1]) != (width, height):
         raise SceneError(f"data_window {window} does not fit channels of {width} x {height} pixels")
     header = {
@@ -73,11 +69,11 @@ def write_exr(
         "lineOrder": OpenEXR.INCREASING_Y,
         "dataWindow": _inclusive(window),
         "displayWindow": _inclusive(film),
-        **_attributes(provenance),
+        **attributes_of(provenance),
     }
     # The library stores the memory order of a strided array and puts its own objects into the dict it is
     # given: it only ever gets fresh contiguous copies in a dict of ours.
-    copies = {name: _storable(name, channels[name], window) for name in sorted(channels)}
+    copies = {name: storable(name, channels[name], window) for name in sorted(channels)}
     with written_aside(path) as part:
         OpenEXR.File(header, copies).write(str(part))
 
@@ -104,41 +100,6 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
     )
 
 
-def _common_shape(channels: Mapping[str, np.ndarray]) -> tuple[int, int]:
-    if not channels:
-        raise SceneError("an EXR needs at least one channel, got none")
-    first = next(iter(channels))
-    shape = np.shape(channels[first])
-    for name, values in channels.items():
-        _check_name("channel", name)
-        if np.ndim(values) != 2 or np.size(values) == 0:
-            raise SceneError(
-                f"channel '{name}': expected a (height, width) array, got shape {np.shape(values)}"
-            )
-        if np.shape(values) != shape:
-            raise SceneError(f"channel '{name}' has shape {np.shape(values)}, channel '{first}' has {shape}")
-    return int(shape[0]), int(shape[1])
-
-
-def _check_name(kind: str, name: object) -> None:
-    if not isinstance(name, str) or not name or "\0" in name or len(_utf8(kind, name)) > LONGEST_NAME:
-        raise SceneError(f"{kind} name {name!r:.60}: expected 1 to {LONGEST_NAME} bytes of text without NUL")
-
-
-def _utf8(what: str, text: str) -> bytes:
-    try:
-        return text.encode("utf-8")
-    except UnicodeEncodeError as e:
-        raise SceneError(f"{what}: text that is no valid Unicode cannot be stored: {text!r:.60}") from e
-
-
-def _checked(what: str, window: Window) -> Window:
-    x0, y0, x1, y1 = (int(edge) for edge in window)
-    if x1 <= x0 or y1 <= y0:
-        raise SceneError(f"{what}: expected x0 < x1 and y0 < y1, got ({x0}, {y0}, {x1}, {y1})")
-    return x0, y0, x1, y1
-
-
 def _inclusive(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
     x0, y0, x1, y1 = window
     return (x0, y0), (x1 - 1, y1 - 1)
@@ -147,36 +108,6 @@ def _inclusive(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
 def _exclusive(box: Any) -> Window:
     (x0, y0), (x1, y1) = box
     return int(x0), int(y0), int(x1) + 1, int(y1) + 1
-
-
-def _attributes(provenance: Mapping[str, str]) -> dict[str, str]:
-    attributes: dict[str, str] = {}
-    for key, value in sorted(provenance.items()):
-        name = PREFIX + key.removeprefix(PREFIX)
-        _check_name("provenance", name)
-        if not isinstance(value, str) or name in attributes:
-            raise SceneError(f"provenance {name!r}: expected one string, got {value!r:.60}")
-        _utf8(f"provenance {name!r}", value)
-        attributes[name] = value
-    return attributes
-
-
-def _storable(name: str, values: np.ndarray, window: Window) -> np.ndarray:
-    values = np.asarray(values)
-    if values.dtype == np.uint32:
-        return np.array(values, np.uint32, order="C")
-    if values.dtype != bool and not np.issubdtype(values.dtype, np.floating):
-        raise SceneError(f"channel '{name}': an EXR holds floats, bools or uint32, got {values.dtype}")
-    with np.errstate(over="ignore"):
-        narrow = np.array(values, np.float32, order="C")
-    lost = np.isinf(narrow) & np.isfinite(values)
-    if lost.any():
-        y, x = np.argwhere(lost)[0]
-        raise SceneError(
-            f"channel '{name}' at pixel ({window[0] + x}, {window[1] + y}): "
-            f"{float(values[y, x])!r} is beyond float32 (largest {np.finfo(np.float32).max:.9g})"
-        )
-    return narrow
 
 
 def _refuse_what_is_no_image(path: Path) -> None:

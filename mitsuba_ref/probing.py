@@ -17,7 +17,7 @@ from mitsuba_ref.pair import our_view, pair_up
 from mitsuba_ref.pixels import flat
 from mitsuba_ref.rays import share
 from mitsuba_ref.reference import consult
-from mitsuba_ref.verdict import CLASSES, UNDECIDED, number
+from mitsuba_ref.verdict import AGREE, CLASSES, EXPLAINED, OUT_OF_DOMAIN, UNDECIDED, number
 
 SHOWN = 12  # primitives on the terminal; --json has all
 
@@ -47,6 +47,7 @@ class PixelVerdict:
     possible: tuple[Possible, ...]
     versions: dict[str, str]
     problem: str = ""
+    why: str = ""
 
     @property
     def ok(self) -> bool:
@@ -87,7 +88,17 @@ def probe(scene: Scene, x: int, y: int) -> PixelVerdict:
         _ratios(judgement),
         tuple(_possible(scene, judge)),
         witness.answer.versions,
+        why=OURS_FAILS if judgement.ours_fails[0] else WHY[CLASSES[int(judgement.classes[0])]],
     )
+
+
+WHY = {
+    AGREE: "every quantity is within its bound",
+    EXPLAINED: "rounding allows both answers: ours by the bracket of float64, Mitsuba's by that of float32",
+    OUT_OF_DOMAIN: "float32 cannot resolve this pixel; ours is right by float64",
+    UNDECIDED: "Mitsuba's answer is beyond what float32 allows, or no shadow gives our diffuse value",
+}
+OURS_FAILS = "ours is beyond what float64 rounding allows"
 
 
 def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
@@ -128,6 +139,7 @@ def _lines(found: PixelVerdict, path: str) -> Iterator[str]:
     if found.problem:
         yield found.problem
         return
+    yield f"why        {found.why}"
     for name, value in found.ray.items():
         yield f"ray        {name:<16}{_both(value)}"
     for name in found.ours:
