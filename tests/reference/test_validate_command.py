@@ -276,7 +276,9 @@ def test_an_interruption_keeps_what_is_done_and_leaves_no_child(tmp_path):
     assert err.strip() == "interrupted"
     done = strict_json(tmp_path / "v.json")
     rows = ROW.findall("".join(lines) + out)
-    assert [scene["name"] for scene in done["scenes"]] == [row[1] for row in rows]
+    kept = [scene["name"] for scene in done["scenes"]]
+    assert kept[: len(rows)] == [row[1] for row in rows]
+    assert len(kept) - len(rows) in (0, 1)  # the signal may come between keeping a verdict and printing its row
     assert 0 < len(rows) < done["asked"] and done["ok"] is False and " not judged, in " in out
     assert list(temporary.iterdir()) == []
     assert [pid for pid in running_with(mark) if pid != child.pid] == []
