@@ -16,6 +16,9 @@ from mitsuba_ref.reference import Witness, aovs_of
 # What is compared, and the mask, which always comes along.
 COMPARED = ("depth", "position", "normal", "shading_normal", "shape_id", "diffuse")
 
+# What of ours has to follow from our own hits, beside that.
+FOLLOWS = ("hit", "albedo", "prim_id")
+
 
 @dataclass(frozen=True)
 class Pair:
@@ -43,6 +46,6 @@ def our_view(scene: Scene, rays: SharedRays) -> View:
 def pair_up(scene: Scene, rays: SharedRays, view: View, witness: Witness) -> Pair:
     """The two as pictures under the same names."""
     window = film_window(scene)
-    ours = evaluate(view, COMPARED, window)
+    ours = evaluate(view, (*COMPARED, *FOLLOWS), window)
     reference = aovs_of(witness, rays, (window.height, window.width), COMPARED)
     return Pair(rays, ours, reference, view.nearest.t, view.nearest.prim, witness)

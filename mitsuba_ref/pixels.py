@@ -18,6 +18,7 @@ class Pixels:
     bounds: Bounds
     t_ours: np.ndarray  # (n,) float64 lengths of d, inf on a miss
     length: np.ndarray  # (n,) of each ray's d
+    point: np.ndarray  # (n, 3) o + t d at our own hits
 
     def pair(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """(ours, the reference's) of one AOV, (n,) or (n, c)."""

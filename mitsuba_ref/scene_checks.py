@@ -136,7 +136,7 @@ def _bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
 
 def pixel_centers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """x and y of the window's pixel centres, row by row."""
-    x0, y0, x1, y1 = scene.film.window
+    x0, y0, x1, y1 = scene.film.crop or (0, 0, scene.film.width, scene.film.height)
     y, x = np.meshgrid(np.arange(y0, y1) + 0.5, np.arange(x0, x1) + 0.5, indexing="ij")
     return x.ravel(), y.ravel()
 

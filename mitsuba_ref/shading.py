@@ -43,41 +43,36 @@ def judge_diffuse(
     beyond = rows[ratio[rows] > 1.0]
     if len(beyond):
         lights = _lights(scene, pair, bounds.at, beyond)
-        choices = _choices(scene, pair, lights, _hit(pair, bounds.at, beyond), beyond, brackets)
+        choices = _choices(scene, pair, lights, hit_at(pair, bounds.at, beyond), beyond, brackets)
         explained[beyond] = _share(pair, beyond, choices) <= 1.0
         unresolvable[beyond] = ~np.isfinite([lit.error for lit in lights.each]).all(axis=(0, 2))
     return Shading(ratio, explained, unresolvable)
 
 
 def right_in_float64(
-    scene: Scene, pair: Pair, bounds: Bounds, rows: np.ndarray, bracket: Bracket
+    scene: Scene, hit: Hit, prim: np.ndarray, values: np.ndarray, bracket: Bracket
 ) -> np.ndarray:
-    """(m,) bool: our value at the pixels `rows` is Lambert's, with some shadows that float64 rounding allows us."""
-    hit = _hit(pair, bounds.own, rows)
+    """(m,) bool: our values (m, 3) are Lambert's, with some shadows that float64 rounding allows us.
+
+    hit: as float64 sees it, with float64's bounds; prim (m,): the primitives that are hit.
+    """
     each = _lit(scene, hit, KU_OURS)
-    shape = (len(each), len(rows))
+    shape = (len(each), len(prim))
     lit, shaded = np.ones(shape, bool), np.zeros(shape, bool)
     if scene.shading.shadows:
         for i, light in enumerate(each):
-            lit[i], shaded[i] = shadows.we_may_say(bracket, hit, light, pair.prim[rows])
+            lit[i], shaded[i] = shadows.we_may_say(bracket, hit, light, prim)
     doubtful = np.array([light.doubtful for light in each], bool).reshape(shape)
-    value = _stacked(
-        [np.where(light.doubtful[:, None], light.either_side, light.radiance) for light in each], rows
-    )
-    error = _stacked([light.error for light in each], rows)
-    first = lit[..., None]
-    choices = Choices(
-        np.where(first, value, 0.0),
-        np.where(first, error, 0.0),
-        np.zeros_like(value),
-        np.zeros_like(error),
-        lit & (shaded | doubtful),
-    )
-    ours = flat(pair.ours, "diffuse")[rows]
-    return smallest_share(ours, lambert.ambient(scene, hit.shape), choices, KU_OURS) <= 1.0
+    either = [np.where(light.doubtful[:, None], light.either_side, light.radiance) for light in each]
+    first = np.where(lit[..., None], _stacked(either, prim), 0.0)
+    error = np.where(lit[..., None], _stacked([light.error for light in each], prim), 0.0)
+    dark = np.zeros_like(first)
+    choices = Choices(first, error, dark, dark, lit & (shaded | doubtful))
+    return smallest_share(values, lambert.ambient(scene, hit.shape), choices, KU_OURS) <= 1.0
 
 
-def _hit(pair: Pair, at: Meetings, rows: np.ndarray) -> Hit:
+def hit_at(pair: Pair, at: Meetings, rows: np.ndarray) -> Hit:
+    """Our hits at some pixels, with the bounds `at`."""
     d = pair.rays.d[rows].astype(np.float64)
     p = pair.rays.o[rows].astype(np.float64) + pair.t[rows, None] * d
     return Hit(p, d, flat(pair.ours, "shape_id")[rows], at.taken(rows))
@@ -88,7 +83,7 @@ def _lit(scene: Scene, hit: Hit, ku: float) -> list[Lit]:
 
 
 def _lights(scene: Scene, pair: Pair, at: Meetings, rows: np.ndarray) -> Lights:
-    each = _lit(scene, _hit(pair, at, rows), KU)
+    each = _lit(scene, hit_at(pair, at, rows), KU)
     visible = pair.witness.visible[:, rows]
     given = np.where(visible[..., None], pair.witness.unshadowed[:, rows], 0.0)
     error = np.where(visible[..., None], _stacked([lit.error for lit in each], rows), 0.0)
