@@ -21,6 +21,9 @@ class Claims(NamedTuple):
     n: np.ndarray  # (n, 3)
     sh_n: np.ndarray  # (n, 3)
     p: np.ndarray  # (n, 3)
+    t_off: float | np.ndarray = (
+        0.0  # (n,) how far t is off by itself, having been worked out from something else
+    )
 
 
 class Finding(NamedTuple):
@@ -112,12 +115,14 @@ class Bracket:
         p = o[ray] + at.t[:, None] * d[ray]
         latest = np.full(len(t_max), np.inf)
         np.minimum.at(latest, ray, latest_hits(found, t_max))
-        named = (self.model.packed.shape_of(found.prim) == claims.shape[ray]) & (claims.t[ray] <= latest[ray])
+        t_off = np.broadcast_to(claims.t_off, claims.t.shape)[ray]
+        named = self.model.packed.shape_of(found.prim) == claims.shape[ray]
+        named &= claims.t[ray] <= latest[ray] + t_off
         named &= norm(claims.n[ray] - at.n) <= at.n_error
         matches = (
             named
             & np.isfinite(at.t_error)
-            & (np.abs(claims.t[ray] - at.t) <= at.t_error)
+            & (np.abs(claims.t[ray] - at.t) <= at.t_error + t_off)
             & (norm(claims.sh_n[ray] - at.sh_n) <= at.sh_error)
             & (norm(claims.p[ray] - p) <= at.p_error)
         )

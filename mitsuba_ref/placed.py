@@ -84,6 +84,42 @@ def mesh(shape: Any, part: Any) -> Iterator[Claim]:
         yield Claim("generated normals", part.normals, *_generated(part.vertices, part.faces))
 
 
+def triangle(shape: Any, part: Any) -> Iterator[Claim]:
+    """The corners and normals in the order that was described, and where they stand."""
+    given = shape.mesh()
+    yield _exact("corners", given.vertices, shape.vertices)
+    yield _exact("face", given.faces, [[0, 1, 2]])
+    if shape.normals is not None:
+        yield _exact("described normals", given.normals, shape.normals)
+    yield from mesh(shape, part)
+
+
+def square(shape: Any, part: Any) -> Iterator[Claim]:
+    """[-1, 1]^2 at z = 0, facing +z, and where it stands."""
+    corners, doubled = _sides(shape)
+    yield _exact("corners", np.abs(corners), np.tile([1.0, 1.0, 0.0], (len(corners), 1)))
+    yield _exact("winding", np.sign(doubled[:, 2]), np.ones(len(doubled)))
+    yield _exact("area", 0.5 * doubled.sum(axis=0), [0.0, 0.0, 4.0])
+    yield from mesh(shape, part)
+
+
+def box(shape: Any, part: Any) -> Iterator[Claim]:
+    """[-1, 1]^3 with its outside outside, and where it stands."""
+    corners, doubled = _sides(shape)
+    middles = shape.mesh().vertices[shape.mesh().faces].mean(axis=1)
+    yield _exact("corners", np.abs(corners), np.ones_like(corners))
+    yield _exact("winding", np.sign(np.einsum("ij,ij->i", doubled, middles)), np.ones(len(doubled)))
+    yield _exact("area", 0.5 * np.abs(doubled).sum(axis=0), [8.0, 8.0, 8.0])
+    yield from mesh(shape, part)
+
+
+def _sides(shape: Any) -> tuple[np.ndarray, np.ndarray]:
+    """(corners of the mesh, twice the area of each face as a vector)."""
+    given = shape.mesh()
+    a, b, c = (given.vertices[given.faces[:, j]] for j in range(3))
+    return given.vertices, np.cross(b - a, c - a)
+
+
 def _point(shape: Any, what: str, packed: np.ndarray, p: np.ndarray) -> Claim:
     linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
     expected = linear[:, 0] * p[0] + linear[:, 1] * p[1] + linear[:, 2] * p[2] + move

@@ -13,7 +13,7 @@ from mitsuba_ref.bracket import latest_hits
 from mitsuba_ref.jobs import Crash
 from mitsuba_ref.judge import Judge, Judgement
 from mitsuba_ref.model import model_of
-from mitsuba_ref.pair import our_view, pair_up
+from mitsuba_ref.pair import COMPARED, our_view, pair_up
 from mitsuba_ref.pixels import flat
 from mitsuba_ref.rays import share
 from mitsuba_ref.reference import consult
@@ -103,7 +103,7 @@ OURS_FAILS = "ours is beyond what float64 rounding allows"
 
 def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
     shape = int(flat(aovs, "shape_id")[0])
-    values = {name: _numbers(flat(aovs, name)[0]) for name in aovs if name != "shape_id"}
+    values = {name: _numbers(flat(aovs, name)[0]) for name in COMPARED if name != "shape_id"}
     return {"shape": scene.shape_names()[shape] if shape >= 0 else "miss", "t": _numbers(t[0]), **values}
 
 

@@ -1,6 +1,12 @@
-"""The outcome of what is checked once a scene."""
+"""The outcome of what is checked once a scene, and how it is found among pixels."""
 
 from typing import NamedTuple
+
+import numpy as np
+
+from caster.rendering import Aovs
+from caster.scene import Scene
+from mitsuba_ref.pixels import flat, share_of_bound
 
 
 class SceneCheck(NamedTuple):
@@ -13,3 +19,28 @@ class SceneCheck(NamedTuple):
     @property
     def ok(self) -> bool:
         return self.ratio <= 1.0
+
+
+def bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
+    """(n,) bool: pixels where one AOV of two pictures has other bits."""
+    rows, others = flat(a, name), flat(b, name)
+    different = rows.view(f"u{rows.itemsize}") != others.view(f"u{rows.itemsize}")
+    return different if different.ndim == 1 else different.any(axis=1)
+
+
+def pixel_centers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of the window's pixel centres, row by row."""
+    x0, y0, x1, y1 = scene.film.crop or (0, 0, scene.film.width, scene.film.height)
+    y, x = np.meshgrid(np.arange(y0, y1) + 0.5, np.arange(x0, x1) + 0.5, indexing="ij")
+    return x.ravel(), y.ravel()
+
+
+def worst_of(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> SceneCheck:
+    """The largest share of all, and the pixel it is at."""
+    table = np.array([np.where(among, share_of_bound(share, np.ones(1)), 0.0) for share in shares.values()])
+    if not table.size:
+        return SceneCheck(name, 0.0, "nothing to look at")
+    part, pixel = np.unravel_index(int(np.argmax(table)), table.shape)
+    x0, y0, x1, _y1 = scene.film.window
+    x, y = x0 + int(pixel) % (x1 - x0), y0 + int(pixel) // (x1 - x0)
+    return SceneCheck(name, float(table[part, pixel]), f"{list(shares)[int(part)]} at ({x}, {y})")

@@ -8,14 +8,14 @@ from caster.casting import find_nearest
 from caster.fields import Camera
 from caster.packing import pack
 from caster.placing import as_given
-from caster.rendering import Aovs, camera_rays, evaluate, film_window, look_along, render
+from caster.rendering import camera_rays, evaluate, film_window, look_along, render
 from caster.scene import Scene
 from mitsuba_ref.camera_reference import axes, no_sensor
 from mitsuba_ref.export import camera_reference
 from mitsuba_ref.meeting import KU, KU_OURS, norm
-from mitsuba_ref.pixels import flat, share_of_bound
 from mitsuba_ref.reference import Witness
-from mitsuba_ref.scene_check import SceneCheck
+from mitsuba_ref.render_check import check_render
+from mitsuba_ref.scene_check import SceneCheck, bits_differ, pixel_centers, worst_of
 from mitsuba_ref.shape_checks import check_geometry, check_materials, check_placement
 
 
@@ -34,7 +34,7 @@ def check_camera(scene: Scene) -> SceneCheck:
         "near": _relative(ours.t_min, expected.t_min) / rounding,
         "far": _relative(ours.t_max, expected.t_max) / rounding,
     }
-    return _worst("camera", shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
+    return worst_of("camera", shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
 
 
 # A direction goes through an orthobasis (three unit vectors of 4 roundings each), a position on the film (4), a sine
@@ -85,7 +85,7 @@ def check_sensor(scene: Scene, witness: Witness) -> SceneCheck:
         end = along + answer.sensor_t_max.astype(np.float64)
         with np.errstate(invalid="ignore"):  # a far plane at infinity is beyond every bound
             shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
-    return _worst("sensor", shares, np.ones(len(d), bool), scene)
+    return worst_of("sensor", shares, np.ones(len(d), bool), scene)
 
 
 SAMPLE = 1 << 24  # rays times primitives that are tried without any culling
@@ -98,13 +98,13 @@ def check_culling(scene: Scene) -> SceneCheck:
     rays = camera_rays(scene)
     judged = look_along(scene, pack(scene, as_given), rays, np.zeros(len(rays.o)))
     planned, tree = render(scene, names), evaluate(judged, names, film_window(scene))
-    differs = np.any([_bits_differ(planned, tree, name) for name in names], axis=0)
+    differs = np.any([bits_differ(planned, tree, name) for name in names], axis=0)
     rows = _sample(len(rays.o), int(judged.packed.first[-1]))
     obvious = find_nearest(judged.packed, type(rays)(*(a[rows] for a in rays)), "everything")
     found = judged.nearest
     differs[rows] |= (obvious.t != found.t[rows]) | (obvious.prim != found.prim[rows])
     shares = {"bits": np.where(differs, np.inf, 0.0)}
-    return _worst("culling", shares, np.ones(len(differs), bool), scene)
+    return worst_of("culling", shares, np.ones(len(differs), bool), scene)
 
 
 def _sample(rays: int, prims: int) -> np.ndarray:
@@ -113,49 +113,10 @@ def _sample(rays: int, prims: int) -> np.ndarray:
     return np.sort(np.random.default_rng(1).choice(rays, count, replace=False))
 
 
-def check_clip(scene: Scene) -> SceneCheck:
-    """What `render` hits lies between the clip planes; the pixels do not show it: their rays start at the near one."""
-    depth = flat(render(scene, ("depth",)), "depth")
-    x, y = pixel_centers(scene)
-    limits = camera_reference(scene.camera).rays(scene.camera, scene.film, x, y)
-    slack = 1.0 + CAMERA_ROUNDINGS * KU_OURS
-    hit = np.isfinite(depth)
-    beyond = hit & (depth > limits.t_max * slack)
-    before = hit & (depth * slack < limits.t_min)
-    shares = {
-        name: np.where(bad, np.inf, 0.0) for name, bad in (("before near", before), ("beyond far", beyond))
-    }
-    return _worst("clip", shares, hit, scene)
-
-
-def _bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
-    rows, others = flat(a, name), flat(b, name)
-    different = rows.view(f"u{rows.itemsize}") != others.view(f"u{rows.itemsize}")
-    return different if different.ndim == 1 else different.any(axis=1)
-
-
-def pixel_centers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """x and y of the window's pixel centres, row by row."""
-    x0, y0, x1, y1 = scene.film.crop or (0, 0, scene.film.width, scene.film.height)
-    y, x = np.meshgrid(np.arange(y0, y1) + 0.5, np.arange(x0, x1) + 0.5, indexing="ij")
-    return x.ravel(), y.ravel()
-
-
 def _relative(ours: np.ndarray, expected: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
         error = np.abs(ours - expected) / np.maximum(np.abs(expected), np.finfo(np.float64).tiny)
     return np.where(ours == expected, 0.0, error)
-
-
-def _worst(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> SceneCheck:
-    """The largest share of all, and the pixel it is at."""
-    table = np.array([np.where(among, share_of_bound(share, np.ones(1)), 0.0) for share in shares.values()])
-    if not table.size:
-        return SceneCheck(name, 0.0, "nothing to look at")
-    part, pixel = np.unravel_index(int(np.argmax(table)), table.shape)
-    x0, y0, x1, _y1 = scene.film.window
-    x, y = x0 + int(pixel) % (x1 - x0), y0 + int(pixel) // (x1 - x0)
-    return SceneCheck(name, float(table[part, pixel]), f"{list(shares)[int(part)]} at ({x}, {y})")
 
 
 CHECKS_WITHOUT_REFERENCE: tuple[Callable[[Scene], SceneCheck], ...] = (
@@ -163,6 +124,6 @@ CHECKS_WITHOUT_REFERENCE: tuple[Callable[[Scene], SceneCheck], ...] = (
     check_geometry,
     check_materials,
     check_camera,
-    check_clip,
+    check_render,
     check_culling,
 )

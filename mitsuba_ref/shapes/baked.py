@@ -8,15 +8,15 @@ from typing import Any
 
 from caster.fields import Shape
 from caster.packing import Triangles
-from mitsuba_ref.placed import mesh
+from mitsuba_ref.placed import Placed, mesh
 from mitsuba_ref.shape_reference import ShapeReference
 from mitsuba_ref.shapes.triangles import MODEL
 from mitsuba_ref.xml import Writer, XmlElement
 
 
-def baked(describes: type[Shape]) -> ShapeReference:
+def baked(describes: type[Shape], placed: Placed = mesh) -> ShapeReference:
     """A shape of triangles that goes to Mitsuba as a PLY file."""
-    return ShapeReference(describes, mesh_to_xml, {Triangles: MODEL}, mesh)
+    return ShapeReference(describes, mesh_to_xml, {Triangles: MODEL}, placed)
 
 
 def mesh_to_xml(out: Writer, shape: Any, part: Any) -> list[XmlElement]:

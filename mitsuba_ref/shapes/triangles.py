@@ -23,7 +23,7 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
     """Ray i with triangle k[i], by its plane and its three edge functions."""
     corners = [prims.vertices[prims.faces[k, j]] for j in range(3)]
     a, b, c = (corner - o for corner in corners)
-    across = np.cross(b - a, c - a)
+    across = np.cross(corners[1] - corners[0], corners[2] - corners[0])  # b - a would carry the rounding of o
     area = norm(across)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         edges, edge_errors = _edge_functions(a, b, c, d, ku)

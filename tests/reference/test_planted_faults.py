@@ -422,7 +422,7 @@ FAULTS = (
     Fault(
         "clip planes ignored by what is hit",
         "near-far-clip",
-        "clip",
+        "render",
         ROOTS,
         "if near > t_min",
         "if near > 0.0",
@@ -603,6 +603,73 @@ FAULTS = (
         SCREEN,
         "t = intersect(prims, pre, row(rays.d, i), rays.t_min[i])",
         "t = intersect(prims, pre, row(rays.d, i), 0.0)",
+    ),
+    Fault(
+        "far counted from the near plane, so that nothing is hit",
+        "near-far-clip",
+        "render",
+        SCREEN,
+        "t = intersect(prims, pre, row(rays.d, i), rays.t_min[i])\n"
+        "                keep_nearer(nearest, i, t, ids[k], rays.t_max[i])",
+        "t = intersect(prims, pre, row(rays.d, i), rays.t_min[i])\n"
+        "                keep_nearer(nearest, i, t, ids[k], rays.t_max[i] - rays.t_min[i])",
+    ),
+    Fault(
+        "render without lights",
+        "one-sphere",
+        "render",
+        "caster/rendering.py",
+        "nearest = find_nearest(packed, rays, culling, threads)\n    return View(scene, packed",
+        "nearest = find_nearest(packed, rays, culling, threads)\n"
+        "    return View(scene.model_copy(update={'lights': ()}), packed",
+    ),
+    Fault(
+        "triangles reversed",
+        "triangles",
+        "geometry",
+        "caster/shapes/triangle.py",
+        "[[0, 1, 2]]",
+        "[[0, 2, 1]]",
+    ),
+    Fault(
+        "a rectangle half as large",
+        "flat-shapes",
+        "geometry",
+        "caster/shapes/rectangle.py",
+        "return Mesh(CORNERS,",
+        "return Mesh(0.5 * CORNERS,",
+    ),
+    Fault(
+        "a cube inside out",
+        "closest-of-several",
+        "geometry",
+        "caster/shapes/cube.py",
+        "faces.reshape(-1, 3), None",
+        "faces.reshape(-1, 3)[:, ::-1], None",
+    ),
+    Fault(
+        "normals in float32",
+        "one-sphere",
+        "normal",
+        "caster/aovs/normal.py",
+        "return view.surfaces.n",
+        "return view.surfaces.n.astype(np.float32).astype(float)",
+    ),
+    Fault(
+        "a mask turned round",
+        "one-sphere",
+        "mask",
+        "caster/aovs/hit.py",
+        "return view.hit",
+        "return (~view.hit)",
+    ),
+    Fault(
+        "prim_id that counts from one",
+        "cornell-box",
+        "shape_id",
+        "caster/aovs/prim_id.py",
+        "return view.prim_id",
+        "return view.prim_id + view.hit.astype(np.int32)",
     ),
     Fault(
         "pictures of primitives too narrow", "triangles", "culling", SCREEN, "MARGIN = 1.0", "MARGIN = -2.0"
