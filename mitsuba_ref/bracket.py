@@ -1,7 +1,7 @@
 """The bracket: which answers along a ray rounding allows, all primitives considered (docs/method.md, "Visibility").
 
-A primitive is possible where some numbers within the bound hit it, certain where all do. The nearest hit lies between
-LO, the earliest that a possible one may come, and HI, the latest that a certain one may come.
+A primitive is possible where some numbers within the bound hit it, certain where all do. The nearest hit is one of a
+possible primitive, and comes no later than the latest that a certain one may come.
 """
 
 from typing import NamedTuple
@@ -21,18 +21,14 @@ class Claims(NamedTuple):
     n: np.ndarray  # (n, 3)
     sh_n: np.ndarray  # (n, 3)
     p: np.ndarray  # (n, 3)
-    t_off: float | np.ndarray = (
-        0.0  # (n,) how far t is off by itself, having been worked out from something else
-    )
+    t_off: float | np.ndarray = 0.0  # (n,) how far t is off by itself, worked out from something else
 
 
 class Finding(NamedTuple):
     """Of each ray: whether rounding allows the claim, and whether the claim cannot be tested."""
 
     allowed: np.ndarray  # (n,) bool
-    open: (
-        np.ndarray
-    )  # (n,) bool: the claim names a surface seen so nearly edge-on that nobody can say where it is hit
+    open: np.ndarray  # (n,) bool: it names a surface so nearly edge-on that nobody can say where it is hit
 
 
 class Found(NamedTuple):

@@ -21,7 +21,6 @@ from mitsuba_ref.verdict import AGREE, CLASSES, EXPLAINED, OUT_OF_DOMAIN, UNDECI
 CODE = {name: code for code, name in enumerate(CLASSES)}
 EXCUSED = [CODE[EXPLAINED], CODE[OUT_OF_DOMAIN]]
 
-
 SAMPLE = 4096  # agreeing pixels of a scene whose shadows are held to float64's bracket: a tenth of a second
 
 # Where normals are not bounded any closer than this, float32 says nothing useful of the pixel: an angle of 3.6 degrees.
@@ -57,9 +56,8 @@ class Judge:
         self.scene, self.model, self.pair = scene, model, pair
         self.o, self.d = pair.rays.o.astype(np.float64), pair.rays.d.astype(np.float64)
         self.bounds = bounds_of(model, pair.prim, self.o, self.d, pair.t)
-        self.contradictions = contradictions(
-            scene, model.packed, pair
-        )  # no rounding excuses a picture that contradicts itself
+        # No rounding excuses a picture that contradicts itself.
+        self.contradictions = contradictions(scene, model.packed, pair)
         self.coherent = ~np.any(list(self.contradictions.values()), axis=0)
 
     @cached_property
@@ -99,15 +97,12 @@ class Judge:
         o, d, t_max = self.o[rows], self.d[rows], self.pair.rays.t_max[rows].astype(np.float64)
         ours = self.ours.judge(o, d, t_max, self._claims(self.pair.ours, self.pair.t, rows))
         theirs = self.theirs.judge(o, d, t_max, self._claims(self.pair.reference, self.pair.witness.t, rows))
-        fine, beyond = (
-            ours.allowed | ours.open,
-            self.pair.ours.hit.ravel()[rows] & ~self.bounds.resolved[rows],
-        )
+        fine = ours.allowed | ours.open
+        beyond = self.pair.ours.hit.ravel()[rows] & ~self.bounds.resolved[rows]
         classes = np.full(len(rows), CODE[UNDECIDED])
-        classes[fine & theirs.open] = CODE[OUT_OF_DOMAIN]
-        classes[fine & theirs.allowed] = np.where(vague | beyond, CODE[OUT_OF_DOMAIN], CODE[EXPLAINED])[
-            fine & theirs.allowed
-        ]
+        classes[fine & theirs.allowed] = CODE[EXPLAINED]
+        unknowable = (theirs.open & ~theirs.allowed) | (theirs.allowed & (vague | beyond))
+        classes[fine & unknowable] = CODE[OUT_OF_DOMAIN]
         return classes, ~fine
 
     def _claims(self, aovs: Aovs, t: np.ndarray, rows: np.ndarray) -> Claims:

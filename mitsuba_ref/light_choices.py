@@ -53,5 +53,6 @@ def _share(
 ) -> np.ndarray:
     total = fixed + np.where(switched, choices.second, choices.first).sum(axis=0)
     error = np.where(switched, choices.second_error, choices.first_error).sum(axis=0)
-    share = share_of_bound(np.abs(ours - total), error + ku * (fixed + total))
+    rounded = ku * (fixed + total)  # the ambient light's own product, and the sum
+    share = share_of_bound(np.abs(ours - total), error + rounded)
     return np.asarray(share.max(axis=1, initial=0.0))

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from caster.aovs import BY_NAME
 from caster.rendering import Aovs
 from mitsuba_ref.bounds import Bounds
 
@@ -34,11 +33,12 @@ class Pixels:
         ours, reference = self.hits
         return ours & reference
 
-    def where_both_hit(self, name: str, share: np.ndarray) -> np.ndarray:
-        """(n,) the share of an AOV's bound; elsewhere 0, and inf where ours is a miss that holds a value."""
-        values = flat(self.ours, name)
-        holds = (values != BY_NAME[name].MISS).reshape(len(share), -1).any(axis=1)
-        return np.where(self.both_hit, share, np.where(holds & ~self.hits[0], np.inf, 0.0))
+    def held_twice(self, name: str, bound: np.ndarray, own: np.ndarray, own_bound: np.ndarray) -> np.ndarray:
+        """(n,) where both hit, the larger of two shares of bounds: ours from the reference, and ours from our own
+        primitive's value (n, 3); 0 elsewhere."""
+        share = share_of_bound(apart(*self.pair(name)), bound)
+        alone = share_of_bound(apart(flat(self.ours, name), own), own_bound)
+        return np.where(self.both_hit, np.maximum(share, alone), 0.0)
 
 
 def flat(aovs: Aovs, name: str) -> np.ndarray:

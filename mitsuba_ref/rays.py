@@ -26,4 +26,5 @@ def share(scene: Scene) -> SharedRays:
 
 
 def _float32(a: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(a, np.float32)
+    with np.errstate(over="ignore"):  # what is beyond float32 becomes inf, and the caster refuses it
+        return np.ascontiguousarray(a, np.float32)

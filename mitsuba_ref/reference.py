@@ -54,7 +54,8 @@ class Witness:
         return np.where(self.visible[..., None], self.unshadowed, 0.0).sum(axis=0) + self.ambient
 
 
-def wants_light(scene: Scene, aovs: Sequence[str]) -> bool:
+def wants_light(aovs: Sequence[str]) -> bool:
+    """Whether these AOVs need Mitsuba's lights or materials."""
     return "diffuse" in aovs or "albedo" in aovs
 
 

@@ -19,7 +19,7 @@ def render_reference(
     """(images as `caster.render` gives them, versions), or how Mitsuba ended."""
     rays = share(scene)
     model = model_of(scene, pack(scene, as_float32), rays)
-    witness = consult(scene, model, rays, variant=variant, lights=wants_light(scene, aovs), timeout=timeout)
+    witness = consult(scene, model, rays, variant=variant, lights=wants_light(aovs), timeout=timeout)
     if isinstance(witness, Crash):
         return witness
     window = film_window(scene)

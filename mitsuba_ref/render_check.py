@@ -1,7 +1,7 @@
 """`render`, which is what users get, against the way that pixels are judged.
 
 Judged rays start at the near plane and have no least t; those of `render` start in the eye. Without a near plane the
-two are the same rays, and have to give the same bits. With one, the float64 bracket says what either may give.
+two are the same rays, and check_culling demands the same bits. With one, the float64 bracket says what either may give.
 """
 
 import numpy as np
@@ -28,6 +28,8 @@ SAMPLE = 4096  # pixels that are judged where bits may differ: a few tenths of a
 def check_render(scene: Scene) -> SceneCheck:
     """What `render` gives is what the judged rays give: the same bits, or where they cannot be, right by float64."""
     rays = camera_rays(scene)
+    if not (rays.t_min > 0.0).any():
+        return SceneCheck("render", 0.0, "no near plane: the rays are those that culling is checked on")
     o = rays.o + rays.t_min[:, None] * rays.d
     left = np.where(rays.t_max < 0.0, -1.0, rays.t_max - rays.t_min)
     judged = trace(scene, o, rays.d, left, rays.t_min, rounded=as_given)

@@ -94,7 +94,7 @@ SAMPLE = 1 << 24  # rays times primitives that are tried without any culling
 def check_culling(scene: Scene) -> SceneCheck:
     """`render`, as it is planned for this scene, against the way that pixels are judged, and a sample of rays against
     every primitive there is: the same bits."""
-    names = ("depth", "normal", "shading_normal", "position", "shape_id", "prim_id")
+    names = ("depth", "normal", "shading_normal", "position", "shape_id", "prim_id", "diffuse")
     rays = camera_rays(scene)
     judged = look_along(scene, pack(scene, as_given), rays, np.zeros(len(rays.o)))
     planned, tree = render(scene, names), evaluate(judged, names, film_window(scene))

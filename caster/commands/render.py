@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -83,11 +84,11 @@ def cropped(scene: Scene, crop: list[int] | None) -> Scene:
         return scene.with_film(crop=crop)
 
 
-def write(output: str, scene: Scene, images: Aovs, path: str) -> None:
-    """The file: channels, where they lie on the film, and where they come from."""
+def write(output: str, scene: Scene, images: Aovs, path: str, more: Mapping[str, str] = {}) -> None:
+    """The file: channels, where they lie on the film, and where they come from; more: about that."""
     from caster.channels import channels_of, provenance
     from caster.exr import write_exr
 
     film = (0, 0, scene.film.width, scene.film.height)
-    about = provenance(scene, __version__, path)
+    about = {**provenance(scene, __version__, path), **more}
     write_exr(output, channels_of(images), about, data_window=scene.film.window, display_window=film)

@@ -17,4 +17,4 @@ def ratio(pixels: Pixels) -> np.ndarray:
     bound = pixels.bounds.at.t_error * pixels.length + KU_OURS * np.abs(ours)
     with np.errstate(invalid="ignore"):
         error = np.abs(ours - reference)
-    return pixels.where_both_hit(NAME, share_of_bound(error, bound))
+    return np.where(pixels.both_hit, share_of_bound(error, bound), 0.0)

@@ -6,14 +6,12 @@ not of unit length, or turned round, differs by far more.
 
 import numpy as np
 
-from mitsuba_ref.pixels import Pixels, apart, flat, share_of_bound
+from mitsuba_ref.pixels import Pixels
 
 NAME = "shading_normal"
 
 
 def ratio(pixels: Pixels) -> np.ndarray:
-    """The larger of both differences over its bound, where both hit; what we say on a miss has to be nothing."""
+    """(n,) the larger of both differences over its bound."""
     own, at = pixels.bounds.own, pixels.bounds.at
-    share = share_of_bound(apart(*pixels.pair(NAME)), at.sh_error)
-    alone = share_of_bound(apart(flat(pixels.ours, NAME), own.sh_n), own.sh_error)
-    return pixels.where_both_hit(NAME, np.maximum(share, alone))
+    return pixels.held_twice(NAME, at.sh_error, own.sh_n, own.sh_error)

@@ -3,31 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-from caster import __version__
+from caster.commands.render import AOVS, DEFAULT, check_suffix, write
 from caster.commands.scene_arguments import add_scene, load
 from caster.exits import DIFFERENCES, OK
 from caster.wording import SceneError, suggestion
 
-if TYPE_CHECKING:
-    from caster.rendering import Aovs
-    from caster.scene import Scene
-
 HELP = "render a scene with Mitsuba to an EXR file, along the rays that our caster traces"
-KNOWN = [
-    "hit",
-    "depth",
-    "normal",
-    "shading_normal",
-    "position",
-    "uv",
-    "albedo",
-    "diffuse",
-    "shape_id",
-    "prim_id",
-]
-DEFAULT = "hit,depth,normal,position,diffuse"  # as `caster render`, so that `compare` finds the same channels
+KNOWN = AOVS.split(", ")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +34,6 @@ def run(args: argparse.Namespace) -> int:
 
         checked(args.variant, "--variant")
     scene = load(args)
-    from caster.commands.render import check_suffix
     from caster.whole_files import check_writable
     from mitsuba_ref.jobs import Crash
     from mitsuba_ref.reference_render import render_reference
@@ -62,19 +44,10 @@ def run(args: argparse.Namespace) -> int:
     if isinstance(rendered, Crash):
         print(f"{args.scene}: Mitsuba ended without an answer ({rendered.exit}): {rendered.words}")
         return DIFFERENCES
-    write(args.output, scene, *rendered, path=args.scene)
-    height, width = rendered[0].hit.shape
-    print(f"{args.output}: {width} x {height} pixels, {int(rendered[0].hit.sum())} hit; {', '.join(names)}")
-    print(", ".join(f"{name} {version}" for name, version in rendered[1].items()))
+    images, versions = rendered
+    more = {f"caster/reference/{name}": version for name, version in versions.items()}
+    write(args.output, scene, images, args.scene, more)
+    height, width = images.hit.shape
+    print(f"{args.output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(names)}")
+    print(", ".join(f"{name} {version}" for name, version in versions.items()))
     return OK
-
-
-def write(output: str, scene: Scene, images: Aovs, versions: dict[str, str], *, path: str) -> None:
-    """The file: channels, where they lie on the film, and where they come from."""
-    from caster.channels import channels_of, provenance
-    from caster.exr import write_exr
-
-    about = provenance(scene, __version__, path)
-    about |= {f"caster/reference/{name}": version for name, version in versions.items()}
-    film = (0, 0, scene.film.width, scene.film.height)
-    write_exr(output, channels_of(images), about, data_window=scene.film.window, display_window=film)

@@ -617,7 +617,7 @@ FAULTS = (
     Fault(
         "render without lights",
         "one-sphere",
-        "render",
+        "culling",
         "caster/rendering.py",
         "nearest = find_nearest(packed, rays, culling, threads)\n    return View(scene, packed",
         "nearest = find_nearest(packed, rays, culling, threads)\n"

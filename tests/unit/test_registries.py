@@ -13,7 +13,7 @@ from mitsuba_ref.model import missing_reference, reference_of
 from mitsuba_ref.pair import COMPARED
 from mitsuba_ref.reference import GIVEN
 
-# AOVs that no check of `validate` looks at, and why.
+# AOVs that are not compared with the reference, and why; all but uv have to follow from our own hits (coherence.py).
 NOT_COMPARED = {
     "uv": "no picture that is compared depends on it",
     "prim_id": "triangles of one edge may both be right, so the shape is compared, and the surface hit",
