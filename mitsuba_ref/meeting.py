@@ -1,9 +1,11 @@
 """The error model's currency: where a ray meets a primitive, and how far float32 arithmetic may put it elsewhere."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from mitsuba_ref.exact_arithmetic.kind import ExactKind, Unfold
 
 # Unit round-off of float32, in which Mitsuba computes.
 U = 2.0**-24
@@ -53,6 +55,8 @@ class ErrorModel(NamedTuple):
     meet: Meet  # the reference's primitive, or what stands in for it
     bounds: Callable[[Any], tuple[np.ndarray, np.ndarray]]  # prims -> low, high corners (n, 3) of their boxes
     meet_ours: Meet | None = None  # our own primitive, where the reference's is a stand-in
+    exact: ExactKind | None = None  # our own primitive in whole numbers, for the oracle
+    unfold: Mapping[type, Unfold] | None = None  # arrays that stand in for it -> primitives that have an `exact`
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from caster.shapes.cylinder import Cylinder, Cylinders
+from mitsuba_ref.exact_arithmetic.round import CYLINDERS
 from mitsuba_ref.meeting import ErrorModel, Meetings, U, dot, norm, position_error, transformed
 from mitsuba_ref.placed import tube
 from mitsuba_ref.shape_reference import ShapeReference
@@ -71,5 +72,5 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
 
 
 REFERENCE = ShapeReference(
-    Cylinder, to_xml, {Cylinders: ErrorModel(meet, affine_bounds)}, tube, analytic=True
+    Cylinder, to_xml, {Cylinders: ErrorModel(meet, affine_bounds, exact=CYLINDERS)}, tube, analytic=True
 )

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from caster.shapes.disk import Disk, Disks
+from mitsuba_ref.exact_arithmetic.flat import DISKS
 from mitsuba_ref.meeting import ErrorModel, Meetings, norm, position_error, somewhere
 from mitsuba_ref.placed import disk
 from mitsuba_ref.shape_reference import ShapeReference
@@ -39,4 +40,6 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
     return (Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error),)
 
 
-REFERENCE = ShapeReference(Disk, to_xml, {Disks: ErrorModel(meet, affine_bounds)}, disk, analytic=True)
+REFERENCE = ShapeReference(
+    Disk, to_xml, {Disks: ErrorModel(meet, affine_bounds, exact=DISKS)}, disk, analytic=True
+)

@@ -11,6 +11,7 @@ import numpy as np
 
 from caster.packing import Triangles
 from caster.shapes.plane import Plane, Planes
+from mitsuba_ref.exact_arithmetic.flat import PLANES
 from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error, somewhere, unit
 from mitsuba_ref.placed import plane
 from mitsuba_ref.shape_reference import ShapeReference
@@ -175,6 +176,10 @@ def bounds(prims: Patches) -> tuple[np.ndarray, np.ndarray]:
     return -everywhere, everywhere
 
 
-REFERENCE = ShapeReference(
-    Plane, to_xml, {Planes: ErrorModel(meet, bounds, meet_ours)}, plane, stand_in=patches
-)
+def unfolded(prims: Patches) -> tuple[Triangles, np.ndarray]:
+    """The triangles of all patches, and whose each is."""
+    return as_triangles(prims), np.repeat(np.arange(len(prims.corners)), len(FACES))
+
+
+MODEL = ErrorModel(meet, bounds, meet_ours, exact=PLANES, unfold={Patches: unfolded})
+REFERENCE = ShapeReference(Plane, to_xml, {Planes: MODEL}, plane, stand_in=patches)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from caster.shapes.sphere import Ellipsoids, Sphere, Spheres
+from mitsuba_ref.exact_arithmetic.round import ELLIPSOIDS, SPHERES
 from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error, transformed
 from mitsuba_ref.placed import ball
 from mitsuba_ref.shape_reference import ShapeReference
@@ -89,8 +90,8 @@ REFERENCE = ShapeReference(
     Sphere,
     to_xml,
     {
-        Spheres: ErrorModel(meet, ball_bounds),
-        Ellipsoids: ErrorModel(meet_ellipsoid, affine_bounds),
+        Spheres: ErrorModel(meet, ball_bounds, exact=SPHERES),
+        Ellipsoids: ErrorModel(meet_ellipsoid, affine_bounds, exact=ELLIPSOIDS),
     },
     ball,
     analytic=True,

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from mitsuba_ref.exact_arithmetic.triangles import TRIANGLES
 from mitsuba_ref.meeting import (
     LARGEST_COORDINATE,
     ErrorModel,
@@ -166,4 +167,4 @@ def bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     return corners.min(axis=1), corners.max(axis=1)
 
 
-MODEL = ErrorModel(meet, bounds)
+MODEL = ErrorModel(meet, bounds, exact=TRIANGLES)

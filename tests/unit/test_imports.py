@@ -31,6 +31,9 @@ PLUGGED_IN = {
     "aovs": ("caster.fields", "caster.view", "caster.lights"),  # a view: rays, hits and surfaces of one scene
 }
 
+# What the oracle takes from the rest of the tree: the packed arrays' own record, and the registry of its arithmetic.
+ORACLE = ("caster.packing.Packed", "mitsuba_ref.exact_arithmetic", "mitsuba_ref.shapes.REFERENCES")
+
 
 class Rule(NamedTuple):
     """Modules under `where` import nothing of `never`, and if there is an `only`, nothing else."""
@@ -73,7 +76,12 @@ RULES = (
     Rule(
         "mitsuba_ref.exact",
         "an oracle shares no code with what it judges",
-        only=(*STDLIB, "flint", "mitsuba_ref.exact"),
+        only=(*STDLIB, "numpy", *ORACLE),
+    ),
+    Rule(
+        "mitsuba_ref.exact_arithmetic",
+        "exact arithmetic takes whole numbers, fractions and arrays, and shares no code with what it judges",
+        only=(*STDLIB, "numpy", "mitsuba_ref.exact_arithmetic"),
     ),
 )
 
@@ -186,6 +194,11 @@ def test_the_walk_reads_the_whole_tree():
         ("mitsuba_ref/worker.py", "import drjit", "only mitsuba_ref/door.py"),
         ("mitsuba_ref/render.py", "import OpenEXR", "caster's business"),
         ("mitsuba_ref/exact.py", "from caster.mesh import Mesh", "shares no code"),
+        ("mitsuba_ref/exact.py", "from caster.packing import joined", "shares no code"),
+        ("mitsuba_ref/exact.py", "from mitsuba_ref.candidates import Candidates", "shares no code"),
+        ("mitsuba_ref/exact_arithmetic/root.py", "from caster.packing import Packed", "shares no code"),
+        ("mitsuba_ref/exact_arithmetic/root.py", "from mitsuba_ref.meeting import dot", "shares no code"),
+        ("mitsuba_ref/exact_arithmetic/root.py", "import flint", "shares no code"),
     ],
 )
 def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, source, says):
@@ -204,7 +217,8 @@ def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, sourc
         ("caster/shapes/disk.py", "from caster.fields import Shape\nfrom caster.kernels.vec import dot"),
         ("mitsuba_ref/door.py", "import drjit\nimport mitsuba"),
         ("mitsuba_ref/xml.py", "from caster import Scene\nfrom caster.shapes.disk import Disk"),
-        ("mitsuba_ref/exact.py", "import fractions"),
+        ("mitsuba_ref/exact.py", "import fractions\nfrom mitsuba_ref.exact_arithmetic.root import Root"),
+        ("mitsuba_ref/exact_arithmetic/box_tree.py", "import math\nimport numpy as np"),
     ],
 )
 def test_an_import_the_rules_allow_is_left_alone(tmp_path, path, source):
