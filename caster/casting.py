@@ -10,7 +10,7 @@ import numpy as np
 
 from caster.kernels.bvh import LEAF_SIZE, cast_bvh
 from caster.kernels.everything import cast_everything
-from caster.kernels.nearest import Nearest, Rays, no_hits
+from caster.kernels.nearest import Nearest, Rays, Sketch, exact_hit, merge, no_hits, precedes
 from caster.kernels.screen import Window, cast_own_origins, cast_shared_origin, find_spans
 from caster.packing import Kind, Packed
 
@@ -50,40 +50,97 @@ def finish(pool: ThreadPoolExecutor, futures: Iterable[Future[None]]) -> None:
 
 def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None) -> Nearest:
     """The nearest hit of any rays."""
-    nearest = no_hits(len(rays.t_min))
-    for kind in packed.kinds:
+
+    def search(kind: Kind, found: Sketch) -> None:
         cast = _by_tree if culling == "bvh" and worth_a_tree(kind) else _by_everything
-        in_bands(cast(kind, rays, nearest), len(rays.t_min), threads)
-    return nearest
+        in_bands(cast(kind, rays, found), len(rays.t_min), threads)
+
+    return _over_kinds(packed, rays, search, threads)
 
 
 def worth_a_tree(kind: Kind) -> bool:
     return kind.bounded and len(kind.ids) > LEAF_SIZE
 
 
-def _by_everything(kind: Kind, rays: Rays, nearest: Nearest) -> Callable[[int, int], None]:
-    return lambda start, stop: cast_everything(kind.prims, kind.ids, rays, nearest, start, stop)
+def _by_everything(kind: Kind, rays: Rays, found: Nearest | Sketch) -> Callable[[int, int], None]:
+    return lambda start, stop: cast_everything(kind.prims, len(kind.ids), rays, found, start, stop)
 
 
-def _by_tree(kind: Kind, rays: Rays, nearest: Nearest) -> Callable[[int, int], None]:
+def _by_tree(kind: Kind, rays: Rays, found: Nearest | Sketch) -> Callable[[int, int], None]:
     tree = kind.tree
-    return lambda start, stop: cast_bvh(kind.prims, kind.ids, tree, rays, nearest, (start, stop))
+    return lambda start, stop: cast_bvh(kind.prims, tree, rays, found, (start, stop))
 
 
 def find_nearest_on_film(
     packed: Packed, rays: Rays, camera: Any, window: Window, shares_origin: bool, threads: int | None = None
 ) -> Nearest:
     """The nearest hit of a camera's own rays, primitive by primitive over the pixels of its picture."""
-    nearest = no_hits(len(rays.t_min))
     cast = cast_shared_origin if shares_origin else cast_own_origins
     origin = float(np.abs(rays.o).max(initial=0.0))
-    for kind in packed.kinds:
+
+    def search(kind: Kind, found: Sketch) -> None:
         slack = kind.reach * (origin + kind.extent) if kind.bounded else 0.0
         spans = np.empty((len(kind.ids), 4), np.int32)
         find_spans(kind.prims, camera, window, spans, slack)
+        in_bands(
+            lambda start, stop: cast(kind.prims, spans, rays, found, (window.width, start, stop)),
+            window.height,
+            threads,
+        )
 
-        def work(start: int, stop: int, kind: Kind = kind, spans: np.ndarray = spans) -> None:
-            cast(kind.prims, kind.ids, spans, rays, nearest, (window.width, start, stop))
+    return _over_kinds(packed, rays, search, threads)
 
-        in_bands(work, window.height, threads)
+
+def _over_kinds(
+    packed: Packed, rays: Rays, search: Callable[[Kind, Sketch], None], threads: int | None
+) -> Nearest:
+    """The nearest hit among all kinds; search(kind, found) goes through one. Doubtful rays are cast once more."""
+    nearest, doubt = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
+    for kind in packed.kinds:
+        search(kind, Sketch(*nearest, doubt, kind.ids))
+    rows = np.flatnonzero(doubt)
+    if len(rows):
+        exact = decide(packed, Rays(*(a[rows] for a in rays)), threads)
+        for everywhere, here in zip(nearest, exact, strict=True):
+            everywhere[rows] = here
     return nearest
+
+
+def _beyond(nearest: Nearest) -> Nearest:
+    """Nothing found yet, but what is sure to lie behind these hits need not be."""
+    found = no_hits(len(nearest.t))
+    np.add(nearest.t, nearest.off, out=found.t)
+    return found
+
+
+# For fewer rays than this, trying every primitive takes less time than growing a tree that is not there yet.
+WORTH_GROWING = 64
+
+
+def decide(packed: Packed, rays: Rays, threads: int | None = None) -> Nearest:
+    """The nearest hits of rays, found exactly wherever float64 cannot tell."""
+    count = len(rays.t_min)
+    nearest = no_hits(count)
+    for kind in packed.kinds:
+        found, contested = _beyond(nearest), np.zeros(count, bool)
+        tree = worth_a_tree(kind) and (count > WORTH_GROWING or kind.has_tree)
+        cast = _by_tree if tree else _by_everything
+        in_bands(cast(kind, rays, found), count, threads)
+        merge(nearest, found, kind.ids, contested, 0, count)
+        for i in np.flatnonzero(contested):
+            _decide_between(packed, kind, rays, nearest, found, int(i))
+    return nearest
+
+
+def _decide_between(packed: Packed, kind: Kind, rays: Rays, nearest: Nearest, found: Nearest, i: int) -> None:
+    """Which of two kinds' nearest primitives comes first along ray i."""
+    k, held = int(found.prim[i]), int(nearest.prim[i])
+    if held < 0 or _precedes(packed, rays, i, (kind, k), held):
+        nearest.t[i], nearest.prim[i], nearest.off[i] = found.t[i], kind.ids[k], found.off[i]
+
+
+def _precedes(packed: Packed, rays: Rays, i: int, place: tuple[Kind, int], held: int) -> bool:
+    """Whether the primitive at a place comes before the one numbered `held`, exactly."""
+    (kind, k), (other, j) = place, packed.place_of(held)
+    mine, theirs = exact_hit(kind.prims, k, rays, i), exact_hit(other.prims, j, rays, i)
+    return precedes(mine, int(kind.ids[k]), theirs, held)

@@ -6,6 +6,7 @@ import numpy as np
 
 from caster.aovs import AOVS
 from caster.exr import NO_ID
+from caster.left_out import in_words
 from caster.rendering import Aovs
 from caster.scene import Scene
 
@@ -47,6 +48,8 @@ def _loaded(plane: np.ndarray) -> np.ndarray:
 def provenance(scene: Scene, version: str, path: str = "") -> dict[str, str]:
     """What the file says about itself, under caster/. path: the scene file, as its user named it."""
     named = {"caster/scene": path.encode(errors="replace").decode()} if path else {}
+    if words := in_words(scene):
+        named["caster/faces_never_hit"] = words
     return named | {
         "caster/version": version,
         "caster/scene_sha256": scene.sha256(),

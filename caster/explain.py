@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from caster.aovs import BY_NAME
 from caster.casting import Culling, worth_a_tree
+from caster.left_out import in_words
 from caster.packing import Kind
 from caster.plan import plan
 from caster.view import View
@@ -31,6 +32,8 @@ def _primitives(view: View) -> Iterator[tuple[str, str]]:
         yield "primitives", f"{type(kind.prims).__name__.lower()}, {len(kind.ids)}: {_way(kind, culling)}"
     if not view.packed.kinds:
         yield "primitives", "none: every ray misses"
+    if words := in_words(view.scene):
+        yield "never hit", words
 
 
 def _way(kind: Kind, culling: Culling) -> str:

@@ -32,10 +32,13 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     """The mean of the unit normals of the faces around each vertex, weighted by their angle there.
 
     vertices: (n, 3); faces: (m, 3) within range. Gives (n, 3) of unit length, (1, 0, 0) where no face with an
-    area touches the vertex. Call it on vertices in world space: angles change under a stretch.
+    area and finite corners touches the vertex. Call it on vertices in world space: angles change under a stretch.
     Source: Thuermer and Wuethrich, Computing Vertex Normals from Polygonal Facets (1998), as Mitsuba does.
     """
-    weighted = _weighted_normals(np.asarray(vertices, np.float64)[faces])
+    vertices = np.asarray(vertices, np.float64)
+    finite = np.isfinite(vertices[faces]).all(axis=(1, 2))
+    faces = faces[finite]
+    weighted = _weighted_normals(vertices[faces])
     owner = np.ravel(faces)
     sums = [np.bincount(owner, weighted[:, :, axis].ravel(), len(vertices)) for axis in range(3)]
     total = np.stack(sums, axis=1).astype(np.float64)
@@ -52,14 +55,14 @@ def unit_rows(vectors: Floats) -> Floats:
 
 
 def check_mesh(mesh: Mesh, where: str) -> None:
-    """Refuse a mesh that cannot be cast. Faces without an area pass: they are never hit.
+    """Refuse a mesh that cannot be cast. Faces without an area pass, and vertices that are not finite: such faces are
+    never hit (caster/left_out.py counts them).
 
     Raises SceneError that starts with `where` and names the first bad vertex, face or normal.
     """
     count = len(mesh.vertices)
     if len(mesh.faces) == 0:
         raise SceneError(f"{where}: the mesh has no faces: expected at least one, got {count} vertices only")
-    _check_finite(mesh.vertices, "vertex", where)
     _check_indices(mesh.faces, count, where)
     if mesh.normals is not None:
         _check_one_per_vertex(mesh.normals, count, "normals", where)

@@ -43,9 +43,13 @@ class Kind:
 
     @cached_property
     def reach(self) -> float:
-        """At which distance a ray may still count as a hit, as a share of |o| + extent."""
-        matrices = getattr(self.prims, "to_world", None)
-        return REACH if matrices is None else REACH * float(np.max(np.linalg.cond(matrices)))
+        """By how much boxes and rays are widened, as a share of |o| + extent."""
+        return REACH
+
+    @property
+    def has_tree(self) -> bool:
+        """Whether the tree has been grown already."""
+        return "tree" in vars(self)
 
     @cached_property
     def tree(self) -> Tree:
@@ -88,6 +92,11 @@ class Packed:
     def shape_of(self, prim: np.ndarray) -> np.ndarray:
         """Shape index of each primitive number, -1 for -1; int32."""
         return (np.searchsorted(self.first, prim, side="right") - 1).astype(np.int32)
+
+    def place_of(self, prim: int) -> tuple[Kind, int]:
+        """The kind that a primitive number belongs to, and its place within the kind."""
+        shape = int(self.shape_of(np.array(prim)))
+        return self.kinds[self.kind_of[shape]], int(prim - self.first[shape] + self.start[shape])
 
     def number_in_shape(self, prim: np.ndarray) -> np.ndarray:
         """Index within its shape of each primitive number, -1 for -1; int32."""

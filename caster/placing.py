@@ -8,6 +8,7 @@ either way.
 
 import math
 from collections.abc import Callable
+from fractions import Fraction
 
 import numpy as np
 
@@ -19,6 +20,11 @@ Rounding = Callable[[np.ndarray], np.ndarray]
 # A product of a dozen rotations and uniform scales leaves its columns orthogonal and equally long to about
 # 12 * 8 u of their length, u = 2^-53; a stretch anybody means is far larger.
 SIMILARITY_RTOL = 128 * 2.0**-53
+
+
+# Embree leaves out, silently, a triangle with a corner that is not finite or this far out (its FLT_LARGE). So do we,
+# and count it (left_out.py).
+LARGEST_COORDINATE = 1.844e18
 
 
 def as_given(numbers: np.ndarray) -> np.ndarray:
@@ -54,17 +60,43 @@ def affine_arrays(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(center, to_world, to_object) of one primitive, each with a leading axis of 1."""
     to_world = rounded(linear)
-    return rounded(center)[None], to_world[None], np.linalg.inv(to_world)[None]
+    return rounded(center)[None], to_world[None], inverse(to_world)[None]
+
+
+def inverse(m: np.ndarray) -> np.ndarray:
+    """The inverse of a 3x3 matrix, every entry rounded once. Raises LinAlgError where it has none in float64."""
+    if not np.isfinite(m).all():
+        raise np.linalg.LinAlgError("not finite")
+    rows = [[Fraction(x) for x in row] for row in m.tolist()]
+    cofactors = [
+        [rows[j - 2][i - 2] * rows[j - 1][i - 1] - rows[j - 2][i - 1] * rows[j - 1][i - 2] for j in range(3)]
+        for i in range(3)
+    ]
+    determinant = sum(rows[0][j] * cofactors[j][0] for j in range(3))
+    if determinant == 0:
+        raise np.linalg.LinAlgError("singular")
+    exact = [[x / determinant for x in row] for row in cofactors]
+    try:
+        rounded = np.array([[float(x) for x in row] for row in exact])
+    except OverflowError:
+        raise np.linalg.LinAlgError("too small to be inverted in float64") from None
+    if np.any((rounded == 0.0) & (np.array(exact) != 0)):
+        raise np.linalg.LinAlgError("too large to be inverted in float64")
+    return rounded
 
 
 def triangles(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_normals: bool) -> Triangles:
     """A mesh in world space. Where it has no normals and wants some, they are generated there.
 
     A mirrored matrix turns each face around, so that outside stays outside: normals travel by the inverse
-    transpose, for every shape.
+    transpose, for every shape. Faces that are left out stay as ones without area, so that the others keep their
+    numbers. Raises LinAlgError where no corner stays finite.
     """
-    vertices = rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+    vertices = placed_vertices(mesh, matrix, rounded)
+    if not np.isfinite(vertices).any():
+        raise np.linalg.LinAlgError("no corner is finite")
     faces = mesh.faces[:, [0, 2, 1]] if is_mirrored(matrix) else mesh.faces
+    vertices, faces = _sound(vertices, faces)
     normals = np.zeros((len(vertices), 3))
     if not face_normals:
         normals = rounded(_placed_normals(mesh, matrix, vertices, faces))
@@ -77,6 +109,29 @@ def triangles(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_normals: b
         np.full(len(faces), not face_normals),
         np.full(len(faces), mesh.uv is not None),
     )
+
+
+def placed_vertices(mesh: Mesh, matrix: np.ndarray, rounded: Rounding) -> np.ndarray:
+    """(n, 3) in world space; not finite where the mesh's are not, or where they get too large."""
+    with np.errstate(all="ignore"):
+        return rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def is_usable(vertices: np.ndarray) -> np.ndarray:
+    """(n,) bool: corners that a face may have."""
+    usable: np.ndarray = (np.abs(vertices) < LARGEST_COORDINATE).all(axis=1)  # false for NaN
+    return usable
+
+
+def _sound(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same with finite numbers: an unusable corner moves to one that is not, and its faces shrink to a point."""
+    usable = is_usable(vertices)
+    if usable.all():
+        return vertices, faces
+    place = int(np.argmax(usable))  # the first; any will do, since nothing can be hit there
+    stand_in = vertices[place] if usable[place] else np.zeros(3)
+    kept = usable[faces].all(axis=1, keepdims=True)
+    return np.where(usable[:, None], vertices, stand_in), np.where(kept, faces, place)
 
 
 def _placed_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

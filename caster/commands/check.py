@@ -22,6 +22,7 @@ def run(args: argparse.Namespace) -> int:
 
 def checked(path: str, mesh_dirs: list[str]) -> int:
     """Check one scene file, with its meshes."""
+    from caster.left_out import in_words
     from caster.packing import pack
     from caster.scene_files import load_scene
 
@@ -29,8 +30,11 @@ def checked(path: str, mesh_dirs: list[str]) -> int:
         scene = load_scene(path, mesh_dirs)
         with blamed_on(path):
             pack(scene)  # what is only seen when shapes are put into place
+            never_hit = in_words(scene)
     except SceneError as error:
         print(error)
         return error.exit_code
-    print(f"{path}: ok, {len(scene.shapes)} shapes")
+    print(
+        f"{path}: ok, {len(scene.shapes)} shapes" + (f"; faces never hit: {never_hit}" if never_hit else "")
+    )
     return OK

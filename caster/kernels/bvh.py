@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.kernels.jit import jit
-from caster.kernels.nearest import keep_nearer
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare
+from caster.kernels.protocol import hull_point, hull_size, intersect, keep_nearer, prepare
 from caster.kernels.vec import row
 
 LEAF_SIZE = 4
@@ -145,7 +144,7 @@ def inverse_or_inf(x: float) -> float:
 
 
 @jit
-def cast_bvh(prims: Any, ids: Any, tree: Any, rays: Any, nearest: Any, span: Any) -> None:
+def cast_bvh(prims: Any, tree: Any, rays: Any, record: Any, span: Any) -> None:
     """Rays span[0]..span[1] against one kind; a box at exactly the nearest t is opened, so no tie is lost."""
     stack = np.zeros(STACK_SIZE, np.int32)
     for i in range(span[0], span[1]):
@@ -157,12 +156,14 @@ def cast_bvh(prims: Any, ids: Any, tree: Any, rays: Any, nearest: Any, span: Any
         while top > 0:
             top -= 1
             node = stack[top]
-            if not reaches(tree, node, o, inverse, pad, t_min, min(rays.t_max[i], nearest.t[i])):
+            if not reaches(
+                tree, node, o, inverse, pad, t_min, min(rays.t_max[i], record.t[i] + record.off[i])
+            ):
                 continue
             if tree.prims_in[node] == 0:
                 stack[top], stack[top + 1] = tree.second[node], node + 1
                 top += 2
             for at in range(tree.first[node], tree.first[node] + tree.prims_in[node]):
                 k = tree.order[at]
-                t = intersect(prims, prepare(prims, k, o), d, t_min)
-                keep_nearer(nearest, i, t, ids[k], rays.t_max[i])
+                hit = intersect(prims, prepare(prims, k, o), d, t_min, rays.t_max[i])
+                keep_nearer(record, i, prims, k, rays, hit)

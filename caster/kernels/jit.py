@@ -78,15 +78,23 @@ def jit(function: Function) -> Function:
     return compiled
 
 
+def inlined(function: Function) -> Function:
+    """The same for a function that is too large for LLVM to put it in the place of its call unasked."""
+    if not COMPILED:
+        return function
+    compiled: Function = NUMBA.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function)
+    return compiled
+
+
 class Generic:
     """A function whose body is chosen by the class of its first argument, a NamedTuple of arrays."""
 
-    def __init__(self, stub: Callable[..., Any]):
+    def __init__(self, stub: Callable[..., Any], options: dict[str, Any]):
         self.bodies: dict[type, Callable[..., Any]] = {}
         self.__name__, self.__doc__ = stub.__name__, stub.__doc__
-        self.call = self._dispatcher(stub)
+        self.call = self._dispatcher(stub, options)
 
-    def _dispatcher(self, stub: Callable[..., Any]) -> Callable[..., Any]:
+    def _dispatcher(self, stub: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
         bodies = self.bodies
 
         def dispatch(*args: Any) -> Any:
@@ -99,7 +107,7 @@ class Generic:
             function.__name__, function.__doc__ = stub.__name__, stub.__doc__
             function.__signature__ = inspect.signature(stub)  # type: ignore[attr-defined]
         if COMPILED:
-            NUMBA.extending.overload(dispatch, strict=False)(choose)
+            NUMBA.extending.overload(dispatch, jit_options=options, strict=False)(choose)
         return dispatch
 
 
@@ -108,7 +116,16 @@ _GENERICS: dict[Callable[..., Any], Generic] = {}
 
 def generic(stub: Function) -> Function:
     """Declare a function of the protocol; `implement(function, Kind)` gives it a body for one kind."""
-    entry = Generic(stub)
+    return _declared(stub, {})
+
+
+def generic_inlined(stub: Function) -> Function:
+    """The same for a function of the innermost loops, where a call would cost as much as what it does."""
+    return _declared(stub, {"forceinline": True})
+
+
+def _declared(stub: Function, options: dict[str, Any]) -> Function:
+    entry = Generic(stub, options)
     _GENERICS[entry.call] = entry
     return entry.call  # type: ignore[return-value]
 

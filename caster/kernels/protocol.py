@@ -7,19 +7,32 @@ Points and vectors inside kernels are tuples of three floats; arrays hold them a
 
 from typing import Any
 
-from caster.kernels.jit import generic
+from caster.kernels.jit import generic, generic_inlined
 
 Vec3 = tuple[float, float, float]
 
 
-@generic
+@generic_inlined
 def prepare(prims: Any, k: int, o: Vec3) -> Any:
     """Everything about primitive k that depends on the ray origin only."""
 
 
+@generic_inlined
+def intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> Any:
+    """(t, off): the smallest t in (t_min, t_max] at which o + t d lies on the prepared primitive, within off.
+
+    A filter in float64, with proven bounds: (MISS, 0) is sure, as is a finite off; UNDECIDED leaves it to `root`.
+    """
+
+
 @generic
-def intersect(prims: Any, pre: Any, d: Vec3, t_min: float) -> Any:
-    """The smallest t > t_min at which o + t d lies on the prepared primitive, or MISS."""
+def root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Any:
+    """The same of primitive k, exactly and slowly: an exact_root.Root."""
+
+
+@generic
+def keep_nearer(record: Any, i: int, prims: Any, k: int, rays: Any, hit: Any) -> None:
+    """Fold what `intersect` says of primitive k into the record of ray i, by the order of (true t, k)."""
 
 
 @generic

@@ -8,8 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from caster.kernels.jit import jit
-from caster.kernels.nearest import keep_nearer
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, project
+from caster.kernels.protocol import hull_point, hull_size, intersect, keep_nearer, prepare, project
 from caster.kernels.vec import row
 
 # A rectangle reaches one pixel further than the projected points on each side, plus the distance at which the
@@ -61,27 +60,28 @@ def find_spans(prims: Any, camera: Any, window: Any, spans: Any, slack: float) -
 
 
 @jit
-def cast_shared_origin(prims: Any, ids: Any, spans: Any, rays: Any, nearest: Any, band: Any) -> None:
+def cast_shared_origin(prims: Any, spans: Any, rays: Any, record: Any, band: Any) -> None:
     """The rows of a band; primitives are prepared once, for the origin that all rays share."""
     width, first_row, last_row = band
     o = row(rays.o, 0)
-    for k in range(len(ids)):
+    for k in range(len(spans)):
         y_start, y_stop = max(spans[k, 2], first_row), min(spans[k, 3], last_row)
         if y_start >= y_stop or spans[k, 0] >= spans[k, 1]:
             continue
         pre = prepare(prims, k, o)
         for y in range(y_start, y_stop):
             for i in range(y * width + spans[k, 0], y * width + spans[k, 1]):
-                t = intersect(prims, pre, row(rays.d, i), rays.t_min[i])
-                keep_nearer(nearest, i, t, ids[k], rays.t_max[i])
+                hit = intersect(prims, pre, row(rays.d, i), rays.t_min[i], rays.t_max[i])
+                keep_nearer(record, i, prims, k, rays, hit)
 
 
 @jit
-def cast_own_origins(prims: Any, ids: Any, spans: Any, rays: Any, nearest: Any, band: Any) -> None:
+def cast_own_origins(prims: Any, spans: Any, rays: Any, record: Any, band: Any) -> None:
     """The rows of a band, for rays that start in different places (an orthographic camera)."""
     width, first_row, last_row = band
-    for k in range(len(ids)):
+    for k in range(len(spans)):
         for y in range(max(spans[k, 2], first_row), min(spans[k, 3], last_row)):
             for i in range(y * width + spans[k, 0], y * width + spans[k, 1]):
-                t = intersect(prims, prepare(prims, k, row(rays.o, i)), row(rays.d, i), rays.t_min[i])
-                keep_nearer(nearest, i, t, ids[k], rays.t_max[i])
+                pre = prepare(prims, k, row(rays.o, i))
+                hit = intersect(prims, pre, row(rays.d, i), rays.t_min[i], rays.t_max[i])
+                keep_nearer(record, i, prims, k, rays, hit)

@@ -4,10 +4,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.kernels.corner_box import lies_in_box, moved_into_box
+from caster.kernels.exact_planar import exact_triangle
+from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement, jit
-from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, prepare, surface
-from caster.kernels.vec import MISS, add, cross, row, scaled, sub, unit
+from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, prepare, root, surface
+from caster.kernels.vec import (
+    MISS,
+    TINY,
+    UNDECIDED,
+    U,
+    about_one,
+    add,
+    cross,
+    dot,
+    permanent,
+    row,
+    scaled,
+    size,
+    sub,
+    sure_within,
+    unit,
+)
 
 
 class Triangles(NamedTuple):
@@ -21,13 +38,67 @@ class Triangles(NamedTuple):
     textured: np.ndarray  # (n,) bool: uv from the vertices, else the barycentrics b1, b2
 
 
+@jit
+def largest(a: Vec3) -> float:
+    return max(abs(a[0]), abs(a[1]), abs(a[2]))
+
+
+# The edge function d . (b x c) of corners b, c seen from the origin, magnitudes at most m:
+# a difference b is off by u of itself; a component of b x c by (2 u + u) 2 m^2 for its factors and products, and by
+# u 2 m^2 for the subtraction, 8 u m^2 together; the dot product by |d|_1 times that, and 3 u |d|_1 2 m^2 for its own
+# roundings: 14 u m^2 |d|_1. The rest of 16 is for terms in u^2 and for the rounding of the bound itself.
+EDGE_ERROR = 16.0 * U
+
+# Across: n = (b - a) x (c - a) is off by 4 u Q, Q the permanent of the two (4 = 2 for the edges' rounding, 1 for the
+# products, 1 for the subtraction). With that, n . a is off by 8 u sum |a| Q and n . d by 7 u sum |d| Q, since Q >= |n|.
+PLANE_ERROR, SLOPE_ERROR = 9.0 * U, 8.0 * U
+
+
 @implement(prepare, Triangles)
 def _prepare(prims: Any, k: int, o: Vec3) -> Any:
-    """The corners seen from the origin; a shared corner gives the same numbers in every triangle."""
-    a = sub(row(prims.vertices, prims.faces[k, 0]), o)
-    b = sub(row(prims.vertices, prims.faces[k, 1]), o)
-    c = sub(row(prims.vertices, prims.faces[k, 2]), o)
-    return a, b, c
+    """(b x c, c x a, a x b, n, Q, n . a, errors of the edge functions and of n . a)."""
+    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
+    p, q, r = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
+    a, b, c = sub(p, o), sub(q, o), sub(r, o)
+    m = max(largest(a), largest(b), largest(c))
+    e1, e2 = sub(q, p), sub(r, p)
+    n, spread = cross(e1, e2), permanent(e1, e2)
+    height_error = (
+        PLANE_ERROR * (abs(a[0]) * spread[0] + (abs(a[1]) * spread[1] + abs(a[2]) * spread[2])) + TINY
+    )
+    return (
+        cross(b, c),
+        cross(c, a),
+        cross(a, b),
+        n,
+        spread,
+        dot(n, a),
+        EDGE_ERROR * (m * m) + TINY,
+        height_error,
+    )
+
+
+@implement(intersect, Triangles)
+def _intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> tuple[float, float]:
+    """Inside where all three edge functions have one sign; sure of it where they exceed their error."""
+    bc, ca, ab, n, spread, height, edge_error, height_error = pre
+    u, v, w = dot(d, bc), dot(d, ca), dot(d, ab)
+    error = edge_error * size(d) + TINY
+    low, high = min(u, v, w), max(u, v, w)
+    if low < -error and high > error:
+        return MISS
+    if not (low > error or high < -error):
+        return UNDECIDED
+    slope = dot(n, d)
+    slope_error = (
+        SLOPE_ERROR * (abs(d[0]) * spread[0] + (abs(d[1]) * spread[1] + abs(d[2]) * spread[2])) + TINY
+    )
+    if not abs(slope) > 2.0 * slope_error:
+        return UNDECIDED
+    t = height / slope
+    # (h + e) / (s + f) - h / s = (e - t f) / (s + f), and |s + f| > |s| / 2; 2 u |t| for the quotient's own rounding
+    off = 2.0 * (height_error + abs(t) * slope_error) / abs(slope) + 2.0 * U * abs(t)
+    return sure_within(t, off, t_min, t_max)
 
 
 @jit
@@ -40,65 +111,72 @@ def dominant_axis(d: Vec3) -> int:
 
 
 @jit
-def flattened(p: Vec3, d: Vec3, axis: int) -> Vec3:
-    """p sheared along d onto the plane across the axis, times d[axis], and its height along the axis.
-
-    A function of the corner and the ray alone, so all triangles around a corner agree on where it lies.
-    """
+def flattened(p: Vec3, d: Vec3, axis: int) -> tuple[float, float]:
+    """p sheared along d onto the plane across the axis, times d[axis]."""
     if axis == 0:
-        return p[1] * d[0] - d[1] * p[0], p[2] * d[0] - d[2] * p[0], p[0]
+        return p[1] * d[0] - d[1] * p[0], p[2] * d[0] - d[2] * p[0]
     if axis == 1:
-        return p[2] * d[1] - d[2] * p[1], p[0] * d[1] - d[0] * p[1], p[1]
-    return p[0] * d[2] - d[0] * p[2], p[1] * d[2] - d[1] * p[2], p[2]
+        return p[2] * d[1] - d[2] * p[1], p[0] * d[1] - d[0] * p[1]
+    return p[0] * d[2] - d[0] * p[2], p[1] * d[2] - d[1] * p[2]
+
+
+# A sheared coordinate is off by 3 u (|p d| + |p d|) <= 6 u m |d|, m the largest coordinate of a corner; a product of
+# two that are at most s, off by r each, by 2 s r + r^2 and its rounding. Six products and their sum are off by
+# 12 s r + 6 r^2 + 15 u s^2.
+SHEAR_ERROR = 6.0 * U
 
 
 @jit
-def edge_functions(pre: Any, d: Vec3) -> tuple[float, float, float, float, float, float]:
-    """(u, v, w, area, height, slope): scaled barycentrics, their sum, their weighted height along the
-    dominant axis, and d there.
+def barycentrics(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: float) -> Vec3:
+    """Of the point t d, where a ray from 0 meets the triangle.
 
-    Watertight: u, v, w are differences of two rounded products. Rounding is monotonic, so a difference is
-    zero or has the right sign, never the wrong one, and zero counts as inside for both triangles of an edge
-    (Woop, Benthin, Wald 2013). The division by d[axis] of the paper is left out: it scales all three alike.
-
-    What belongs to the second and third corner is added up first, here and in `surface`: a mirrored shape
-    swaps the two, and so no bit changes.
+    From the corners sheared along d, so near to 0 that little cancels (Woop, Benthin, Wald 2013); their division by
+    d[axis] is left out, since it scales all three alike. What belongs to the second and third corner is added up
+    first, here and in `surface`: a mirrored shape swaps the two, and so no bit changes.
     """
     axis = dominant_axis(d)
-    a, b, c = flattened(pre[0], d, axis), flattened(pre[1], d, axis), flattened(pre[2], d, axis)
-    u = c[0] * b[1] - c[1] * b[0]
-    v = a[0] * c[1] - a[1] * c[0]
-    w = b[0] * a[1] - b[1] * a[0]
-    return u, v, w, u + (v + w), u * a[2] + (v * b[2] + w * c[2]), d[axis]
+    p, q, r = flattened(a, d, axis), flattened(b, d, axis), flattened(c, d, axis)
+    u = r[0] * q[1] - r[1] * q[0]
+    v = p[0] * r[1] - p[1] * r[0]
+    w = q[0] * p[1] - q[1] * p[0]
+    area = u + (v + w)
+    widest = max(abs(p[0]), abs(p[1]), abs(q[0]), abs(q[1]), abs(r[0]), abs(r[1]))
+    off = SHEAR_ERROR * max(largest(a), largest(b), largest(c)) * abs(d[axis])
+    if abs(area) > 2.0 * (12.0 * widest * off + 6.0 * off * off + 15.0 * U * widest * widest):
+        return u / area, v / area, w / area
+    return barycentrics_edge_on(a, b, c, scaled(t, d))
 
 
-@implement(intersect, Triangles)
-def _intersect(prims: Any, pre: Any, d: Vec3, t_min: float) -> float:
-    """Seen edge-on up to rounding, u, v, w are noise, and t comes out anywhere along the triangle.
+@jit
+def barycentrics_edge_on(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
+    """Of the point p, seen across the triangle's plane: what is left where the ray runs along it."""
+    e1, e2, q = sub(b, a), sub(c, a), sub(p, a)
+    axis = dominant_axis(cross(about_one(e1), about_one(e2)))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    area = e1[i] * e2[j] - e1[j] * e2[i]
+    if area == 0.0:
+        return 1.0, 0.0, 0.0
+    b1 = min(max((q[i] * e2[j] - q[j] * e2[i]) / area, 0.0), 1.0)
+    b2 = min(max((e1[i] * q[j] - e1[j] * q[i]) / area, 0.0), 1.0)
+    together = max(b1 + b2, 1.0)
+    b1, b2 = b1 / together, b2 / together
+    return max(1.0 - (b1 + b2), 0.0), b1, b2
 
-    A tree would lose such a t where the ray enters the triangle's box later, so it is moved into the box.
-    A ray that misses the box was let in by a difference rounded to zero; it truly passes the neighbour.
-    """
-    u, v, w, area, height, slope = edge_functions(pre, d)
-    if (u < 0.0 or v < 0.0 or w < 0.0) and (u > 0.0 or v > 0.0 or w > 0.0):
-        return MISS
-    across = area * slope
-    if across == 0.0:  # edge-on or without area: nothing to hit
-        return MISS
-    t = height / across
-    if not lies_in_box(pre, d, t):
-        t = moved_into_box(pre, d, t)
-    return t if t > t_min else MISS
+
+@implement(root, Triangles)
+def _root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Root:
+    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
+    corners = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
+    return exact_triangle(corners, o, d, t_min, t_max)
 
 
 @implement(surface, Triangles)
 def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
-    u, v, w, area, _height, _slope = edge_functions((sub(a, o), sub(b, o), sub(c, o)), d)
-    b0, b1, b2 = u / area, v / area, w / area
+    b0, b1, b2 = barycentrics(sub(a, o), sub(b, o), sub(c, o), d, t)
     p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
-    n = unit(cross(sub(b, a), sub(c, a)))
+    n = unit(cross(about_one(sub(b, a)), about_one(sub(c, a))))
     sh_n = n
     if prims.smooth[k]:
         n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)

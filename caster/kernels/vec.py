@@ -6,7 +6,15 @@ from typing import Any
 from caster.kernels.jit import jit
 from caster.kernels.protocol import Vec3
 
-MISS = math.inf
+U = 2.0**-53  # unit round-off of float64
+
+# What `intersect` answers: (t, off) with t in [t - off, t + off] for certain, or one of these.
+MISS = math.inf, 0.0
+UNDECIDED = 0.0, math.inf
+
+# Products that underflow are off by up to 2^-1075 each, a few dozen of them in a test, some multiplied by d later:
+# error bounds get this much on top (and times |d|), and numbers so small that it matters go to exact arithmetic.
+TINY = 2.0**-1020
 
 
 @jit
@@ -22,6 +30,18 @@ def vector(a: Any) -> Vec3:
 @jit
 def dot(a: Vec3, b: Vec3) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@jit
+def size(a: Vec3) -> float:
+    """Sum of magnitudes; at least the length."""
+    return abs(a[0]) + abs(a[1]) + abs(a[2])
+
+
+@jit
+def no_terms(a: Vec3, b: Vec3) -> bool:
+    """Whether a.b is exactly 0 because each of its products has a factor 0."""
+    return (a[0] == 0.0 or b[0] == 0.0) and (a[1] == 0.0 or b[1] == 0.0) and (a[2] == 0.0 or b[2] == 0.0)
 
 
 @jit
@@ -49,6 +69,15 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
+@jit
+def permanent(a: Vec3, b: Vec3) -> Vec3:
+    """The cross product with every minus a plus and every number its magnitude: what its error scales with."""
+    x = abs(a[1] * b[2]) + abs(a[2] * b[1])
+    y = abs(a[2] * b[0]) + abs(a[0] * b[2])
+    z = abs(a[0] * b[1]) + abs(a[1] * b[0])
+    return x, y, z
+
+
 # Between these no square has lost bits to underflow and no sum of squares overflows. A power of two, which is
 # exact, brings all other vectors there: from below 2^-450, down to the smallest number, or from above 2^499.
 SMALLEST_SQUARE, LARGEST_SQUARE = 2.0**-900, 2.0**1000
@@ -69,6 +98,13 @@ def unit(a: Vec3) -> Vec3:
 
 
 @jit
+def about_one(a: Vec3) -> Vec3:
+    """a times a power of two, which is exact: its largest component is in [1/2, 1), or it is zero."""
+    e = -math.frexp(max(abs(a[0]), abs(a[1]), abs(a[2])))[1]
+    return math.ldexp(a[0], e), math.ldexp(a[1], e), math.ldexp(a[2], e)
+
+
+@jit
 def turned(m: Any, k: int, v: Vec3) -> Vec3:
     """The 3x3 matrix m[k] times v."""
     return (
@@ -76,6 +112,29 @@ def turned(m: Any, k: int, v: Vec3) -> Vec3:
         m[k, 1, 0] * v[0] + m[k, 1, 1] * v[1] + m[k, 1, 2] * v[2],
         m[k, 2, 0] * v[0] + m[k, 2, 1] * v[1] + m[k, 2, 2] * v[2],
     )
+
+
+# A ray in object space: an entry of the inverse matrix is rounded once (placing.inverse), a difference from the centre
+# once, and a row's three products and two sums add 3 u more; the sixth is for terms in u^2.
+SEEN_ERROR = 6.0 * U
+
+
+@jit
+def seen(m: Any, k: int, v: Vec3) -> tuple[Vec3, Vec3]:
+    """(m[k] v, how far off each component may be): for an m that is the rounded inverse of a matrix."""
+    x = abs(m[k, 0, 0] * v[0]) + abs(m[k, 0, 1] * v[1]) + abs(m[k, 0, 2] * v[2])
+    y = abs(m[k, 1, 0] * v[0]) + abs(m[k, 1, 1] * v[1]) + abs(m[k, 1, 2] * v[2])
+    z = abs(m[k, 2, 0] * v[0]) + abs(m[k, 2, 1] * v[1]) + abs(m[k, 2, 2] * v[2])
+    return turned(m, k, v), (SEEN_ERROR * x, SEEN_ERROR * y, SEEN_ERROR * z)
+
+
+@jit
+def row_sizes(m: Any, k: int) -> Vec3:
+    """The largest magnitude in each row of m[k]: times size(v), at least what `seen` makes an error of."""
+    x = max(abs(m[k, 0, 0]), abs(m[k, 0, 1]), abs(m[k, 0, 2]))
+    y = max(abs(m[k, 1, 0]), abs(m[k, 1, 1]), abs(m[k, 1, 2]))
+    z = max(abs(m[k, 2, 0]), abs(m[k, 2, 1]), abs(m[k, 2, 2]))
+    return x, y, z
 
 
 @jit
@@ -93,3 +152,13 @@ def angle_fraction(y: float, x: float) -> float:
     """atan2(y, x) as a fraction of a turn in [0, 1)."""
     turn = math.atan2(y, x) / (2.0 * math.pi)
     return turn + 1.0 if turn < 0.0 else turn
+
+
+@jit
+def sure_within(t: float, off: float, t_min: float, t_max: float) -> tuple[float, float]:
+    """(t, off) if the true t is sure to be in (t_min, t_max], MISS if it is sure not to be, else UNDECIDED."""
+    if t - off > t_min and t + off <= t_max:
+        return t, off
+    if t + off <= t_min or t - off > t_max:
+        return MISS
+    return UNDECIDED

@@ -43,7 +43,7 @@ def _floats(table: Table, names: tuple[str, ...], where: str) -> Floats:
         raise SceneError(f"{where}: expected the properties {expected} of element 'vertex', got {got}")
     rows = np.stack([np.asarray(column, np.float64) for column in scalars], axis=1)
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-    if len(bad):
+    if len(bad) and names != POSITION:  # faces with such a corner are left out later, and counted
         place, got = table.place(where, int(bad[0])), show(rows[bad[0]])
         raise SceneError(f"{place}: {', '.join(names)} of vertex {bad[0]} must be finite numbers, got {got}")
     return rows

@@ -7,10 +7,30 @@ import numpy as np
 from pydantic import model_validator
 
 from caster.fields import Positive, Shape, Vec3
-from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, surface
-from caster.kernels.roots import ball_roots
-from caster.kernels.vec import MISS, add, angle_fraction, row, sub, turned, turned_back, unit
+from caster.kernels.exact_quadric import exact_tube, placed
+from caster.kernels.exact_root import Root
+from caster.kernels.jit import implement, jit
+from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, root, surface
+from caster.kernels.roots import ball_at, chord, way_out
+from caster.kernels.vec import (
+    MISS,
+    SEEN_ERROR,
+    TINY,
+    UNDECIDED,
+    add,
+    angle_fraction,
+    no_terms,
+    row,
+    row_sizes,
+    seen,
+    size,
+    sub,
+    sure_within,
+    turned,
+    turned_back,
+    unit,
+    vector,
+)
 from caster.placing import Rounding, affine_arrays
 
 
@@ -58,21 +78,56 @@ class Cylinder(Shape):
 
 @implement(prepare, Cylinders)
 def _prepare(prims: Any, k: int, o: Any) -> Any:
-    f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
-    return k, f, f[0] * f[0] + f[1] * f[1] - 1.0
+    """(k, the wall in object space, its origin's height and how far off that is, row sizes for the errors of d)."""
+    f, off = seen(prims.to_object, k, sub(o, row(prims.center, k)))
+    x, y, z = row_sizes(prims.to_object, k)
+    return (
+        k,
+        ball_at((f[0], f[1], 0.0), 1.0, off[0] + off[1]),
+        f[2],
+        off[2],
+        SEEN_ERROR * (x + y),
+        SEEN_ERROR * z,
+    )
 
 
 @implement(intersect, Cylinders)
-def _intersect(prims: Any, pre: Any, d: Any, t_min: float) -> float:
-    k, f, c = pre
-    e = turned(prims.to_object, k, d)
-    near, far, hit = ball_roots((f[0], f[1], 0.0), (e[0], e[1], 0.0), c, 1.0)
-    if not hit:
-        return MISS
-    z_near, z_far = f[2] + near * e[2], f[2] + far * e[2]
-    if near > t_min and z_near >= 0.0 and z_near <= 1.0:
+def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
+    k, wall, height, height_off, across_off, along_off = pre
+    e, d1 = turned(prims.to_object, k, d), size(d)
+    if e[0] == 0.0 and e[1] == 0.0:  # along the axis, if exactly so
+        rows = prims.to_object[k]
+        return MISS if no_terms(vector(rows[0]), d) and no_terms(vector(rows[1]), d) else UNDECIDED
+    roots = chord(wall, (e[0], e[1], 0.0), across_off * d1)
+    if roots.sure != 1:
+        return MISS if roots.sure < 0 else UNDECIDED
+    axis = height, height_off, e[2], along_off * d1
+    near = sure_within(roots.near, roots.near_off, t_min, t_max)
+    if near[0] < math.inf:
+        near = between_ends(near, axis)
+    if near[0] < math.inf:
         return near
-    return far if far > t_min and z_far >= 0.0 and z_far <= 1.0 else MISS
+    far = sure_within(roots.far, roots.far_off, t_min, t_max)
+    return between_ends(far, axis) if far[0] < math.inf else MISS
+
+
+@jit
+def between_ends(hit: tuple[float, float], axis: tuple[float, float, float, float]) -> tuple[float, float]:
+    """The hit if z = f + t e is sure to be in [0, 1], MISS if sure not to be; axis: f, its error, e, its error."""
+    t, off = hit
+    f, f_off, e, e_off = axis
+    z = f + t * e
+    # t e, its rounding and that of the sum are within 3 u of what SEEN_ERROR is taken of
+    z_off = 2.0 * (f_off + abs(t) * e_off + abs(e) * off) + TINY
+    if z < -z_off or z > 1.0 + z_off:
+        return MISS
+    return hit if z > z_off and z < 1.0 - z_off else UNDECIDED
+
+
+@implement(root, Cylinders)
+def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+    f, e, h, unit = placed(row(prims.center, k), prims.to_world[k], o, d)
+    return exact_tube(f, e, h, unit, t_min, t_max)
 
 
 @implement(surface, Cylinders)
@@ -80,9 +135,8 @@ def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     """u is the angle as a fraction of a turn, v the height along the axis from 0 to 1."""
     f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
     e = turned(prims.to_object, k, d)
-    x, y, z = f[0] + t * e[0], f[1] + t * e[1], f[2] + t * e[2]
-    length = math.sqrt(x * x + y * y)
-    x, y = x / length, y / length
+    x, y, _ = way_out((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
+    z = f[2] + t * e[2]
     n = unit(turned_back(prims.to_object, k, (x, y, 0.0)))
     p = add(row(prims.center, k), turned(prims.to_world, k, (x, y, z)))
     return p, n, n, angle_fraction(y, x), z

@@ -6,9 +6,31 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from caster.fields import Shape
+from caster.kernels.exact_planar import exact_disk
+from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, surface
-from caster.kernels.vec import MISS, add, angle_fraction, row, sub, turned, turned_back, unit
+from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, root, surface
+from caster.kernels.vec import (
+    MISS,
+    SEEN_ERROR,
+    TINY,
+    UNDECIDED,
+    U,
+    add,
+    angle_fraction,
+    no_terms,
+    row,
+    row_sizes,
+    scaled,
+    seen,
+    size,
+    sub,
+    sure_within,
+    turned,
+    turned_back,
+    unit,
+    vector,
+)
 from caster.placing import Rounding, affine_arrays
 
 
@@ -31,18 +53,38 @@ class Disk(Shape):
 
 @implement(prepare, Disks)
 def _prepare(prims: Any, k: int, o: Any) -> Any:
-    return k, turned(prims.to_object, k, sub(o, row(prims.center, k)))
+    """(k, o in object space, how far off that is, by how much d is off there over its size)."""
+    f, off = seen(prims.to_object, k, sub(o, row(prims.center, k)))
+    return k, f, off, scaled(SEEN_ERROR, row_sizes(prims.to_object, k))
 
 
 @implement(intersect, Disks)
-def _intersect(prims: Any, pre: Any, d: Any, t_min: float) -> float:
-    k, f = pre
-    e = turned(prims.to_object, k, d)
-    if e[2] == 0.0:  # edge-on: the disk has no thickness to hit
-        return MISS
-    t = -f[2] / e[2]
+def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
+    """Where z = 0; sure of being within the rim where x^2 + y^2 differs from 1 by more than its error."""
+    k, f, f_off, e_off = pre
+    e, d1 = turned(prims.to_object, k, d), size(d)
+    slope_off = e_off[2] * d1 + TINY
+    if not abs(e[2]) > 2.0 * slope_off:  # edge-on, if exactly so
+        return MISS if no_terms(vector(prims.to_object[k, 2]), d) else UNDECIDED
+    over = 1.0 / e[2]
+    t = -f[2] * over
+    off = 2.0 * (f_off[2] + TINY + abs(t) * slope_off) * abs(over) + 3.0 * U * abs(t)
     x, y = f[0] + t * e[0], f[1] + t * e[1]
-    return t if t > t_min and x * x + y * y <= 1.0 else MISS
+    # t e, its rounding and that of the sum are within 3 u of what SEEN_ERROR is taken of
+    x_off = 2.0 * (f_off[0] + abs(t) * e_off[0] * d1 + abs(e[0]) * off)
+    y_off = 2.0 * (f_off[1] + abs(t) * e_off[1] * d1 + abs(e[1]) * off)
+    beyond = x * x + y * y - 1.0
+    beyond_off = (
+        (2.0 * abs(x) + x_off) * x_off + (2.0 * abs(y) + y_off) * y_off + 4.0 * U * (x * x + y * y + 1.0)
+    )
+    if beyond > beyond_off:
+        return MISS
+    return sure_within(t, off, t_min, t_max) if beyond < -beyond_off else UNDECIDED
+
+
+@implement(root, Disks)
+def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+    return exact_disk(row(prims.center, k), prims.to_world[k], o, d, t_min, t_max)
 
 
 @implement(surface, Disks)

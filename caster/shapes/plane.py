@@ -6,9 +6,25 @@ import numpy as np
 from pydantic import model_validator
 
 from caster.fields import Number, Shape, UnitVec3, Vec3
+from caster.kernels.exact_planar import exact_plane
+from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, surface
-from caster.kernels.vec import MISS, along, cross, dot, row, sub, unit
+from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, root, surface
+from caster.kernels.vec import (
+    MISS,
+    TINY,
+    UNDECIDED,
+    U,
+    along,
+    cross,
+    dot,
+    no_terms,
+    row,
+    size,
+    sub,
+    sure_within,
+    unit,
+)
 from caster.placing import Rounding
 
 
@@ -43,20 +59,31 @@ class Plane(Shape):
         return Planes(rounded(turned / np.linalg.norm(turned))[None], rounded(placed)[None])
 
 
+# A dot product is off by 3 u of its terms' magnitudes, by 4 u with the rounding of the difference in it.
+PRODUCT_ERROR = 5.0 * U
+
+
 @implement(prepare, Planes)
 def _prepare(prims: Any, k: int, o: Any) -> Any:
-    n = row(prims.normal, k)
-    return n, dot(n, sub(row(prims.point, k), o))
+    n, away = row(prims.normal, k), sub(row(prims.point, k), o)
+    largest = max(abs(n[0]), abs(n[1]), abs(n[2]))
+    return n, dot(n, away), PRODUCT_ERROR * largest * size(away) + TINY, PRODUCT_ERROR * largest
 
 
 @implement(intersect, Planes)
-def _intersect(prims: Any, pre: Any, d: Any, t_min: float) -> float:
-    n, height = pre
-    slope = dot(n, d)
-    if slope == 0.0:  # seen edge-on: a plane has no thickness to hit
-        return MISS
+def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
+    n, height, height_off, tilt_off = pre
+    slope, slope_off = dot(n, d), tilt_off * size(d) + TINY
+    if not abs(slope) > 2.0 * slope_off:  # edge-on, if exactly so
+        return MISS if no_terms(n, d) else UNDECIDED
     t = height / slope
-    return t if t > t_min else MISS
+    off = 2.0 * (height_off + abs(t) * slope_off) / abs(slope) + 2.0 * U * abs(t)
+    return sure_within(t, off, t_min, t_max)
+
+
+@implement(root, Planes)
+def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+    return exact_plane(row(prims.normal, k), row(prims.point, k), o, d, t_min, t_max)
 
 
 @implement(surface, Planes)

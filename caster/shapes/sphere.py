@@ -6,16 +6,21 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from caster.fields import Positive, Shape, Vec3
+from caster.kernels.exact_quadric import exact_ball, exact_sphere, placed
+from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, surface
-from caster.kernels.roots import ball_roots, first_beyond
+from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, root, surface
+from caster.kernels.roots import ball_at, chord, first_root, way_out
 from caster.kernels.vec import (
-    MISS,
+    SEEN_ERROR,
+    U,
     add,
     along,
     angle_fraction,
-    dot,
     row,
+    row_sizes,
+    seen,
+    size,
     sub,
     turned,
     turned_back,
@@ -60,27 +65,23 @@ class Sphere(Shape):
 @implement(prepare, Spheres)
 def _prepare(prims: Any, k: int, o: Any) -> Any:
     f = sub(o, row(prims.center, k))
-    r = prims.radius[k]
-    return f, dot(f, f) - r * r, r
+    return ball_at(f, prims.radius[k], U * size(f))
 
 
 @implement(intersect, Spheres)
-def _intersect(prims: Any, pre: Any, d: Any, t_min: float) -> float:
-    f, c, r = pre
-    near, far, hit = ball_roots(f, d, c, r)
-    return first_beyond(t_min, near, far) if hit else MISS
+def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
+    return first_root(chord(pre, d, 0.0), t_min, t_max)
+
+
+@implement(root, Spheres)
+def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+    return exact_sphere(row(prims.center, k), prims.radius[k], o, d, t_min, t_max)
 
 
 @implement(surface, Spheres)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    """The normal is built from the closest approach and the half chord, exact enough for far, small balls."""
     center, r = row(prims.center, k), prims.radius[k]
-    f = sub(o, center)
-    a = dot(d, d)
-    s = -dot(f, d) / a
-    closest = along(f, s, d)
-    half = math.sqrt(max(r * r - dot(closest, closest), 0.0) / a)
-    n = unit(along(closest, -half if t < s else half, d))
+    n = way_out(sub(o, center), d, t, r)
     q = turned(prims.turn, k, n)
     v = math.acos(min(max(q[2], -1.0), 1.0)) / math.pi
     return along(center, r, n), n, n, angle_fraction(q[1], q[0]), v
@@ -100,21 +101,28 @@ def _hull_point(prims: Any, k: int, j: int) -> Any:
 
 @implement(prepare, Ellipsoids)
 def _prepare_ellipsoid(prims: Any, k: int, o: Any) -> Any:
-    f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
-    return k, f, dot(f, f) - 1.0
+    """(k, the unit ball in object space, by how much d is off there over its size)."""
+    f, off = seen(prims.to_object, k, sub(o, row(prims.center, k)))
+    return k, ball_at(f, 1.0, size(off)), SEEN_ERROR * size(row_sizes(prims.to_object, k))
 
 
 @implement(intersect, Ellipsoids)
-def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float) -> float:
-    k, f, c = pre
-    near, far, hit = ball_roots(f, turned(prims.to_object, k, d), c, 1.0)
-    return first_beyond(t_min, near, far) if hit else MISS
+def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
+    k, ball, d_off = pre
+    return first_root(chord(ball, turned(prims.to_object, k, d), d_off * size(d)), t_min, t_max)
+
+
+@implement(root, Ellipsoids)
+def _root_ellipsoid(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+    f, e, h, unit = placed(row(prims.center, k), prims.to_world[k], o, d)
+    return exact_ball(f, e, h, unit, t_min, t_max)
 
 
 @implement(surface, Ellipsoids)
 def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     center = row(prims.center, k)
-    q = unit(turned(prims.to_object, k, along(sub(o, center), t, d)))
+    f = turned(prims.to_object, k, sub(o, center))
+    q = way_out(f, turned(prims.to_object, k, d), t, 1.0)
     n = unit(turned_back(prims.to_object, k, q))
     v = math.acos(min(max(q[2], -1.0), 1.0)) / math.pi
     return add(center, turned(prims.to_world, k, q)), n, n, angle_fraction(q[1], q[0]), v

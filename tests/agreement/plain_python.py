@@ -4,10 +4,10 @@ import sys
 
 import numpy as np
 from hard_rays import hard_rays
-from random_scenes import name, random_scene
+from random_scenes import VIEWS, name, random_scene
 
 from caster.aovs import BY_NAME
-from caster.cameras import CAMERAS, Pinhole
+from caster.cameras import Pinhole
 from caster.casting import find_nearest
 from caster.hits import checked_rays, packed
 from caster.kernels.jit import COMPILED
@@ -22,7 +22,7 @@ def everything_cast() -> dict[str, np.ndarray]:
     """Every AOV of every shape before every camera, in both cullings a film may go through, and hard rays."""
     results = {"compiled": np.array(COMPILED)}
     for i, shape in enumerate(SHAPES):
-        for j, camera in enumerate(CAMERAS):
+        for j, camera in enumerate(VIEWS):
             scene = random_scene(np.random.default_rng([30, i, j]), [shape], camera, count=5, film=FILM)
             for culling in (None, "bvh"):
                 aovs = render(scene, tuple(BY_NAME), threads=1, culling=culling)

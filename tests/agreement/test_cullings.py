@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from random_scenes import name, random_scene
+from random_scenes import VIEWS, name, random_scene
 from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
-from caster.cameras import CAMERAS
 from caster.kernels.jit import implements
 from caster.kernels.protocol import project
 from caster.packing import pack
@@ -32,10 +31,10 @@ def count_hits_where_cullings_agree(scene: Scene) -> tuple[int, int]:
     return int(expected.hit.sum()), expected.hit.size
 
 
-@pytest.mark.parametrize("camera", CAMERAS, ids=name)
+@pytest.mark.parametrize("camera", VIEWS, ids=name)
 @pytest.mark.parametrize("shape", SHAPES, ids=name)
 def test_culling_never_changes_a_bit(shape, camera):
-    rng = np.random.default_rng([1, SHAPES.index(shape), CAMERAS.index(camera)])
+    rng = np.random.default_rng([1, SHAPES.index(shape), VIEWS.index(camera)])
     counts = []
     for size in SIZES:
         for offset in (0.0, FARTHEST * size):
@@ -46,9 +45,9 @@ def test_culling_never_changes_a_bit(shape, camera):
     assert hits >= 100 and misses >= 100, f"{hits} hits of {rays} rays prove little"
 
 
-@pytest.mark.parametrize("camera", CAMERAS, ids=name)
+@pytest.mark.parametrize("camera", VIEWS, ids=name)
 def test_culling_never_changes_a_bit_where_all_kinds_are_mixed(camera):
-    rng = np.random.default_rng([2, CAMERAS.index(camera)])
+    rng = np.random.default_rng([2, VIEWS.index(camera)])
     kinds = set()
     for size in SIZES:
         scene = random_scene(rng, SHAPES, camera, count=3, size=size, offset=size)
@@ -57,9 +56,9 @@ def test_culling_never_changes_a_bit_where_all_kinds_are_mixed(camera):
     assert len(kinds) >= len(SHAPES) // 2, f"only {len(kinds)} kinds are seen"
 
 
-@pytest.mark.parametrize("camera", CAMERAS, ids=name)
+@pytest.mark.parametrize("camera", VIEWS, ids=name)
 def test_a_crop_is_that_part_of_the_whole_picture_in_every_culling(camera):
-    rng = np.random.default_rng([4, CAMERAS.index(camera)])
+    rng = np.random.default_rng([4, VIEWS.index(camera)])
     scene = random_scene(rng, SHAPES, camera, count=2)
     x0, y0, x1, y1 = crop = (11, 5, 30, 21)
     whole = render(scene, tuple(BY_NAME))
@@ -72,6 +71,6 @@ def test_a_crop_is_that_part_of_the_whole_picture_in_every_culling(camera):
 
 def test_the_screen_is_compared_for_some_cameras_and_not_for_others():
     rng = np.random.default_rng(3)
-    compared = {name(cls): cullings_for(random_scene(rng, SHAPES[:1], cls, count=1)) for cls in CAMERAS}
+    compared = {name(cls): cullings_for(random_scene(rng, SHAPES[:1], cls, count=1)) for cls in VIEWS}
     assert compared["pinhole"] == compared["orthographic"] == ("screen", "bvh")
     assert compared["panorama"] == ("bvh",)

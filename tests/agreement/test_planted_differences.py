@@ -66,8 +66,8 @@ def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
 def test_a_ray_lost_by_the_tree_is_seen(monkeypatch):
     cast_bvh = casting.cast_bvh
 
-    def forgetful(prims, ids, tree, rays, nearest, span):
-        cast_bvh(prims, ids, tree, rays, nearest, (span[0], span[1] - 1))
+    def forgetful(prims, tree, rays, record, span):
+        cast_bvh(prims, tree, rays, record, (span[0], span[1] - 1))
 
     monkeypatch.setattr(casting, "cast_bvh", forgetful)
     with pytest.raises(AssertionError, match="bvh: "):

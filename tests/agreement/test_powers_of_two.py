@@ -10,16 +10,17 @@ left of them is still above 2^-1022.
 import numpy as np
 import pytest
 from hard_rays import hard_rays
-from random_scenes import name, random_camera, random_scene
+from random_scenes import VIEWS, name, random_camera, random_scene
 from same_bits import Arrays, assert_same_bits
 
-from caster.cameras import CAMERAS, Pinhole
+from caster.cameras import Pinhole
 from caster.hits import cast, packed
 from caster.rendering import camera_rays
 from caster.scene import Film, Scene
 from caster.shapes import SHAPES
 
 POWERS = (-300, -20, -1, 1, 20, 300)
+LARGEST_OF_TRIANGLES = 40  # further out, faces are left out (caster.placing.LARGEST_COORDINATE)
 LENGTHS = ("eye", "look_at", "near", "far", "width")  # of cameras, in scene units
 UV_ARE_LENGTHS = ("plane",)
 
@@ -63,6 +64,8 @@ def test_a_power_of_two_scales_t_exactly_and_keeps_the_rest(shape):
     rng = np.random.default_rng([40, SHAPES.index(shape)])
     hits = 0
     for power in POWERS:
+        if hasattr(shape, "mesh"):
+            power = min(power, LARGEST_OF_TRIANGLES)
         scene = random_scene(rng, [shape], Pinhole, offset=rng.uniform(0.0, 10.0))
         families = hard_rays(packed(scene), rng, 100)
         del families["unnormalised"]  # a length of 1e30 to the third power leaves no room for 2^300
@@ -71,9 +74,9 @@ def test_a_power_of_two_scales_t_exactly_and_keeps_the_rest(shape):
     assert hits >= 1000
 
 
-@pytest.mark.parametrize("camera", CAMERAS, ids=name)
+@pytest.mark.parametrize("camera", VIEWS, ids=name)
 def test_a_power_of_two_scales_a_camera_s_rays_exactly(camera):
-    rng = np.random.default_rng([41, CAMERAS.index(camera)])
+    rng = np.random.default_rng([41, VIEWS.index(camera)])
     for power in POWERS:
         factor = 2.0**power
         small = random_camera(camera, rng)

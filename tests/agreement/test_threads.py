@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from hard_rays import hard_rays
-from random_scenes import name, random_scene
+from random_scenes import VIEWS, name, random_scene
 from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
-from caster.cameras import CAMERAS, Panorama, Pinhole
+from caster.cameras import Panorama, Pinhole
 from caster.casting import find_nearest
 from caster.hits import checked_rays, packed
 from caster.rendering import render
@@ -26,9 +26,9 @@ def count_hits_where_threads_agree(scene: Scene, culling: str | None = None) -> 
     return int(expected.hit.sum())
 
 
-@pytest.mark.parametrize("camera", CAMERAS, ids=name)
+@pytest.mark.parametrize("camera", VIEWS, ids=name)
 def test_threads_never_change_a_bit(camera):
-    rng = np.random.default_rng([20, CAMERAS.index(camera)])
+    rng = np.random.default_rng([20, VIEWS.index(camera)])
     for culling in (None, "bvh", "everything"):
         scene = random_scene(rng, SHAPES, camera, count=2)
         assert count_hits_where_threads_agree(scene, culling) >= 100

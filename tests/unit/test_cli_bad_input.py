@@ -69,10 +69,10 @@ BAD_SCENES = {
         ":6:1: shapes[0] (spere): unknown shape type \"spere\", did you mean 'sphere'?",
     ),
     "a zero-size film": (CAMERA + "[film]\nwidth = 0\n", {}, ":6:1: film: width must be >= 1, got 0"),
-    "NaN in a mesh": (
+    "NaN in the normals of a mesh": (
         CAMERA + OBJ,
-        {"m.obj": b"v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n"},
-        ":7:1: shapes[0] (mesh): file cannot be used: m.obj:2: v must be finite numbers",
+        {"m.obj": b"v 0 0 0\nvn 1 nan 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"},
+        ":7:1: shapes[0] (mesh): file cannot be used: m.obj:2: vn must be finite numbers",
     ),
     "an index out of range": (
         CAMERA + OBJ,

@@ -10,6 +10,7 @@ from caster.fields import SceneError
 from caster.mesh import check_mesh
 from caster.mesh_files.obj import parse_obj
 from caster.mesh_files.ply import parse_ply
+from caster.placing import as_given, triangles
 
 HEADER = (
     "ply\nformat {} 1.0\ncomment x\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
@@ -44,7 +45,9 @@ def usable_or_refused(parse, data):
         assert str(error).startswith("damaged")
         return
     assert mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)
-    assert np.isfinite(mesh.vertices).all()
+    if np.isfinite(mesh.vertices).any():  # else it is refused when it is put into place
+        placed = triangles(mesh, np.eye(4), as_given, face_normals=False)
+        assert np.isfinite(placed.vertices).all() and np.isfinite(placed.normals).all()
 
 
 def test_the_files_are_whole_before_they_are_damaged():

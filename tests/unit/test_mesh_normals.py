@@ -110,8 +110,6 @@ def test_degenerate_faces_are_accepted():
     [
         ({"faces": np.zeros((0, 3), np.int32)}, "no faces"),
         ({"vertices": np.zeros((0, 3)), "faces": np.zeros((0, 3), np.int32)}, "no faces"),
-        ({"vertices": corner_with(1, math.nan)}, r"vertex 1 .*nan"),
-        ({"vertices": corner_with(2, math.inf)}, r"vertex 2 .*inf"),
         ({"faces": np.array([(0, 1, 2), (0, 1, 4)], np.int32)}, r"face 1 .*0 to 3.*\(0, 1, 4\)"),
         ({"faces": np.array([(0, -1, 2)], np.int32)}, r"face 0 .*\(0, -1, 2\)"),
         ({"normals": CORNER}, r"normal of vertex 0 .*\(0, 0, 0\)"),

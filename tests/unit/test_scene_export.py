@@ -71,7 +71,9 @@ def test_every_element_survives_json(folder):
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.__name__)
 def test_every_camera_survives_both(camera):
-    scene = Scene(camera=camera(eye=[0.1, 0.2, 0.3], look_at=[1 / 3, 1 / 7, 0]))
+    ray = {"origin": [0.1, -0.0, 0.3], "direction": [-1 / 3, 1 / 7, -0.0], "t_max": 1e9}
+    pose = {"eye": [0.1, 0.2, 0.3], "look_at": [1 / 3, 1 / 7, 0]}
+    scene = Scene(camera=camera(**(pose if "eye" in camera.model_fields else ray)))
     assert scene_from_text(scene.to_toml()) == scene == scene_from_text(scene.canonical_json(), "json")
 
 

@@ -1,0 +1,86 @@
+"""One ray, for every pixel: no picture, but a single question asked to the bit, as reproducers need it."""
+
+import math
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from caster.fields import Description, PositiveNumber, Vec3, refuse
+from caster.kernels.jit import implement
+from caster.kernels.protocol import ray
+from caster.kernels.vec import vector
+
+# Directions of 2^-PLAIN to 2^PLAIN have squares, and t times such a length is a number wherever the scene is one.
+PLAIN = 100
+
+
+class RayRays(NamedTuple):
+    """The ray as its kernel reads it."""
+
+    o: np.ndarray  # (3,) float64
+    d: np.ndarray  # (3,) float64, of any length
+    t_max: float
+
+
+class Ray(Description):
+    """The ray origin + t direction, 0 < t <= t_max, cast by every pixel.
+
+    The numbers are taken as they are: the direction is not brought to length 1, and zeros keep their signs, which
+    1 / direction depends on. Depth is the distance from the origin.
+    """
+
+    type: Literal["ray"] = "ray"
+    origin: Vec3
+    direction: Vec3
+    t_max: Annotated[PositiveNumber | None, Field(description="None: no limit")] = None
+
+    shares_origin: ClassVar[bool] = True
+    look_at: ClassVar[None] = None
+
+    @field_validator("origin", "direction", mode="wrap")
+    @classmethod
+    def _keeps_signs(cls, value: Any, handler: Callable[[Any], Any]) -> Any:
+        numbers = handler(value)
+        return tuple(-0.0 if x == 0.0 and _is_negative(v) else x for x, v in zip(numbers, value, strict=True))
+
+    @field_validator("direction")
+    @classmethod
+    def _has_a_direction(cls, direction: Any) -> Any:
+        if not any(direction):
+            raise refuse("a direction, so not all zero", direction)
+        return direction
+
+    @property
+    def eye(self) -> tuple[float, float, float]:
+        """Where it starts, by the name that other cameras have for it."""
+        return self.origin
+
+    @property
+    def up(self) -> tuple[float, float, float]:
+        """Across the ray: along the axis that it moves least on."""
+        least = min(range(3), key=lambda axis: abs(self.direction[axis]))
+        x, y, z = (float(axis == least) for axis in range(3))
+        return x, y, z
+
+    def pack(self, width: int, height: int) -> RayRays:
+        """As given; a direction beyond PLAIN is brought to about 1 by a power of two, and t then counts in that."""
+        t_max, d = math.inf if self.t_max is None else self.t_max, np.array(self.direction)
+        exponent = int(np.frexp(np.abs(d).max())[1])
+        if abs(exponent) > PLAIN:
+            with np.errstate(over="ignore", under="ignore"):
+                d, t_max = np.ldexp(d, -exponent), float(np.ldexp(t_max, exponent))
+        return RayRays(np.array(self.origin), d, t_max)
+
+
+def _is_negative(written: Any) -> bool:
+    """Whether a zero is written with a minus, as a number or as a hex float."""
+    if isinstance(written, str):
+        return written.startswith("-")
+    return math.copysign(1.0, float(written)) < 0.0
+
+
+@implement(ray, RayRays)
+def _ray(camera: Any, x: float, y: float) -> Any:
+    return vector(camera.o), vector(camera.d), 0.0, camera.t_max

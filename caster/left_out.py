@@ -1,0 +1,67 @@
+"""Faces that no ray can hit: which kinds there are, and how many (docs/scene-format.md, "Faces that cannot be hit")."""
+
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.placing import Rounding, as_given, is_usable, placed_vertices
+from caster.scene import Scene
+
+# A component of a cross product of two differences is off by at most 4 u of the magnitudes it is made of; u = 2^-53.
+# Products that underflow are off by 2^-1074, far less than TINY.
+CROSS_ERROR, TINY = 5.0 * 2.0**-53, 2.0**-1000
+
+
+class LeftOut(NamedTuple):
+    """Numbers of faces of one shape; each face counts once, in the first that fits."""
+
+    not_finite: int  # a corner is not finite
+    too_large: int  # a coordinate is placing.LARGEST_COORDINATE or more
+    without_area: int  # exactly: its corners lie on one line
+
+    @property
+    def total(self) -> int:
+        return sum(self)
+
+    def __str__(self) -> str:
+        words = ("with a corner that is not finite", "too far out", "without area")
+        return ", ".join(f"{count} {what}" for count, what in zip(self, words, strict=True) if count)
+
+
+def left_out(scene: Scene, rounded: Rounding = as_given) -> Mapping[str, LeftOut]:
+    """By the name of the shape, for shapes that have such faces."""
+    names = scene.shape_names()
+    counts = {names[i]: _of_shape(shape, rounded) for i, shape in enumerate(scene.shapes)}
+    return {name: count for name, count in counts.items() if count.total}
+
+
+def _of_shape(shape: Any, rounded: Rounding) -> LeftOut:
+    if not hasattr(shape, "mesh"):
+        return LeftOut(0, 0, 0)
+    mesh = shape.mesh()
+    vertices = placed_vertices(mesh, shape.matrix, rounded)
+    finite = np.isfinite(vertices).all(axis=1)[mesh.faces].all(axis=1)
+    usable = is_usable(vertices)[mesh.faces].all(axis=1)
+    flat = _count_without_area(vertices[mesh.faces[usable]])
+    return LeftOut(int((~finite).sum()), int((finite & ~usable).sum()), flat)
+
+
+def _count_without_area(corners: np.ndarray) -> int:
+    """corners: (m, 3, 3), finite."""
+    e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    terms = np.roll(e, -1, axis=1) * np.roll(f, 1, axis=1), np.roll(e, 1, axis=1) * np.roll(f, -1, axis=1)
+    sure = np.abs(terms[0] - terms[1]) > CROSS_ERROR * (np.abs(terms[0]) + np.abs(terms[1])) + TINY
+    return sum(_is_flat(face) for face in corners[~sure.any(axis=1)].tolist())
+
+
+def _is_flat(face: list[list[float]]) -> bool:
+    a, b, c = ([Fraction(x) for x in corner] for corner in face)
+    e, f = [y - x for x, y in zip(a, b, strict=True)], [y - x for x, y in zip(a, c, strict=True)]
+    return all(e[i - 1] * f[i - 2] == e[i - 2] * f[i - 1] for i in range(3))
+
+
+def in_words(scene: Scene) -> str:
+    """For people; "" where there are none."""
+    return "; ".join(f"{name}: {count}" for name, count in left_out(scene).items())

@@ -1,0 +1,74 @@
+"""The camera `ray`: one ray to the bit, whatever the pixel."""
+
+import math
+
+import numpy as np
+import pytest
+
+from caster import Film, Ray, Scene, SceneError, Sphere, cast, render
+from caster.cameras import CAMERAS, Pinhole
+from caster.fields import Camera
+from caster.plan import plan
+from caster.rendering import camera_rays
+from caster.scene import scene_from_text
+
+LINE = '[camera]\ntype = "ray"\norigin = {o}\ndirection = {d}\n'
+
+
+def test_every_pixel_casts_the_ray_as_it_was_written():
+    text = LINE.format(o='["0x1.8p-3", 0.1, 5]', d='[-0.0, "-0x1.5p-1070", -3e200]') + "t_max = 7.5\n"
+    scene = scene_from_text("[film]\nwidth = 3\nheight = 2\n" + text)
+    rays = camera_rays(scene)
+    o, d = np.array([0.1875, 0.1, 5.0]), np.array([-0.0, -float.fromhex("0x1.5p-1070"), -3e200])
+    assert rays.o.tobytes() == np.tile(o, (6, 1)).tobytes()
+    assert rays.d.tobytes() == np.tile(d, (6, 1)).tobytes()
+    assert rays.t_min.tolist() == [0.0] * 6 and rays.t_max.tolist() == [7.5] * 6
+
+
+@pytest.mark.parametrize(
+    ("written", "sign"), [("0", 1), ("0.0", 1), ("-0.0", -1), ('"0x0p0"', 1), ('"-0x0p0"', -1)]
+)
+def test_zeros_keep_their_signs(written, sign):
+    ray = scene_from_text(LINE.format(o=f"[{written}, 0, 0]", d=f"[1, {written}, 0]")).camera
+    assert math.copysign(1.0, ray.origin[0]) == math.copysign(1.0, ray.direction[1]) == sign
+
+
+def test_it_sees_what_cast_sees():
+    balls = [Sphere(center=(0.1, 0.2, -3.0)), Sphere(center=(0.1, 0.2, -6.0), radius=0.5)]
+    o, d = (0.3, 0.1, 2.0), (-0.02, 0.01, -0.5)
+    scene = Scene(film=Film(width=2, height=2), camera=Ray(origin=o, direction=d), shapes=balls)
+    hits = cast(scene, [o], [d])
+    for culling in (None, "bvh", "everything"):
+        aovs = render(scene, ("depth", "position", "shape_id"), culling=culling)
+        assert aovs.hit.all() and (aovs["shape_id"] == hits.shape_id[0]).all()
+        assert (aovs["depth"] == hits.t[0] * np.linalg.norm(d)).all()
+        assert (aovs["position"] == hits.surface.p[0]).all()
+    assert plan(scene.camera.pack(2, 2)).culling == "bvh"
+
+
+@pytest.mark.parametrize(("t_max", "hit"), [(5.9999, False), (6.0, True), (None, True)])
+def test_the_ray_ends_at_t_max(t_max, hit):
+    ray = Ray(origin=(0, 0, 4), direction=(0, 0, -0.5), t_max=t_max)
+    scene = Scene(film=Film(width=1, height=1), camera=ray, shapes=[Sphere()])
+    assert bool(render(scene).hit.all()) is hit
+
+
+@pytest.mark.parametrize(
+    ("lines", "says"),
+    [
+        ("origin = [0, 0, 0]\ndirection = [0, -0.0, 0]\n", "direction must be a direction, so not all zero"),
+        ("origin = [0, 0]\ndirection = [0, 0, 1]\n", "origin must be 3 numbers [x, y, z], got 2"),
+        ("origin = [0, 0, 0]\ndirection = [0, 0, nan]\n", "direction"),
+        ("origin = [0, 0, 0]\ndirection = [0, 0, 1]\nt_max = 0\n", "t_max must be a number > 0, got 0"),
+        ("origin = [0, 0, 0]\ndirection = [0, 0, 1]\nup = [0, 1, 0]\n", "up is an unknown key"),
+        ("direction = [0, 0, 1]\n", "origin"),
+    ],
+)
+def test_a_ray_that_is_none_is_refused_with_its_line(lines, says):
+    with pytest.raises(SceneError, match=r"scene:\d+:\d+: camera") as error:
+        scene_from_text('[camera]\ntype = "ray"\n' + lines, origin="scene")
+    assert says in str(error.value)
+
+
+def test_all_other_cameras_look_around():
+    assert [cls for cls in CAMERAS if not issubclass(cls, Camera)] == [Ray] and issubclass(Pinhole, Camera)
