@@ -13,7 +13,7 @@ INSTALLED := .venv/installed-$(HERE)
 
 unexport PYTHONPATH PYTHONHOME
 .DELETE_ON_ERROR:
-.PHONY: help install validate test lint clean
+.PHONY: help install validate test lint stress clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -30,6 +30,9 @@ test: $(INSTALLED) ## all tests, on JOBS cores (all of them, unless told)
 lint: $(INSTALLED) ## style and types: ruff, mypy
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy
+
+stress: $(INSTALLED) ## sweeps of numerical stability: writes docs/stress.md and its pictures, in a few minutes
+	@$(BIN)/mitsuba-ref stress --report docs $(ARGS)
 
 clean: ## remove .venv and everything else that was made here; caches in the home folder stay
 	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

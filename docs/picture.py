@@ -9,13 +9,22 @@ import numpy as np
 
 from caster import load_scene, read_exr
 from mitsuba_ref.validation import validate_scene
+from mitsuba_ref.verdict import CLASSES
 
 DOCS = Path(__file__).parent
 NAME = "every-shape"
 GAP = 4  # white pixels between panels
 
-# agree, explained, out_of_domain, undecided; black where neither side hits
-COLORS = np.array([[70, 120, 80], [255, 150, 0], [90, 90, 255], [255, 0, 0]], np.uint8)
+COLOR = {
+    "agree": (70, 120, 80),
+    "explained": (255, 150, 0),
+    "tie": (0, 200, 200),
+    "reference_wrong": (200, 90, 255),
+    "out_of_domain": (90, 90, 255),
+    "ours_wrong": (255, 0, 0),
+    "undecided": (255, 255, 0),
+}  # black where neither side hits
+COLORS = np.array([COLOR[name] for name in CLASSES], np.uint8)
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.fields import Camera
+from caster.fields import Camera, Description
 from caster.scene import Film
 from mitsuba_ref.xml import XmlElement
 
@@ -36,7 +36,7 @@ def no_sensor(camera: Any, film: Film, limits: Limits) -> XmlElement | None:
 class CameraReference:
     """One entry of the registry `mitsuba_ref.cameras.REFERENCES`."""
 
-    describes: type[Camera]
+    describes: type[Description]  # of caster.cameras.CAMERAS
 
     # (description, film, x, y) -> rays through film positions x, y (n,), in pixels
     rays: Callable[[Any, Film, np.ndarray, np.ndarray], CameraRays]

@@ -31,11 +31,11 @@ def describe() -> dict[str, Any]:
 def answer(job: Job) -> Answer:
     """Load the scene and trace the rays, in this process.
 
-    Raises RuntimeError with Mitsuba's words where it refuses the scene, also where it would only warn, and
-    ImportError where it refuses the variant. Prints nothing.
+    Raises RuntimeError with Mitsuba's words where it refuses the scene, if the job is strict also where it would
+    only warn, and ImportError where it refuses the variant. Prints nothing.
     """
     mi.set_variant(job.variant)
-    _be_strict()
+    _listen(job.strict)
     start = time.perf_counter()
     scene = mi.load_file(str(job.xml), optimize=False)  # optimising merges meshes and loses their ids
     arrays: dict[str, Any] = _trace(scene, job) | _sensor_rays(scene, job)
@@ -44,11 +44,11 @@ def answer(job: Job) -> Answer:
     return Answer(names=names, versions=_versions(job.variant), seconds=seconds, **arrays)
 
 
-def _be_strict() -> None:
-    """A warning is an error; and no log on stdout, where answers of commands go."""
+def _listen(strict: bool) -> None:
+    """Where strict, a warning is an error; and no log on stdout, where answers of commands go."""
     logger = mi.logger()
     logger.clear_appenders()
-    logger.set_error_level(mi.LogLevel.Warn)
+    logger.set_error_level(mi.LogLevel.Warn if strict else mi.LogLevel.Error)
 
 
 def _trace(scene: Any, job: Job) -> dict[str, Any]:

@@ -30,8 +30,8 @@ def export_scene(scene: Scene) -> Export:
     return export(scene, model_of(scene, pack(scene, as_float32), share(scene)))
 
 
-def export(scene: Scene, model: Model) -> Export:
-    """The same, of geometry that is packed already."""
+def export(scene: Scene, model: Model, *, robust: bool = True) -> Export:
+    """The same, of geometry that is packed already. robust: Embree's mode that keeps meshes closed."""
     out = Writer(scene)
     shapes = []
     for name, shape, part in zip(shape_ids(scene), scene.shapes, model.parts, strict=True):
@@ -40,7 +40,18 @@ def export(scene: Scene, model: Model) -> Export:
     sensor = camera_reference(scene.camera).to_xml(scene.camera, scene.film, limits(scene, model))
     if sensor is None:
         out.notes.append(f"no sensor: Mitsuba has no {scene.camera.type} camera, so rays are handed over")
-    return Export(to_text(scene, shapes, sensor, out), out.meshes, shape_ids(scene), out.notes)
+    text = to_text(scene, shapes, sensor, out)
+    return Export(text if robust else not_robust(text), out.meshes, shape_ids(scene), out.notes)
+
+
+ROBUST = '<boolean name="embree_use_robust_intersections" value="true" />'
+
+
+def not_robust(text: str) -> str:
+    """The same document for Embree as it comes, whose faster tests let rays slip through edges."""
+    if text.count(ROBUST) != 1:
+        raise ValueError(f"expected one element {ROBUST}, found {text.count(ROBUST)}")
+    return text.replace(ROBUST, ROBUST.replace("true", "false"))
 
 
 def shape_ids(scene: Scene) -> list[str]:

@@ -7,6 +7,7 @@ import json
 import os
 import zipfile
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -30,17 +31,33 @@ class Job:
     t_max: np.ndarray  # (n,) float32, lengths of d; inf is no limit
     lights: bool = True  # whether light_rgb, light_visible and albedo are wanted
     sensor: bool = False  # whether the rays of the scene's own sensor are wanted
+    strict: bool = True  # whether what Mitsuba warns of is refused
+    more: tuple[tuple[Path, int], ...] = ()  # further scenes, and the first of the rays that go through each
 
     def __post_init__(self) -> None:
         _check_rows(self, len(self.o))
+        if self.more and (self.lights or self.sensor):
+            raise ValueError("more: expected no lights and no sensor where there are several scenes")
 
     def write(self, folder: Path) -> None:
-        _write(replace(self, xml=self.xml.absolute()), folder / "job")  # the reader works in another folder
+        more = tuple((xml.absolute(), first) for xml, first in self.more)
+        _write(replace(self, xml=self.xml.absolute(), more=more), folder / "job")  # read in another folder
 
     @classmethod
     def read(cls, folder: Path) -> "Job":
         record = _read(cls, folder / "job")
-        return cls(**(record | {"xml": Path(record["xml"])}))
+        more = tuple((Path(xml), first) for xml, first in record["more"])
+        return cls(**(record | {"xml": Path(record["xml"]), "more": more}))
+
+    def pieces(self) -> list["Job"]:
+        """One job a scene, in order."""
+        scenes = [self.xml, *(xml for xml, _ in self.more)]
+        edges = [0, *(first for _, first in self.more), len(self.o)]
+        rays = (self._rays(*ends) for ends in pairwise(edges))
+        return [replace(self, xml=xml, more=(), **arrays) for xml, arrays in zip(scenes, rays, strict=True)]
+
+    def _rays(self, start: int, stop: int) -> dict[str, Any]:
+        return {name: getattr(self, name)[start:stop] for name in self.ROWS}
 
 
 @dataclass(frozen=True, eq=False)

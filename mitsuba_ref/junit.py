@@ -21,7 +21,9 @@ def junit(verdict: Verdict) -> str:
             kind = "error" if scene.problem else "failure"
             SubElement(case, kind, message=printable(text.splitlines()[0])).text = printable(text)
         counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
-        SubElement(case, "system-out").text = printable(f"hit={scene.hit_pixels} {counts} {scene.versions}")
+        SubElement(case, "system-out").text = printable(
+            f"hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} {scene.versions}"
+        )
     indent(suite)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(suite, encoding="unicode") + "\n"
 

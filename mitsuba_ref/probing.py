@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,14 +10,16 @@ from caster.rendering import Aovs
 from caster.scene import Scene
 from caster.wording import SceneError
 from mitsuba_ref.bracket import latest_hits
+from mitsuba_ref.exact import ExactAnswer
 from mitsuba_ref.jobs import Crash
 from mitsuba_ref.judge import Judge, Judgement
-from mitsuba_ref.model import model_of
-from mitsuba_ref.pair import COMPARED, our_view, pair_up
+from mitsuba_ref.judging import judge_of
+from mitsuba_ref.pair import COMPARED
 from mitsuba_ref.pixels import flat
-from mitsuba_ref.rays import share
-from mitsuba_ref.reference import consult
-from mitsuba_ref.verdict import AGREE, CLASSES, EXPLAINED, OUT_OF_DOMAIN, UNDECIDED, number
+from mitsuba_ref.rays import SharedRays, share
+from mitsuba_ref.reasons import reason
+from mitsuba_ref.telling import TIES_SHOWN, asked, members
+from mitsuba_ref.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, number
 
 SHOWN = 12  # primitives on the terminal; --json has all
 
@@ -43,15 +45,17 @@ class PixelVerdict:
     ray: dict[str, Any]
     ours: dict[str, Any]
     reference: dict[str, Any]
+    exact: dict[str, Any]
     ratios: dict[str, float]
     possible: tuple[Possible, ...]
     versions: dict[str, str]
     problem: str = ""
     why: str = ""
+    case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
 
     @property
     def ok(self) -> bool:
-        return not self.problem and self.verdict != UNDECIDED
+        return not self.problem and self.verdict not in FAILING and self.case != UNLISTED
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; infinite numbers become text."""
@@ -59,46 +63,66 @@ class PixelVerdict:
         return plain
 
 
+class Probed(NamedTuple):
+    """What a pixel's verdict rests on: a picture of this one pixel."""
+
+    judge: Judge
+    judgement: Judgement
+
+
 def probe(scene: Scene, x: int, y: int) -> PixelVerdict:
     """Judge one pixel. Raises SceneError for one outside the film."""
+    return examine(scene, x, y)[0]
+
+
+def examine(scene: Scene, x: int, y: int) -> tuple[PixelVerdict, Probed | Crash]:
+    """The same, with what it rests on."""
     film = scene.film
     if not (0 <= x < film.width and 0 <= y < film.height):
         inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
         raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
     whole = share(scene.with_film(crop=(0, 0, film.width, film.height)))  # stand-ins are cut to all rays
     scene = scene.with_film(crop=(x, y, x + 1, y + 1))
-    rays = share(scene)
-    view = our_view(scene, rays)
-    model = model_of(scene, view.packed, whole)
-    witness = consult(scene, model, rays)
-    ray = {name: _numbers(getattr(rays, name)[0]) for name in ("o", "d", "t_max", "start")}
-    if isinstance(witness, Crash):
-        problem = f"Mitsuba ended without an answer ({witness.exit}): {witness.words}"
-        return PixelVerdict(x, y, UNDECIDED, ray, {}, {}, {}, (), {}, problem)
-    pair = pair_up(scene, rays, view, witness)
-    judge = Judge(scene, model, pair)
-    judgement = judge.judge()
-    return PixelVerdict(
+    judge = judge_of(scene, whole=whole)
+    if isinstance(judge, Crash):
+        problem = f"Mitsuba ended without an answer ({judge.exit}): {judge.words}"
+        return PixelVerdict(x, y, UNDECIDED, _ray(share(scene)), {}, {}, {}, {}, (), {}, problem), judge
+    pair, judgement = judge.pair, judge.judge()
+    found = PixelVerdict(
         x,
         y,
         CLASSES[int(judgement.classes[0])],
-        ray,
+        _ray(pair.rays),
         _answer(scene, pair.ours, pair.t),
-        _answer(scene, pair.reference, witness.t),
+        _answer(scene, pair.reference, pair.witness.t),
+        _exact(judge, asked(judge, judgement, 0)),
         _ratios(judgement),
         tuple(_possible(scene, judge)),
-        witness.answer.versions,
-        why=OURS_FAILS if judgement.ours_fails[0] else WHY[CLASSES[int(judgement.classes[0])]],
+        pair.witness.answer.versions,
+        why=reason(judge, judgement, 0),
+        case=_case(judgement),
     )
+    return found, Probed(judge, judgement)
 
 
-WHY = {
-    AGREE: "every quantity is within its bound",
-    EXPLAINED: "rounding allows both answers: ours by the bracket of float64, Mitsuba's by that of float32",
-    OUT_OF_DOMAIN: "float32 cannot resolve this pixel; ours is right by float64",
-    UNDECIDED: "Mitsuba's answer is beyond what float32 allows, or no shadow gives our diffuse value",
-}
-OURS_FAILS = "ours is beyond what float64 rounding allows"
+def _case(judgement: Judgement) -> str:
+    if 0 not in judgement.cases:
+        return ""
+    case = judgement.cases[0]
+    return UNLISTED if case is None else str(case)
+
+
+def _ray(rays: SharedRays) -> dict[str, Any]:
+    return {name: _numbers(getattr(rays, name)[0]) for name in ("o", "d", "t_max", "start")}
+
+
+def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
+    """The third witness; empty where there is no ray or no answer."""
+    if answer is None:
+        return {}
+    ties = [each._asdict() for each in members(judge.scene, judge.model.packed, answer)]
+    t = np.inf if answer.t is None else float(answer.t)
+    return {"hit": answer.hit, "t": t, "t_hex": t.hex(), "ties": ties, "flags": sorted(answer.flags)}
 
 
 def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
@@ -142,6 +166,7 @@ def _lines(found: PixelVerdict, path: str) -> Iterator[str]:
     yield f"why        {found.why}"
     for name, value in found.ray.items():
         yield f"ray        {name:<16}{_both(value)}"
+    yield from _exact_lines(found.exact)
     for name in found.ours:
         yield f"ours       {name:<16}{_both(found.ours[name])}"
         yield f"reference  {'':<16}{_both(found.reference[name])}"
@@ -154,6 +179,20 @@ def _lines(found: PixelVerdict, path: str) -> Iterator[str]:
     if len(found.possible) > SHOWN:
         yield f"           and {len(found.possible) - SHOWN} more (--json lists them)"
     yield f"reference  {', '.join(f'{name} {version}' for name, version in found.versions.items())}"
+
+
+def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
+    """What exact arithmetic says: t, what is hit there, and what else the ray met."""
+    if not exact:
+        yield "exact      no answer"
+        return
+    yield f"exact      t               {_both(exact['t'])}" if exact["hit"] else "exact      miss"
+    for tie in exact["ties"][:TIES_SHOWN]:
+        yield f"           hit             {tie['shape']}, prim {tie['prim']} ({tie['where']})"
+    if len(exact["ties"]) > TIES_SHOWN:
+        yield f"           and {len(exact['ties']) - TIES_SHOWN} more at the same t (--json lists them)"
+    if exact["flags"]:
+        yield f"           on the way      {', '.join(exact['flags'])}"
 
 
 def _both(value: Any) -> str:

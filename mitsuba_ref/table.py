@@ -3,33 +3,61 @@
 import shlex
 from collections.abc import Iterator
 
-from mitsuba_ref.verdict import AGREE, CLASSES, EXPLAINED, OUT_OF_DOMAIN, UNDECIDED, SceneVerdict, Verdict
+from mitsuba_ref.cases import NAMES
+from mitsuba_ref.verdict import (
+    AGREE,
+    CLASSES,
+    EXPLAINED,
+    OURS_WRONG,
+    OUT_OF_DOMAIN,
+    REFERENCE_WRONG,
+    TIE,
+    UNDECIDED,
+    UNLISTED,
+    SceneVerdict,
+    Verdict,
+)
 
 WORDS_SHOWN = 12  # lines of what Mitsuba said when it ended without an answer
 
-
-WIDEST_CHECK = len("0.00 shading_normal")
+# The heads of the columns, in two lines; 100 characters hold a row whose scene has a name of 26.
+HEADS = {
+    AGREE: ("", "agree"),
+    EXPLAINED: ("", "expl."),
+    TIE: ("", "tie"),
+    REFERENCE_WRONG: ("ref.", "wrong"),
+    OUT_OF_DOMAIN: ("out", "dom."),
+    OURS_WRONG: ("ours", "wrong"),
+    UNDECIDED: ("unde-", "cided"),
+}
 
 
 def head(width: int) -> str:
-    """The names of the columns; width: of the longest scene name."""
-    classes = "".join(f"  {name.replace('_', ' '):>{room(name)}}" for name in CLASSES)
-    return f"      {'scene':<{width}}  {'hit':>8}{classes}  {'worst':<{WIDEST_CHECK}}  seconds"
+    """The names of the columns, in two lines; width: of the longest scene name."""
+    lines = []
+    for line, (hit, asked, worst, seconds) in enumerate(
+        (("", "exact", "", ""), ("hit", "asked", "worst", "s"))
+    ):
+        classes = "".join(f" {HEADS[name][line]:>{room(name)}}" for name in CLASSES)
+        scene = "scene" if line else ""
+        lines.append(f"      {scene:<{width}} {hit:>6}{classes} {asked:>5} {worst:>5} {seconds:>5}".rstrip())
+    return "\n".join(lines)
 
 
 def row(scene: SceneVerdict, width: int) -> str:
-    """PASS or FAIL, how many hit pixels in which class, the check that came nearest to its bound."""
+    """PASS or FAIL, how many hit pixels in which class, how many exact arithmetic was asked about, the share of its
+    bound that the check uses which came nearest to it, seconds."""
     mark = "PASS" if scene.ok else "FAIL"
-    classes = "".join(f"  {scene.counts[name]:>{room(name)}}" for name in CLASSES)
+    classes = "".join(f" {scene.counts[name]:>{room(name)}}" for name in CLASSES)
     check, ratio = scene.worst
-    worst = f"{ratio:.2f} {check}" if check and scene.counts[AGREE] else "-"
-    left = f"{mark}  {scene.name:<{width}}  {scene.hit_pixels:>8}{classes}"
-    return f"{left}  {worst:<{WIDEST_CHECK}}  {scene.seconds:7.1f}"
+    worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
+    left = f"{mark}  {scene.name:<{width}} {scene.hit_pixels:>6}{classes}"
+    return f"{left} {scene.adjudicated:>5} {worst:>5} {scene.seconds:5.1f}"
 
 
 def room(name: str) -> int:
     """Characters of the column of a class."""
-    return max(8, len(name))
+    return 6 if name == AGREE else max(5, *map(len, HEADS[name]))
 
 
 def failure(scene: SceneVerdict) -> str:
@@ -40,7 +68,7 @@ def failure(scene: SceneVerdict) -> str:
 def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
     if scene.problem:
         yield from _problem_lines(scene)
-    elif not scene.has_evidence and not scene.counts[UNDECIDED]:
+    elif not scene.has_evidence and not scene.failing:
         yield f"FAIL  {scene.name}  {_lack_of_evidence(scene)}"
     for check in scene.checks:
         if not check.ok:
@@ -48,22 +76,37 @@ def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
             yield f"      replay:    {replay(scene)}"
     if scene.failures:
         first = scene.failures[0]
-        count, hit = scene.counts[UNDECIDED], scene.hit_pixels
         yield (
-            f"FAIL  {scene.name}  {first.check}: {count} of {hit} hit pixels undecided, "
+            f"FAIL  {scene.name}  {first.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
             f"worst {first.ratio:.3g}x its bound at ({first.x}, {first.y})"
         )
         yield f"      ours:      {first.ours}"
         yield f"      reference: {first.reference}"
+        yield f"      exact:     {first.exact}"
         yield f"      why:       {first.reason}"
         yield f"      replay:    {replay(scene, (first.x, first.y))}"
+
+
+def _failing(scene: SceneVerdict) -> str:
+    """How many pixels of which class fail."""
+    counts = {
+        "ours wrong": scene.counts[OURS_WRONG],
+        "undecided": scene.counts[UNDECIDED],
+        "reference wrong in no known way": scene.cases.get(UNLISTED, 0),
+    }
+    return ", ".join(f"{count} {what}" for what, count in counts.items() if count)
 
 
 def _lack_of_evidence(scene: SceneVerdict) -> str:
     if not scene.hit_pixels:
         return "no pixel hits anything, so nothing was compared"
-    excused = scene.counts[EXPLAINED] + scene.counts[OUT_OF_DOMAIN]
-    return f"too little evidence: {scene.counts[AGREE]} pixels agree, {excused} are only excused"
+    wrong = scene.counts[REFERENCE_WRONG]
+    if wrong > scene.evidence:
+        return (
+            f"too little evidence: the reference is wrong at {wrong} pixels and right at {scene.evidence}, so it "
+            "says nothing about ours here"
+        )
+    return f"too little evidence: {scene.evidence} pixels agree or tie, {scene.excused} are only excused"
 
 
 def _problem_lines(scene: SceneVerdict) -> Iterator[str]:
@@ -82,22 +125,46 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
 
 
 def summary(verdict: Verdict, seconds: float) -> str:
-    """All scenes in three lines."""
+    """All scenes in a few lines."""
     passed = sum(scene.ok for scene in verdict.scenes)
     counts = verdict.counts
     total = sum(counts.values()) or 1
-    shares = ", ".join(
-        f"{counts[name]} {name.replace('_', ' ')} ({share(counts[name], total)})" for name in CLASSES
-    )
+    shares = [f"{counts[name]} {name.replace('_', ' ')} ({share(counts[name], total)})" for name in CLASSES]
     lines = [
         f"{verdict.asked} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
         f"{_not_run(verdict)}, in {seconds:.1f} s",
-        f"hit pixels: {shares}",
+        f"hit pixels: {', '.join(shares[:3])},",
+        f"            {', '.join(shares[3:5])},",
+        f"            {', '.join(shares[5:])}",
+        f"exact:      {verdict.adjudicated} pixels were decided by exact arithmetic, "
+        f"in {sum(scene.exact_seconds for scene in verdict.scenes):.1f} s",
+        *_case_lines(verdict),
+        *_stored_lines(verdict),
     ]
     lines += [
         f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed
     ]
     return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
+
+
+def _case_lines(verdict: Verdict) -> Iterator[str]:
+    """Where the reference is wrong, and how; what is not listed comes first."""
+    for case, count in sorted(verdict.cases.items(), key=lambda item: item[0] != UNLISTED):
+        if case == UNLISTED:
+            yield (
+                f"UNLISTED:   {count} pixels where the reference is wrong in no known way: a new defect of Mitsuba, "
+                "or of what it was handed"
+            )
+        else:
+            yield f"ref. wrong: {count} pixels of case {case}, {NAMES[int(case)]}"
+
+
+def _stored_lines(verdict: Verdict) -> Iterator[str]:
+    stored = sum(len(scene.reproducers) for scene in verdict.scenes)
+    if stored:
+        left = sum(scene.not_stored for scene in verdict.scenes)
+        more = f"; {left} more pixels are like them (mitsuba-ref probe SCENE X Y --save FILE)" if left else ""
+        yield f"stored:     {stored} scenes of one ray each{more}"
 
 
 def _allowed(scene: SceneVerdict) -> str:

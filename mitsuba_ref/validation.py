@@ -1,23 +1,34 @@
 """A scene through both sides to its verdict."""
 
 import time
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from caster.rendering import Aovs
+from caster.rendering import Aovs, film_window
 from caster.scene import Scene, load_scene
 from mitsuba_ref.jobs import Crash
-from mitsuba_ref.judge import CODE, Judge, Judgement
-from mitsuba_ref.model import model_of
-from mitsuba_ref.pair import Pair, our_view, pair_up
+from mitsuba_ref.judge import CODE, EXACT, Judge, Judgement
+from mitsuba_ref.judging import judge_of
 from mitsuba_ref.pictures import write_pictures
 from mitsuba_ref.pixels import flat
-from mitsuba_ref.rays import share
-from mitsuba_ref.reference import consult
+from mitsuba_ref.reasons import reason
 from mitsuba_ref.scene_checks import CHECKS_WITHOUT_REFERENCE, check_sensor
-from mitsuba_ref.verdict import AGREE, CLASSES, SHOWN, UNDECIDED, Failure, SceneVerdict, Verdict, pixel_of
+from mitsuba_ref.storing import Stored, store_all
+from mitsuba_ref.telling import asked, exact_words
+from mitsuba_ref.verdict import (
+    AGREE,
+    CLASSES,
+    FAILING,
+    SHOWN,
+    UNLISTED,
+    Failure,
+    SceneVerdict,
+    Verdict,
+    pixel_of,
+)
 from mitsuba_ref.worker import DEFAULT_TIMEOUT
 
 
@@ -42,43 +53,51 @@ def validate_scene(
 ) -> SceneVerdict:
     """The verdict of one scene that is loaded. folder: where the pictures of both sides go."""
     start = time.perf_counter()
-    rays = share(scene)
-    view = our_view(scene, rays)
-    model = model_of(scene, view.packed, rays)
     checks = tuple(check(scene) for check in CHECKS_WITHOUT_REFERENCE)
-    witness = consult(scene, model, rays, timeout=timeout)
-    size = (scene.film.width, scene.film.height)
-    if isinstance(witness, Crash):
-        problem = f"Mitsuba ended without an answer ({witness.exit}): {witness.words}".strip()
+    judge = judge_of(scene, timeout=timeout)
+    size, pixels = (scene.film.width, scene.film.height), film_window(scene)
+    if isinstance(judge, Crash):
+        problem = f"Mitsuba ended without an answer ({judge.exit}): {judge.words}".strip()
         seconds = time.perf_counter() - start
-        return SceneVerdict(
-            name, path, len(rays.o), checks=checks, problem=problem, seconds=seconds, size=size
-        )
-    pair = pair_up(scene, rays, view, witness)
-    judgement = Judge(scene, model, pair).judge()
+        count = pixels.width * pixels.height
+        return SceneVerdict(name, path, count, checks=checks, problem=problem, seconds=seconds, size=size)
+    judgement, pair = judge.judge(), judge.pair
+    stored = Stored((), 0)
     if folder:
         write_pictures(folder, name, scene, pair, judgement)
+        stored = store_all(folder, name, judge, judgement, path or name)
     hit = pair.ours.hit.ravel() | pair.witness.hit
     return SceneVerdict(
         name,
         path,
-        len(rays.o),
+        len(pair.t),
         hit_pixels=int(hit.sum()),
         counts=_counts(judgement, hit),
         ratios=_ratios(judgement),
-        checks=(*checks, check_sensor(scene, witness)),
-        failures=tuple(_failures(scene, pair, judgement)),
-        versions=witness.answer.versions,
+        checks=(*checks, check_sensor(scene, pair.witness)),
+        failures=tuple(_failures(judge, judgement)),
+        versions=pair.witness.answer.versions,
         seconds=time.perf_counter() - start,
-        reference_seconds=witness.answer.seconds,
+        reference_seconds=pair.witness.answer.seconds,
         size=size,
         allowed={name: check.ratio for name, check in scene.checks.items()},
+        adjudicated=len(judgement.exact.rows),
+        exact_seconds=judgement.exact_seconds,
+        cases=_cases(judgement),
+        reproducers=stored.files,
+        not_stored=stored.left_out,
     )
 
 
+def _cases(judgement: Judgement) -> dict[str, int]:
+    """How many pixels where the reference is wrong are of which known case."""
+    numbers = sorted(judgement.cases.values(), key=lambda case: (case is None, case))
+    return dict(Counter(UNLISTED if case is None else str(case) for case in numbers))
+
+
 def _counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
-    """Hit pixels of each class; an undecided pixel counts, whether anybody hit there or not."""
-    counted = hit | (judgement.classes == CODE[UNDECIDED])
+    """Hit pixels of each class; one that fails counts, whether anybody hit there or not."""
+    counted = hit | judgement.is_class(*FAILING)
     numbers = np.bincount(judgement.classes[counted], minlength=len(CLASSES))
     return dict(zip(CLASSES, map(int, numbers), strict=True))
 
@@ -89,27 +108,31 @@ def _ratios(judgement: Judgement) -> dict[str, float]:
     return {name: float(judgement.ratio(name)[agreeing].max(initial=0.0)) for name in judgement.names}
 
 
-def _failures(scene: Scene, pair: Pair, judgement: Judgement) -> Sequence[Failure]:
-    """The worst of the pixels that nothing explains."""
-    rows = np.flatnonzero(judgement.classes == CODE[UNDECIDED])
+def _failures(judge: Judge, judgement: Judgement) -> Sequence[Failure]:
+    """The worst of the pixels that fail."""
+    unlisted = np.array([row for row, case in judgement.cases.items() if case is None], np.int64)
+    rows = np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
     excess = np.array([judgement.excess(name)[rows] for name in judgement.names])
     order = np.argsort(-excess.max(axis=0), kind="stable")[:SHOWN]
-    return [_failure(scene, pair, judgement, int(rows[j]), int(np.argmax(excess[:, j]))) for j in order]
+    return [_failure(judge, judgement, int(row)) for row in rows[order]]
 
 
-def _failure(scene: Scene, pair: Pair, judgement: Judgement, i: int, worst: int) -> Failure:
-    x, y = pixel_of(scene, i)
-    check = judgement.names[worst]
-    ratio = float(judgement.ratio(check)[i])
-    reason = "beyond what float32 rounding allows Mitsuba to answer"
-    if ratio <= 1.0:
-        reason = f"beyond the share of the bound that [check.{check}] allows"
-    elif judgement.ours_fails[i]:
-        reason = "beyond what float64 rounding allows our caster to answer"
-    elif check == "diffuse":
-        reason = "no shadow that rounding allows gives this value"
-    ours, reference = (_words(scene, aovs, check, i) for aovs in (pair.ours, pair.reference))
-    return Failure(x, y, check, ratio, ours, reference, reason)
+def _failure(judge: Judge, judgement: Judgement, i: int) -> Failure:
+    x, y = pixel_of(judge.scene, i)
+    check = _offended(judgement, i)
+    exact = exact_words(judge.scene, judge.model.packed, asked(judge, judgement, i))
+    ours, reference = (
+        _words(judge.scene, aovs, check, i) for aovs in (judge.pair.ours, judge.pair.reference)
+    )
+    verdict, ratio = CLASSES[int(judgement.classes[i])], float(judgement.ratio(check)[i])
+    return Failure(x, y, verdict, check, ratio, ours, reference, exact, reason(judge, judgement, i))
+
+
+def _offended(judgement: Judgement, i: int) -> str:
+    """The check that finds most; `exact`, which says the least of what is wrong, only where it is the only one."""
+    excess = {name: float(judgement.excess(name)[i]) for name in judgement.names}
+    telling = {name: share for name, share in excess.items() if name != EXACT and not share <= 1.0}
+    return max(telling or excess, key=lambda name: excess[name])
 
 
 def _words(scene: Scene, aovs: Aovs, check: str, i: int) -> str:

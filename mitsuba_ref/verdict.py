@@ -1,4 +1,4 @@
-"""Comparison and brackets -> a class for every pixel -> the verdict of a scene."""
+"""Comparison, brackets and exact answers -> a class for every pixel -> the verdict of a scene."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,21 +8,38 @@ import numpy as np
 from caster.scene import Scene
 from mitsuba_ref.scene_check import SceneCheck
 
-# The classes of a pixel; the first ones pass, the last one fails.
-AGREE, EXPLAINED, OUT_OF_DOMAIN, UNDECIDED = CLASSES = ("agree", "explained", "out_of_domain", "undecided")
+# The classes of a pixel; the last two fail.
+CLASSES = ("agree", "explained", "tie", "reference_wrong", "out_of_domain", "ours_wrong", "undecided")
+AGREE, EXPLAINED, TIE, REFERENCE_WRONG, OUT_OF_DOMAIN, OURS_WRONG, UNDECIDED = CLASSES
+EVIDENCE = (AGREE, TIE)  # both sides were compared, and are right
+EXCUSED = (
+    EXPLAINED,
+    OUT_OF_DOMAIN,
+    REFERENCE_WRONG,
+)  # ours was compared with itself and exact arithmetic alone
+OUR_WORD = (
+    *EXCUSED,
+    TIE,
+)  # ours is compared with another surface than the reference's, so with nothing but float64
+FAILING = (OURS_WRONG, UNDECIDED)
+UNLISTED = (
+    "unlisted"  # the case of a pixel where the reference is wrong in no way that mitsuba_ref/cases.py lists
+)
 SHOWN = 10  # failures a scene lists; all are counted
 
 
 @dataclass(frozen=True)
 class Failure:
-    """One pixel that nothing explains."""
+    """One pixel that fails its scene."""
 
     x: int
     y: int
+    verdict: str  # its class
     check: str
     ratio: float  # error over bound
     ours: str
     reference: str
+    exact: str
     reason: str
 
 
@@ -49,16 +66,39 @@ class SceneVerdict:
     size: tuple[int, int] = (0, 0)  # of the film
     resized: bool = False  # another film than the scene's own
     allowed: dict[str, float] = field(default_factory=dict)  # the scene's own [check.AOV]: shares of bounds
+    adjudicated: int = 0  # pixels that exact arithmetic was asked about
+    exact_seconds: float = 0.0  # what that took, of `seconds`
+    cases: dict[str, int] = field(default_factory=dict)  # pixels where the reference is wrong, by known case
+    reproducers: tuple[str, ...] = ()  # files, one ray each
+    not_stored: int = 0  # pixels that would have been stored as well, but for their number
 
     @property
     def ok(self) -> bool:
-        """No problem, no undecided pixel, every check within its bound, and more evidence than excuses."""
-        return not self.problem and not self.counts[UNDECIDED] and self.has_evidence and self.checks_pass
+        """No problem, no failing pixel, every check within its bound, and more evidence than excuses."""
+        return not self.problem and not self.failing and self.has_evidence and self.checks_pass
+
+    @property
+    def failing(self) -> int:
+        """Pixels that fail: ours is wrong, nobody knows, or the reference is wrong in a way that is not known.
+
+        What nobody has seen of Mitsuba before may as well be a fault of what it was handed, so somebody has to look.
+        """
+        return sum(self.counts[name] for name in FAILING) + self.cases.get(UNLISTED, 0)
+
+    @property
+    def evidence(self) -> int:
+        """Hit pixels where both sides were compared and are right."""
+        return sum(self.counts[name] for name in EVIDENCE)
+
+    @property
+    def excused(self) -> int:
+        """Hit pixels that pass without being evidence."""
+        return sum(self.counts[name] for name in EXCUSED)
 
     @property
     def has_evidence(self) -> bool:
-        """More hit pixels agree than are excused; a scene that hits nothing proves nothing."""
-        return self.counts[AGREE] > self.counts[EXPLAINED] + self.counts[OUT_OF_DOMAIN]
+        """More hit pixels are evidence than are excused; a scene that hits nothing proves nothing."""
+        return self.evidence > self.excused
 
     @property
     def checks_pass(self) -> bool:
@@ -81,6 +121,10 @@ class SceneVerdict:
             "pixels": self.pixels,
             "hit_pixels": self.hit_pixels,
             "counts": self.counts,
+            "adjudicated": self.adjudicated,
+            "cases": self.cases,
+            "reproducers": list(self.reproducers),
+            "not_stored": self.not_stored,
             "ratios": {name: number(ratio) for name, ratio in self.ratios.items()},
             "checks": [
                 {"name": c.name, "ok": c.ok, "ratio": number(c.ratio), "what": c.what} for c in self.checks
@@ -89,6 +133,7 @@ class SceneVerdict:
             "versions": self.versions,
             "seconds": round(self.seconds, 3),
             "reference_seconds": round(self.reference_seconds, 3),
+            "exact_seconds": round(self.exact_seconds, 3),
             "problem": self.problem,
         }
 
@@ -115,6 +160,20 @@ class Verdict:
         return {name: sum(scene.counts[name] for scene in self.scenes) for name in CLASSES}
 
     @property
+    def adjudicated(self) -> int:
+        """Pixels that exact arithmetic was asked about."""
+        return sum(scene.adjudicated for scene in self.scenes)
+
+    @property
+    def cases(self) -> dict[str, int]:
+        """Pixels where the reference is wrong, by known case."""
+        total: dict[str, int] = {}
+        for scene in self.scenes:
+            for case, count in scene.cases.items():
+                total[case] = total.get(case, 0) + count
+        return total
+
+    @property
     def versions(self) -> tuple[str, ...]:
         """What judged them, each once."""
         said = [", ".join(f"{k} {v}" for k, v in scene.versions.items()) for scene in self.scenes]
@@ -126,6 +185,8 @@ class Verdict:
             "ok": self.ok,
             "asked": self.asked,
             "counts": self.counts,
+            "adjudicated": self.adjudicated,
+            "cases": self.cases,
             "scenes": [scene.to_dict() for scene in self.scenes],
         }
 

@@ -1,7 +1,12 @@
 """Mitsuba in a child process: an abort, a hang or a refusal in there is a result here."""
 
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from mitsuba_ref import child, variants
 from mitsuba_ref.jobs import Answer, Crash, Job
@@ -14,13 +19,73 @@ def ask(job: Job, timeout: float = DEFAULT_TIMEOUT) -> Answer | Crash:
     return child.put(job, timeout, variants.settings(job.variant))
 
 
+def ask_all(jobs: Sequence[Job], timeout: float = DEFAULT_TIMEOUT) -> list[Answer | Crash]:
+    """Ask about several scenes in one child; only what ends without an answer is asked again, by halves.
+
+    jobs: of one variant, without lights and sensor. `seconds` of each answer are those of the whole child.
+    """
+    if len(jobs) == 1:
+        return [ask(jobs[0], timeout)]
+    answer = ask(together(jobs), timeout)
+    if isinstance(answer, Answer):
+        return apart(answer, [len(job.o) for job in jobs])
+    half = len(jobs) // 2
+    return [*ask_all(jobs[:half], timeout), *ask_all(jobs[half:], timeout)]
+
+
+def together(jobs: Sequence[Job]) -> Job:
+    """One job of several."""
+    firsts = np.cumsum([len(job.o) for job in jobs]).tolist()
+    more = tuple((job.xml, first) for job, first in zip(jobs[1:], firsts, strict=False))
+    rays: dict[str, Any] = {name: np.concatenate([getattr(job, name) for job in jobs]) for name in Job.ROWS}
+    return replace(jobs[0], more=more, **rays)
+
+
+def joined(answers: Sequence[Answer]) -> Answer:
+    """One answer of several; with more than one, names begin with the number of the scene."""
+    first, *rest = answers
+    if not rest:
+        return first
+    rows: dict[str, Any] = {
+        name: np.concatenate([getattr(answer, name) for answer in answers]) for name in Answer.ROWS
+    }
+    starts = np.cumsum([0, *(len(answer.names) for answer in answers)])
+    owner = np.repeat(np.arange(len(answers)), [len(answer.t) for answer in answers])
+    rows["shape"] = np.where(rows["shape"] < 0, -1, rows["shape"] + starts[owner]).astype(np.int32)
+    names = [f"{i}:{name}" for i, answer in enumerate(answers) for name in answer.names]
+    lit: dict[str, Any] = {
+        name: np.concatenate([getattr(answer, name) for answer in answers], axis=1) for name in LIT
+    }
+    seconds = sum(answer.seconds for answer in answers)
+    return replace(first, names=names, seconds=seconds, **rows, **lit)
+
+
+LIT = ("light_rgb", "light_visible")  # (lights, n, ...): their second axis counts the rays
+
+
+def apart(answer: Answer, counts: Sequence[int]) -> list[Answer | Crash]:
+    """`joined`, undone: the answers about so many rays each."""
+    found: list[Answer | Crash] = []
+    scene_of = np.array([int(name.partition(":")[0]) for name in answer.names], int)
+    for i, stop in enumerate(np.cumsum(counts).tolist()):
+        rows = slice(stop - counts[i], stop)
+        own = np.flatnonzero(scene_of == i)
+        arrays: dict[str, Any] = {name: getattr(answer, name)[rows] for name in Answer.ROWS}
+        first = own[0] if len(own) else 0
+        arrays["shape"] = np.where(arrays["shape"] < 0, -1, arrays["shape"] - first).astype(np.int32)
+        names = [answer.names[j].partition(":")[2] for j in own]
+        lit: dict[str, Any] = {name: getattr(answer, name)[:, rows] for name in LIT}
+        found.append(replace(answer, names=names, **arrays, **lit))
+    return found
+
+
 def main(folder: Path) -> int:
     """The child's side: read the job in `folder`, write the answer there. 1 where Mitsuba says no."""
     _die_with_parent()
     try:
         from mitsuba_ref import door  # here, so that asking needs no Mitsuba in this process
 
-        answer = door.answer(Job.read(folder))
+        answer = joined([door.answer(piece) for piece in Job.read(folder).pieces()])
     except (RuntimeError, ImportError) as refusal:
         print(refusal, file=sys.stderr)
         return 1

@@ -1,6 +1,6 @@
 """The registry of references: one for every camera of caster.cameras.CAMERAS (a test demands it)."""
 
-from mitsuba_ref.cameras import fisheye, orthographic, panorama, parabolic, pinhole
+from mitsuba_ref.cameras import fisheye, orthographic, panorama, parabolic, pinhole, ray
 
 REFERENCES = (
     pinhole.REFERENCE,
@@ -8,4 +8,5 @@ REFERENCES = (
     fisheye.REFERENCE,
     panorama.REFERENCE,
     parabolic.REFERENCE,
+    ray.REFERENCE,
 )

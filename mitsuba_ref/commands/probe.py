@@ -1,26 +1,59 @@
-"""`mitsuba-ref probe`: both witnesses side by side for one pixel."""
+"""`mitsuba-ref probe`: three witnesses side by side for one pixel."""
+
+from __future__ import annotations
 
 import argparse
 import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from caster.commands.scene_arguments import add_pixel, add_scene, blamed_on, load
 from caster.exits import DIFFERENCES, OK
 
-HELP = "one pixel: what ours and Mitsuba say, the bounds, and every primitive that may be hit"
+if TYPE_CHECKING:
+    from mitsuba_ref.jobs import Crash
+    from mitsuba_ref.probing import Probed
+
+HELP = "one pixel: what ours, Mitsuba and exact arithmetic say, the bounds, and what may be hit"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add_pixel(parser)
     parser.add_argument("--json", action="store_true", help="as JSON")
+    parser.add_argument(
+        "--save", metavar="FILE", help="write this ray and what it may hit as a scene of its own"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the pixel's verdict and what it rests on; 1 when nothing explains the pixel."""
+    from caster.whole_files import check_writable
+
     scene = load(args)
-    from mitsuba_ref.probing import as_text, probe
+    if args.save:
+        check_writable(args.save)
+    from mitsuba_ref.probing import as_text, examine
 
     with blamed_on(args.scene):
-        found = probe(scene, args.x, args.y)
+        found, probed = examine(scene, args.x, args.y)
     print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, args.scene))
+    if args.save:
+        save(args, probed)
     return OK if found.ok else DIFFERENCES
+
+
+def save(args: argparse.Namespace, probed: Crash | Probed) -> None:
+    """Write the reproducer, and say on stderr whether it shows the same."""
+    from mitsuba_ref.jobs import Crash
+    from mitsuba_ref.storing import store
+
+    source = f"{args.scene}, pixel ({args.x}, {args.y})"
+    if isinstance(probed, Crash):
+        print(f"{args.save}: not written: Mitsuba gave no answer to reproduce", file=sys.stderr)
+        return
+    with blamed_on(source):
+        same = store(Path(args.save), *probed, 0, source)
+    alone = "shows the same" if same else "does NOT show the same by itself, as it says"
+    print(f"{args.save}: written; it {alone}", file=sys.stderr)

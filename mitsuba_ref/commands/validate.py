@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-k", metavar="EXPR", dest="expression", help="scenes whose name fits, such as 'mesh and not teapot'")
     add("-j", metavar="N", dest="workers", type=count, help="scenes at a time; default: one a core")
     add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scenes' own")
-    add("--out", metavar="DIR", help="write verdict.json and both sides' EXR files into this folder")
+    add("--out", metavar="DIR", help="write verdict.json, EXR files and reproducers into this folder")
     add("--json", metavar="FILE", help="write the verdict as JSON")
     add("--junit", metavar="FILE", help="write the verdict as JUnit XML")
     add("--maxfail", metavar="N", type=count, help="stop after so many scenes that fail")

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.cameras import CAMERAS
+from caster.cameras import CAMERAS, Ray
+from caster.fields import Camera
 from caster.kernels.nearest import Rays
 from caster.rendering import camera_rays
 from caster.scene import Film, Scene
@@ -14,7 +15,7 @@ from mitsuba_ref import scene_checks
 from mitsuba_ref.export import camera_reference
 from mitsuba_ref.scene_checks import check_camera, pixel_centers
 
-TYPES = [camera.model_fields["type"].default for camera in CAMERAS]
+TYPES = [cls.model_fields["type"].default for cls in CAMERAS if issubclass(cls, Camera)]  # that look around
 every_camera = pytest.mark.parametrize("camera", TYPES)
 
 
@@ -166,3 +167,22 @@ def test_a_fault_of_the_pinhole_is_seen(monkeypatch, fault):
 @pytest.mark.parametrize("fault", [near_off, far_off], ids=lambda fault: fault.__name__)
 def test_a_fault_of_the_orthographic_limits_is_seen(monkeypatch, fault):
     assert seen(monkeypatch, fixed_scene("orthographic"), fault)
+
+
+def one_ray() -> Scene:
+    ray = Ray(origin=(1.1, -2.3, 0.7), direction=(0.3, 0.5, -7.0), t_max=9.5)
+    return Scene(film=Film(width=3, height=2), camera=ray)
+
+
+def limit_off(scene: Scene) -> Rays:
+    rays = camera_rays(scene)
+    return rays._replace(t_max=np.nextafter(rays.t_max, np.inf) + 1e-6)
+
+
+OF_A_RAY = (stretched, moved, one_missing, one_not_a_number, limit_off)
+
+
+@pytest.mark.parametrize("fault", OF_A_RAY, ids=lambda fault: fault.__name__)
+def test_a_fault_of_the_ray_is_seen(monkeypatch, fault):
+    assert check_camera(one_ray()).ratio == 0.0
+    assert seen(monkeypatch, one_ray(), fault)

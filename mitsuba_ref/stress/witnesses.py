@@ -1,0 +1,152 @@
+"""Who is asked: our caster, through its tree and through the screen, and three configurations of Mitsuba."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from caster.casting import find_nearest_on_film
+from caster.hits import cast
+from caster.packing import Packed, pack
+from caster.placing import as_float32
+from caster.rendering import camera_rays, film_window
+from caster.scene import Scene
+from mitsuba_ref.export import export, shape_ids
+from mitsuba_ref.jobs import Answer, Crash, Job
+from mitsuba_ref.model import Model, model_of
+from mitsuba_ref.rays import SharedRays
+from mitsuba_ref.stress.family import Setting
+from mitsuba_ref.variants import LLVM, SCALAR, usable
+from mitsuba_ref.worker import DEFAULT_TIMEOUT, ask_all
+
+
+@dataclass(frozen=True)
+class Witness:
+    """A line of the plots. variant "": ours."""
+
+    key: str
+    title: str
+    variant: str = ""
+    robust: bool = True
+
+
+OURS = Witness("ours", "ours, by the tree")
+SCREEN = Witness("screen", "ours, by the screen")
+REFERENCES = (
+    Witness("scalar", "Mitsuba scalar, robust", SCALAR),
+    Witness("llvm", "Mitsuba LLVM, default", LLVM, robust=False),
+    Witness("llvm-robust", "Mitsuba LLVM, robust", LLVM),
+)
+WITNESSES = (OURS, SCREEN, *REFERENCES)
+
+# A child holds all rays of its scenes, and some hundred bytes of answer for each.
+MOST_RAYS = 1 << 20
+
+
+class Sight(NamedTuple):
+    """What one witness says about the rays of a setting."""
+
+    t: np.ndarray  # (n,) float64, lengths of d, inf on a miss
+    prim: np.ndarray  # (n,) number of the primitive in the scene, -1 on a miss
+
+    @property
+    def hit(self) -> np.ndarray:
+        """(n,) bool. A NaN counts as a hit: it has to be noticed."""
+        return ~np.isposinf(self.t)
+
+
+class Absent(NamedTuple):
+    """A witness that says nothing, and why."""
+
+    status: str  # "missing", "crash" or "not asked"
+    why: str
+
+
+class Prepared(NamedTuple):
+    """A setting with its geometry packed, as float32 numbers."""
+
+    setting: Setting
+    packed: Packed
+    model: Model
+
+
+def prepare(setting: Setting) -> Prepared:
+    packed = pack(setting.scene, as_float32)
+    count = len(setting.o)
+    rays = SharedRays(setting.o, setting.d, np.full(count, np.inf, np.float32), np.zeros(count))
+    return Prepared(setting, packed, model_of(setting.scene, packed, rays))
+
+
+def ours(ready: Prepared) -> Sight:
+    """The public cast, on the packed float32 geometry."""
+    ready.setting.scene.kept["packed"] = ready.packed
+    hits = cast(ready.setting.scene, ready.setting.o, ready.setting.d)
+    return Sight(hits.t, numbered(ready.packed, hits.shape_id, hits.prim_id))
+
+
+def numbered(packed: Packed, shape: np.ndarray, prim: np.ndarray) -> np.ndarray:
+    """Numbers in the scene of primitives within their shapes; -1 for shape -1."""
+    return np.where(shape < 0, -1, packed.first[np.maximum(shape, 0)] + np.maximum(prim, 0))
+
+
+def on_screen(ready: Prepared) -> Sight | Absent:
+    """Ours once more, primitive by primitive over the pixels of a camera's picture."""
+    setting = ready.setting
+    if not setting.shots:
+        return Absent("not asked", "the rays of this sweep share no eye")
+    t, prim = np.full(len(setting.o), np.nan), np.full(len(setting.o), -1)
+    for camera, film, rows, pixels in setting.shots:
+        picture = Scene(camera=camera, film=film)
+        rays, window = camera_rays(picture), film_window(picture)
+        rays.o[:], rays.t_max[:] = setting.o[rows[0]], -1.0  # no ray but those of the setting
+        rays.d[pixels], rays.t_max[pixels] = setting.d[rows], np.inf
+        seen_by = camera.pack(film.width, film.height)
+        nearest = find_nearest_on_film(ready.packed, rays, seen_by, window, camera.shares_origin)
+        t[rows], prim[rows] = nearest.t[pixels], nearest.prim[pixels]
+    return Sight(t, prim)
+
+
+def reference(witness: Witness, settings: Sequence[Prepared], folder: Path) -> list[Sight | Absent]:
+    """One of Mitsuba's configurations about several settings, in as few child processes as they fit in."""
+    found = usable()
+    if witness.variant not in found.names:
+        return [Absent("missing", found.why)] * len(settings)
+    jobs = [_job(witness, ready, folder / f"{witness.key}-{i}") for i, ready in enumerate(settings)]
+    answers = [answer for group in grouped(jobs) for answer in ask_all(group, patience(group))]
+    return [_sight(ready, answer) for ready, answer in zip(settings, answers, strict=True)]
+
+
+def patience(jobs: Sequence[Job]) -> float:
+    """Seconds to wait for an answer: a ray takes some ten microseconds, more on a machine that does other things."""
+    return DEFAULT_TIMEOUT + 1e-3 * sum(len(job.o) for job in jobs)
+
+
+def grouped(jobs: Sequence[Job]) -> list[list[Job]]:
+    """Runs of jobs with at most so many rays together, or one job with more."""
+    groups: list[list[Job]] = []
+    room = 0
+    for job in jobs:
+        if len(job.o) > room:
+            groups.append([])
+            room = MOST_RAYS
+        groups[-1].append(job)
+        room -= len(job.o)
+    return groups
+
+
+def _job(witness: Witness, ready: Prepared, folder: Path) -> Job:
+    xml = export(ready.setting.scene, ready.model, robust=witness.robust).write(folder)
+    o, d = ready.setting.o, ready.setting.d
+    endless = np.full(len(o), np.inf, np.float32)
+    # Mitsuba warns of far milder things than these scenes, and takes a very large or small sphere for a stretched one.
+    return Job(xml, witness.variant, o, d, endless, lights=False, strict=False)
+
+
+def _sight(ready: Prepared, answer: Answer | Crash) -> Sight | Absent:
+    if isinstance(answer, Crash):
+        return Absent("crash", f"{answer.kind} ({answer.exit}) {answer.headline}".strip())
+    place = {name: index for index, name in enumerate(shape_ids(ready.setting.scene))}
+    shapes = np.array([*(place.get(name, -1) for name in answer.names), -1])
+    return Sight(answer.t.astype(np.float64), numbered(ready.packed, shapes[answer.shape], answer.prim))

@@ -1,0 +1,115 @@
+"""What each witness says of a pixel, in words: shape and t, in decimal and to the bit."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.packing import Packed
+from caster.scene import Scene
+from mitsuba_ref.cases import NAMES
+from mitsuba_ref.exact import ExactAnswer
+from mitsuba_ref.judge import Judge, Judgement
+from mitsuba_ref.pixels import flat
+from mitsuba_ref.verdict import CLASSES, REFERENCE_WRONG, UNLISTED
+
+TIES_SHOWN = 6  # members of an exact tie set on one line; JSON has all
+
+
+class Member(NamedTuple):
+    """One primitive of an exact tie set."""
+
+    shape: str
+    prim: int  # within its shape
+    where: str
+
+
+def members(scene: Scene, packed: Packed, answer: ExactAnswer) -> list[Member]:
+    """The exact tie set in the scene's own names."""
+    prims = np.array([hit.prim for hit in answer.ties], np.int64)
+    shapes, numbers = packed.shape_of(prims), packed.number_in_shape(prims)
+    names = scene.shape_names()
+    return [
+        Member(names[shape], int(number), hit.where)
+        for shape, number, hit in zip(shapes, numbers, answer.ties, strict=True)
+    ]
+
+
+def exact_words(scene: Scene, packed: Packed, answer: ExactAnswer | None) -> str:
+    """The exact answer on one line."""
+    if answer is None:
+        return "no answer"
+    flags = f" ({', '.join(sorted(answer.flags))} on the way)" if answer.flags else ""
+    if answer.t is None:
+        return f"miss{flags}"
+    ties = members(scene, packed, answer)
+    shown = [f"{each.shape}, prim {each.prim} ({each.where})" for each in ties[:TIES_SHOWN]]
+    more = [f"{len(ties) - TIES_SHOWN} more"] if len(ties) > TIES_SHOWN else []
+    return f"{' = '.join([*shown, *more])} at t {both(float(answer.t))}{flags}"
+
+
+def both(value: float) -> str:
+    """Decimal and hex."""
+    return f"{value!r} {value.hex()}"
+
+
+def side_words(judge: Judge, row: int, *, ours: bool) -> str:
+    """One side's answer on one line, without its AOVs."""
+    pair, packed = judge.pair, judge.model.packed
+    prim = int(pair.prim[row]) if ours else judge.named_by_reference(row)
+    if prim < 0:
+        return "miss"
+    t = float(pair.t[row] if ours else pair.witness.t[row])
+    shape = judge.scene.shape_names()[int(packed.shape_of(np.array([prim]))[0])]
+    return f"{shape}, prim {int(packed.number_in_shape(np.array([prim]))[0])} at t {both(t)}"
+
+
+def case_words(case: int | None) -> str:
+    """A case with its number."""
+    return (
+        f"case {case}: {NAMES[case]}" if case is not None else f"{UNLISTED}: none of the cases that are known"
+    )
+
+
+def head_of(judge: Judge, judgement: Judgement, row: int, source: str) -> Sequence[str]:
+    """Comment for a reproducer of a row of the picture: who says what, and how to see it again."""
+    return list(_head(judge, judgement, row, source))
+
+
+def _head(judge: Judge, judgement: Judgement, row: int, source: str) -> Iterator[str]:
+    pair, verdict = judge.pair, CLASSES[int(judgement.classes[row])]
+    versions = pair.witness.answer.versions
+    yield f"One ray that caster and Mitsuba {versions.get('mitsuba', '')} were judged on: {verdict}."
+    yield ""
+    yield f"from:      {source}"
+    if verdict == REFERENCE_WRONG:
+        yield f"class:     {verdict}, {case_words(judgement.cases.get(row))}"
+    else:
+        yield f"class:     {verdict}"
+    yield f"exact:     {exact_words(judge.scene, judge.model.packed, asked(judge, judgement, row))}"
+    yield f"caster:    {side_words(judge, row, ours=True)}"
+    yield f"Mitsuba:   {side_words(judge, row, ours=False)}"
+    if judgement.ratio("diffuse")[row] > 1.0:
+        for name, aovs in (("caster", pair.ours), ("Mitsuba", pair.reference)):
+            yield f"{name + ':':<11}diffuse {numbers(flat(aovs, 'diffuse')[row])}"
+    yield f"origin:    {numbers(pair.rays.o[row])}"
+    yield f"direction: {numbers(pair.rays.d[row])}"
+    yield f"versions:  {', '.join(f'{name} {version}' for name, version in versions.items())}"
+    yield "All numbers below are float32 values, as hex floats. t counts in lengths of the direction."
+    yield "See it:    mitsuba-ref probe THIS-FILE 0 0"
+    yield "Mitsuba:   scene.ray_intersect; optimize=False; embree_use_robust_intersections=true"
+    yield "           mitsuba-ref export THIS-FILE -o DIR writes the XML and the meshes"
+    yield ""
+
+
+def asked(judge: Judge, judgement: Judgement, row: int) -> ExactAnswer | None:
+    """The exact answer of a row, asked for now if it was not before."""
+    known = judgement.exact.of(row)
+    if known is not None or judge.t_max[row] < 0.0:
+        return known
+    return judge.oracle.ask(judge.o[row], judge.d[row], 0.0, float(judge.t_max[row]))
+
+
+def numbers(values: Any) -> str:
+    """Decimals, in float32's shortest digits, of a few numbers."""
+    return "  ".join(str(np.float32(value)) for value in values)

@@ -1,0 +1,378 @@
+"""Each class of a pixel is reached by a scene or by a planted fault, and what must fail does."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from edited_tree import ROOT, run
+
+import caster
+from caster.packing import pack
+from caster.placing import as_float32
+from caster.rendering import Aovs, render
+from caster.scene import Scene, load_scene
+from mitsuba_ref import judging, validate
+from mitsuba_ref import model as judges_model
+from mitsuba_ref.adjudication import SAMPLE
+from mitsuba_ref.exact import Oracle, OutsideDomain
+from mitsuba_ref.jobs import Crash
+from mitsuba_ref.judge import CODE, Judge
+from mitsuba_ref.judging import judge_of
+from mitsuba_ref.pair import our_view
+from mitsuba_ref.pixels import flat
+from mitsuba_ref.probing import probe
+from mitsuba_ref.rays import share
+from mitsuba_ref.reproducer import reproducer
+from mitsuba_ref.table import failure, summary
+from mitsuba_ref.verdict import FAILING, UNLISTED, SceneVerdict, Verdict
+
+LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
+TURN_IN_PLANE = [{"rotate": {"axis": [0, 0, 1], "degrees": 17}}]
+TURN = [{"rotate": {"axis": [1, 2, 3], "degrees": 37}}]
+
+
+def scene_of(*shapes: Any, **more: Any) -> Scene:
+    camera = caster.Pinhole(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), fov=40)
+    usual = {"film": caster.Film(width=36, height=24), "camera": camera, "lights": [LAMP]}
+    return Scene(**(usual | more), shapes=shapes)
+
+
+def judged(scene: Scene) -> SceneVerdict:
+    return validate(scene).scenes[0]
+
+
+def brought(scene: Scene) -> Judge:
+    judge = judge_of(scene)
+    assert not isinstance(judge, Crash), judge
+    return judge
+
+
+# Case 28 of the catalogue: a skinny triangle nearly edge-on, which the ray misses.
+H = float.fromhex
+SKINNY = caster.Triangle(
+    vertices=[
+        [H("0x1.4d8dbep+6"), H("0x1.d3404p+5"), H("0x1.fea0fap+5")],
+        [H("0x1.451a8ap+6"), H("0x1.83cd9cp+5"), H("0x1.1239dcp+6")],
+        [H("0x1.4e11e2p+6"), H("0x1.c6e7cp+5"), H("0x1.00ec7p+6")],
+    ]
+)
+PAST = caster.Ray(
+    origin=[H("0x1.014626p+9"), H("0x1.ae3188p+7"), H("-0x1.2bf194p+8")],
+    direction=[H("-0x1.76f022p-1"), H("-0x1.1ca874p-2"), H("0x1.3e4a02p-1")],
+)
+
+
+def starting_on_a_disk() -> Scene:
+    """Rays start in a window, and some of them on a disk that lies in it: Mitsuba says that they hit it at once."""
+    camera = caster.Orthographic(eye=(0, 0, 3), direction=(0, 0, -1), width=4)
+    small = caster.Disk(name="start", to_world=[{"scale": [0.4, 0.4, 1]}, {"translate": [0.4, 0.1, 3]}])
+    return scene_of(small, caster.Plane(name="floor", normal=(0.1, 0, 1), offset=0), camera=camera)
+
+
+# ---- tie ----
+
+
+@pytest.mark.parametrize(
+    "shapes",
+    [
+        (caster.Rectangle(name="a", to_world=TURN, material="a"), caster.Rectangle(name="b", to_world=TURN)),
+        (caster.Sphere(name="a", material="a"), caster.Sphere(name="b")),
+        (caster.Disk(name="a", to_world=TURN, material="a"), caster.Disk(name="b", to_world=TURN)),
+        (caster.Rectangle(name="a", material="a"), caster.Rectangle(name="b", to_world=TURN_IN_PLANE)),
+    ],
+    ids=["quads", "balls", "disks", "quads that overlap"],
+)
+def test_of_coincident_surfaces_either_may_be_the_one(shapes):
+    found = judged(scene_of(*shapes, materials={"a": {"reflectance": (0.9, 0.1, 0.1)}}))
+    counts = found.counts
+    assert found.ok and counts["tie"] >= 80 and counts["tie"] + counts["agree"] == found.hit_pixels, counts
+    assert found.evidence > 0 == found.excused
+
+
+def test_a_tie_has_to_be_right_by_float64_all_the_same():
+    judge = brought(scene_of(caster.Sphere(), caster.Sphere()))
+    before = judge.judge()
+    tied = before.is_class("tie")
+    flat(judge.pair.ours, "diffuse")[tied] += 0.1
+    after = judge.judge()
+    assert tied.sum() >= 80 and after.is_class("ours_wrong")[tied].all()
+    assert np.array_equal(after.classes[~tied], before.classes[~tied])
+
+
+def test_an_eye_in_the_plane_of_a_quad_sees_past_it():
+    upright = [{"rotate": {"axis": [1, 0, 0], "degrees": -90}}]
+    camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 1, 0), fov=40)
+    found = judged(
+        scene_of(caster.Rectangle(to_world=upright), caster.Sphere(center=(0, 1, 0)), camera=camera)
+    )
+    assert found.ok and found.counts["agree"] == found.hit_pixels >= 250, found.counts
+
+
+# ---- reference_wrong ----
+
+
+def test_a_ray_that_starts_on_a_surface_does_not_hit_it_there():
+    found = judged(starting_on_a_disk())
+    wrong = found.counts["reference_wrong"]
+    assert found.ok and 10 <= wrong < found.evidence and found.cases == {"30": wrong}, found
+    text = summary(Verdict((found,)), 1.0)
+    assert f"ref. wrong: {wrong} pixels of case 30, a ray that starts on a flat surface" in text
+    assert UNLISTED.upper() not in text
+
+
+def test_a_reference_that_is_wrong_everywhere_is_no_evidence():
+    camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 1, 0), fov=40)
+    floor = caster.Plane(normal=(0, 1, 0), offset=0)
+    found = judged(scene_of(floor, caster.Sphere(center=(0, 1, 0)), camera=camera))
+    assert not found.ok and found.counts["reference_wrong"] > 800 and found.failing == 0
+    assert (
+        "the reference is wrong at 864 pixels and right at 0, so it says nothing about ours here"
+        in failure(found)
+    )
+
+
+def test_a_triangle_nearly_edge_on_is_case_28():
+    scene = Scene(film=caster.Film(width=1, height=1), camera=PAST, shapes=[SKINNY])
+    found = judged(scene)
+    assert found.counts["reference_wrong"] == 1 and found.cases == {"28": 1} and found.failing == 0
+    assert not found.ok  # one ray on which the reference is wrong says nothing about ours
+
+
+def altered_export(monkeypatch: pytest.MonkeyPatch, shape: type, change: Any) -> None:
+    """The exporter writes other numbers of this shape than were packed."""
+    known = judges_model.OF_SHAPE[shape]
+    altered = replace(known, to_xml=lambda out, one, part: known.to_xml(out, one, change(part)))
+    monkeypatch.setitem(judges_model.OF_SHAPE, shape, altered)
+
+
+BALL = caster.Sphere(name="ball", center=(-0.6, 0, 0))
+LID = caster.Disk(name="lid", to_world=[{"translate": [1, 0, 0]}])
+WALL = caster.Rectangle(name="wall", to_world=[{"scale": 9}, {"translate": [0, 0, -2]}])
+EXPORTS = {
+    "a disk that is too large": (caster.Disk, lambda part: part._replace(to_world=1.03 * part.to_world)),
+    "a disk turned round": (caster.Disk, lambda part: part._replace(to_world=part.to_world * [1, 1, -1])),
+    "a ball a little too small": (caster.Sphere, lambda part: part._replace(radius=part.radius * (1 - 3e-6))),
+}
+
+
+def test_what_the_exporter_writes_is_right():
+    assert judged(scene_of(WALL, BALL, LID)).ok
+
+
+@pytest.mark.parametrize("what", EXPORTS)
+def test_a_broken_exporter_is_no_defect_of_mitsuba(monkeypatch, what):
+    """Ours is right and the reference is wrong, in a minority of the pixels; but in no way that is known."""
+    scene = scene_of(WALL, BALL, LID)
+    shape, change = EXPORTS[what]
+    altered_export(monkeypatch, shape, change)
+    found = judged(scene)
+    assert not found.ok and found.cases[UNLISTED] == found.failing >= 3, found.cases
+    assert found.counts["reference_wrong"] < found.evidence
+    assert not any(found.counts[name] for name in FAILING)
+    assert f"{found.failing} reference wrong in no known way" in failure(found)
+    assert f"UNLISTED:   {found.failing} pixels" in summary(Verdict((found,)), 1.0)
+
+
+def test_a_light_that_mitsuba_gets_wrong_is_no_known_case():
+    judge = brought(scene_of(BALL))
+    assert not judge.judge().is_class("reference_wrong").any()
+    judge.pair.witness.unshadowed[:] *= 1.001
+    found = judge.judge()
+    lit = found.is_class("reference_wrong")
+    assert lit.sum() >= 50 and lit.sum() == len(found.cases) and set(found.cases.values()) == {None}
+
+
+# ---- ours_wrong ----
+
+
+@pytest.fixture(scope="module")
+def one_cube() -> Judge:
+    return brought(load_scene(ROOT / "scenes/shared-edges-cube.toml").with_film(width=25, height=25))
+
+
+@pytest.fixture
+def cube(one_cube) -> Judge:
+    """A judge whose pictures a test may alter."""
+    pair = one_cube.pair
+    images = {name: image.copy() for name, image in pair.ours.items()}
+    altered = replace(pair, ours=Aovs(images, pair.ours.hit.copy()), prim=pair.prim.copy())
+    return Judge(one_cube.scene, one_cube.model, altered)
+
+
+def test_ours_is_wrong_where_exact_arithmetic_says_so_though_both_agree(cube):
+    """Two triangles of one face, and a ray through the edge between them: the same t, normal and shape."""
+    before = cube.judge()
+    tied = [row for row in before.exact.rows if (a := before.exact.of(row)) is not None and len(a.ties) == 2]
+    rows = np.array([row for row in tied if before.classes[row] == CODE["agree"]])
+    assert len(rows) >= 10
+    for row in rows:
+        other = before.exact.of(row).ties[1].prim
+        cube.pair.prim[row] = other
+        flat(cube.pair.ours, "prim_id")[row] = other
+    after = Judge(cube.scene, cube.model, cube.pair).judge()
+    assert after.comparison.agrees[rows].all()
+    assert after.is_class("ours_wrong")[rows].all() and after.is_class("ours_wrong").sum() == len(rows)
+    assert np.isinf(after.ratio("exact")[rows]).all()
+
+
+RIM = caster.Ray(origin=(1, 0, 3), direction=(0, 0, -1))
+
+
+def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_says(monkeypatch):
+    """Float32 may miss the rim as well as hit it, and the bracket of float64 allows a miss, too."""
+    scene = scene_of(caster.Disk(), camera=RIM, film=caster.Film(width=1, height=1), lights=[])
+    right = probe(scene, 0, 0)
+    assert right.ok and right.exact["ties"] == [{"shape": "shape-0", "prim": 0, "where": "rim"}]
+
+    def misses(scene, rays):
+        view = our_view(scene, rays)
+        nothing = view.nearest._replace(t=np.array([np.inf]), prim=np.array([-1], np.int32))
+        return replace(view, nearest=nothing)
+
+    monkeypatch.setattr(judging, "our_view", misses)
+    found = probe(scene, 0, 0)
+    assert (found.verdict, found.ok, found.exact) == ("ours_wrong", False, right.exact)
+    assert found.why == "by exact arithmetic, ours is wrong"
+
+
+@pytest.mark.parametrize("name", ["normal", "shading_normal", "position"])
+def test_a_surface_of_ours_beyond_float64_is_ours_wrong(cube, name):
+    before = cube.judge()
+    tied = before.is_class("tie")
+    flat(cube.pair.ours, name)[tied] += 1e-9
+    after = Judge(cube.scene, cube.model, cube.pair).judge()
+    assert tied.sum() >= 10 and after.is_class("ours_wrong")[tied].all()
+
+
+def test_what_nobody_can_say_is_undecided(cube, monkeypatch):
+    before = cube.judge()
+    asked = before.exact.rows
+    refused = set(asked[::7].tolist())
+    lines = {(*cube.o[row], *cube.d[row]) for row in refused}
+    real = Oracle.ask_all
+
+    def refuses(self, o, d, t_min=0.0, t_max=np.inf):
+        if any((*a, *b) in lines for a, b in zip(o, d, strict=True)):
+            raise OutsideDomain("planted")
+        return real(self, o, d, t_min, t_max)
+
+    monkeypatch.setattr(Oracle, "ask_all", refuses)
+    after = cube.judge()
+    undecided = set(np.flatnonzero(after.is_class("undecided")).tolist())
+    assert undecided == refused and len(refused) >= 20
+
+
+# ---- who is asked ----
+
+
+def test_edges_disputes_and_a_sample_are_asked_about():
+    scene = scene_of(BALL, LID, film=caster.Film(width=90, height=60))
+    judge = brought(scene)
+    found = judge.judge()
+    hit = judge.pair.prim >= 0
+    asked = np.isin(np.arange(len(hit)), found.exact.rows)
+    image = np.pad(hit.reshape(60, 90), 1)
+    beside = np.zeros((60, 90), bool)
+    for dy in range(3):
+        for dx in range(3):
+            beside |= image[dy : dy + 60, dx : dx + 90]
+    border = beside.ravel() & ~hit
+    assert border.sum() >= 100 and asked[border].all()
+    assert asked[hit & ~judge.bounds.at.certain].all()
+    assert found.exact.answered.all() and found.exact.right.all()
+    rest = asked & ~border & judge.bounds.at.certain & hit
+    assert SAMPLE * 0.1 < rest.sum() <= SAMPLE
+
+
+# ---- reproducers ----
+
+
+def test_a_reproducer_holds_the_very_numbers_and_shows_the_same():
+    judge = brought(load_scene(ROOT / "scenes/every-shape.toml").with_film(width=64, height=60))
+    packed, kinds = judge.model.packed, set()
+    shapes = flat(judge.pair.ours, "shape_id")
+    for row in (np.flatnonzero(shapes == shape)[0] for shape in np.unique(shapes[shapes >= 0])):
+        found = reproducer(judge, int(row))
+        (ray,) = zip(*(getattr(share(found.scene), name) for name in ("o", "d", "t_max")), strict=True)
+        for mine, name in zip(ray, ("o", "d", "t_max"), strict=True):
+            theirs = getattr(judge.pair.rays, name)[row]
+            assert np.asarray(mine + 0.0).tobytes() == np.asarray(theirs + 0.0).tobytes()
+        again = pack(found.scene, as_float32)
+        assert len(again.parts) == len(found.prims) and int(judge.pair.prim[row]) in found.prims
+        for part, prim in zip(again.parts, found.prims, strict=True):
+            kinds.add(type(part))
+            shape = int(packed.shape_of(np.array([prim]))[0])
+            assert type(packed.parts[shape]) is type(part)
+    assert len(kinds) >= 5, kinds
+
+
+def test_the_command_probe_writes_one_that_every_command_takes(tmp_path):
+    scene = tmp_path / "skinny.toml"
+    more = [caster.Sphere(name="far off", center=(900, 900, 900)), SKINNY]
+    scene.write_text(
+        Scene(film=caster.Film(width=2, height=1), camera=PAST, shapes=more).to_toml(), encoding="utf-8"
+    )
+    saved = tmp_path / "saved.toml"
+    found = run(ROOT, "probe", str(scene), "1", "0", "--save", str(saved))
+    assert found.returncode == 0 and "saved.toml: written; it shows the same" in found.stderr, found.stderr
+    assert "case 28" in found.stdout and "exact      miss" in found.stdout
+    text = saved.read_text(encoding="utf-8")
+    head = [line for line in text.splitlines() if line.startswith("#")]
+    assert head[0] == "# One ray that caster and Mitsuba 3.9.1 were judged on: reference_wrong."
+    for line in (
+        f"# from:      {scene}, pixel (1, 0)",
+        "# class:     reference_wrong, case 28: ",
+        "# exact:     miss",
+        "# caster:    miss",
+        "# Mitsuba:   shape-1, prim 0 at t 1505.9088134765625 0x1.787a2a0000000p+10",
+        "# versions:  mitsuba 3.9.1, ",
+        "# Checked:   this file alone gives the same class, and the same t of Mitsuba.",
+    ):
+        assert any(each.startswith(line) for each in head), line
+    assert '"0x1.014626p+9"' in text and "far off" not in text
+    (shape,) = load_scene(saved).shapes
+    assert shape.vertices == SKINNY.vertices
+    assert render(load_scene(saved)).hit.tolist() == [[False]]
+    assert probe(load_scene(saved), 0, 0).case == "28"
+
+
+def test_the_command_validate_stores_a_few_and_says_of_how_many(tmp_path):
+    scene = tmp_path / "start.toml"
+    scene.write_text("# Start.\n" + starting_on_a_disk().to_toml(), encoding="utf-8")
+    out = tmp_path / "out"
+    found = run(ROOT, "validate", str(scene), "--out", str(out))
+    assert found.returncode == 0, found.stdout + found.stderr
+    (verdict,) = json.loads((out / "verdict.json").read_text(encoding="utf-8"))["scenes"]
+    files = sorted(path.name for path in out.glob("*.toml"))
+    assert files == sorted(verdict["reproducers"]) and len(files) == 2
+    assert all(name.startswith("start.case-30.") for name in files)
+    left = verdict["cases"]["30"] - 2
+    assert verdict["not_stored"] == left > 5
+    assert f"stored:     2 scenes of one ray each; {left} more pixels are like them" in found.stdout
+    again = probe(load_scene(out / files[0]), 0, 0)
+    assert (again.verdict, again.case, again.ok) == ("reference_wrong", "30", True)
+
+
+CORRUPT = (
+    ('"0x1.014626p+9"', '"0x1.01g626p+9"', "camera (ray): origin[0] must be a finite number"),
+    ("direction = [", "direktion = [", "direktion is an unknown key"),
+    ('type = "triangle"', 'type = "triangel"', "triangel"),
+    ("vertices = [[", "vertices = [", "not valid TOML"),
+)
+
+
+def test_a_corrupt_reproducer_is_refused_with_its_line(tmp_path):
+    judge = brought(Scene(film=caster.Film(width=1, height=1), camera=PAST, shapes=[SKINNY]))
+    text = reproducer(judge, 0).text(["A test."])
+    for i, (old, new, says) in enumerate(CORRUPT):
+        assert text.count(old) == 1
+        path = tmp_path / f"bad-{i}.toml"
+        path.write_text(text.replace(old, new), encoding="utf-8")
+        with pytest.raises(caster.SceneError, match=rf"bad-{i}.toml:\d+:\d+: ") as error:
+            load_scene(path)
+        assert says in str(error.value)
+    found = run(ROOT, "probe", str(path), "0", "0", "--save", str(tmp_path / "again.toml"))
+    assert (found.returncode, found.stdout) == (2, "") and "Traceback" not in found.stderr
+    assert "bad-3.toml:" in found.stderr and not (tmp_path / "again.toml").exists()

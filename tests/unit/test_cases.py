@@ -1,0 +1,110 @@
+"""The known cases of Mitsuba's errors: each is named by what is measured at a pixel, and an ordinary pixel by none."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mitsuba_ref import cases
+from mitsuba_ref.cases import CASES, NAMES, Measured, case_of
+from mitsuba_ref.measuring import cosine, has_area
+
+INSIDE = frozenset({"inside"})
+ORDINARY = Measured(
+    "Triangles",
+    "Triangles",
+    INSIDE,
+    frozenset(),
+    4.2,
+    False,
+    0.7,
+    False,
+    False,
+    0.3,
+    5.0,
+    3.0,
+    1.0,
+    1.0,
+    True,
+)
+FAR, EDGE_ON, ALONG = 2.0 * cases.FAR, 0.5 * cases.NEARLY_EDGE_ON, 0.5 * cases.ALONG_THE_AXIS
+KINDS = ("Triangles", "Planes", "Disks", "Spheres", "Ellipsoids", "Cylinders")
+
+
+def at(kind, where="inside", **more):
+    """An ordinary pixel of a kind, but for some measures; the reference misses it unless it says otherwise."""
+    return replace(ORDINARY, ours=kind, theirs=more.pop("theirs", ""), where=frozenset({where}), **more)
+
+
+EXAMPLES = {
+    27: at("Triangles", theirs="Triangles", t=math.nan),
+    30: at("Spheres", theirs="Planes", t=0.0, at_zero=True),
+    7: at("Planes", theirs="Cylinders", t=0.0, at_zero=True),
+    21: at("Planes", theirs="Triangles", without_area=True),
+    28: at("", theirs="Triangles", beyond_corners=True, cosine=EDGE_ON, nearly=False),
+    4: at("Spheres", "tangent"),
+    55: at("Cylinders", "tangent"),
+    16: at("Triangles", "vertex"),
+    45: at("Disks", "rim"),
+    56: at("Cylinders", "rim"),
+    22: at("Triangles", slenderness=2.0**-22),
+    19: at("Triangles", slenderness=2.0**-15),
+    26: at("Triangles", cosine=2.0**-12),
+    43: at("Disks", cosine=2.0**-12),
+    53: at("Cylinders", axis_angle=ALONG),
+    8: at("Ellipsoids", stretch=2.0 * cases.SQUASHED),
+    57: at("Cylinders", distance=FAR),
+    2: at("Spheres", distance=FAR),
+    35: at("Triangles", distance=FAR),
+    9: at("Spheres", offset=FAR),
+    34: at("Triangles", offset=FAR),
+    47: at("Disks", offset=FAR),
+    61: at("Cylinders", offset=FAR),
+}
+
+
+def test_every_case_has_an_example():
+    assert [case.number for case in CASES] == list(EXAMPLES) and len(NAMES) == len(CASES)
+
+
+@pytest.mark.parametrize("number", EXAMPLES)
+def test_an_example_is_named_by_its_number(number):
+    assert case_of(EXAMPLES[number]) == number
+
+
+@pytest.mark.parametrize("ours", ["", *KINDS])
+@pytest.mark.parametrize("theirs", ["", *KINDS])
+@pytest.mark.parametrize("t", [4.2, 0.0, math.inf])
+def test_an_ordinary_pixel_is_none_of_them(ours, theirs, t):
+    for where in ("inside", "edge"):
+        assert case_of(at(ours, where, theirs=theirs, t=t)) is None
+
+
+ROUNDED = (22, 19, 26, 43, 53, 8, 57, 2, 35, 9, 34, 47, 61)
+
+
+@pytest.mark.parametrize("number", ROUNDED)
+def test_what_is_far_beyond_rounding_is_no_case_of_rounding(number):
+    assert case_of(replace(EXAMPLES[number], nearly=False)) is None
+
+
+@pytest.mark.parametrize("number", [4, 55, 16, 45, 56])
+def test_what_the_reference_does_hit_is_no_case_of_a_miss(number):
+    example = EXAMPLES[number]
+    assert case_of(replace(example, theirs=example.ours)) is None
+
+
+def test_an_area_is_told_exactly():
+    corners = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.7], [0.9, 0.1, 0.2]])
+    assert has_area(corners)
+    assert not has_area(corners[[0, 1, 1]]) and not has_area(np.tile(corners[0], (3, 1)))
+    line = np.array([[0, 0, 0], [1, 2, 4], [3, 6, 12]]) / 1024.0
+    assert not has_area(line)
+    line[2, 0] = np.nextafter(line[2, 0], 1.0)
+    assert has_area(line)
+
+
+def test_a_cosine_is_one_where_a_vector_has_no_length():
+    assert cosine(np.array([0.0, 0, 2]), np.array([0, 3.0, 4])) == pytest.approx(0.8)
+    assert cosine(np.zeros(3), np.ones(3)) == 1.0

@@ -1,0 +1,392 @@
+"""The sweeps exercise what they say, see every fault that is planted in ours, and tell all of it. Without Mitsuba."""
+
+import json
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.stress import FAMILIES, plot, sweeping, table, truth, witnesses
+from mitsuba_ref.stress.result import Sweep, as_json
+from mitsuba_ref.stress.score import Scorer
+from mitsuba_ref.stress.selecting import selected
+from mitsuba_ref.stress.watertight import check_closed
+from mitsuba_ref.stress.witnesses import Absent, Sight
+from mitsuba_ref.variants import Variants
+
+RAYS = 25
+BY_NAME = {family.name: family for family in FAMILIES}
+NAMES = list(BY_NAME)
+REFERENCES = ("scalar", "llvm", "llvm-robust")
+# What the sweeps are to be about, at least.
+STRESSED = (
+    "scale",
+    "offset",
+    "distance",
+    "grazing",
+    "sliver",
+    "tangency",
+    "watertight-edges",
+    "watertight-vertices",
+    "length",
+    "axis",
+    "condition",
+    "field-of-view",
+    "film-size",
+    "coincident",
+    "shadow",
+)
+
+
+@pytest.fixture(autouse=True)
+def no_mitsuba(monkeypatch):
+    """A machine where no variant works: the sweeps go on with ours and exact arithmetic."""
+    nothing = Variants(False, False, None, "planted: nothing works")
+    monkeypatch.setattr(witnesses, "usable", lambda: nothing)
+    monkeypatch.setattr(sweeping, "usable", lambda: nothing)
+
+
+def run(name: str, *places: int) -> Sweep:
+    """A family, or some of its settings."""
+    family = BY_NAME[name]
+    values = tuple(family.values[i] for i in places) or family.values
+    return sweeping.sweep(replace(family, values=values), 0, RAYS)
+
+
+def shortened(monkeypatch, name: str, *places: int) -> None:
+    """Let a family have some of its settings only."""
+    family = BY_NAME[name]
+    short = replace(family, values=tuple(family.values[i] for i in places))
+    monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", (short,))
+
+
+@pytest.mark.parametrize("word", STRESSED)
+def test_everything_that_is_to_be_stressed_is(word):
+    assert any(name == word or name.startswith(f"{word}-") for name in NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_family_spans_decades_in_order(name):
+    family = BY_NAME[name]
+    positive = [x for x in family.values if x > 0.0]
+    assert list(family.values) == sorted(set(family.values)) and len(family.values) >= 6
+    assert positive[-1] / positive[0] >= 1e3
+    assert family.values[0] <= family.easiest <= family.values[-1]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_ours_is_exact_in_every_setting_and_every_setting_shows_something(name):
+    sweep = run(name)
+    assert sweep.ok, sweep.problems
+    assert len(sweep.outcomes) == len(BY_NAME[name].values)
+    for outcome in sweep.outcomes:
+        ours = outcome.scores["ours"]
+        assert outcome.rays >= 16 and outcome.asked == outcome.rays == outcome.hits + outcome.misses
+        assert ours.compared == outcome.hits >= outcome.rays // 8
+        assert outcome.misses >= (outcome.rays // 10 if BY_NAME[name].misses else 0)
+        assert outcome.bound.float64 > 0.0 and ours.worst <= 1.0
+        assert all(outcome.scores[key] == Absent("missing", "planted: nothing works") for key in REFERENCES)
+
+
+def test_the_screen_is_asked_where_rays_share_an_eye():
+    asked = {name for name in NAMES if run(name, -1).absence("screen") is None}
+    assert asked == {"watertight-edges", "watertight-vertices", "field-of-view", "film-size"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rays_are_float32_numbers_and_depend_on_the_seed_alone(name):
+    hardest = replace(BY_NAME[name], values=BY_NAME[name].values[-1:])
+    first, again, other = (next(iter(hardest.settings(seed, RAYS))) for seed in (0, 0, 1))
+    assert first.o.dtype == first.d.dtype == np.float32
+    assert np.array_equal(first.o, again.o) and np.array_equal(first.d, again.d)
+    assert not np.array_equal(first.d, other.d)
+
+
+@pytest.mark.parametrize("name", ["watertight-edges", "watertight-vertices", "field-of-view", "film-size"])
+def test_a_screen_casts_every_ray_of_a_setting_once(name):
+    """So many that one eye does not see as many vertices."""
+    setting = next(iter(BY_NAME[name].settings(0, 3000)))
+    rows = np.concatenate([shot.rays for shot in setting.shots])
+    assert sorted(rows.tolist()) == list(range(len(setting.o))) and len(rows) >= 256
+    assert all(len(set(shot.pixels.tolist())) == len(shot.pixels) for shot in setting.shots)
+
+
+# --- planted faults
+
+
+def slowed(sight: Sight) -> Sight:
+    return sight._replace(t=sight.t * (1.0 + 1e-6))
+
+
+def without_a_primitive(sight: Sight) -> Sight:
+    gone = sight.prim == Counter(sight.prim[sight.hit].tolist()).most_common(1)[0][0]
+    return Sight(np.where(gone, np.inf, sight.t), np.where(gone, -1, sight.prim))
+
+
+def misnamed(sight: Sight) -> Sight:
+    return sight._replace(prim=np.where(sight.hit, sight.prim + 1, -1))
+
+
+def hitting_always(sight: Sight) -> Sight:
+    return Sight(np.where(sight.hit, sight.t, 1.0), np.where(sight.hit, sight.prim, 0))
+
+
+def not_a_number(sight: Sight) -> Sight:
+    return sight._replace(t=np.where(sight.hit, np.nan, sight.t))
+
+
+FAULTS = {
+    slowed: ("scale-mesh", "axis", "watertight-edges", "field-of-view"),
+    without_a_primitive: ("offset-mesh", "sliver", "watertight-vertices", "tangency"),
+    misnamed: ("coincident-spheres", "scale-mesh"),
+    hitting_always: ("tangency", "shadow-mesh"),
+    not_a_number: ("grazing-disk",),
+}
+
+
+@pytest.mark.parametrize(
+    ("fault", "name"), [(fault, name) for fault, names in FAULTS.items() for name in names]
+)
+def test_a_fault_of_ours_fails_the_run(fault, name, monkeypatch, capsys):
+    honest = witnesses.ours
+    monkeypatch.setattr(witnesses, "ours", lambda ready: fault(honest(ready)))
+    shortened(monkeypatch, name, -1)
+    assert main(["stress", name, "--rays", str(RAYS)]) == 1
+    shown = capsys.readouterr().out
+    assert shown.startswith(f"FAIL  {name}") and f"1 of 1 families, 1 fail: {name}" in shown
+
+
+def test_a_fault_of_the_screen_alone_fails_the_run(monkeypatch, capsys):
+    honest = witnesses.on_screen
+    monkeypatch.setattr(witnesses, "on_screen", lambda ready: without_a_primitive(honest(ready)))
+    shortened(monkeypatch, "film-size", 0)
+    assert main(["stress", "film-size"]) == 1
+    assert "screen: " in capsys.readouterr().out
+
+
+def test_the_same_settings_pass_without_a_fault(monkeypatch, capsys):
+    shortened(monkeypatch, "scale-mesh", -1)
+    assert main(["stress", "scale-mesh", "--rays", str(RAYS)]) == 0
+    assert capsys.readouterr().out.startswith("PASS")
+
+
+def test_rays_that_show_nothing_fail_the_run(monkeypatch, capsys):
+    """A handful that all hit says nothing of misses."""
+    family = BY_NAME["tangency"]
+
+    def only_hits(rng, x, count):
+        setting = family.make(rng, x, 100)
+        sight = witnesses.ours(witnesses.prepare(setting))
+        return replace(setting, o=setting.o[sight.hit], d=setting.d[sight.hit])
+
+    monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", (replace(family, make=only_hits, values=(1e-2,)),))
+    assert main(["stress"]) == 1
+    assert "exact arithmetic has no misses" in capsys.readouterr().out
+
+
+def test_an_open_mesh_is_no_closed_one():
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [3, 2, 1]])
+    check_closed(faces)
+    for broken in (faces[:-1], np.concatenate([faces, faces[:1]]), np.concatenate([faces[:-1], [[1, 2, 3]]])):
+        with pytest.raises(ValueError, match="not closed"):
+            check_closed(broken)
+
+
+def test_a_closed_mesh_that_exact_arithmetic_gets_out_of_is_an_error():
+    ready = witnesses.prepare(replace(next(iter(BY_NAME["tangency"].settings(0, RAYS))), closed=True))
+    with pytest.raises(AssertionError, match="leaves a closed mesh"):
+        truth.find_truth(ready, np.zeros(RAYS, bool))
+
+
+# --- scores
+
+
+@pytest.fixture(scope="module")
+def ball() -> tuple[Scorer, Sight]:
+    """One sphere on another: every hit is a tie."""
+    family = BY_NAME["coincident-spheres"]
+    ready = witnesses.prepare(family.make(np.random.default_rng(3), 0.0, RAYS))
+    return Scorer(ready, truth.find_truth(ready, np.zeros(RAYS, bool))), witnesses.ours(ready)
+
+
+def test_any_member_of_a_tie_is_right(ball):
+    scorer, sight = ball
+    second = sight._replace(prim=np.where(sight.hit, 1, -1))
+    for said in (sight, second):
+        assert not scorer.score(said, ours=True).fails
+    assert scorer.score(misnamed(second), ours=True).wrong_primitives == sight.hit.sum() > 0
+
+
+def test_each_kind_of_mistake_is_counted_as_what_it_is(ball):
+    scorer, sight = ball
+    hits = int(sight.hit.sum())
+    lost = scorer.score(Sight(np.full(RAYS, np.inf), np.full(RAYS, -1)), ours=True)
+    assert (lost.false_misses, lost.compared, lost.error, lost.breaks) == (hits, 0, None, True)
+    assert scorer.score(hitting_always(sight), ours=True).false_hits == RAYS - hits > 0
+    broken = scorer.score(not_a_number(sight), ours=True)
+    assert (broken.beyond, broken.wrong_masks) == (hits, 0)
+
+
+def test_float32_may_be_as_far_off_as_its_bound_and_ours_may_not(ball):
+    scorer, sight = ball
+    rounded = sight._replace(t=sight.t.astype(np.float32).astype(np.float64))
+    theirs, ours = (scorer.score(rounded, ours=whose) for whose in (False, True))
+    assert not theirs.breaks and 0.0 < theirs.worst < 1.0
+    assert ours.beyond > 0 and ours.worst > 1.0
+    assert theirs.error == ours.error and 1e-9 < theirs.error < 2.0**-24
+
+
+# --- what is told
+
+
+def test_the_first_breakdown_is_looked_for_on_both_sides_of_the_easiest_setting():
+    sweep = run("scale-sphere")
+    wrong = {0: 1, 2: 1, 15: 1, 16: 1}
+    outcomes = [
+        replace(
+            outcome,
+            scores=outcome.scores | {"ours": replace(outcome.scores["ours"], false_hits=wrong.get(i, 0))},
+        )
+        for i, outcome in enumerate(sweep.outcomes)
+    ]
+    broken = Sweep(sweep.family, tuple(outcomes))
+    x = sweep.family.values
+    assert sweep.breakdowns("ours") == [] and broken.breakdowns("ours") == [x[2], x[15]]
+    assert "ours 1e-20 and 1e+18" in table.as_text(broken) and not broken.ok
+
+
+def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
+    shortened(monkeypatch, "film-size", 0, 1)
+    texts = []
+    for _ in range(2):
+        assert main(["stress", "--json", "-", "--rays", str(RAYS)]) == 0
+        shown = capsys.readouterr()
+        texts.append(json.loads(shown.out))
+        assert shown.err.startswith("PASS  film-size")
+    first = texts[0]
+    assert set(first) == {"format", "seed", "versions", "asked", "ok", "families"} and first["format"] == 1
+    (family,) = first["families"]
+    assert set(family) == {
+        *("name", "title", "quantity", "error", "ok", "problems", "seconds", "breakdowns", "settings"),
+    }
+    setting = family["settings"][0]
+    assert set(setting) == {"x", "rays", "exact", "bound", "witnesses"}
+    assert set(setting["exact"]) == {"asked", "hits", "misses", "ties"}
+    assert set(setting["bound"]) == {"float32", "float64", "unresolved"}
+    assert list(setting["witnesses"]) == ["ours", "screen", *REFERENCES]
+    assert setting["witnesses"]["llvm"] == {"status": "missing", "why": "planted: nothing works"}
+    assert set(setting["witnesses"]["ours"]) == {
+        *("status", "false_hits", "false_misses", "wrong_primitives", "beyond", "compared", "worst", "error"),
+        *("median", "first_wrong"),
+    }
+    for text in texts:
+        text["families"][0].pop("seconds")
+    assert texts[0] == texts[1]
+
+
+def test_what_is_missing_is_said_in_table_picture_and_json():
+    sweep = run("tangency", 0, -1)
+    assert "Mitsuba LLVM, robust: missing: planted: nothing works" in table.as_text(sweep)
+    assert b"Mitsuba LLVM, robust: missing" in plot.as_svg(sweep)
+    text = json.dumps(as_json([sweep], ["tangency"], 0, {}))
+    assert text.count('"status": "missing"') == 3 * len(sweep.outcomes)
+
+
+def test_leaks_are_added_up(monkeypatch):
+    honest = witnesses.ours
+    monkeypatch.setattr(witnesses, "ours", lambda ready: without_a_primitive(honest(ready)))
+    sweep = run("watertight-vertices", 0, 1)
+    lost = sum(outcome.scores["ours"].false_misses for outcome in sweep.outcomes)
+    assert lost > 0 and f"leaks of {2 * RAYS} rays: ours {lost}, screen 0, scalar missing" in table.as_text(
+        sweep
+    )
+
+
+@pytest.mark.parametrize("name", ["watertight-edges", "coincident-triangles", "scale-mesh"])
+def test_a_picture_is_well_formed_small_and_the_same_again(name):
+    sweep = run(name, 0, 1, -1)
+    picture = plot.as_svg(sweep)
+    words = " ".join(ElementTree.fromstring(picture).itertext())
+    assert picture == plot.as_svg(sweep) and len(picture) < 90_000
+    for word in (
+        sweep.family.quantity,
+        sweep.family.error,
+        "ours, by the tree",
+        "predicted bound of float32",
+    ):
+        assert word in words
+    assert ("ours, by the screen" in words) == name.startswith("watertight")
+
+
+def test_the_report_is_a_page_with_its_pictures(tmp_path, monkeypatch):
+    shortened(monkeypatch, "tangency", -2, -1)
+    assert main(["stress", "--report", str(tmp_path), "--rays", str(RAYS)]) == 0
+    page = " ".join((tmp_path / "stress.md").read_text().split())
+    assert "In 1 sweeps, 2 settings and 50 rays, of which exact arithmetic looked at 50" in page
+    assert "**0 wrong hits or misses, 0 wrong primitives and 0 errors" in page
+    assert "(stress/tangency.svg)" in page and (tmp_path / "stress/tangency.svg").is_file()
+
+
+def test_without_matplotlib_there_are_tables_and_a_word_what_to_install(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    shortened(monkeypatch, "tangency", -1)
+    options = ["--report", str(tmp_path), "--json", str(tmp_path / "out.json"), "--rays", str(RAYS)]
+    assert main(["stress", *options]) == 0
+    shown = capsys.readouterr()
+    assert "pip install 'ray-reference[plots]'" in shown.err and shown.out.startswith("PASS  tangency")
+    assert json.loads((tmp_path / "out.json").read_text())["ok"]
+    assert "tangency.svg" not in (tmp_path / "stress.md").read_text()
+
+
+# --- the command
+
+
+def test_a_part_of_the_name_selects_all_that_begin_with_it():
+    assert [family.name for family in selected(FAMILIES, ["watertight"], None)] == NAMES[10:12]
+    assert [family.name for family in selected(FAMILIES, ["axis", "scale-mesh"], None)] == [
+        "scale-mesh",
+        "axis",
+    ]
+    assert [family.name for family in selected(FAMILIES, [], "shadow and not mesh")] == ["shadow-sphere"]
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "says"),
+    [
+        (["watertigth"], 2, "did you mean 'watertight'?"),
+        (["-k", "nothing-like-it"], 5, "no family fits"),
+        (["-k", "and"], 2, "a part of a name is missing"),
+        (["--rays", "0"], 2, "expected a whole number >= 1"),
+        (["--seed", "-1"], 2, "expected a whole number >= 0"),
+        (["--json", "/no/such/folder/x.json"], 4, "/no/such/folder"),
+    ],
+)
+def test_wrong_usage_ends_at_once(options, code, says, capsys):
+    assert main(["stress", *options]) == code
+    assert says in capsys.readouterr().err
+
+
+def test_the_list_names_all_families(capsys):
+    assert main(["stress", "--list"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == NAMES
+
+
+def test_ctrl_c_keeps_what_is_done(tmp_path, monkeypatch, capsys):
+    honest = sweeping.sweep
+
+    def interrupted(family, *rest):
+        if family.name == "offset-sphere":
+            raise KeyboardInterrupt
+        return honest(family, *rest)
+
+    monkeypatch.setattr(sweeping, "sweep", interrupted)
+    out = tmp_path / "out.json"
+    assert main(["stress", "offset", "--rays", str(RAYS), "--json", str(out)]) == 130
+    kept = json.loads(out.read_text())
+    assert [family["name"] for family in kept["families"]] == ["offset-mesh"]
+    assert kept["asked"] == ["offset-mesh", "offset-sphere"] and not kept["ok"]
+    assert "1 of 2 families" in capsys.readouterr().out
