@@ -7,7 +7,6 @@ import numpy as np
 
 from caster.kernels.jit import jit
 from caster.kernels.protocol import hull_point, hull_size, intersect, keep_nearer, prepare
-from caster.kernels.vec import row
 
 LEAF_SIZE = 4
 STACK_SIZE = (
@@ -148,7 +147,11 @@ def cast_bvh(prims: Any, tree: Any, rays: Any, record: Any, span: Any) -> None:
     """Rays span[0]..span[1] against one kind; a box at exactly the nearest t is opened, so no tie is lost."""
     stack = np.zeros(STACK_SIZE, np.int32)
     for i in range(span[0], span[1]):
-        o, d, t_min = row(rays.o, i), row(rays.d, i), rays.t_min[i]
+        o, d, t_min = (
+            (rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]),
+            (rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]),
+            rays.t_min[i],
+        )
         inverse = (inverse_or_inf(d[0]), inverse_or_inf(d[1]), inverse_or_inf(d[2]))
         pad = tree.reach * (max(abs(o[0]), abs(o[1]), abs(o[2])) + tree.extent)
         stack[0] = 0
@@ -166,4 +169,5 @@ def cast_bvh(prims: Any, tree: Any, rays: Any, record: Any, span: Any) -> None:
             for at in range(tree.first[node], tree.first[node] + tree.prims_in[node]):
                 k = tree.order[at]
                 hit = intersect(prims, prepare(prims, k, o), d, t_min, rays.t_max[i])
-                keep_nearer(record, i, prims, k, rays, hit)
+                if hit[0] < math.inf:
+                    keep_nearer(record, i, prims, k, rays, hit)

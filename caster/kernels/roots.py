@@ -15,17 +15,24 @@ LOOSE, SHARE = 2.0**-40, 2.0**-26
 # The bounds are of second order in the error of d over d's length, which has to be below 1/32 for them to hold.
 STEADY = 2.0**-10
 
+# 2^ROOM has a square, with room for three of them.
+ROOM = 500
+
+# Squares of shorter directions lose bits to underflow.
+FLOOR = 2.0**-900
+
 
 class Ball(NamedTuple):
-    """A ball, or a tube, as seen from the origin of a ray."""
+    """A ball, or a tube, as seen from the origin of a ray. Errors are bounds, for a d without any."""
 
     f: Vec3  # the origin, seen from the centre
-    f_off: float  # how far off that is at most
     f1: float  # size(f)
     rr: float  # r^2
     c: float  # f.f - r^2
-    c_off: float  # how far off that is at most
-    moved: float  # how far the point of closest approach may be off, but for what the error of d adds
+    c_off: float  # error of c
+    b_off: float  # error of -f.d over size(d)
+    moved: float  # how far off the point of closest approach may be
+    bar: float  # error of the discriminant, but for what depends on the closest approach
 
 
 class Chord(NamedTuple):
@@ -43,7 +50,9 @@ def ball_at(f: Vec3, r: float, f_off: float) -> Ball:
     """|p - f| = r, for an f that is off by no more than f_off."""
     f1, rr = size(f), r * r
     c_off = 5.0 * U * (f1 * f1 + rr) + (3.0 * f1 + 2.0 * f_off) * f_off + TINY
-    return Ball(f, f_off, f1, rr, dot(f, f) - rr, c_off, 12.0 * U * f1 + 2.0 * f_off)
+    moved = 12.0 * U * f1 + 2.0 * f_off
+    bar = moved * moved / LOOSE + 8.0 * U * rr + TINY
+    return Ball(f, f1, rr, dot(f, f) - rr, c_off, 5.0 * U * f1 + 2.0 * f_off, moved, bar)
 
 
 @jit
@@ -61,33 +70,28 @@ def chord(ball: Any, d: Vec3, d_off: float) -> Chord:
     """
     f = ball.f
     a, b = dot(d, d), -dot(f, d)
-    if not d_off * d_off < STEADY * a:
+    if not (a > FLOOR and d_off * d_off < STEADY * a):
         return unknown(0)
     over_a = 1.0 / a
     s = b * over_a
     x, y, z = f[0] + s * d[0], f[1] + s * d[1], f[2] + s * d[2]
     gg = x * x + y * y + z * z
     within = ball.rr - gg
-    moved, lean = ball.moved + 2.0 * abs(s) * d_off, ball.f1 * d_off
-    bar = moved * moved / LOOSE + 8.0 * U * ball.rr + 8.0 * (lean * lean) * over_a + TINY
-    if within < -(2.0 * LOOSE * gg + bar):
+    moved, lean, bar = ball.moved, 0.0, ball.bar
+    if d_off > 0.0:
+        moved, lean = moved + 2.0 * abs(s) * d_off, ball.f1 * d_off
+        lean = 8.0 * (lean * lean) * over_a
+        bar += moved * moved / LOOSE + lean
+    loose = 2.0 * LOOSE * gg + bar
+    if within < -loose:
         return unknown(-1)
-    if within > (2.0 * LOOSE * gg + bar) / SHARE:
-        return both_roots(ball, (a, over_a, b, size(d)), d_off, within, SHARE)
-    within_off = moved_within(gg, ball.rr, moved, lean, over_a)
+    line = a, over_a, b, size(d)
+    if within > loose / SHARE:
+        return both_roots(ball, line, d_off, within, SHARE)
+    within_off = 2.0 * moved * math.sqrt(gg) + moved * moved + lean + 8.0 * U * (gg + ball.rr) + TINY
     if within < -within_off:
         return unknown(-1)
-    return both_roots(
-        ball, (a, over_a, b, size(d)), d_off, within, within_off / within if within > 0.0 else math.inf
-    )
-
-
-@jit
-def moved_within(gg: float, rr: float, moved: float, lean: float, over_a: float) -> float:
-    """How far off the discriminant r^2 - g^2 may be, g the closest approach."""
-    return (
-        2.0 * moved * math.sqrt(gg) + moved * moved + 8.0 * lean * lean * over_a + 8.0 * U * (gg + rr) + TINY
-    )
+    return both_roots(ball, line, d_off, within, within_off / within if within > 0.0 else math.inf)
 
 
 @inlined
@@ -102,15 +106,16 @@ def both_roots(
     if not share < 0.5:
         return unknown(0)
     root = math.sqrt(a * within)
-    a_off = 4.0 * U * a + 3.0 * d1 * d_off + TINY
-    b_off = 5.0 * U * ball.f1 * d1 + 2.0 * (ball.f_off * d1 + ball.f1 * d_off) + TINY
+    a_share, b_off = 5.0 * U, ball.b_off * d1 + TINY
+    if d_off > 0.0:
+        a_share, b_off = a_share + 3.0 * d1 * d_off * over_a, b_off + 2.0 * ball.f1 * d_off
     q = b + root if b >= 0.0 else b - root
-    q_off = b_off + root * (a_off * over_a + share) + 5.0 * U * abs(q)
-    if not (2.0 * q_off < abs(q) and 4.0 * a_off < a):
+    q_off = b_off + root * (a_share + share) + 5.0 * U * abs(q)
+    if not 2.0 * q_off < abs(q):
         return unknown(0)
     over_q = 1.0 / q
     large, small = q * over_a, ball.c * over_q
-    large_off = 2.0 * (q_off + abs(large) * a_off) * over_a + 3.0 * U * abs(large)
+    large_off = 2.0 * (q_off * over_a + abs(large) * a_share) + 3.0 * U * abs(large)
     small_off = 2.0 * (ball.c_off + abs(small) * q_off) * abs(over_q) + 3.0 * U * abs(small)
     if b >= 0.0:
         return Chord(1, small, large, small_off, large_off)
@@ -121,18 +126,22 @@ def both_roots(
 def way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     """The unit vector from the centre of |p| = r to where f + t d meets it.
 
-    From the closest approach and half the chord, by which a ball that is smaller than the rounding of t keeps its
-    shape; or what t says of the chord, if that is less: by which a ball that is hardly touched has no chord.
+    From the closest approach, g off the centre, and half the chord h: by that a ball that is smaller than the rounding
+    of t keeps its shape. h^2 = r^2 - g^2 is off by u / h, so where h < g, t tells it better.
     """
-    e = -math.frexp(r)[1]  # r^2 has to be a number
-    f, r = (times_power(f[0], e), times_power(f[1], e), times_power(f[2], e)), math.ldexp(r, e)
-    along_d = unit(d)
+    largest = max(abs(f[0]), abs(f[1]), abs(f[2]))
+    e = min(-math.frexp(r)[1], ROOM - math.frexp(largest)[1])  # so that all squares are numbers
+    f = times_power(f[0], e), times_power(f[1], e), times_power(f[2], e)
+    r, along_d = math.ldexp(r, e), unit(d)
     s = -dot(f, along_d)
     closest = along(f, s, along_d)
-    half, beyond = math.sqrt(max(r * r - dot(closest, closest), 0.0)), times_power(t * dot(d, along_d), e) - s
-    side = math.copysign(1.0, beyond)
-    out = along(closest, side * min(half, abs(beyond)), along_d)
-    return unit(out if size(out) > 0.0 else along(closest, side * half, along_d))
+    gg, beyond = dot(closest, closest), times_power(t * dot(d, along_d), e) - s
+    h = math.sqrt(max(r * r - gg, 0.0))
+    told = min(abs(beyond), r) if h * h < gg else h
+    # where t does not tell the two ends apart, the near one is what a ray from outside meets
+    side = 1.0 if beyond > (4.0 * U * abs(s) if dot(f, f) > r * r else 0.0) else -1.0
+    out = along(closest, side * told, along_d)
+    return unit(out if size(out) > 0.0 else along(closest, side * r, along_d))
 
 
 @inlined

@@ -59,6 +59,9 @@ def find_spans(prims: Any, camera: Any, window: Any, spans: Any, slack: float) -
         spans[k, 2], spans[k, 3] = pixel_span(top, bottom, window.y0, window.height)
 
 
+# In the loops below, arrays are indexed by number: a row handed to a function has its references counted every time.
+
+
 @jit
 def cast_shared_origin(prims: Any, spans: Any, rays: Any, record: Any, band: Any) -> None:
     """The rows of a band; primitives are prepared once, for the origin that all rays share."""
@@ -71,8 +74,10 @@ def cast_shared_origin(prims: Any, spans: Any, rays: Any, record: Any, band: Any
         pre = prepare(prims, k, o)
         for y in range(y_start, y_stop):
             for i in range(y * width + spans[k, 0], y * width + spans[k, 1]):
-                hit = intersect(prims, pre, row(rays.d, i), rays.t_min[i], rays.t_max[i])
-                keep_nearer(record, i, prims, k, rays, hit)
+                d = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
+                hit = intersect(prims, pre, d, rays.t_min[i], rays.t_max[i])
+                if hit[0] < math.inf:
+                    keep_nearer(record, i, prims, k, rays, hit)
 
 
 @jit
@@ -82,6 +87,8 @@ def cast_own_origins(prims: Any, spans: Any, rays: Any, record: Any, band: Any) 
     for k in range(len(spans)):
         for y in range(max(spans[k, 2], first_row), min(spans[k, 3], last_row)):
             for i in range(y * width + spans[k, 0], y * width + spans[k, 1]):
-                pre = prepare(prims, k, row(rays.o, i))
-                hit = intersect(prims, pre, row(rays.d, i), rays.t_min[i], rays.t_max[i])
-                keep_nearer(record, i, prims, k, rays, hit)
+                o = rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]
+                d = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
+                hit = intersect(prims, prepare(prims, k, o), d, rays.t_min[i], rays.t_max[i])
+                if hit[0] < math.inf:
+                    keep_nearer(record, i, prims, k, rays, hit)

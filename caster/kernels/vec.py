@@ -105,6 +105,21 @@ def about_one(a: Vec3) -> Vec3:
 
 
 @jit
+def rows_of(m: Any, k: int) -> tuple[Vec3, Vec3, Vec3]:
+    """The rows of the 3x3 matrix m[k]."""
+    x = m[k, 0, 0], m[k, 0, 1], m[k, 0, 2]
+    y = m[k, 1, 0], m[k, 1, 1], m[k, 1, 2]
+    z = m[k, 2, 0], m[k, 2, 1], m[k, 2, 2]
+    return x, y, z
+
+
+@jit
+def by_rows(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
+    """The matrix with these rows times v; in loops over rays, where an array would have its references counted."""
+    return dot(m[0], v), dot(m[1], v), dot(m[2], v)
+
+
+@jit
 def turned(m: Any, k: int, v: Vec3) -> Vec3:
     """The 3x3 matrix m[k] times v."""
     return (

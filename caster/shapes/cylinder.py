@@ -19,9 +19,11 @@ from caster.kernels.vec import (
     UNDECIDED,
     add,
     angle_fraction,
+    by_rows,
     no_terms,
     row,
     row_sizes,
+    rows_of,
     seen,
     size,
     sub,
@@ -29,7 +31,6 @@ from caster.kernels.vec import (
     turned,
     turned_back,
     unit,
-    vector,
 )
 from caster.placing import Rounding, affine_arrays
 
@@ -78,11 +79,11 @@ class Cylinder(Shape):
 
 @implement(prepare, Cylinders)
 def _prepare(prims: Any, k: int, o: Any) -> Any:
-    """(k, the wall in object space, its origin's height and how far off that is, row sizes for the errors of d)."""
+    """(to_object, the wall there, the origin's height and its error, by how much d is off there over its size)."""
     f, off = seen(prims.to_object, k, sub(o, row(prims.center, k)))
     x, y, z = row_sizes(prims.to_object, k)
     return (
-        k,
+        rows_of(prims.to_object, k),
         ball_at((f[0], f[1], 0.0), 1.0, off[0] + off[1]),
         f[2],
         off[2],
@@ -93,11 +94,10 @@ def _prepare(prims: Any, k: int, o: Any) -> Any:
 
 @implement(intersect, Cylinders)
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
-    k, wall, height, height_off, across_off, along_off = pre
-    e, d1 = turned(prims.to_object, k, d), size(d)
+    m, wall, height, height_off, across_off, along_off = pre
+    e, d1 = by_rows(m, d), size(d)
     if e[0] == 0.0 and e[1] == 0.0:  # along the axis, if exactly so
-        rows = prims.to_object[k]
-        return MISS if no_terms(vector(rows[0]), d) and no_terms(vector(rows[1]), d) else UNDECIDED
+        return MISS if no_terms(m[0], d) and no_terms(m[1], d) else UNDECIDED
     roots = chord(wall, (e[0], e[1], 0.0), across_off * d1)
     if roots.sure != 1:
         return MISS if roots.sure < 0 else UNDECIDED

@@ -18,9 +18,11 @@ from caster.kernels.vec import (
     U,
     add,
     angle_fraction,
+    by_rows,
     no_terms,
     row,
     row_sizes,
+    rows_of,
     scaled,
     seen,
     size,
@@ -29,7 +31,6 @@ from caster.kernels.vec import (
     turned,
     turned_back,
     unit,
-    vector,
 )
 from caster.placing import Rounding, affine_arrays
 
@@ -53,19 +54,19 @@ class Disk(Shape):
 
 @implement(prepare, Disks)
 def _prepare(prims: Any, k: int, o: Any) -> Any:
-    """(k, o in object space, how far off that is, by how much d is off there over its size)."""
+    """(to_object, o in object space, how far off that is, by how much d is off there over its size)."""
     f, off = seen(prims.to_object, k, sub(o, row(prims.center, k)))
-    return k, f, off, scaled(SEEN_ERROR, row_sizes(prims.to_object, k))
+    return rows_of(prims.to_object, k), f, off, scaled(SEEN_ERROR, row_sizes(prims.to_object, k))
 
 
 @implement(intersect, Disks)
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     """Where z = 0; sure of being within the rim where x^2 + y^2 differs from 1 by more than its error."""
-    k, f, f_off, e_off = pre
-    e, d1 = turned(prims.to_object, k, d), size(d)
+    m, f, f_off, e_off = pre
+    e, d1 = by_rows(m, d), size(d)
     slope_off = e_off[2] * d1 + TINY
     if not abs(e[2]) > 2.0 * slope_off:  # edge-on, if exactly so
-        return MISS if no_terms(vector(prims.to_object[k, 2]), d) else UNDECIDED
+        return MISS if no_terms(m[2], d) else UNDECIDED
     over = 1.0 / e[2]
     t = -f[2] * over
     off = 2.0 * (f_off[2] + TINY + abs(t) * slope_off) * abs(over) + 3.0 * U * abs(t)

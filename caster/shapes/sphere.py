@@ -17,8 +17,10 @@ from caster.kernels.vec import (
     add,
     along,
     angle_fraction,
+    by_rows,
     row,
     row_sizes,
+    rows_of,
     seen,
     size,
     sub,
@@ -101,15 +103,19 @@ def _hull_point(prims: Any, k: int, j: int) -> Any:
 
 @implement(prepare, Ellipsoids)
 def _prepare_ellipsoid(prims: Any, k: int, o: Any) -> Any:
-    """(k, the unit ball in object space, by how much d is off there over its size)."""
+    """(to_object, the unit ball in object space, by how much d is off there over its size)."""
     f, off = seen(prims.to_object, k, sub(o, row(prims.center, k)))
-    return k, ball_at(f, 1.0, size(off)), SEEN_ERROR * size(row_sizes(prims.to_object, k))
+    return (
+        rows_of(prims.to_object, k),
+        ball_at(f, 1.0, size(off)),
+        SEEN_ERROR * size(row_sizes(prims.to_object, k)),
+    )
 
 
 @implement(intersect, Ellipsoids)
 def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
-    k, ball, d_off = pre
-    return first_root(chord(ball, turned(prims.to_object, k, d), d_off * size(d)), t_min, t_max)
+    m, ball, d_off = pre
+    return first_root(chord(ball, by_rows(m, d), d_off * size(d)), t_min, t_max)
 
 
 @implement(root, Ellipsoids)
