@@ -1,0 +1,164 @@
+"""Ours against the exact answer, ray by ray; what was met on the way is counted."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import caster.casting
+from cases.case import Question
+from cases.conditions import T_ULPS, ULP, conditions
+from cases.normals import UNIT_ATOL, bound, normal
+from caster import Hits, cast
+from caster.kernels.exact_root import FLOAT_ERROR
+from caster.packing import Packed
+from mitsuba_ref.exact import ExactAnswer, Oracle
+
+NORMALS = 24  # of each question's hits, spread over them: so many normals are worked out exactly
+SHOWN = 5  # wrong rays in a message
+
+# `Root.off` rounds once, and so does a comparison's product.
+ROUNDED = 1.0 + 4 * 2.0**-53
+
+
+class Found(NamedTuple):
+    """What was met, and what of ours is wrong, each with the ray in hex."""
+
+    met: Counter[str]
+    wrong: list[str]
+
+
+@contextmanager
+def doubtful() -> Iterator[list[int]]:
+    """Counts the rays that float64 leaves to exact arithmetic."""
+    decide, seen = caster.casting.decide, []
+
+    def counted(packed: Packed, rays: Any, threads: int | None = None) -> Any:
+        seen.append(len(rays.t_min))
+        return decide(packed, rays, threads)
+
+    caster.casting.decide = counted
+    try:
+        yield seen
+    finally:
+        caster.casting.decide = decide
+
+
+def judged(question: Question) -> Found:
+    packed = question.scene.kept["packed"]
+    with doubtful() as exactly:
+        hits = cast(question.scene, question.o, question.d, t_min=question.t_min, t_max=question.t_max)
+    answers = Oracle(packed).ask_all(question.o, question.d, question.t_min, question.t_max)
+    wrong = [f"{question.name}: {text}" for text in differences(question, packed, hits, answers)]
+    met = tally(answers)
+    met["exact"] += sum(exactly)
+    return Found(met, wrong)
+
+
+def tally(answers: list[ExactAnswer]) -> Counter[str]:
+    """Rays, hits and misses; where on the primitive; ties; what was touched on the way."""
+    met: Counter[str] = Counter()
+    for answer in answers:
+        met["rays"] += 1
+        met["hit" if answer.hit else "miss"] += 1
+        met["tie"] += len(answer.ties) > 1
+        met.update({hit.where for hit in answer.ties} - {"inside"})
+        met.update(answer.flags - {"tangent"})
+    return met
+
+
+def differences(question: Question, packed: Packed, hits: Hits, answers: list[ExactAnswer]) -> Iterator[str]:
+    nearest = hits.view.nearest
+    yield from of_masks(question, nearest.prim, answers)
+    agreed = [i for i, answer in enumerate(answers) if answer.hit and answer.prim == nearest.prim[i]]
+    if agreed:
+        rows = np.array(agreed)
+        yield from of_t(question, packed, hits, answers, rows)
+        yield from of_normals(question, packed, hits, answers, rows)
+
+
+def of_masks(question: Question, prim: np.ndarray, answers: list[ExactAnswer]) -> Iterator[str]:
+    for i, answer in enumerate(answers):
+        if prim[i] != answer.prim:
+            ties = [f"{hit.prim} ({hit.where})" for hit in answer.ties]
+            yield f"primitive {prim[i]}, exactly {', '.join(ties) or 'a miss'}: {ray(question, i)}"
+
+
+class Measured(NamedTuple):
+    """Of some hits, in units of t."""
+
+    off: np.ndarray  # the bound that is told beside t
+    most: np.ndarray  # what t may be off
+    limit: np.ndarray  # what that bound may be
+
+
+def measured(question: Question, packed: Packed, hits: Hits, rows: np.ndarray) -> Measured:
+    """`cast` shortens d by a power of two; the record of its hits counts in lengths of that."""
+    nearest, rays = hits.view.nearest, hits.view.rays
+    found = conditions(packed, nearest.prim[rows], rays.o[rows], rays.d[rows], nearest.t[rows])
+    # Where nothing is resolved, exact arithmetic has decided, and t is rounded a few times only.
+    rounded = FLOAT_ERROR * np.abs(nearest.t[rows]) * ROUNDED
+    limit = np.where(np.isfinite(found.size), found.off_limit(), rounded)
+    exponent = np.frexp(np.abs(question.d[rows]).max(axis=1))[1]
+    every = (nearest.off[rows], T_ULPS * ULP * found.size, limit)
+    with np.errstate(over="ignore", under="ignore"):  # as `cast` does it
+        return Measured(*(np.ldexp(x, -exponent) for x in every))
+
+
+def of_t(
+    question: Question, packed: Packed, hits: Hits, answers: list[ExactAnswer], rows: np.ndarray
+) -> Iterator[str]:
+    t, (off, most, limit) = hits.t[rows], measured(question, packed, hits, rows)
+    least = math.ulp(0.0)
+    for j, i in enumerate(rows.tolist()):
+        exact, ours = answers[i].t, float(t[j])
+        assert exact is not None
+        error = exact.off(ours)
+        if not error <= off[j] * ROUNDED + least:
+            yield f"t = {ours!r} is off by {error:.3g}, more than the {off[j]:.3g} that is told: {ray(question, i)}"
+        if not error <= most[j] + least:
+            ulps = T_ULPS * error / most[j]
+            yield f"t = {ours!r} is off by {ulps:.3g} ulps of its condition: {ray(question, i)}"
+        if not off[j] <= limit[j] + least:
+            yield f"the bound {off[j]:.3g} of t = {ours!r} is more than {limit[j]:.3g}: {ray(question, i)}"
+
+
+def of_normals(
+    question: Question, packed: Packed, hits: Hits, answers: list[ExactAnswer], rows: np.ndarray
+) -> Iterator[str]:
+    n = hits.surface.n[rows]
+    length = np.sqrt((n * n).sum(axis=1))
+    for j in np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_ATOL)).tolist():
+        yield f"the normal {n[j]} has length {float(length[j])!r}: {ray(question, int(rows[j]))}"
+    off, most, _ = measured(question, packed, hits, rows)
+    for j in np.unique(np.linspace(0, len(rows) - 1, NORMALS).astype(int)).tolist():
+        i = int(rows[j])
+        o, d, exact = question.o[i], question.d[i], answers[i].t
+        assert exact is not None
+        right = normal(packed, answers[i].prim, o, d, exact)
+        limit = bound(packed, answers[i].prim, o, d, float(hits.t[i]), float(min(off[j], most[j])))
+        apart = float(np.linalg.norm(n[j] - right))
+        if not apart <= limit:
+            yield f"the normal {n[j]} is off by {apart:.3g}, more than {limit:.3g}: {ray(question, i)}"
+
+
+def ray(question: Question, i: int) -> str:
+    """To the bit."""
+    o, d = ([float(x).hex() for x in rows[i]] for rows in (question.o, question.d))
+    limits = f"t_min = {question.t_min!r}, t_max = {float(question.t_max).hex()}"
+    return f"ray {i}, o = {o}, d = {d}, {limits}"
+
+
+def short_of(question: Question, met: Counter[str]) -> list[str]:
+    """What a question wanted to meet and did not, and what it never wanted to."""
+    few = [
+        f"{question.name}: {met[what]} of {what}, expected {least}"
+        for what, least in question.wants.items()
+        if met[what] < least
+    ]
+    return few + [
+        f"{question.name}: {met[what]} of {what}, expected none" for what in question.never if met[what]
+    ]

@@ -1,0 +1,258 @@
+"""Cases 29 to 41: limits of t, odd directions, sizes, coincident faces, and what is wrong with a mesh."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from aimed_rays import decades, direction
+
+from cases import whole
+from cases.case import FLOAT64, Case, Maker, Question
+from cases.refusals import refused
+from cases.shapes import Aim, every_kind, folder, mesh_of, ply_of, rays_at, shape_of
+from caster import MeshFile, Triangle, cast
+
+
+def at_t_max(make: Maker) -> Iterator[Question]:
+    """t = 2 exactly, with t_max there and one unit in the last place around it: the end belongs to the ray."""
+    two = [float(make.beside(2.0, step)) for step in (-1, 0, 1)]
+    for each in whole.each(make.rng, whole.ALL):
+        rows = np.flatnonzero(each.inside)[make.rng.integers(0, int(each.inside.sum()), make.count(20))]
+        # straight at the surface: nothing of it comes before
+        d = -each.n[rows] * 2.0 * whole.UNIT if each.kind != "mesh" else -each.p[rows] * 0.25
+        for t_max, meets in zip(two, ("miss", "hit", "hit"), strict=True):
+            other = {"hit": "miss", "miss": "hit"}[meets]
+            o = each.p[rows] - 2.0 * d
+            yield make.ask(
+                f"{each.kind}, t_max {t_max!r}",
+                [each.shape],
+                o,
+                d,
+                t_max=t_max,
+                never=(other,),
+                **{meets: 20},
+            )
+        yield make.ask(f"{each.kind}, t_min 2", [each.shape], o, d, t_min=2.0)
+
+
+def at_t_min(make: Maker) -> Iterator[Question]:
+    """From a point of the surface, exactly: t = 0 is no hit, whatever the direction."""
+    for each in whole.each(make.rng, whole.FLAT):
+        rows = make.rng.integers(0, len(each.p), make.count(25))
+        d = (
+            make.rng.choice([-1.0, 1.0], (len(rows), 1)) * each.n[rows] * whole.UNIT
+            + each.tangent[rows] * whole.UNIT
+        )
+        never = ("hit",) if each.kind != "cube" else ()
+        yield make.ask(each.kind, [each.shape], each.p[rows], d, miss=5, exact=20, never=never)
+
+
+def odd_directions(make: Maker) -> Iterator[Question]:
+    """Components of -0.0, 10^-19, 10^-30, 10^-45 and the smallest beside one that is not small."""
+    small = np.array(
+        [0.0, -0.0, 1e-19, -1e-19, 1e-30, 1e-45, *(() if make.single else (1e-300, -(2.0**-1074)))]
+    )
+    for kind, shape in every_kind(make.rng):
+        scene = make.scene([shape])
+        p, _ = rays_at(make, scene.kept["packed"].parts[0], make.count(40), aim=Aim((1e-9, 2e-9)))
+        axis = make.rng.integers(0, 3, len(p))
+        d = make.rng.choice(small, (len(p), 3))
+        d[np.arange(len(p)), axis] = make.rng.choice([-1.0, 1.0], len(p))
+        d = make.rounded(d)
+        yield make.ask(kind, scene, p - 4.0 * np.where(np.abs(d) == 1.0, d, 0.0), d, hit=10)
+
+
+def long_and_short(make: Maker) -> Iterator[Question]:
+    """|d| = 10^-38 to 10^25 in float32 numbers, 10^-290 to 10^290 in float64."""
+    ends = (1e-38, 1e25) if make.single else (1e-290, 1e290)
+    for kind in ("triangle", "rectangle", "cube", "mesh", "icosphere"):
+        scene = make.scene([shape_of(kind, make.rng)])
+        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(50))
+        yield make.ask(kind, scene, o, d * decades(make.rng, *ends, len(d))[:, None], hit=15)
+
+
+def sizes(make: Maker) -> Iterator[Question]:
+    """Triangles of size 10^-37 to 10^17, in float64 down to 10^-290."""
+    ends = (1e-37, 1e-19, 1e-12, 1e12, 1e17) if make.single else (1e-290, 1e-150, 1e-100, 1e-12, 1e17)
+    for size in ends:
+        corners = make.rng.uniform(-1.0, 1.0, (3, 3)) * size
+        shape = mesh_of(corners, [[0, 1, 2]])
+        scene = make.scene([shape])
+        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(30), size)
+        yield make.ask(f"of size {size:g}", scene, o, d, hit=10)
+
+
+def offset_triangles(make: Maker) -> Iterator[Question]:
+    for offset in (1e2, 1e4, 1e6, 1e7, 1e8):
+        for kind in ("triangle", "rectangle", "mesh"):
+            scene = make.scene([shape_of(kind, make.rng, 1.0, offset * direction(make.rng, 1)[0])])
+            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(25))
+            yield make.ask(f"{kind} at {offset:g}", scene, o, d, hit=0 if make.single and offset > 1e6 else 5)
+
+
+def far_triangles(make: Maker) -> Iterator[Question]:
+    """A unit triangle from 10^2 to 10^7 away, 10^14 in float64, at its edges and within."""
+    for away in (1e2, 1e4, 1e6, 1e7 if make.single else 1e14):
+        for kind in ("triangle", "rectangle", "mesh"):
+            scene = make.scene([shape_of(kind, make.rng)])
+            aim = Aim((away, 2.0 * away), (0.1, 1.0), 0.5)
+            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(40), aim=aim)
+            yield make.ask(f"{kind} from {away:g}", scene, o, d, hit=2)
+
+
+def coincident(make: Maker) -> Iterator[Question]:
+    """The same thing twice, once the other way round: the first of the scene is hit."""
+    corners = make.rng.uniform(-1.0, 1.0, (3, 3))
+    pairs = {
+        "faces": [mesh_of(corners, [[0, 1, 2], [0, 1, 2], [1, 2, 0]])],
+        "faces of both sides": [mesh_of(corners, [[0, 2, 1], [0, 1, 2]])],
+        "triangles": [Triangle(vertices=corners)] * 2,
+    }
+    for kind, shape in every_kind(make.rng):
+        pairs[f"{kind}, twice"] = [shape, shape]
+    for name, shapes in pairs.items():
+        scene = make.scene([s.model_copy(update={"name": f"s{i}"}) for i, s in enumerate(shapes)])
+        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(25))
+        yield make.ask(name, scene, o, d, tie=8, exact=8)
+
+
+def corner_rays(make: Maker) -> Iterator[Question]:
+    for each in whole.each(make.rng, (whole.ball,), 2):
+        corners = np.flatnonzero(~each.inside)
+        rows = corners[make.rng.integers(0, len(corners), make.count(150))]
+        o = whole.whole(make.rng, len(rows), 3) * 100.0 * whole.UNIT
+        yield make.ask("from anywhere", [each.shape], o, each.p[rows] - o, tie=30, vertex=20, edge=10)
+
+
+def any_order() -> int:
+    """Ties do not depend on the order of the rays or on how many come at once: the bits are the same."""
+    make, count = Maker(37, FLOAT64), 0
+    for question in corner_rays(make):
+        whole_cast = cast(question.scene, question.o, question.d)
+        for size in (1, 7, 64):
+            order = make.rng.permutation(len(question.o))
+            for start in range(0, len(order), size):
+                rows = order[start : start + size]
+                part = cast(question.scene, question.o[rows], question.d[rows])
+                assert part.t.tobytes() == whole_cast.t[rows].tobytes()
+                assert (part.prim_id == whole_cast.prim_id[rows]).all()
+            count += len(order)
+    return count
+
+
+def bad_index() -> int:
+    """The file is refused, and the face is named."""
+    corners, count = np.eye(3), 0
+    for index in (3, 10**6, 0xFFFFFFFF, 0x80000000):
+        path = folder() / f"index-{index}.ply"
+        path.write_bytes(ply_of(corners, np.array([[0, 1, 2], [0, 1, index]])))
+        words = (str(path.name), "face 1")
+        count += refused(lambda path=path: MeshFile(file=str(path)).load(), *words)
+    for index in (4, 10**6, -4, 0):
+        path = folder() / f"index{index}.obj"
+        path.write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 {index}\n")
+        count += refused(lambda path=path: MeshFile(file=str(path)).load(), path.name, "5")
+    return count
+
+
+def nothing_there(make: Maker) -> Iterator[Question]:
+    o = make.rng.normal(size=(make.count(20), 3))
+    yield make.ask("no shapes", [], o, direction(make.rng, len(o)), miss=20, never=("hit",))
+
+
+def empty_mesh() -> int:
+    """A mesh without faces is refused with its name."""
+    count = 0
+    for corners in (np.zeros((0, 3)), np.eye(3)):
+        path = folder() / f"empty-{len(corners)}.ply"
+        path.write_bytes(ply_of(corners, np.zeros((0, 3), int)))
+        count += refused(lambda path=path: MeshFile(file=str(path)).load(), path.name, "no faces")
+    path = folder() / "empty.obj"
+    path.write_text("v 0 0 0\n")
+    return count + refused(lambda: MeshFile(file=str(path)).load(), path.name, "no faces")
+
+
+MANY = 100_000
+
+
+def crowd() -> int:
+    """100,000 times the same triangle: the tree ends, and the first is hit."""
+    corners = np.random.default_rng(41).normal(size=(3, 3))
+    make = Maker(41, FLOAT64)
+    scene = make.scene([mesh_of(corners, np.tile([[0, 1, 2]], (MANY, 1)))])
+    o = np.array([[5.0, 6.0, 7.0]])
+    hits, alone = (
+        cast(s, o, corners.mean(axis=0) - o) for s in (scene, make.scene([Triangle(vertices=corners)]))
+    )
+    assert hits.prim_id[0] == alone.prim_id[0] == 0 and hits.t.tobytes() == alone.t.tobytes()
+    return MANY
+
+
+def small_crowd(make: Maker) -> Iterator[Question]:
+    corners = make.rng.normal(size=(3, 3))
+    scene = make.scene([mesh_of(corners, np.tile([[0, 1, 2]], (300, 1)))])
+    o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(30))
+    yield make.ask("300 times the same triangle", scene, o, d, tie=10)
+
+
+EXACT = "exact"
+CASES = (
+    Case(
+        29,
+        "a hit at t_max exactly",
+        "the ray is t_min < t <= t_max, compared exactly: hit at t_max, and not at t_min",
+        at_t_max,
+    ),
+    Case(30, "a ray that starts on something flat", "t = 0 is no hit", at_t_min),
+    Case(
+        31,
+        "directions with components of -0.0 and down to the smallest number",
+        "the box test tells -0.0 from 0.0 by nothing; as exact arithmetic says",
+        odd_directions,
+        every_shape=True,
+    ),
+    Case(
+        32,
+        "directions of length 10^-290 to 10^290 at triangles",
+        "d is scaled by a power of two first, which is exact",
+        long_and_short,
+    ),
+    Case(33, "triangles of size 10^-290 to 10^17", "products that underflow are left to integers", sizes),
+    Case(34, "triangles far from the origin", EXACT, offset_triangles),
+    Case(35, "a unit triangle from up to 10^14 away", EXACT, far_triangles),
+    Case(
+        36,
+        "the same thing twice in one place",
+        "the first of the scene is hit: the lowest number",
+        coincident,
+        every_shape=True,
+    ),
+    Case(
+        37,
+        "ties at corners, in any order of rays",
+        "the lowest number, whatever comes with the ray: bit for bit",
+        corner_rays,
+        {"alike": any_order},
+    ),
+    Case(
+        39,
+        "a face with an index beyond the vertices",
+        "refused when the file is read, with its name and the face",
+        checks={"refused": bad_index},
+        shapes="mesh",
+    ),
+    Case(
+        40,
+        "nothing to hit: no shapes, no faces",
+        "an empty scene misses; a mesh file without faces is refused",
+        nothing_there,
+        {"refused": empty_mesh},
+        shapes="mesh",
+    ),
+    Case(
+        41,
+        "100,000 times the same triangle",
+        "the first is hit; the tree stops halving",
+        small_crowd,
+        {"faces": crowd},
+    ),
+)

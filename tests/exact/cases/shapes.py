@@ -1,0 +1,171 @@
+"""Shapes to aim at: of every kind of the registry at any size and place, and some whose surface points are exact."""
+
+import atexit
+import hashlib
+import shutil
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from aimed_rays import Spots, decades, direction, spots
+
+from caster import (
+    Cube,
+    Cylinder,
+    Disk,
+    Heightfield,
+    Icosphere,
+    MeshFile,
+    Plane,
+    Rectangle,
+    Sphere,
+    Teapot,
+    Torus,
+    Triangle,
+)
+from caster.fields import Shape
+
+Rng = np.random.Generator
+
+
+@cache
+def folder() -> Path:
+    """Where mesh files of this run are; it goes with the process."""
+    path = tempfile.mkdtemp(prefix="edge-cases-")
+    atexit.register(shutil.rmtree, path, ignore_errors=True)
+    return Path(path)
+
+
+def mesh_of(vertices: Any, faces: Any, **more: Any) -> MeshFile:
+    """Triangles from arrays (v, 3) and (n, 3), by way of a PLY file of doubles; flat."""
+    v = np.ascontiguousarray(vertices, "<f8").reshape(-1, 3)
+    content = ply_of(v, np.asarray(faces))
+    path = folder() / f"{hashlib.sha256(content).hexdigest()[:16]}.ply"
+    if not path.exists():
+        path.write_bytes(content)
+    return MeshFile(file=str(path), **({"face_normals": True} | more))
+
+
+def ply_of(vertices: np.ndarray, faces: np.ndarray, number: str = "double") -> bytes:
+    """A PLY file of float64 or float32 corners (v, 3) and triangles (n, 3), whatever they hold."""
+    rows = np.zeros(len(faces), [("count", "u1"), ("corners", "<u4", 3)])
+    if len(faces):
+        rows["count"], rows["corners"] = 3, faces.astype(np.int64) & 0xFFFFFFFF
+    names = "".join(f"property {number} {name}\n" for name in "xyz")
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{names}"
+        f"element face {len(faces)}\nproperty list uchar uint vertex_indices\nend_header\n"
+    )
+    return (
+        header.encode() + vertices.astype("<f8" if number == "double" else "<f4").tobytes() + rows.tobytes()
+    )
+
+
+def turn(rng: Rng) -> dict[str, Any]:
+    return {"rotate": {"axis": direction(rng, 1)[0], "degrees": rng.uniform(10.0, 350.0)}}
+
+
+def place(rng: Rng, size: float, middle: Any, stretch: Any = 1.0) -> list[dict[str, Any]]:
+    """Steps that stretch, turn and move."""
+    return [{"scale": size * np.asarray(stretch, float)}, turn(rng), {"translate": np.asarray(middle, float)}]
+
+
+def strewn(rng: Rng, count: int = 6) -> MeshFile:
+    """A mesh file of triangles that do not meet."""
+    corners = rng.uniform(-0.7, 0.7, (count, 1, 3)) + rng.normal(0.0, 0.3, (count, 3, 3))
+    return mesh_of(corners, np.arange(3 * count).reshape(-1, 3))
+
+
+FLAT = ("triangle", "rectangle", "disk", "plane", "cube", "mesh", "heightfield")
+ROUND = ("sphere", "ellipsoid", "cylinder", "elliptic cylinder")
+CLOSED = ("sphere", "ellipsoid", "cube", "icosphere", "torus")
+
+
+def shape_of(
+    kind: str, rng: Rng, size: float = 1.0, middle: Any = (0.0, 0.0, 0.0), stretch: Any = 1.0
+) -> Shape:
+    """A shape about `size` large around `middle`, turned; stretched, where it can be, along its own axes."""
+    steps = place(rng, size, middle, stretch)
+    if kind == "mesh":
+        return strewn(rng).model_copy(update={"to_world": steps})
+    if kind == "plane":
+        return Plane(normal=direction(rng, 1)[0], point=np.asarray(middle, float) + size * rng.normal(size=3))
+    if kind == "triangle":
+        return Triangle(vertices=rng.uniform(-1.0, 1.0, (3, 3)), to_world=steps)
+    if kind == "ellipsoid":
+        return Sphere(to_world=place(rng, size, middle, np.asarray(stretch) * np.array([1.0, 0.5, 0.25])))
+    if kind == "elliptic cylinder":
+        return Cylinder(to_world=place(rng, size, middle, np.asarray(stretch) * np.array([1.0, 0.4, 1.5])))
+    return PLAIN[kind](steps)
+
+
+PLAIN = {
+    "sphere": lambda steps: Sphere(to_world=steps),
+    "rectangle": lambda steps: Rectangle(to_world=steps),
+    "disk": lambda steps: Disk(to_world=steps),
+    "cube": lambda steps: Cube(to_world=steps),
+    "cylinder": lambda steps: Cylinder(radius=0.5, to_world=steps),
+    "icosphere": lambda steps: Icosphere(subdivisions=1, to_world=steps),
+    "torus": lambda steps: Torus(segments=9, sides=5, to_world=steps),
+    "heightfield": lambda steps: Heightfield(resolution=5, to_world=steps),
+    "teapot": lambda steps: Teapot(subdivisions=1, to_world=steps),
+}
+KINDS = (
+    "sphere",
+    "ellipsoid",
+    "plane",
+    "triangle",
+    "mesh",
+    "cylinder",
+    "elliptic cylinder",
+    *sorted(PLAIN.keys() - {"sphere", "cylinder"}),
+)
+
+
+def every_kind(rng: Rng, size: float = 1.0, middle: Any = (0.0, 0.0, 0.0)) -> Iterator[tuple[str, Shape]]:
+    for kind in KINDS:
+        yield kind, shape_of(kind, rng, size, middle)
+
+
+def spots_on(part: Any, rng: Rng, count: int, edges: float, size: float) -> Spots:
+    """Points of one shape's packed arrays and normals there; of a plane, within a few sizes of its point."""
+    if not hasattr(part, "faces") and hasattr(part, "normal"):
+        n = part.normal[0] / np.linalg.norm(part.normal[0])
+        across = np.cross(n, rng.normal(size=(count, 3)))
+        return Spots(part.point[0] + size * across, np.tile(n, (count, 1)))
+    with np.errstate(all="ignore"):
+        return spots(part, rng, count, edges)
+
+
+def across(rng: Rng, n: np.ndarray) -> np.ndarray:
+    """Unit vectors in any direction across each of n (m, 3)."""
+    v = np.cross(n, direction(rng, len(n)))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+class Aim(NamedTuple):
+    """From how far, in sizes, how steeply, and how often at an edge, a corner or a rim."""
+
+    distances: tuple[float, float] = (2.0, 20.0)
+    slopes: tuple[float, float] = (0.05, 1.0)
+    edges: float = 0.25
+
+
+def rays_at(
+    make: Any, part: Any, count: int, size: float = 1.0, aim: Aim | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rays (n, 3), (n, 3) in the maker's precision, d of about unit length, at points of one shape's arrays."""
+    rng, aim = make.rng, aim or Aim()
+    p, n = spots_on(part, rng, count, aim.edges, size)
+    n = np.where(
+        np.isfinite(n).all(axis=1, keepdims=True), n, direction(rng, len(n))
+    )  # a face without area has none
+    slope = (decades(rng, *aim.slopes, len(p)) * rng.choice([-1.0, 1.0], len(p)))[:, None]
+    away = slope * n + np.sqrt(1.0 - slope * slope) * across(rng, n)
+    o = make.rounded(p + size * decades(rng, *aim.distances, len(p))[:, None] * away)
+    d = (p - o) / size
+    length = np.linalg.norm(d, axis=1, keepdims=True)
+    return o, make.rounded(np.divide(d, length, out=-away, where=length > 0.0))

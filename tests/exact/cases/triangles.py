@@ -1,0 +1,329 @@
+"""Cases 15 to 28: triangles, closed meshes, slivers, and rays nearly edge-on."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from aimed_rays import direction
+
+from cases import whole
+from cases.case import Case, Maker, Question
+from cases.shapes import Aim, mesh_of, rays_at, shape_of, turn
+from caster import Heightfield, Icosphere, Triangle
+from caster.procedural import icosphere, torus
+
+SUBDIVISIONS = 4  # 5120 faces
+STEPS = 64  # of the grid in a radius, at least: four in an edge
+OFFSETS = ((0.0, 0.0, 0.0), (1e3, 1e3, 1e3), (148376.0, 1234.0, -223423.0), (1e6, 1e6, 1e6))
+
+
+def grid_ball(make: Maker, middle: Any) -> tuple[Any, np.ndarray, np.ndarray]:
+    """(mesh, vertices, faces): a turned icosphere around `middle`, corners on a grid so fine that no pattern is left.
+
+    Its step leaves room for sums of a few corners, so that points of edges are exact.
+    """
+    (m, n), ball = whole.whole_turn(make.rng), icosphere(SUBDIVISIONS)
+    digits, room = (22, 18) if make.single else (50, 44)
+    step = max(2.0 ** (np.ceil(np.log2(np.abs(middle).max() + 1.0)) - digits), 2.0**-room)
+    radius = max(1.0, STEPS * step)
+    vertices = np.rint((radius * ball.vertices @ m.T / n + middle) / step) * step
+    return mesh_of(vertices, ball.faces), vertices, ball.faces
+
+
+def inside_of(vertices: np.ndarray) -> np.ndarray:
+    """Halfway between a corner and the one farthest from it: near the middle, and on the grid's half steps."""
+    away = np.abs(vertices - vertices[0]).sum(axis=1)
+    return 0.5 * vertices[0] + 0.5 * vertices[away.argmax()]
+
+
+def edges_of(faces: np.ndarray) -> np.ndarray:
+    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return np.unique(pairs, axis=0)
+
+
+def closed_edges(make: Maker) -> Iterator[Question]:
+    """From inside a closed mesh at points of its edges, exact and rounded: nothing leaks."""
+    for middle in OFFSETS:
+        mesh, vertices, faces = grid_ball(make, middle)
+        scene, o = make.scene([mesh]), inside_of(vertices)
+        pairs = edges_of(faces)
+        rows = pairs[make.rng.integers(0, len(pairs), make.count(120))]
+        share = make.rng.choice([0.25, 0.5, 0.75], (len(rows), 1))
+        first, second = vertices[rows[:, 0]] - o, vertices[rows[:, 1]] - o
+        yield make.ask(
+            f"exact, at {middle[0]:g}", scene, o, first + share * (second - first), edge=80, never=("miss",)
+        )
+        share = make.rng.random((len(rows), 1))
+        yield make.ask(
+            f"rounded, at {middle[0]:g}", scene, o, first + share * (second - first), never=("miss",)
+        )
+    ring = torus(1.0, 0.3, 24, 12)
+    m, n = whole.whole_turn(make.rng)
+    vertices = np.rint(ring.vertices @ m.T / n * 2.0**18) / 2.0**18
+    pairs = edges_of(ring.faces)[make.rng.integers(0, 3 * 24 * 12, make.count(60))]
+    o = make.rounded(vertices[pairs[:, 0]] + direction(make.rng, len(pairs)))
+    o = np.rint(o * 2.0**18) / 2.0**18
+    yield make.ask(
+        "a torus",
+        [mesh_of(vertices, ring.faces)],
+        o,
+        0.5 * (vertices[pairs[:, 0]] + vertices[pairs[:, 1]]) - o,
+        edge=8,
+        hit=60,
+    )
+
+
+def closed_corners(make: Maker) -> Iterator[Question]:
+    for middle in OFFSETS:
+        mesh, vertices, _ = grid_ball(make, middle)
+        o = inside_of(vertices)
+        rows = make.rng.integers(0, len(vertices), make.count(150))
+        yield make.ask(
+            f"at {middle[0]:g}", [mesh], o, vertices[rows] - o, vertex=140, tie=140, never=("miss",)
+        )
+    shape = Icosphere(subdivisions=2, to_world=[turn(make.rng)])
+    scene = make.scene([shape])
+    vertices = scene.kept["packed"].parts[0].vertices
+    o = make.rounded(0.3 * direction(make.rng, len(vertices)))
+    yield make.ask("rounded", scene, o, vertices - o, never=("miss",))
+
+
+def lattice(make: Maker) -> Iterator[Question]:
+    """Corners, edges and diagonals of a flat grid of eighths, from whole places: exact for everybody."""
+    scene = make.scene([Heightfield(size=4.0, resolution=32, amplitude=0.0)])
+    count = make.count(150)
+    o = np.column_stack([make.rng.integers(-8, 9, (count, 2)) / 4.0, make.rng.integers(1, 5, count)])
+    p = np.column_stack([make.rng.integers(-15, 16, (count, 2)) / 8.0, np.zeros(count)])
+    half = make.rng.integers(0, 2, (count, 2)) / 16.0
+    yield make.ask("corners", scene, o, p - o, vertex=140, never=("miss",))
+    yield make.ask(
+        "edges and diagonals",
+        scene,
+        o,
+        p + np.column_stack([half, np.zeros(count)]) - o,
+        edge=60,
+        never=("miss",),
+    )
+
+
+def random_inside(make: Maker) -> Iterator[Question]:
+    """Random directions from inside, far from the origin: boxes are where they should be, too."""
+    for middle in OFFSETS:
+        mesh, _, _ = grid_ball(make, middle)
+        o = make.rounded(np.array(middle) + 0.3 * direction(make.rng, make.count(100)))
+        yield make.ask(f"at {middle[0]:g}", [mesh], o, direction(make.rng, len(o)), never=("miss",))
+
+
+THIN = ("triangle", "rectangle", "cube", "disk", "sphere", "cylinder", "mesh")
+
+
+def slivers(make: Maker) -> Iterator[Question]:
+    """Of height 10^-1 to 10^-12 (10^-14 in float64), turned, from 5 away."""
+    for height in (1e-1, 1e-3, 1e-6, 1e-9, 1e-12 if make.single else 1e-14):
+        for kind in THIN:
+            if make.single and height < 1e-6 and kind not in ("triangle", "mesh"):
+                continue  # in float32 numbers, such a matrix has no inverse
+            shape = shape_of(kind, make.rng, 1.0, stretch=[1.0, height, 1.0])
+            scene = make.scene([shape])
+            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(16), aim=Aim((4.0, 6.0)))
+            yield make.ask(f"{kind} of height {height:g}", scene, o, d, hit=6)
+
+
+def upright_slivers(make: Maker) -> Iterator[Question]:
+    """Along an axis and looked at along another: everything is exact."""
+    for height in (1e-3, 1e-6, 1e-12):
+        h = float(make.rounded(height))
+        u, v = make.rng.random((2, make.count(40)))
+        p = np.column_stack([u * (1.0 - 1e-6), 0.9 * v * (1.0 - u) * h, np.zeros(len(u))])
+        yield make.ask(
+            f"of height {height:g}",
+            [Triangle(vertices=[[0, 0, 0], [1, 0, 0], [0, h, 0]])],
+            p + np.array([0.0, 0.0, 5.0]),
+            (0, 0, -1.0),
+            hit=38,
+        )
+
+
+def without_area(make: Maker) -> Iterator[Question]:
+    """Corners in a line, in one point, or the same corner twice, exactly; between faces that are there."""
+    for _ in range(4):
+        a, v = whole.whole(make.rng, 2, 3)
+        count = make.count(20)
+        aim = a + v * make.rng.integers(0, 9, (count, 1)) / 4.0
+        o = whole.whole(make.rng, count, 3)
+        for name, vertices, faces in (
+            ("in a line", [a, a + v, a + 2 * v], [[0, 1, 2]]),
+            ("one corner twice", [a, a + 2 * v], [[0, 1, 1]]),
+            ("one point", [a], [[0, 0, 0]]),
+        ):
+            near = a if name == "one point" else aim
+            corners = np.array(vertices) * whole.UNIT
+            yield make.ask(
+                name,
+                [mesh_of(corners, faces)],
+                o * whole.UNIT,
+                (near - o) * whole.UNIT,
+                degenerate=10,
+                never=("hit",),
+            )
+        w = whole.whole(make.rng, 2, 3)
+        corners = np.array([a, a + v, a + 2 * v, a + w[0], a + w[1]]) * whole.UNIT
+        mesh = mesh_of(corners, [[0, 1, 2], [0, 2, 3], [0, 4, 2]])
+        yield make.ask("between two faces", [mesh], o * whole.UNIT, (aim - o) * whole.UNIT, hit=8, edge=5)
+
+
+def nearly_in_a_line(make: Maker) -> Iterator[Question]:
+    """0, 1/3 and 1 along a turned line: what is left of an area is rounding."""
+    for _ in range(6):
+        a, v = make.rng.normal(size=(2, 3))
+        corners = make.rounded([a, a + v / 3.0, a + v])
+        count = make.count(30)
+        aim = make.rounded(a + make.rng.random((count, 1)) * v)
+        o = make.rounded(2.0 * direction(make.rng, count))
+        yield make.ask(
+            "a line", [mesh_of(corners, [[0, 1, 2]])], o, aim - o, miss=10, exact=0 if make.single else 3
+        )
+
+
+def in_an_axis_line(make: Maker) -> Iterator[Question]:
+    """Three corners that share two decimals: exactly in a line, though no number is round."""
+    x, z = make.rounded([-1113.45459, -56.2431908])
+    for _ in range(4):
+        y = make.rounded(make.rng.uniform(-100.0, -70.0, 3))
+        corners = np.column_stack([np.full(3, x), y, np.full(3, z)])
+        o = make.rounded(np.array([-1081.0, 100.0, 88.0]) + make.rng.normal(size=(make.count(20), 3)))
+        aim = make.rounded(corners[0] + make.rng.random((len(o), 1)) * (corners[2] - corners[0]))
+        yield make.ask("a line", [mesh_of(corners, [[0, 1, 2]])], o, aim - o, never=("hit",))
+        along = np.column_stack([np.full(20, x), y[0] + make.rng.uniform(1, 9, 20), np.full(20, z)])
+        yield make.ask(
+            "along it",
+            [mesh_of(corners, [[0, 1, 2]])],
+            along,
+            (0.0, -1.0, 0.0),
+            degenerate=18,
+            never=("hit",),
+        )
+
+
+def in_the_plane(
+    make: Maker, makers: tuple = (whole.triangle, whole.rectangle, whole.disk, whole.plane)
+) -> Iterator[Question]:
+    """Along the surface, from a point of its plane: no hit, by the convention that edge-on is a miss."""
+    for each in whole.each(make.rng, makers, 2):
+        rows = make.rng.integers(0, len(each.p), make.count(25))
+        d = each.tangent[rows] * whole.UNIT
+        o = each.p[rows] - d * make.rng.integers(0, 3, (len(rows), 1))
+        exact = (
+            0 if each.kind in ("disk", "plane") else 12
+        )  # a product with 0 is seen to be 0 without integers
+        yield make.ask(f"{each.kind}, turned", [each.shape], o, d, edge_on=12, exact=exact, never=("hit",))
+    cube = whole.cube(make.rng)
+    d = cube.tangent * whole.UNIT
+    yield make.ask("along a cube's sides", [cube.shape], cube.p - 3.0 * d, d, edge_on=20, exact=20)
+
+
+def nearly_in_the_plane(make: Maker) -> Iterator[Question]:
+    """The same after a turn that rounds."""
+    for kind in ("triangle", "rectangle", "disk", "plane", "mesh"):
+        scene = make.scene([shape_of(kind, make.rng)])
+        o, d = rays_at(
+            make, scene.kept["packed"].parts[0], make.count(60), aim=Aim((1.0, 5.0), (1e-18, 1e-17))
+        )
+        yield make.ask(kind, scene, o, d, miss=3, exact=0 if make.single else 8)
+
+
+GRAZED = ("triangle", "mesh", "cube", "heightfield", "icosphere")
+
+
+def grazing(make: Maker, kinds: tuple[str, ...] = GRAZED) -> Iterator[Question]:
+    """At 10^-1 to 10^-12 radians."""
+    for kind in kinds:
+        scene = make.scene([shape_of(kind, make.rng)])
+        o, d = rays_at(
+            make, scene.kept["packed"].parts[0], make.count(60), aim=Aim((1.0, 10.0), (1e-12, 1e-1), 0.1)
+        )
+        yield make.ask(kind, scene, o, d, hit=5)
+
+
+def upright_grazing(make: Maker) -> Iterator[Question]:
+    """Across an axis: slopes of 10^-2 down to the smallest number."""
+    corners = [[-2.0, -2.0, 0.0], [2.0, -2.0, 0.0], [0.0, 3.0, 0.0]]
+    least = 2.0**-149 if make.single else 2.0**-1074
+    for shape in (
+        Triangle(vertices=corners),
+        shape_of("rectangle", make.rng).model_copy(update={"to_world": ()}),
+    ):
+        slopes = np.array(
+            [*10.0 ** -np.arange(2.0, 38.0), 1e-40, least, *(() if make.single else (1e-200, 1e-300, 1e-310))]
+        )
+        slopes = make.rounded(slopes)
+        d = np.column_stack([np.full(len(slopes), 0.5), np.full(len(slopes), 0.25), -slopes])
+        o = np.column_stack([np.full((len(slopes), 2), -0.125), slopes])
+        yield make.ask(type(shape).__name__.lower(), [shape], o, d, hit=30)
+
+
+def skinny(make: Maker) -> Iterator[Question]:
+    """Edges of 11, 10 and 2, 50 to 600 away, at 0.1 degrees and less."""
+    h = float.fromhex
+    kept = Triangle(
+        vertices=[
+            [h("0x1.4d8dbep+6"), h("0x1.d3404p+5"), h("0x1.fea0fap+5")],
+            [h("0x1.451a8ap+6"), h("0x1.83cd9cp+5"), h("0x1.1239dcp+6")],
+            [h("0x1.4e11e2p+6"), h("0x1.c6e7cp+5"), h("0x1.00ec7p+6")],
+        ]
+    )
+    o = [h("0x1.014626p+9"), h("0x1.ae3188p+7"), h("-0x1.2bf194p+8")]
+    d = [h("-0x1.76f022p-1"), h("-0x1.1ca874p-2"), h("0x1.3e4a02p-1")]
+    yield make.ask("one that Embree's robust mode hits", [kept], o, d, miss=1)
+    for _ in range(8):
+        base = [[0.0, 0.0, 0.0], [11.2, 0.0, 0.0], [9.6, 0.9, 0.0]]
+        shape = Triangle(
+            vertices=base, to_world=[turn(make.rng), {"translate": 60.0 * make.rng.normal(size=3)}]
+        )
+        scene = make.scene([shape])
+        aim = Aim((50.0, 600.0), (1e-6, 2e-3), 0.6)
+        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(60), aim=aim)
+        yield make.ask("skinny", scene, o, d, hit=15, miss=5)
+
+
+EXACT = "exact: edge functions that float64 cannot tell from 0 are decided in integers"
+CASES = (
+    Case(
+        15, "from inside a closed mesh, at its edges", f"{EXACT}; nothing leaks, at any offset", closed_edges
+    ),
+    Case(
+        16,
+        "from inside a closed mesh, at its corners",
+        f"{EXACT}; the lowest of the faces around a corner is hit",
+        closed_corners,
+    ),
+    Case(17, "a lattice of eighths, where everybody is exact", EXACT, lattice),
+    Case(
+        18,
+        "from inside a closed mesh, anywhere, far from the origin",
+        "boxes and rays are widened by more than their rounding: nothing leaks",
+        random_inside,
+    ),
+    Case(19, "slivers, turned", EXACT, slivers),
+    Case(20, "slivers along an axis", EXACT, upright_slivers),
+    Case(21, "triangles without an area, exactly", "never hit; their neighbours are", without_area),
+    Case(
+        22,
+        "three corners in a line but for rounding",
+        "what is left of the area is there, exactly",
+        nearly_in_a_line,
+    ),
+    Case(23, "three corners on a line along an axis", "never hit", in_an_axis_line),
+    Case(
+        24, "in the plane of something flat, exactly", "edge-on is a miss, decided in integers", in_the_plane
+    ),
+    Case(25, "in the plane but for rounding", EXACT, nearly_in_the_plane),
+    Case(26, "grazing triangles at 10^-1 to 10^-12 radians", EXACT, grazing),
+    Case(
+        27,
+        "grazing across an axis, down to the smallest slope",
+        "products that underflow are left to integers",
+        upright_grazing,
+    ),
+    Case(28, "skinny triangles nearly edge-on", EXACT, skinny),
+)
