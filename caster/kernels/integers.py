@@ -1,7 +1,7 @@
 """Integers of any length, for the decisions that float64 cannot make.
 
 An integer is an array of int64 digits to the base 2^26, lowest first: all but the last in [0, 2^26), the last, which
-carries the sign, in [-2^26, 2^26). No digit is left out or rounded, and none overflows: see `combined`.
+carries the sign, in [-2^26, 2^26]. No digit is left out or rounded, and none overflows: see `combined`.
 """
 
 import math

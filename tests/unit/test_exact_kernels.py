@@ -1,0 +1,157 @@
+"""The caster's own exact arithmetic: integers against Python's, roots and their order against Fractions."""
+
+import math
+import sys
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from caster.kernels import integers as big
+from caster.kernels.exact_root import FLOAT_ERROR, Root, as_float, is_within, number, order
+
+RNG = np.random.default_rng(70)
+
+
+def value(x):
+    return sum(int(digit) << (big.BITS * i) for i, digit in enumerate(x))
+
+
+def some_floats(count):
+    """Of all sizes, some whole, some denormal, some zero."""
+    wide = RNG.normal(size=count) * 2.0 ** RNG.integers(-1074, 1000, count)
+    near = RNG.integers(-9, 10, count) * 2.0 ** RNG.integers(-3, 4, count)
+    return [*np.where(RNG.random(count) < 0.5, wide, near).tolist(), 5e-324, -5e-324, sys.float_info.max, 0.0]
+
+
+def some_integers(count):
+    """Of up to 40 digits of 2^26, and the borders where a carry begins."""
+    found = [
+        int(x) * (1 << int(k)) + int(y)
+        for x, k, y in RNG.integers(-(2**40), 2**40, (count, 3)) % [2**41, 900, 2**41]
+    ]
+    for bits in (26, 52, 78, 26 * 5):
+        found += [2**bits, 2**bits - 1, -(2**bits), 1 - 2**bits, -(2**bits) - 1]
+    return [*found, 0, 1, -1]
+
+
+def as_digits(x):
+    """A Python integer as the kernels write it."""
+    out = []
+    while not -big.BASE <= x < big.BASE:
+        out.append(x & big.MASK)
+        x >>= big.BITS
+    return np.array([*out, x], np.int64)
+
+
+def is_in_form(x):
+    """All digits but the last in [0, 2^26), the last in [-2^26, 2^26] and not a needless one."""
+    assert all(0 <= digit < big.BASE for digit in x[:-1]) and -big.BASE <= x[-1] <= big.BASE
+    assert len(x) == 1 or x[-1] not in (0, -1)
+
+
+def test_a_float_is_the_integer_it_is():
+    floats = some_floats(500)
+    for group in zip(floats[0::2], floats[1::2], strict=False):
+        e = big.lowest_exponent(group)
+        for x in group:
+            digits = big.integer(x, e)
+            is_in_form(digits)
+            assert Fraction(value(digits)) * Fraction(2) ** e == Fraction(x)
+
+
+def test_sums_products_signs_and_shifts_are_those_of_python():
+    ints = some_integers(60)
+    for x in ints:
+        a = as_digits(x)
+        assert value(a) == x and big.sign(a) == (x > 0) - (x < 0)
+        assert value(big.shifted(a, 77)) == x << 77 and value(big.signed(-1, a)) == -x
+        for y in ints[::3]:
+            b = as_digits(y)
+            for got, expected in ((big.plus, x + y), (big.minus, x - y), (big.times, x * y)):
+                digits = got(a, b)
+                is_in_form(digits)
+                assert value(digits) == expected
+
+
+def test_a_product_of_more_digits_than_fit_without_a_carry():
+    """2^26 - 1 in every digit, more of them than ROWS_PER_CARRY."""
+    digits = 2 * big.ROWS_PER_CARRY + 3
+    a = np.full(digits, big.MASK, np.int64)
+    assert value(big.times(a, a)) == ((1 << (big.BITS * digits)) - 1) ** 2
+
+
+def test_leading_is_within_two_roundings():
+    for x in some_integers(300):
+        f, e = big.leading(as_digits(x))
+        exact = Fraction(f) * Fraction(2) ** e
+        assert abs(exact - x) <= Fraction(2.0**-52) * abs(x)
+
+
+def a_root(p, r, q, s, e):
+    return Root(True, as_digits(p), as_digits(r), as_digits(q), s if r else 0, e)
+
+
+def some_roots(count):
+    """Roots, many of them equal or nearly so: (root, its value in 200 bits, an exact key)."""
+    found = []
+    for _ in range(count):
+        p, r, q = (int(x) for x in RNG.integers(-6, 7, 3))
+        r, q, s, e = abs(r), abs(q) + 1, int(RNG.integers(-1, 2)), int(RNG.integers(-3, 4))
+        scale = int(RNG.integers(1, 2**40))  # the same number in larger integers
+        found.append((a_root(p * scale, r * scale * scale, q * scale, s, e), (p, r if s else 0, q, s, e)))
+    return found
+
+
+def precisely(key):
+    p, r, q, s, e = key
+    bits = 400
+    root = math.isqrt(r << (2 * bits))
+    return (Fraction(p) + s * Fraction(root, 1 << bits)) / q * Fraction(2) ** e
+
+
+def same(x, y):
+    """Whether two keys are the same number: their difference times its conjugates is zero."""
+    return abs(precisely(x) - precisely(y)) < Fraction(
+        1, 1 << 300
+    )  # unequal ones of this size are farther apart
+
+
+def test_roots_are_in_order():
+    roots = some_roots(250)
+    equal = 0
+    for (x, a), (y, b) in zip(roots, roots[1:] + roots[:1], strict=True):
+        expected = 0 if same(a, b) else (1 if precisely(a) > precisely(b) else -1)
+        assert order(x, y) == expected == -order(y, x), (a, b)
+        assert order(x, x) == 0
+    for x, a in roots[:60]:
+        for y, b in roots[:60]:
+            if same(a, b):
+                equal += 1
+                assert order(x, y) == 0
+    assert equal >= 70, "more pairs than each with itself"
+
+
+def test_a_root_as_a_float_is_within_its_error():
+    for x, key in some_roots(400):
+        exact = precisely(key)
+        got = Fraction(as_float(x))
+        assert abs(got - exact) <= Fraction(FLOAT_ERROR) * abs(exact) + Fraction(1, 1 << 300), key
+
+
+def test_limits_are_exact_and_closed_above():
+    third = a_root(1, 0, 3, 0, 0)
+    below, above = 1.0 / 3.0, math.nextafter(1.0 / 3.0, 1.0)  # 1/3 rounds down
+    assert is_within(third, below, above) and not is_within(third, above, math.inf)
+    assert not is_within(third, 0.0, below)
+    assert is_within(number(2.0), math.nextafter(2.0, 0.0), 2.0) and not is_within(number(2.0), 2.0, math.inf)
+    root2 = a_root(0, 2, 1, 1, 0)
+    rounded = math.sqrt(2.0)  # rounded up
+    assert is_within(root2, math.nextafter(rounded, 0.0), rounded) and not is_within(root2, rounded, math.inf)
+
+
+@pytest.mark.parametrize("shift", [0, 900, -900])
+def test_an_integer_too_large_for_a_float_gives_the_largest(shift):
+    x = a_root(1 << 2000, 0, 1, 0, shift)
+    assert as_float(x) == sys.float_info.max
+    assert as_float(a_root(1, 0, 1 << 2000, 0, shift)) == (0.0 if shift <= 0 else 2.0 ** (shift - 2000))
