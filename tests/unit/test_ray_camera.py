@@ -16,13 +16,30 @@ LINE = '[camera]\ntype = "ray"\norigin = {o}\ndirection = {d}\n'
 
 
 def test_every_pixel_casts_the_ray_as_it_was_written():
-    text = LINE.format(o='["0x1.8p-3", 0.1, 5]', d='[-0.0, "-0x1.5p-1070", -3e200]') + "t_max = 7.5\n"
+    text = LINE.format(o='["0x1.8p-3", 0.1, 5]', d='[-0.0, "-0x1.5p-1070", -3e20]') + "t_max = 7.5\n"
     scene = scene_from_text("[film]\nwidth = 3\nheight = 2\n" + text)
     rays = camera_rays(scene)
-    o, d = np.array([0.1875, 0.1, 5.0]), np.array([-0.0, -float.fromhex("0x1.5p-1070"), -3e200])
+    o, d = np.array([0.1875, 0.1, 5.0]), np.array([-0.0, -float.fromhex("0x1.5p-1070"), -3e20])
     assert rays.o.tobytes() == np.tile(o, (6, 1)).tobytes()
     assert rays.d.tobytes() == np.tile(d, (6, 1)).tobytes()
     assert rays.t_min.tolist() == [0.0] * 6 and rays.t_max.tolist() == [7.5] * 6
+
+
+@pytest.mark.parametrize("length", ["0x1p-1074", "1e-300", "1e300", "1.7e308"])
+def test_a_direction_without_a_square_is_brought_to_one(length):
+    """By a power of two: what is hit, and its depth, are those of any other length."""
+    ball = '[[shape]]\ntype = "sphere"\n'
+    depths = []
+    for size in (length, "1"):
+        text = LINE.format(
+            o="[0.25, 0, 5]", d=f'[0, 0, "-{size}"]' if size.startswith("0x") else f"[0, 0, -{size}]"
+        )
+        depths.append(
+            render(scene_from_text("[film]\nwidth = 1\nheight = 1\n" + text + ball), ("depth",))["depth"][
+                0, 0
+            ]
+        )
+    assert depths[0] == depths[1] == pytest.approx(5 - np.sqrt(1 - 0.0625), abs=1e-14)
 
 
 @pytest.mark.parametrize(
