@@ -3,7 +3,7 @@
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from mitsuba_ref.table import failure
-from mitsuba_ref.verdict import CLASSES, Verdict
+from mitsuba_ref.verdict import CLASSES, SceneVerdict, Verdict
 
 
 def junit(verdict: Verdict) -> str:
@@ -22,10 +22,16 @@ def junit(verdict: Verdict) -> str:
             SubElement(case, kind, message=printable(text.splitlines()[0])).text = printable(text)
         counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
         SubElement(case, "system-out").text = printable(
-            f"hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} {scene.versions}"
+            f"hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
+            f"{_errors(scene)}{scene.versions}"
         )
     indent(suite)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(suite, encoding="unicode") + "\n"
+
+
+def _errors(scene: SceneVerdict) -> str:
+    found = scene.statistics
+    return f"k_t={found.t_largest:.2f} k_normal={found.normal_largest:.2f} z={found.z:.1f} " if found else ""
 
 
 def printable(text: str) -> str:

@@ -3,7 +3,9 @@
 import shlex
 from collections.abc import Iterator
 
+from mitsuba_ref.bias import LARGEST_Z
 from mitsuba_ref.cases import NAMES
+from mitsuba_ref.meeting import K
 from mitsuba_ref.verdict import (
     AGREE,
     CLASSES,
@@ -138,6 +140,7 @@ def summary(verdict: Verdict, seconds: float) -> str:
         f"            {', '.join(shares[5:])}",
         f"exact:      {verdict.adjudicated} pixels were decided by exact arithmetic, "
         f"in {sum(scene.exact_seconds for scene in verdict.scenes):.1f} s",
+        *_error_lines(verdict),
         *_case_lines(verdict),
         *_stored_lines(verdict),
     ]
@@ -145,6 +148,18 @@ def summary(verdict: Verdict, seconds: float) -> str:
         f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed
     ]
     return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
+
+
+def _error_lines(verdict: Verdict) -> Iterator[str]:
+    """How much of its bound t needed at most, of the K roundings that are allowed, and which scene leans most."""
+    found = [(scene.name, scene.statistics) for scene in verdict.scenes if scene.statistics is not None]
+    if any(errors.pixels for _, errors in found):
+        name, largest = max(found, key=lambda item: item[1].t_largest)
+        leaning, bias = max(found, key=lambda item: abs(item[1].z))
+        yield (
+            f"errors:     of t at most {largest.t_largest:.2f} of {K:g} roundings ({name}); "
+            f"bias at most |z| {abs(bias.z):.1f} of {LARGEST_Z:g} ({leaning})"
+        )
 
 
 def _case_lines(verdict: Verdict) -> Iterator[str]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from caster.rendering import Aovs, film_window
 from caster.scene import Scene, load_scene
+from mitsuba_ref.bias import check_bias, statistics
 from mitsuba_ref.jobs import Crash
 from mitsuba_ref.judge import CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judging import judge_of
@@ -67,6 +68,7 @@ def validate_scene(
         write_pictures(folder, name, scene, pair, judgement)
         stored = store_all(folder, name, judge, judgement, path or name)
     hit = pair.ours.hit.ravel() | pair.witness.hit
+    errors = statistics(judge.model.packed, pair, judge.bounds)
     return SceneVerdict(
         name,
         path,
@@ -74,7 +76,7 @@ def validate_scene(
         hit_pixels=int(hit.sum()),
         counts=_counts(judgement, hit),
         ratios=_ratios(judgement),
-        checks=(*checks, check_sensor(scene, pair.witness)),
+        checks=(*checks, check_sensor(scene, pair.witness), check_bias(errors)),
         failures=tuple(_failures(judge, judgement)),
         versions=pair.witness.answer.versions,
         seconds=time.perf_counter() - start,
@@ -84,6 +86,7 @@ def validate_scene(
         adjudicated=len(judgement.exact.rows),
         exact_seconds=judgement.exact_seconds,
         cases=_cases(judgement),
+        statistics=errors,
         reproducers=stored.files,
         not_stored=stored.left_out,
     )

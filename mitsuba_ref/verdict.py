@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from caster.scene import Scene
+from mitsuba_ref.bias import Statistics
 from mitsuba_ref.scene_check import SceneCheck
 
 # The classes of a pixel; the last two fail.
@@ -70,6 +71,7 @@ class SceneVerdict:
     exact_seconds: float = 0.0  # what that took, of `seconds`
     cases: dict[str, int] = field(default_factory=dict)  # pixels where the reference is wrong, by known case
     reproducers: tuple[str, ...] = ()  # files, one ray each
+    statistics: Statistics | None = None  # of the errors of t and of the normal; None without an answer
     not_stored: int = 0  # pixels that would have been stored as well, but for their number
 
     @property
@@ -126,6 +128,7 @@ class SceneVerdict:
             "reproducers": list(self.reproducers),
             "not_stored": self.not_stored,
             "ratios": {name: number(ratio) for name, ratio in self.ratios.items()},
+            "statistics": None if self.statistics is None else recorded(self.statistics),
             "checks": [
                 {"name": c.name, "ok": c.ok, "ratio": number(c.ratio), "what": c.what} for c in self.checks
             ],
@@ -136,6 +139,18 @@ class SceneVerdict:
             "exact_seconds": round(self.exact_seconds, 3),
             "problem": self.problem,
         }
+
+
+def recorded(found: Statistics) -> dict[str, Any]:
+    """The errors of a scene as verdict.json has them."""
+    return {
+        "pixels": found.pixels,
+        "k_t": {"largest": found.t_largest, "p99": found.t_p99},
+        "k_normal": {"largest": found.normal_largest, "p99": found.normal_p99},
+        "looseness": number(found.looseness),
+        "z": found.z,
+        "biases": [{**bias._asdict(), "tells": bias.tells} for bias in found.biases],
+    }
 
 
 def number(ratio: float) -> float | str:

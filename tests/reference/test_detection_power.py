@@ -1,0 +1,172 @@
+"""What the comparison with Mitsuba sees by itself, without float64's own bounds and without exact arithmetic.
+
+Faults are planted in what ours is traced from, or along which rays; the reference and the bounds get the right numbers.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from edited_tree import ROOT
+
+import caster
+from caster.kernels.nearest import Rays
+from caster.packing import Packed, pack
+from caster.placing import as_float32
+from caster.rendering import look_along
+from caster.scene import Scene, load_scene
+from caster.view import View
+from mitsuba_ref import validate
+from mitsuba_ref.bias import LARGEST_Z, Statistics, check_bias, statistics
+from mitsuba_ref.compare import compare
+from mitsuba_ref.jobs import Crash
+from mitsuba_ref.judge import Judge
+from mitsuba_ref.meeting import K
+from mitsuba_ref.model import Model, model_of
+from mitsuba_ref.pair import our_view, pair_up
+from mitsuba_ref.pixels import Pixels
+from mitsuba_ref.rays import SharedRays, share
+from mitsuba_ref.reference import Witness, consult
+
+
+class Asked:
+    """A scene with Mitsuba's answer, asked for once; ours is traced anew for each fault."""
+
+    def __init__(self, name: str, width: int, height: int):
+        self.scene: Scene = load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=width, height=height)
+        self.rays: SharedRays = share(self.scene)
+        self.packed: Packed = pack(self.scene, as_float32)
+        self.model: Model = model_of(self.scene, self.packed, self.rays)
+        answer = consult(self.scene, self.model, self.rays)
+        assert not isinstance(answer, Crash), answer
+        self.witness: Witness = answer
+
+    def judge(self, view: View) -> Judge:
+        """Ours as it is seen there, the reference's bounds of the right geometry along the right rays."""
+        return Judge(self.scene, self.model, pair_up(self.scene, self.rays, view, self.witness))
+
+    def altered(self, alter: Callable[[Any], None]) -> View:
+        """Ours traced through packed arrays that `alter` has changed, a kind at a time; float64, not rounded again."""
+        faulty = pack(self.scene, as_float32)
+        for kind in faulty.kinds:
+            alter(kind.prims)
+        limits = np.zeros(len(self.rays.o)), self.rays.t_max.astype(np.float64)
+        rays = Rays(self.rays.o.astype(np.float64), self.rays.d.astype(np.float64), *limits)
+        return look_along(self.scene, faulty, rays, self.rays.start)
+
+    def grown(self, share: float) -> View:
+        """Every ball larger by this share of its radius."""
+
+        def grow(prims: Any) -> None:
+            prims.radius[:] *= 1.0 + share
+
+        return self.altered(grow)
+
+    def shifted(self, pixels: float) -> View:
+        """Pixel centres to the side by so many pixels; rays in float32 as ever."""
+        camera = self.scene.camera
+        assert isinstance(camera, caster.Pinhole)
+        across, above = camera.principal_point
+        moved = camera.model_copy(
+            update={"principal_point": (across + pixels / self.scene.film.width, above)}
+        )
+        return our_view(self.scene, share(self.scene.model_copy(update={"camera": moved})))
+
+
+def beyond(judge: Judge) -> np.ndarray:
+    """(hits,) bool: where both hit, that t alone is farther off than float32 may put the reference's."""
+    pair = judge.pair
+    pixels = Pixels(pair.ours, pair.reference, judge.bounds, pair.t, pair.length, judge.point)
+    found: np.ndarray = compare(pixels, {}).ratios["depth"][pixels.both_hit] > 1.0
+    return found
+
+
+def errors(asked: Asked, view: View) -> Statistics:
+    judge = asked.judge(view)
+    return statistics(asked.packed, judge.pair, judge.bounds)
+
+
+@pytest.fixture(scope="module")
+def ball() -> Asked:
+    return Asked("one-sphere", 256, 256)
+
+
+def test_the_right_caster_is_within_every_bound_and_leans_to_no_side(ball):
+    view = our_view(ball.scene, ball.rays)
+    found = errors(ball, view)
+    print(f"\nright: z {found.z:.1f}, k of t {found.t_largest:.2f} {found.t_p99:.2f}")
+    assert not beyond(ball.judge(view)).any()
+    assert abs(found.z) < LARGEST_Z and check_bias(found).ok
+    assert found.pixels == view.hit.sum() >= 30_000
+    # Regression numbers: 0.50 and 0.40 of t, 0.31 and 0.22 of the normal, when this was written.
+    assert 0.4 <= found.t_largest <= 0.6 and 0.3 <= found.t_p99 <= 0.5
+    assert 0.2 <= found.normal_largest <= 0.4 and 0.15 <= found.normal_p99 <= 0.3
+
+
+def test_a_radius_off_by_three_millionths_is_beyond_the_bound_at_every_hit(ball):
+    found = beyond(ball.judge(ball.grown(3e-6)))
+    assert found.all() and len(found) >= 30_000
+
+
+@pytest.mark.parametrize(("share", "least"), [(1e-8, 10.0), (3e-8, 30.0), (1e-7, 100.0)])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_radius_off_by_less_than_float32_resolves_is_a_bias(ball, share, least, side):
+    """Of each pixel by itself nothing is to be seen."""
+    view = ball.grown(side * share)
+    found = errors(ball, view)
+    print(f"\nradius {side * share:+.0e}: z {found.z:.1f}")
+    assert not beyond(ball.judge(view)).any()
+    assert side * found.z > least and not check_bias(found).ok
+
+
+def test_pixel_centres_off_by_a_thousandth_are_beyond_the_bound_at_most_hits(ball):
+    found = beyond(ball.judge(ball.shifted(1e-3)))
+    print(f"\npixel centre 1e-3: {found.mean():.3f}")
+    assert found.mean() > 0.5 and len(found) >= 30_000
+
+
+@pytest.mark.parametrize(("share", "biased"), [(0.0, False), (3e-8, True)])
+def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(share, biased):
+    """Each face has an error of its own, for all rays; there are enough faces that these have to cancel."""
+    asked = Asked("torus-smooth", 160, 120)
+    eye = np.array(asked.scene.camera.eye)
+
+    def pull(prims: Any) -> None:
+        prims.vertices[:] += share * (eye - prims.vertices)
+
+    judge = asked.judge(asked.altered(pull))
+    found = statistics(asked.packed, judge.pair, judge.bounds)
+    print(f"\nmesh nearer by {share:g}: z {found.z:.1f} of {found.biases}")
+    assert [bias.tells for bias in found.biases] == [True] and found.pixels >= 2000
+    assert check_bias(found).ok is not biased and (found.z > 2.0 * LARGEST_Z) is biased
+
+
+# Between them, every kind of primitive. The whole of each scene, in full size, is what `make validate` looks at.
+# The largest k of t and of the normal when this was written.
+ERRORS = {
+    "every-shape": (1.07, 1.07),
+    "ellipsoids": (0.66, 0.29),
+    "cylinders": (0.51, 0.21),
+    "flat-shapes": (0.83, 0.48),
+}
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_of_the_right_caster_every_pixel_is_far_within_k(name):
+    asked = Asked(name, 64, 48)
+    judge = asked.judge(our_view(asked.scene, asked.rays))
+    found = statistics(asked.packed, judge.pair, judge.bounds)
+    print(f"\n{name}: {found}")
+    assert not beyond(judge).any() and found.pixels >= 0.98 * len(beyond(judge)) >= 800
+    t, normal = ERRORS[name]
+    # Embree takes other paths on other processors, and few pixels miss the worst: only the size is a fact.
+    assert 0.4 * t <= found.t_largest <= 1.5 * t < K and found.normal_largest <= 1.5 * normal < K
+    assert found.t_p99 <= found.t_largest and 10.0 <= found.looseness <= 100.0
+    assert abs(found.z) < LARGEST_Z
+
+
+def test_the_check_is_one_of_the_scene(ball):
+    (found,) = validate(ball.scene.with_film(width=24, height=20)).scenes
+    assert found.ok and found.statistics is not None and found.statistics.pixels >= 100
+    assert found.checks[-1] == check_bias(found.statistics) and found.checks[-1].name == "bias"

@@ -1,0 +1,209 @@
+"""z of groups of errors: what chance gives, what leaning gives, and who has too few groups to tell."""
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from caster.packing import pack
+from caster.placing import as_float32
+from caster.scene import load_scene
+from caster.shapes import SHAPES
+from mitsuba_ref.bias import (
+    FEWEST_GROUPS,
+    LARGEST_Z,
+    Bias,
+    Statistics,
+    check_bias,
+    extremes,
+    least,
+    looseness,
+    z_of_groups,
+)
+from mitsuba_ref.junit import junit
+from mitsuba_ref.meeting import K
+from mitsuba_ref.shared_roundings import (
+    GROUPS,
+    GROUPS_OF_LLVM,
+    SAME_NORMAL,
+    all_one,
+    by_approach,
+    by_center,
+    by_corner,
+    by_matrix,
+    by_normal,
+)
+from mitsuba_ref.table import failure, summary
+from mitsuba_ref.verdict import SceneVerdict, Verdict
+
+SCENES = Path(__file__).parents[2] / "scenes"
+NOTHING = np.zeros((0, 3))
+
+
+def errors_of(*biases: Bias, k: float = 1.25) -> Statistics:
+    return Statistics(1000, k, 0.5, 0.75, 0.25, 30.0, biases)
+
+
+def alone(error: np.ndarray) -> tuple[int, float]:
+    """Each error is a group of its own."""
+    return z_of_groups(np.arange(len(error))[:, None], error)
+
+
+# ---- z ----
+
+
+def test_errors_that_cancel_lean_to_no_side():
+    assert alone(np.array([0.25, -0.25, 0.5, -0.5])) == (4, 0.0)
+    assert alone(np.zeros(100)) == (100, 0.0)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1.0])
+def test_errors_that_are_all_alike_give_the_root_of_their_number_and_no_more(size):
+    for count in (1, 9, 400):
+        groups, z = alone(np.full(count, -size))
+        assert groups == count and z == pytest.approx(-math.sqrt(count))
+    assert math.sqrt(FEWEST_GROUPS - 1) <= LARGEST_Z < math.sqrt(FEWEST_GROUPS)
+
+
+def test_a_group_counts_once_however_many_pixels_it_has():
+    error = np.r_[np.full(10_000, 0.5), [-0.5]]
+    key = np.r_[np.zeros(10_000), [1.0]][:, None]
+    assert z_of_groups(key, error) == (2, pytest.approx(0.0, abs=1e-12))
+    assert alone(error)[1] > 90.0
+
+
+def test_z_is_the_mean_over_its_spread():
+    error = np.random.default_rng(1).normal(0.01, 1.0, 10_000)
+    usual = error.mean() / (error.std() / math.sqrt(len(error)))
+    assert alone(error)[1] == pytest.approx(usual, rel=1e-3)
+
+
+def test_chance_does_not_reach_the_limit_however_different_the_groups():
+    """At most 2 exp(-x^2 / 2) of all tosses are beyond x (Hoeffding), whatever the groups' sizes."""
+    rng = np.random.default_rng(2)
+    sizes = 10.0 ** rng.uniform(-4.0, 0.0, 60)
+    found = np.array([alone(sizes * rng.choice([-1.0, 1.0], 60))[1] for _ in range(4000)])
+    assert np.abs(found).max() < LARGEST_Z
+    for x in (1.5, 2.0, 2.5):
+        assert 0 < np.mean(np.abs(found) >= x) <= 2.0 * math.exp(-0.5 * x * x)
+
+
+def test_a_share_of_the_spread_that_nobody_sees_in_a_pixel_is_seen_in_all():
+    rng = np.random.default_rng(3)
+    rounding = rng.uniform(-0.1, 0.1, 40_000)
+    assert abs(alone(rounding)[1]) < 3.0
+    assert alone(rounding + 0.004)[1] > 2.0 * LARGEST_Z
+    assert alone(rounding - 0.004)[1] < -2.0 * LARGEST_Z
+
+
+# ---- groups ----
+
+
+def groups(key: np.ndarray) -> int:
+    return len(np.unique(key, axis=0))
+
+
+def test_every_kind_of_primitive_has_its_groups():
+    scenes = [load_scene(SCENES / f"{name}.toml") for name in ("every-shape", "ellipsoids")]
+    assert {type(shape) for scene in scenes for shape in scene.shapes} == set(SHAPES)
+    kinds = {type(kind.prims).__name__ for scene in scenes for kind in pack(scene, as_float32).kinds}
+    assert kinds == set(GROUPS)
+
+
+def test_a_kind_that_nobody_described_is_one_group():
+    assert groups(all_one(None, np.arange(5), NOTHING, NOTHING, NOTHING)) == 1
+
+
+def test_parallel_faces_and_mirror_images_are_one_group():
+    n = np.array([[0.0, 0, 1], [-0.0, 0, 1], [0, 0.6, 0.8], [0, 0.6 + 2.0**-30, 0.8], [0, -0.6, 0.8]])
+    assert groups(by_normal(None, np.arange(5), n, NOTHING, NOTHING)) == 2
+    assert groups(by_normal(None, np.arange(3), n[:1] @ np.eye(3)[[1, 2, 0]], NOTHING, NOTHING)) == 1
+    turned = np.array([[0.0, 0, 1], [2 * SAME_NORMAL, 0, 1]])
+    assert groups(by_normal(None, np.arange(2), turned, NOTHING, NOTHING)) == 2
+
+
+def test_faces_on_a_ring_are_one_group_of_those_that_share_a_coordinate():
+    prims = SimpleNamespace(
+        vertices=np.array([[0.0, 1, 2], [1, 0, -2], [0.5, 0.5, 2], [3, 3, 3]]),
+        faces=np.array([[0, 1, 3], [1, 2, 3], [2, 3, 0], [3, 0, 1]]),
+    )
+    found = [groups(by_corner(axis, prims, np.arange(4), NOTHING, NOTHING, NOTHING)) for axis in range(3)]
+    assert found == [4, 4, 2]
+
+
+def test_what_any_way_to_group_explains_is_no_bias():
+    assert least([(900, 8.5), (30, -2.5), (400, 3.0)]) == (30, -2.5)
+
+
+def test_primitives_of_one_matrix_are_one_group():
+    prims = SimpleNamespace(to_world=np.stack([np.eye(3), np.diag([1.0, -1, 1]), 2.0 * np.eye(3)]))
+    assert groups(by_matrix(prims, np.array([0, 0, 1, 2]), NOTHING, NOTHING, NOTHING)) == 2
+
+
+def test_balls_are_grouped_by_where_the_ray_passes_their_centres():
+    """Parallel rays at balls side by side are all solved from one rounded t; rays that spread are not."""
+    prims = SimpleNamespace(center=np.array([[0.0, 0, 0], [3, 0, 0]]))
+    k = np.array([0, 0, 1])
+    o = np.array([[0.1, 0.2, 7], [-0.1, 0.3, 7], [3.1, 0, 7]])
+    assert groups(by_approach(prims, k, NOTHING, o, np.tile([0.0, 0, -1], (3, 1)))) == 1
+    spread = np.array([[0.0, 0, -1], [0.01, 0, -1], [0.02, 0.01, -1]])
+    assert groups(by_approach(prims, k, NOTHING, np.tile([0.0, 0, 7], (3, 1)), spread)) == 3
+
+
+def test_balls_in_float32_are_grouped_by_their_centres():
+    prims = SimpleNamespace(center=np.array([[0.0, 0, 0], [3, 0, 0], [3, 0, 0]]))
+    assert groups(by_center(prims, np.array([0, 0, 1, 2]), NOTHING, NOTHING, NOTHING)) == 2
+    assert GROUPS_OF_LLVM["Spheres"] == (by_center,) and set(GROUPS_OF_LLVM) == set(GROUPS)
+
+
+# ---- what is recorded and checked ----
+
+
+def test_the_check_fails_on_a_bias_and_says_of_what():
+    for z in (5.1, -15.0):
+        found = check_bias(errors_of(Bias("Spheres", 900, z), Bias("Disks", 1, 1.0)))
+        assert found.name == "bias" and not found.ok and found.ratio == pytest.approx(abs(z) / 5.0)
+        assert found.what == f"Spheres z {z:.1f} of 900 groups; Disks z 1.0 of 1 groups, too few to tell"
+    assert check_bias(errors_of(Bias("Spheres", 900, -4.9))).ok
+    assert check_bias(errors_of()).ok
+
+
+def test_a_kind_with_few_groups_is_recorded_and_never_the_one_that_leans_most():
+    few, many = Bias("Planes", FEWEST_GROUPS - 1, 4.9), Bias("Triangles", FEWEST_GROUPS, -2.0)
+    assert (few.tells, many.tells) == (False, True)
+    assert errors_of(few, many).z == -2.0 and errors_of(few).z == 0.0
+
+
+def test_sizes_of_errors():
+    k = np.r_[np.full(990, 0.5), np.full(10, 3.0)]
+    assert extremes(k) == (3.0, pytest.approx(0.5, abs=0.1)) and extremes(k[:0]) == (0.0, 0.0)
+    assert looseness(k) == K / 0.5 and looseness(np.zeros(3)) == looseness(k[:0]) == math.inf
+
+
+def test_the_verdict_tells_of_it():
+    biased = errors_of(Bias("Spheres", 900, -15.0))
+    scene = SceneVerdict("ball", "ball.toml", checks=(check_bias(biased),), statistics=biased)
+    verdict = Verdict((scene,))
+    (record,) = json.loads(json.dumps(verdict.to_dict(), allow_nan=False))["scenes"]
+    assert record["statistics"] == {
+        "pixels": 1000,
+        "k_t": {"largest": 1.25, "p99": 0.5},
+        "k_normal": {"largest": 0.75, "p99": 0.25},
+        "looseness": 30.0,
+        "z": -15.0,
+        "biases": [{"kind": "Spheres", "groups": 900, "z": -15.0, "tells": True}],
+    }
+    assert not scene.checks_pass and "bias: 3x its bound; Spheres z -15.0 of 900 groups" in failure(scene)
+    assert "of t at most 1.25 of 4 roundings (ball); bias at most |z| 15.0 of 5 (ball)" in summary(
+        verdict, 1.0
+    )
+    assert "k_t=1.25 k_normal=0.75 z=-15.0" in junit(verdict)
+
+
+def test_a_scene_without_an_answer_has_none():
+    verdict = Verdict((SceneVerdict("ball", "ball.toml", problem="Mitsuba ended"),))
+    assert verdict.to_dict()["scenes"][0]["statistics"] is None
+    assert "errors:" not in summary(verdict, 1.0) and "k_t" not in junit(verdict)
