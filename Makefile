@@ -13,7 +13,7 @@ INSTALLED := .venv/installed-$(HERE)
 
 unexport PYTHONPATH PYTHONHOME
 .DELETE_ON_ERROR:
-.PHONY: help install validate test lint stress clean
+.PHONY: help install validate test lint stress fuzz faults clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -26,6 +26,12 @@ validate: $(INSTALLED) ## compare every scene of scenes/ with Mitsuba
 
 test: $(INSTALLED) ## all tests, on JOBS cores (all of them, unless told)
 	@$(BIN)/python -m pytest -n $(JOBS) $(ARGS)
+
+fuzz: $(INSTALLED) ## random scenes against exact arithmetic and Mitsuba for a minute; ARGS="--time 1h --seed 7"
+	@$(BIN)/mitsuba-ref fuzz $(ARGS)
+
+faults: $(INSTALLED) ## plant every fault there is in a copy of the caster: fuzz has to find each; ten minutes
+	@FAULTS=all $(BIN)/python -m pytest -n $(JOBS) tests/reference/test_fuzz_faults.py $(ARGS)
 
 lint: $(INSTALLED) ## style and types: ruff, mypy
 	@$(BIN)/ruff check .

@@ -101,8 +101,12 @@ def _scaled(rays: Rays) -> tuple[Rays, np.ndarray]:
     Exact, and squares of d neither overflow nor vanish, however long it was.
     """
     exponent = np.frexp(np.abs(rays.d).max(axis=1, initial=0.0))[1]
-    d = np.ldexp(rays.d, -exponent[:, None])
+    numbers = np.column_stack([rays.d, rays.t_min, rays.t_max])
+    powers = exponent[:, None] * np.array([-1, -1, -1, 1, 1])
     with np.errstate(over="ignore", under="ignore"):
+        lossless = (np.ldexp(np.ldexp(numbers, powers), -powers) == numbers).all(axis=1)
+        exponent = np.where(lossless, exponent, 0)
+        d = np.ldexp(rays.d, -exponent[:, None])
         t_min, t_max = (np.ldexp(t, exponent) for t in (rays.t_min, rays.t_max))
     return Rays(rays.o, d, t_min, t_max), exponent
 

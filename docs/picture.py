@@ -32,7 +32,9 @@ def main() -> None:
     scene = load_scene(DOCS.parent / "scenes" / f"{NAME}.toml")
     with tempfile.TemporaryDirectory() as folder:
         verdict = validate_scene(scene, NAME, folder=Path(folder))
-        ours, classes = (read_exr(Path(folder) / f"{NAME}.{part}.exr").channels for part in ("ours", "verdict"))
+        ours, classes = (
+            read_exr(Path(folder) / f"{NAME}.{part}.exr").channels for part in ("ours", "verdict")
+        )
     panels = [diffuse(ours), normals(ours), depth(ours), COLORS[classes["class.I"]] * hit(ours)]
     (DOCS / f"{NAME}.png").write_bytes(png(grid(panels)))
     print(verdict.counts)

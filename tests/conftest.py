@@ -27,7 +27,9 @@ def pytest_report_header() -> list[str]:
     from mitsuba_ref.doctor import report
 
     found = {finding.name: finding for finding in report()}
-    old = OLD_LLVM if OLD_LLVM.exists() else "none: an abort of Mitsuba's own is not tested, a synthetic one is"
+    old = (
+        OLD_LLVM if OLD_LLVM.exists() else "none: an abort of Mitsuba's own is not tested, a synthetic one is"
+    )
     return [*(f"{name}: {found[name].detail}" for name in NAMED_IN_HEADER), f"libLLVM that aborts: {old}"]
 
 

@@ -58,7 +58,9 @@ def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, name, ch
         after = Judge(shaded.scene, shaded.model, shaded.pair).judge()
     finally:
         image[:] = kept
-    contradicts = name == "depth" or not np.isfinite(change(1.0))  # our own hit, whatever exact arithmetic says
+    contradicts = name == "depth" or not np.isfinite(
+        change(1.0)
+    )  # our own hit, whatever exact arithmetic says
     assert np.all(after.is_class("undecided" if contradicts else "ours_wrong")[excused])
     assert np.array_equal(after.classes[~excused], before[~excused])
 

@@ -185,7 +185,7 @@ def test_out_holds_the_verdict_and_the_pictures_it_is_about(tmp_path):
 
 def test_a_failure_is_in_json_and_junit_with_where_and_why(tmp_path):
     tree = copy_tree(tmp_path / "tree")
-    edit(tree, "caster/kernels/roots.py", "if near > t_min", "if near < math.inf")
+    edit(tree, "caster/kernels/roots.py", "roots.near_off, t_min, t_max", "roots.near_off, -math.inf, t_max")
     words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml", "--out", tmp_path / "out"]
     found = ref(
         "validate", "scenes/inside-sphere.toml", "scenes/shared-edges-cube.toml", *SIZE, *words, tree=tree
@@ -278,7 +278,10 @@ def test_an_interruption_keeps_what_is_done_and_leaves_no_child(tmp_path):
     rows = ROW.findall("".join(lines) + out)
     kept = [scene["name"] for scene in done["scenes"]]
     assert kept[: len(rows)] == [row[1] for row in rows]
-    assert len(kept) - len(rows) in (0, 1)  # the signal may come between keeping a verdict and printing its row
+    assert len(kept) - len(rows) in (
+        0,
+        1,
+    )  # the signal may come between keeping a verdict and printing its row
     assert 0 < len(rows) < done["asked"] and done["ok"] is False and " not judged, in " in out
     assert list(temporary.iterdir()) == []
     assert [pid for pid in running_with(mark) if pid != child.pid] == []

@@ -34,7 +34,15 @@ def bracket(shapes: list[Any], o: Any, d: Any, *, ours: bool = False) -> Bracket
 
 
 def judged(
-    shapes: list[Any], o: Any, d: Any, t: float, shape: int, n: Any = UP, *, t_max: float = np.inf, ours: bool = False
+    shapes: list[Any],
+    o: Any,
+    d: Any,
+    t: float,
+    shape: int,
+    n: Any = UP,
+    *,
+    t_max: float = np.inf,
+    ours: bool = False,
 ) -> Finding:
     """One ray, one claim; the claimed point follows from t."""
     o, d, n = (np.asarray(v, float)[None] for v in (o, d, n))
@@ -167,10 +175,15 @@ def test_a_triangle_seen_edge_on_leaves_open_where_it_is_hit_and_nothing_else():
         assert not judged(alone, o, d, 4.9, 0, -up).open[0]  # its normal is known all the same
         assert not judged(alone, o, d, *MISS).open[0]
         assert not judged(shapes, o, d, 4.9, 0, up).open[0]  # behind the ball, which is certain
-        assert not judged(shapes, o, d, 1.5, 1, d).open[0]  # a normal of the ball turned round is no edge-on triangle
+        assert not judged(shapes, o, d, 1.5, 1, d).open[
+            0
+        ]  # a normal of the ball turned round is no edge-on triangle
 
 
-START = (np.array([0, 0]), np.array([1e-15, 1e-15]))  # the primitive they leave, and how far off it they start
+START = (
+    np.array([0, 0]),
+    np.array([1e-15, 1e-15]),
+)  # the primitive they leave, and how far off it they start
 
 
 def test_shadow_rays_do_not_count_the_surface_they_leave():

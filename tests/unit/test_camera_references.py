@@ -53,7 +53,9 @@ def test_our_rays_are_those_of_the_second_formula(camera):
 Fault = Callable[[Scene], Any]
 
 
-def rays_of(scene: Scene, camera: Any, film: Film, move: Callable[[Any, Any], Any] = lambda x, y: (x, y)) -> Rays:
+def rays_of(
+    scene: Scene, camera: Any, film: Film, move: Callable[[Any, Any], Any] = lambda x, y: (x, y)
+) -> Rays:
     """What the second formula gives another camera, another film or other pixels."""
     x, y = pixel_centers(scene)
     found = camera_reference(camera).rays(camera, film, *move(x, y))

@@ -13,7 +13,12 @@ from mitsuba_ref.meeting import KU_OURS
 from mitsuba_ref.model import Model, model_of
 from mitsuba_ref.rays import SharedRays
 
-SETTINGS = (Setting(), Setting(distances=(1e3, 1e4)), Setting(size=10.0, offset=1e5), Setting(distances=(1e-3, 1.0)))
+SETTINGS = (
+    Setting(),
+    Setting(distances=(1e3, 1e4)),
+    Setting(size=10.0, offset=1e5),
+    Setting(distances=(1e-3, 1.0)),
+)
 
 
 def crowd(kind: str, seed: list[int], setting: Setting, rays: int) -> tuple[Model, np.ndarray, np.ndarray]:
@@ -22,7 +27,9 @@ def crowd(kind: str, seed: list[int], setting: Setting, rays: int) -> tuple[Mode
     scene = scene_of(kind, rng, setting, 1 if kind == "meshes" else 70)
     o, d = rays_at(scene, rng, setting, rays)
     if kind != "planes":
-        scene = scene.model_copy(update={"shapes": (*scene.shapes, Plane(point=o[0] + 1.0, normal=(0, 0.6, 0.8)))})
+        scene = scene.model_copy(
+            update={"shapes": (*scene.shapes, Plane(point=o[0] + 1.0, normal=(0, 0.6, 0.8)))}
+        )
     shared = SharedRays(*(a.astype(np.float32) for a in (o, d, np.full(len(o), np.inf))), np.zeros(len(o)))
     return model_of(scene, pack(scene, as_float32), shared), o, d
 

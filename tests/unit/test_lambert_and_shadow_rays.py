@@ -17,7 +17,10 @@ LIGHTS = [
     {"type": "ambient", "radiance": [0.1, 0.2, 0.3]},
     {"type": "ambient", "radiance": [0.01, 0.0, 0.02]},
 ]
-MATERIALS = {"one": {"reflectance": [0.5, 0.25, 0.75]}, "both": {"reflectance": [0.2, 0.9, 0.4], "two_sided": True}}
+MATERIALS = {
+    "one": {"reflectance": [0.5, 0.25, 0.75]},
+    "both": {"reflectance": [0.2, 0.9, 0.4], "two_sided": True},
+}
 SCENE = Scene(
     camera={"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]},
     lights=LIGHTS,
@@ -66,9 +69,9 @@ def test_radiance_is_that_of_the_textbook(light):
     hit = some(np.random.default_rng([140, light]))
     found = lit(SCENE, SCENE.lights[light], hit, KU)
     materials = list(MATERIALS.values())
-    expected = np.array([
-        radiance(LIGHTS[light], materials[i % 2], hit.p[i], hit.d[i], hit.at.sh_n[i]) for i in range(COUNT)
-    ])
+    expected = np.array(
+        [radiance(LIGHTS[light], materials[i % 2], hit.p[i], hit.d[i], hit.at.sh_n[i]) for i in range(COUNT)]
+    )
     assert np.allclose(found.radiance, expected, rtol=1e-14, atol=0.0)
     assert 0.3 < np.mean(expected[:, 0] > 0.0) < 0.7
     assert found.reach[0] == (1.0, np.inf)[light]
@@ -95,7 +98,9 @@ def test_the_bound_holds_for_points_and_normals_that_are_off_by_theirs(light, er
 
 
 def test_ambient_light_is_reflectance_times_radiance():
-    assert np.allclose(ambient(SCENE, np.array([0, 1])), [[0.055, 0.05, 0.24], [0.022, 0.18, 0.128]], rtol=1e-15)
+    assert np.allclose(
+        ambient(SCENE, np.array([0, 1])), [[0.055, 0.05, 0.24], [0.022, 0.18, 0.128]], rtol=1e-15
+    )
 
 
 def test_mitsubas_constants():

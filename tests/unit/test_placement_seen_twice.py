@@ -50,7 +50,9 @@ def test_both_sides_agree_on_random_steps():
     assert np.median(shares) > 1e-3  # not vacuous: they do round differently
 
 
-@pytest.mark.parametrize(("first", "then"), [(TURN, MOVE), (STRETCH, TURN), (LOOK, STRETCH), (ROWS, MOVE)], ids=str)
+@pytest.mark.parametrize(
+    ("first", "then"), [(TURN, MOVE), (STRETCH, TURN), (LOOK, STRETCH), (ROWS, MOVE)], ids=str
+)
 def test_steps_in_the_wrong_order_are_seen(first, then):
     right, wrong = Disk(to_world=[first, then]), Disk(to_world=[then, first])
     assert disagreement(right) <= 1.0

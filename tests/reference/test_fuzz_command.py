@@ -1,0 +1,260 @@
+"""`mitsuba-ref fuzz` as it is typed: what it looks at, what it keeps, how it ends."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from caster import rendering
+from caster.casting import find_nearest
+from caster.scene import load_scene
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.commands import fuzz as command
+from mitsuba_ref.fuzz import judged, routes, trace
+from mitsuba_ref.fuzz.families import FAMILIES
+from mitsuba_ref.fuzz.finding import Tally
+from mitsuba_ref.fuzz.judged import judge_scene
+from mitsuba_ref.fuzz.kept import read
+from mitsuba_ref.fuzz.resident import Resident
+from mitsuba_ref.jobs import Crash
+from mitsuba_ref.verdict import CLASSES
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENE = ROOT / "scenes" / "one-sphere.toml"
+
+
+@pytest.fixture
+def fuzz(tmp_path, capsys):
+    """Run it; (exit code, stdout, stderr, JSON or None)."""
+
+    def run(*argv, out=tmp_path / "kept"):
+        told = tmp_path / "told.json"
+        told.unlink(missing_ok=True)
+        code = main(["fuzz", "--out", str(out), "--json", str(told), *argv])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err, json.loads(told.read_text()) if told.exists() else None
+
+    return run
+
+
+@pytest.fixture
+def fault(monkeypatch):
+    """Ours misses about every ninth ray, whatever the culling; undone by monkeypatch.undo()."""
+
+    def forgetful(packed, rays, *more, **options):
+        nearest = find_nearest(packed, rays, *more, **options)
+        lost = np.frexp(np.abs(rays.o).sum(axis=1) + 1.0 / 3.0)[0] * 2.0**20 % 9.0 < 1.0
+        nearest.t[lost], nearest.prim[lost] = np.inf, -1
+        return nearest
+
+    def plant():
+        monkeypatch.setattr(routes, "find_nearest", forgetful)
+        monkeypatch.setattr(rendering, "find_nearest", forgetful)
+
+    return plant
+
+
+def test_all_families_pass_and_the_totals_say_what_was_looked_at(fuzz):
+    code, out, err, told = fuzz("--examples", "26", "--judge-every", "4")
+    assert code == 0, out
+    assert err == "", "progress is for terminals"
+    assert told["ok"] and not told["interrupted"] and told["failures"] == []
+    assert list(told["families"]) == [family.name for family in FAMILIES]
+    total = told["total"]
+    assert total["examples"] == 26 and total["rays"] > 1500 and total["judged"] >= 3 and total["pixels"] > 45
+    assert total["rays"] == sum(each["rays"] for each in told["families"].values())
+    assert "26 examples" in out and "nothing found" in out and f"{total['rays']} rays adjudicated" in out
+
+
+def without_times(told):
+    return {key: value for key, value in told.items() if key != "seconds"}
+
+
+def test_the_same_seed_does_the_same_whatever_the_limits(fuzz):
+    *_, first = fuzz("--seed", "5", "--examples", "6..9", "--judge-every", "0")
+    *_, again = fuzz("--seed", "5", "--examples", "6..9", "--time", "5m", "--judge-every", "0")
+    assert without_times(first) == without_times(again) and first["last_example"] == 9
+    *_, other = fuzz("--seed", "6", "--examples", "6..9", "--judge-every", "0")
+    assert first["total"] != other["total"]
+
+
+def test_time_is_kept(fuzz):
+    start = time.monotonic()
+    *_, told = fuzz("--time", "1s", "--judge-every", "0")
+    assert 1.0 <= told["seconds"] <= time.monotonic() - start <= 4.0
+    assert told["total"]["examples"] >= 5
+
+
+def test_a_fault_is_found_made_small_kept_and_gone_when_it_is_mended(fuzz, fault, monkeypatch, tmp_path):
+    fault()
+    code, out, _, told = fuzz("--examples", "8", "--family", "edges", "--keep", "1", "--judge-every", "0")
+    assert code == 1
+    (failure,) = (each for each in told["failures"] if each["kind"] == "missed")
+    assert failure["family"] == "edges" and told["total"]["kinds"]["missed"] > 1
+    assert f"FAIL  missed: {failure['what']}" in out
+    assert f"replay: mitsuba-ref fuzz --replay {failure['file']}" in out
+    assert len(read(Path(failure["file"])).case.shapes) == 1
+    assert load_scene(failure["file"]).camera.type == "ray"
+
+    again = fuzz(*failure["example"].split(), "--judge-every", "0", out=tmp_path / "again")[3]["failures"]
+    (same,) = (each for each in again if each["kind"] == "missed")
+    assert Path(same["file"]).read_text() == Path(failure["file"]).read_text()
+
+    code, out, *_ = fuzz("--replay", failure["file"])
+    assert code == 1 and out.startswith(f"FAIL  {failure['file']}  missed\n      missed: ours misses")
+    monkeypatch.undo()
+    code, out, *_ = fuzz("--replay", failure["file"])
+    assert code == 0 and out == f"PASS  {failure['file']}  missed\n1 kept scenes: 1 pass, 0 fail\n"
+
+
+def test_the_long_run_counts_rays_and_finds_faults(fuzz, fault):
+    code, out, _, told = fuzz("--rays", "1500", "--shape", "disk", "--shape", "cube")
+    assert code == 0 and told["ok"]
+    assert [told["shapes"][shape]["rays"] for shape in ("disk", "cube")] == [1500, 1500]
+    assert "3000 rays" in out and "0 wrong" in out
+    fault()
+    code, _, _, told = fuzz("--rays", "500", "--shape", "disk", "--keep", "1")
+    assert code == 1 and not told["ok"] and told["shapes"]["disk"]["kinds"].keys() == {"missed"}
+    assert len(told["failures"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("argv", "code", "says"),
+    [
+        (["--family", "edge"], 2, "--family edge: unknown, did you mean 'edges'? (known: any, edges"),
+        (["--rays", "5", "--shape", "spear"], 2, "--shape spear: unknown, did you mean"),
+        (["--shape", "sphere"], 2, "--shape goes with --rays"),
+        (["--examples", "0"], 5, "nothing selected"),
+        (["--rays", "0"], 5, "nothing selected"),
+        (["--examples", "9..3"], 2, "expected how many, such as 100, or from..to"),
+        (["--examples", "-1"], 2, "expected"),
+        (["--time", "soon"], 2, "expected a time such as 60s, 5m or 1h, got 'soon'"),
+        (["--seed", "x"], 2, "expected a whole number >= 0, got 'x'"),
+        (["--replay", "nowhere"], 4, "nowhere: expected a scene file that fuzz has kept"),
+        (["--replay", str(SCENE)], 2, "expected one line that begins with '# fuzz:', found 0"),
+        (["--json", "no/such/folder/x.json", "--examples", "1"], 4, "cannot write"),
+    ],
+)
+def test_bad_input_is_told(argv, code, says, capsys):
+    assert main(["fuzz", *argv]) == code
+    told = capsys.readouterr()
+    assert says in told.err and "Traceback" not in told.err and told.out == ""
+
+
+def test_an_empty_folder_has_nothing_to_replay(tmp_path, capsys):
+    assert main(["fuzz", "--replay", str(tmp_path)]) == 5
+    assert f"no scene file in {tmp_path}" in capsys.readouterr().err
+
+
+def test_an_interruption_keeps_and_tells_what_was_done(tmp_path):
+    told = tmp_path / "told.json"
+    words = ["fuzz", "--time", "1h", "--judge-every", "0", "--out", str(tmp_path), "--json", str(told)]
+    with subprocess.Popen(
+        [sys.executable, "-u", "-m", "mitsuba_ref", *words],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as child:
+        begun = tmp_path / "unfinished.txt"
+        while child.poll() is None and not (begun.exists() and begun.read_text()):
+            time.sleep(0.05)
+        child.send_signal(signal.SIGINT)
+        out, err = child.communicate(timeout=30)
+    assert child.returncode == 130, err
+    assert err == "interrupted\n"
+    assert json.loads(told.read_text())["interrupted"]
+    assert "seed 0: " in out
+
+
+def test_what_was_found_before_an_interruption_is_kept_and_told(fuzz, fault, monkeypatch):
+    def impatient(line):
+        if line and " 0 findings" not in line:
+            raise KeyboardInterrupt
+
+    fault()
+    monkeypatch.setattr(command, "show_progress", impatient)
+    code, out, err, told = fuzz("--family", "edges", "--keep", "1", "--judge-every", "0")
+    assert code == 130 and err == "interrupted\n" and told["interrupted"] and not told["ok"]
+    assert told["failures"] and all(each["file"] in out for each in told["failures"])
+    assert all(read(Path(each["file"])).kind == each["kind"] for each in told["failures"])
+
+
+def test_where_compiled_code_died_is_told_by_the_next_run(fuzz, tmp_path):
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / trace.NAME).write_text("mitsuba-ref fuzz --seed 1 --family any --examples 7..7\n")
+    code, _, err, _ = fuzz("--examples", "1", "--judge-every", "0")
+    assert code == 0 and "died" in err and "--seed 1 --family any --examples 7..7" in err
+    assert not (tmp_path / "kept" / trace.NAME).exists()
+
+
+def test_mitsuba_stays_for_the_next_scene():
+    tally = Tally()
+    with Resident() as resident:
+        scene = load_scene(SCENE).with_film(width=8, height=8)
+        assert judge_scene(scene, resident, tally) == []
+        (child,) = resident._children.values()
+        pid = child.process.pid
+        assert judge_scene(scene, resident, tally) == []
+        assert child.process.pid == pid and child.alive
+    assert not child.alive and (tally.judged, tally.pixels) == (2, 128)
+
+
+def test_a_crash_of_mitsuba_is_a_finding_and_the_next_scene_gets_a_new_child():
+    with Resident() as resident:
+        scene = load_scene(SCENE).with_film(width=8, height=8)
+        judge_scene(scene, resident, Tally())
+        (child,) = resident._children.values()
+        child.process.send_signal(
+            signal.SIGSTOP
+        )  # so that it is there when it is asked, and dies of the question
+        usual = child.put
+
+        def dying(folder, timeout):
+            child.process.send_signal(signal.SIGSEGV)
+            child.process.send_signal(signal.SIGCONT)
+            return usual(folder, timeout)
+
+        child.put = dying
+        (finding,) = judge_scene(scene, resident, Tally())
+        assert finding.kind == "crash" and "SIGSEGV" in finding.what
+        assert judge_scene(scene, resident, Tally()) == []
+
+
+def test_a_hang_of_mitsuba_is_a_finding():
+    with Resident() as resident:
+        scene = load_scene(SCENE).with_film(width=8, height=8)
+        judge_scene(scene, resident, Tally())
+        (child,) = resident._children.values()
+        child.process.send_signal(signal.SIGSTOP)
+        answers = []
+
+        def impatient(job):
+            answers.append(Resident.ask(resident, job, timeout=0.5))
+            return answers[-1]
+
+        resident.ask = lambda job, timeout: impatient(job)
+        (finding,) = judge_scene(scene, resident, Tally())
+    assert isinstance(answers[0], Crash) and answers[0].kind == "timeout" and finding.kind == "crash"
+
+
+def test_a_pixel_that_the_judge_fails_is_a_finding(monkeypatch):
+    usual = judged.validate_scene
+
+    def with_a_failure(scene, name, **options):
+        from dataclasses import replace
+
+        verdict = usual(scene.model_copy(update={"checks": {"depth": {"ratio": 1e-9}}}), name, **options)
+        return replace(verdict, checks=())
+
+    monkeypatch.setattr(judged, "validate_scene", with_a_failure)
+    with Resident() as resident:
+        (finding,) = judge_scene(load_scene(SCENE).with_film(width=8, height=8), resident, Tally())
+    assert finding.kind == "judged" and finding.detail in CLASSES and finding.pixel is not None
