@@ -13,7 +13,7 @@ INSTALLED := .venv/installed-$(HERE)
 
 unexport PYTHONPATH PYTHONHOME
 .DELETE_ON_ERROR:
-.PHONY: help install validate test lint stress fuzz faults clean
+.PHONY: help install validate test lint stress fuzz faults nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -33,6 +33,10 @@ fuzz: $(INSTALLED) ## random scenes against exact arithmetic and Mitsuba for a m
 faults: $(INSTALLED) ## plant every fault there is in a copy of the caster: fuzz has to find each; ten minutes
 	@FAULTS=all $(BIN)/python -m pytest -n $(JOBS) tests/reference/test_fuzz_faults.py $(ARGS)
 
+nightly: $(INSTALLED) faults ## what make test has no time for: all faults, 200,000 hard rays a shape, 12 million at edges and corners
+	@$(BIN)/mitsuba-ref fuzz --rays 200000
+	@$(BIN)/mitsuba-ref stress watertight --rays 1000000
+
 lint: $(INSTALLED) ## style and types: ruff, mypy
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy
@@ -49,7 +53,7 @@ $(LOCKED): requirements.lock
 	  { echo 'Python 3.11 or newer is needed; name one: make PYTHON=python3.12 $(MAKECMDGOALS)' >&2; exit 1; }
 	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || \
 	  { echo 'This Python cannot make virtual environments; on Debian and Ubuntu: apt install python3-venv' >&2; exit 1; }
-	@echo 'Installing requirements.lock into .venv: once, 180 MB to download, 640 MB on disk' >&2
+	@echo 'Installing requirements.lock into .venv: once, some 230 MB to download, 750 MB on disk' >&2
 	@"$(PYTHON)" -m venv --clear .venv
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
 	@touch $@

@@ -86,7 +86,7 @@ def test_roots_are_ordered_as_their_balls_and_equal_ones_hash_alike():
         "sign_with_root": lambda a, b, r: module.sign(a * a - b * b * r),
         "sign_with_roots": lambda a, b, r, c, s: module.sign(a * a - b * b * r - c * c * s),
     }.items(),
-    ids=str,
+    ids=["one root", "two roots"],
 )
 def test_squaring_without_signs_is_seen(name, planted, monkeypatch):
     monkeypatch.setattr(module, name, planted)
