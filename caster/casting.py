@@ -55,7 +55,7 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
         cast = _by_tree if culling == "bvh" and worth_a_tree(kind) else _by_everything
         in_bands(cast(kind, rays, found), len(rays.t_min), threads)
 
-    return _over_kinds(packed, rays, search, threads)
+    return _over_kinds(packed, rays, search, threads, trees=culling != "everything")
 
 
 def worth_a_tree(kind: Kind) -> bool:
@@ -92,7 +92,12 @@ def find_nearest_on_film(
 
 
 def _over_kinds(
-    packed: Packed, rays: Rays, search: Callable[[Kind, Sketch], None], threads: int | None
+    packed: Packed,
+    rays: Rays,
+    search: Callable[[Kind, Sketch], None],
+    threads: int | None,
+    *,
+    trees: bool = True,
 ) -> Nearest:
     """The nearest hit among all kinds; search(kind, found) goes through one. Doubtful rays are cast once more."""
     nearest, doubt = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
@@ -100,7 +105,7 @@ def _over_kinds(
         search(kind, Sketch(*nearest, doubt, kind.ids))
     rows = np.flatnonzero(doubt)
     if len(rows):
-        exact = decide(packed, Rays(*(a[rows] for a in rays)), threads)
+        exact = decide(packed, Rays(*(a[rows] for a in rays)), threads, trees=trees)
         for everywhere, here in zip(nearest, exact, strict=True):
             everywhere[rows] = here
     return nearest
@@ -117,13 +122,13 @@ def _beyond(nearest: Nearest) -> Nearest:
 WORTH_GROWING = 64
 
 
-def decide(packed: Packed, rays: Rays, threads: int | None = None) -> Nearest:
-    """The nearest hits of rays, found exactly wherever float64 cannot tell."""
+def decide(packed: Packed, rays: Rays, threads: int | None = None, *, trees: bool = True) -> Nearest:
+    """The nearest hits of rays, found exactly wherever float64 cannot tell; without trees, by trying everything."""
     count = len(rays.t_min)
     nearest = no_hits(count)
     for kind in packed.kinds:
         found, contested = _beyond(nearest), np.zeros(count, bool)
-        tree = worth_a_tree(kind) and (count > WORTH_GROWING or kind.has_tree)
+        tree = trees and worth_a_tree(kind) and (count > WORTH_GROWING or kind.has_tree)
         cast = _by_tree if tree else _by_everything
         in_bands(cast(kind, rays, found), count, threads)
         merge(nearest, found, kind.ids, contested, 0, count)

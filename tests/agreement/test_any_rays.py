@@ -61,14 +61,14 @@ def slivers(rng: np.random.Generator, count: int) -> Packed:
 
 
 def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():
-    """Where only noise says how far along a triangle the hit is, it is still where the tree looks for it."""
+    """Where float64 says nothing of the hit, exact arithmetic finds it in the tree as it does among all."""
     rng = np.random.default_rng(12)
     hits = 0
-    for _ in range(40):
+    for _ in range(10):
         packed = slivers(rng, 60)
-        for family, (o, d) in hard_rays(packed, rng, 500).items():
+        for family, (o, d) in hard_rays(packed, rng, 250).items():
             rays = checked_rays(o, d, 0.0, np.inf)
             slow, fast = find_nearest(packed, rays, "everything"), find_nearest(packed, rays, "bvh")
             assert_same_bits(slow._asdict(), fast._asdict(), family)
             hits += int((slow.prim >= 0).sum())
-    assert hits >= 10_000
+    assert hits >= 1000

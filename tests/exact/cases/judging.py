@@ -36,9 +36,9 @@ def doubtful() -> Iterator[list[int]]:
     """Counts the rays that float64 leaves to exact arithmetic."""
     decide, seen = caster.casting.decide, []
 
-    def counted(packed: Packed, rays: Any, threads: int | None = None) -> Any:
+    def counted(packed: Packed, rays: Any, threads: int | None = None, **options: Any) -> Any:
         seen.append(len(rays.t_min))
-        return decide(packed, rays, threads)
+        return decide(packed, rays, threads, **options)
 
     caster.casting.decide = counted
     try:
