@@ -68,9 +68,9 @@ def with_limits(rng: Rng, shots: Shots, found: Found, most: int = LIMITED) -> Sh
     hits = np.flatnonzero((found.prim >= 0) & (found.t > 0.0) & np.isfinite(found.t))
     rows = rng.permutation(hits)[:most]
     t, n = found.t[rows], len(rows)
-    before, after = np.nextafter(t, 0.0), np.nextafter(t, np.inf)
-    start = np.choose(rng.integers(6, size=n), [t, before, np.zeros(n), np.zeros(n), 0.5 * t, after])
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # t may be the largest float64
+        before, after = np.nextafter(t, 0.0), np.nextafter(t, np.inf)
+        start = np.choose(rng.integers(6, size=n), [t, before, np.zeros(n), np.zeros(n), 0.5 * t, after])
         end = np.choose(rng.integers(4, size=n), [t, before, np.full(n, np.inf), 2.0 * t])
     end = np.where(start > 0.0, np.where(end >= start, end, np.inf), np.minimum(end, t))
     return Shots(shots.o[rows], shots.d[rows], start, end)
