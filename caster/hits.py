@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from caster.casting import find_nearest
 from caster.fields import SceneError
 from caster.kernels.gather import Surfaces
 from caster.kernels.nearest import Rays
@@ -14,6 +15,8 @@ from caster.placing import Rounding, as_given
 from caster.rendering import look_along
 from caster.scene import Scene
 from caster.view import View
+
+SMALLEST_NORMAL = 2.0**-1022
 
 
 @dataclass(frozen=True)
@@ -38,10 +41,14 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: float = 0.0, t_max:
     Raises SceneError if a ray is not finite or has no direction, naming the first such ray.
     Source: watertight edge tests after Woop, Benthin, Wald (2013); slabs padded after Ize (2013).
     """
-    rays, exponent = _scaled(checked_rays(o, d, t_min, t_max))
+    given = checked_rays(o, d, t_min, t_max)
+    rays, exponent = _scaled(given)
     view = look_along(scene, packed(scene), rays, np.zeros(len(rays.t_min)))
     with np.errstate(over="ignore", under="ignore"):
         t = np.ldexp(view.nearest.t, -exponent)
+    denormal = np.flatnonzero((exponent != 0) & (view.nearest.t < SMALLEST_NORMAL))  # which has lost digits
+    if len(denormal):
+        t[denormal] = find_nearest(view.packed, Rays(*(a[denormal] for a in given))).t
     return Hits(t, view.shape_id, view.prim_id, view)
 
 

@@ -8,11 +8,12 @@ from random_scenes import name, random_scene
 from caster import casting
 from caster.cameras import Pinhole
 from caster.casting import decide, find_nearest
-from caster.hits import checked_rays, packed
+from caster.hits import cast, checked_rays, packed
 from caster.kernels.exact_root import order
 from caster.kernels.nearest import Rays, exact_hit
 from caster.packing import Packed
-from caster.shapes import SHAPES, Cube
+from caster.scene import Scene
+from caster.shapes import SHAPES, Cube, Triangle
 
 FEW = 12  # rays of a family whose every primitive is asked exactly
 SMALL = [
@@ -73,3 +74,15 @@ def test_without_the_exact_kernels_answers_are_wrong(monkeypatch):
     assert sum(count_wrong(packed(corners), each) for each in rays) == 0
     monkeypatch.setattr(casting, "decide", lambda packed, rays, *_, **__: casting.no_hits(len(rays.t_min)))
     assert sum(count_wrong(packed(corners), each) for each in rays) >= 20
+
+
+def test_t_keeps_its_digits_where_scaled_rays_would_lose_them():
+    """A triangle through denormal numbers, met at 2^-1074 / 1.5 lengths of 2^-1022 exactly: found by fuzzing."""
+    least = float.fromhex("0x0.0000000000001p-1022")
+    triangle = Triangle(vertices=((0.0, 0.0, 1.0), (0.0, -1.0, -1.0), (-least, 1.0, 0.0)))
+    hits = cast(
+        Scene(shapes=[triangle], camera=Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))),
+        [[0, 0, 0]],
+        [[-(2.0**-1022), 0, 0]],
+    )
+    assert hits.t[0] == float.fromhex("0x1.5555555555555p-54")
