@@ -46,9 +46,9 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: float = 0.0, t_max:
     view = look_along(scene, packed(scene), rays, np.zeros(len(rays.t_min)))
     with np.errstate(over="ignore", under="ignore"):
         t = np.ldexp(view.nearest.t, -exponent)
-    denormal = np.flatnonzero((exponent != 0) & (view.nearest.t < SMALLEST_NORMAL))  # which has lost digits
-    if len(denormal):
-        t[denormal] = find_nearest(view.packed, Rays(*(a[denormal] for a in given))).t
+    short = np.flatnonzero((exponent < 0) & (view.nearest.t < SMALLEST_NORMAL))
+    if len(short):  # a denormal t has lost digits, and in lengths of a shorter d it is larger
+        t[short] = find_nearest(view.packed, Rays(*(a[short] for a in given))).t
     return Hits(t, view.shape_id, view.prim_id, view)
 
 

@@ -9,10 +9,17 @@ from caster.kernels.protocol import intersect, keep_nearer, prepare
 
 @jit
 def cast_everything(prims: Any, count: int, rays: Any, record: Any, start: int, stop: int) -> None:
-    """Rays start..stop against all `count` primitives of a kind."""
-    for i in range(start, stop):
-        o, d = (rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]), (rays.d[i, 0], rays.d[i, 1], rays.d[i, 2])
-        for k in range(count):
-            hit = intersect(prims, prepare(prims, k, o), d, rays.t_min[i], rays.t_max[i])
+    """Rays start..stop against all `count` primitives of a kind; rays in a row from one origin share `prepare`."""
+    if start >= stop:
+        return
+    for k in range(count):
+        o = rays.o[start, 0], rays.o[start, 1], rays.o[start, 2]
+        pre = prepare(prims, k, o)
+        for i in range(start, stop):
+            if rays.o[i, 0] != o[0] or rays.o[i, 1] != o[1] or rays.o[i, 2] != o[2]:
+                o = rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]
+                pre = prepare(prims, k, o)
+            d = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
+            hit = intersect(prims, pre, d, rays.t_min[i], rays.t_max[i])
             if hit[0] < math.inf:
                 keep_nearer(record, i, prims, k, rays, hit)

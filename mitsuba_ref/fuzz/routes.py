@@ -43,14 +43,22 @@ def _cast(scene: Scene, shots: Shots) -> Hits:
 
 def by_culling(packed: Packed, shots: Shots, culling: Culling) -> Found:
     """By the caster's innards; directions brought to about length 1 by a power of two, as caster.cast does."""
-    exponent = lossless_exponents(shots)
+    return _scaled_by(lossless_exponents(shots), packed, shots, culling)
+
+
+def _scaled_by(exponent: np.ndarray, packed: Packed, shots: Shots, culling: Culling) -> Found:
+    """With directions 2^-exponent as long. Where t is denormal by that, and would not be otherwise, as they are."""
     with np.errstate(over="ignore", under="ignore"):
         d = np.ldexp(shots.d, -exponent[:, None])
         limits = {"t_min": np.ldexp(shots.t_min, exponent), "t_max": np.ldexp(shots.t_max, exponent)}
     rays = checked_rays(shots.o, d, 0.0, np.inf)._replace(**limits)
     nearest = find_nearest(packed, rays, culling, threads=1)
     with np.errstate(over="ignore", under="ignore"):
-        return Found(np.ldexp(nearest.t, -exponent), nearest.prim.astype(np.int64))
+        found = Found(np.ldexp(nearest.t, -exponent), nearest.prim.astype(np.int64))
+    rows = np.flatnonzero((exponent < 0) & (nearest.t < np.finfo(np.float64).tiny))
+    if len(rows):
+        found.t[rows] = _scaled_by(np.zeros(len(rows), int), packed, shots.taken(rows), culling).t
+    return found
 
 
 def lossless_exponents(shots: Shots) -> np.ndarray:
