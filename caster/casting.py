@@ -11,7 +11,6 @@ import numpy as np
 from caster.kernels.bvh import LEAF_SIZE, cast_bvh
 from caster.kernels.everything import cast_everything
 from caster.kernels.nearest import Nearest, Rays, Sketch, exact_hit, merge, no_hits, precedes
-from caster.kernels.screen import Window, cast_own_origins, cast_shared_origin, find_spans
 from caster.packing import Kind, Packed
 
 Culling = Literal["everything", "screen", "bvh"]
@@ -71,26 +70,6 @@ def _by_tree(kind: Kind, rays: Rays, found: Nearest | Sketch) -> Callable[[int, 
     return lambda start, stop: cast_bvh(kind.prims, tree, rays, found, (start, stop))
 
 
-def find_nearest_on_film(
-    packed: Packed, rays: Rays, camera: Any, window: Window, shares_origin: bool, threads: int | None = None
-) -> Nearest:
-    """The nearest hit of a camera's own rays, primitive by primitive over the pixels of its picture."""
-    cast = cast_shared_origin if shares_origin else cast_own_origins
-    origin = float(np.abs(rays.o).max(initial=0.0))
-
-    def search(kind: Kind, found: Sketch) -> None:
-        slack = kind.reach * (origin + kind.extent) if kind.bounded else 0.0
-        spans = np.empty((len(kind.ids), 4), np.int32)
-        find_spans(kind.prims, camera, window, spans, slack)
-        in_bands(
-            lambda start, stop: cast(kind.prims, spans, rays, found, (window.width, start, stop)),
-            window.height,
-            threads,
-        )
-
-    return _over_kinds(packed, rays, search, threads)
-
-
 def _over_kinds(
     packed: Packed,
     rays: Rays,
@@ -103,6 +82,19 @@ def _over_kinds(
     nearest, doubt = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
     for kind in packed.kinds:
         search(kind, Sketch(*nearest, doubt, kind.ids))
+    return decide_doubtful(packed, rays, nearest, doubt, threads, trees=trees)
+
+
+def decide_doubtful(
+    packed: Packed,
+    rays: Rays,
+    nearest: Nearest,
+    doubt: np.ndarray,
+    threads: int | None = None,
+    *,
+    trees: bool = True,
+) -> Nearest:
+    """The record, with the rays that are in doubt, (n,) bool, cast once more, exactly."""
     rows = np.flatnonzero(doubt)
     if len(rows):
         exact = decide(packed, Rays(*(a[rows] for a in rays)), threads, trees=trees)

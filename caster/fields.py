@@ -115,11 +115,10 @@ class Camera(Description):
         return up
 
     @cached_property
-    def frame(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def frame(self) -> tuple[transform.Vector, transform.Vector, transform.Vector]:
         """(right, up, forward), orthonormal float64: right and up in the image, right = forward x up."""
         view = transform.unit(_view(self.eye, self.look_at, self.direction))
-        right, up, forward = transform.frame(view, self.up)
-        return np.array(right), np.array(up), np.array(forward)
+        return transform.frame(view, self.up)
 
     def pack(self, width: int, height: int) -> Any:
         """The camera as its kernels read it, for a film of this size."""

@@ -5,8 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from caster.aovs import BY_NAME
-from caster.casting import Culling, find_nearest, find_nearest_on_film, in_bands
+from caster.casting import Culling, find_nearest, in_bands
 from caster.fields import SceneError, suggestion
+from caster.film_casting import find_nearest_on_film
 from caster.kernels.gather import shoot
 from caster.kernels.nearest import Rays
 from caster.kernels.screen import Window

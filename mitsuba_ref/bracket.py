@@ -4,6 +4,7 @@ A primitive is possible where some numbers within the bound hit it, certain wher
 possible primitive, and comes no later than the latest that a certain one may come.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,15 @@ class Found(NamedTuple):
         return Found(self.ray[rows], self.prim[rows], self.at.taken(rows))
 
 
+class Line(NamedTuple):
+    """n rays o + t d, t_min < t <= t_max."""
+
+    o: np.ndarray  # (n, 3) float64
+    d: np.ndarray  # (n, 3)
+    t_min: np.ndarray  # (n,)
+    t_max: np.ndarray  # (n,) negative: no ray
+
+
 class Bracket:
     """Judges claims about rays through one scene. ku, ours: as in Model.meet."""
 
@@ -50,17 +60,42 @@ class Bracket:
         self.model, self.ku, self.ours = model, ku, ours
         self.candidates = Candidates(*model.boxes)
 
-    def judge(self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, claims: Claims) -> Finding:
-        """Whether the claims are within the bracket. o, d: (n, 3) float64; t_max: (n,)."""
+    def judge(
+        self,
+        o: np.ndarray,
+        d: np.ndarray,
+        t_max: np.ndarray,
+        claims: Claims,
+        *,
+        t_min: float | np.ndarray = 0.0,
+        also: np.ndarray | None = None,
+    ) -> Finding:
+        """Whether the claims are within the bracket. o, d: (n, 3) float64; t_max: (n,); a hit has t_min < t <= t_max.
+
+        also: (n,) a primitive to look at, however far its box is from the ray; -1: none.
+        """
+        line = Line(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
         allowed, untestable = np.ones(len(o), bool), np.zeros(len(o), bool)
         seen = np.zeros(len(o), bool)
-        for ray, prim in self.candidates.pairs(o, d):
-            found = self._meet(ray, prim, o, d, t_max)
+        for ray, prim in self._pairs(o, d, also):
+            found = self._meet(ray, prim, line)
             rays = np.unique(ray)
             seen[rays] = True
-            allowed[rays], untestable[rays] = self._allows(found, claims, (o, d, t_max), rays)
+            allowed[rays], untestable[rays] = self._allows(found, claims, line, rays)
         allowed[~seen] = claims.shape[~seen] < 0
         return Finding(allowed, untestable)
+
+    def _pairs(
+        self, o: np.ndarray, d: np.ndarray, also: np.ndarray | None
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """The candidates, and the primitives in `also`. Each ray is in one piece only."""
+        if also is None:
+            yield from self.candidates.pairs(o, d)
+            return
+        named = np.flatnonzero(also >= 0)
+        pieces = [np.stack(piece) for piece in self.candidates.pairs(o, d)]
+        together = np.unique(np.hstack([*pieces, np.stack([named, also[named]])]), axis=1)
+        yield together[0], together[1]
 
     def blocked(
         self,
@@ -75,9 +110,10 @@ class Bracket:
         there does not count, and what else is as near as that, such as the next face of an edge, is not certain.
         """
         prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
+        line = Line(o, d, np.zeros(len(o)), t_max)
         possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
         for ray, each in self.candidates.pairs(o, d):
-            found = self._meet(ray, each, o, d, t_max)
+            found = self._meet(ray, each, line)
             near = at_start(found, d, off)
             kept = ~(near & (found.prim == prim[found.ray]))
             found, near = found.taken(kept), near[kept]
@@ -87,30 +123,28 @@ class Bracket:
 
     def possible_hits(self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray) -> Found:
         """Every possible meeting of some rays, few enough to be held at once."""
-        found = [self._meet(ray, prim, o, d, t_max) for ray, prim in self.candidates.pairs(o, d)]
+        line = Line(o, d, np.zeros(len(o)), t_max)
+        found = [self._meet(ray, prim, line) for ray, prim in self.candidates.pairs(o, d)]
         at = Meetings(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
         return Found(np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at)
 
-    def _meet(
-        self, ray: np.ndarray, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t_max: np.ndarray
-    ) -> Found:
+    def _meet(self, ray: np.ndarray, prim: np.ndarray, line: Line) -> Found:
         """The possible meetings in range."""
-        met: PairMeetings = self.model.meet(prim, o[ray], d[ray], self.ku, ours=self.ours)
+        met: PairMeetings = self.model.meet(prim, line.o[ray], line.d[ray], self.ku, ours=self.ours)
         rays = ray[met.pair]
         with np.errstate(invalid="ignore"):
             error = np.where(np.isfinite(met.at.t_error), met.at.t_error, np.inf)
-            in_range = ~(met.at.t + error < 0.0) & ~(met.at.t - error > t_max[rays])
+            in_range = ~(met.at.t + error < line.t_min[rays]) & ~(met.at.t - error > line.t_max[rays])
         keep = met.at.possible & in_range & ~np.isnan(met.at.t)
         return Found(rays, prim[met.pair], met.at).taken(keep)
 
     def _allows(
-        self, found: Found, claims: Claims, line: tuple[np.ndarray, ...], rays: np.ndarray
+        self, found: Found, claims: Claims, line: Line, rays: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         at, ray = found.at, found.ray
-        o, d, t_max = line
-        p = o[ray] + at.t[:, None] * d[ray]
-        latest = np.full(len(t_max), np.inf)
-        np.minimum.at(latest, ray, latest_hits(found, t_max))
+        p = line.o[ray] + at.t[:, None] * line.d[ray]
+        latest = np.full(len(line.o), np.inf)
+        np.minimum.at(latest, ray, latest_hits(found, line.t_max, line.t_min))
         t_off = np.broadcast_to(claims.t_off, claims.t.shape)[ray]
         named = self.model.packed.shape_of(found.prim) == claims.shape[ray]
         named &= claims.t[ray] <= latest[ray] + t_off
@@ -122,18 +156,22 @@ class Bracket:
             & (norm(claims.sh_n[ray] - at.sh_n) <= at.sh_error)
             & (norm(claims.p[ray] - p) <= at.p_error)
         )
-        has_match, untestable = np.zeros(len(t_max), bool), np.zeros(len(t_max), bool)
+        has_match, untestable = np.zeros(len(line.o), bool), np.zeros(len(line.o), bool)
         has_match[ray[matches]] = True
         untestable[ray[named & ~np.isfinite(at.t_error)]] = True
         missed = claims.shape[rays] < 0
         return np.where(missed, np.isinf(latest[rays]), has_match[rays]), untestable[rays]
 
 
-def latest_hits(found: Found, t_max: np.ndarray) -> np.ndarray:
-    """(m,) the latest that a certain primitive may be hit; inf for one that is not certain or not in range."""
+def latest_hits(found: Found, t_max: np.ndarray, t_min: np.ndarray | None = None) -> np.ndarray:
+    """(m,) the latest that a certain primitive may be hit; inf for one that is not certain or not in range.
+
+    t_min, t_max: (n,) of the rays; without t_min they begin beyond their origins.
+    """
     at = found.at
     with np.errstate(invalid="ignore"):
-        in_range = (at.t - at.t_error > 0.0) & (at.t + at.t_error <= t_max[found.ray])
+        earliest = 0.0 if t_min is None else t_min[found.ray]
+        in_range = (at.t - at.t_error > earliest) & (at.t + at.t_error <= t_max[found.ray])
         latest = np.where(at.certain, at.t + at.t_error, _latest_at_edges(found))
     return np.where(in_range, latest, np.inf)
 

@@ -27,6 +27,17 @@ class Limits(NamedTuple):
     far: float
 
 
+def clip_planes(camera: Any, limits: Limits) -> dict[str, float]:
+    """near_clip and far_clip of a sensor: the camera's, or where it has none, the limits; in the right order.
+
+    A near plane beyond the limits, or a far plane before them, moves the other one: Mitsuba refuses near >= far.
+    """
+    ratio = limits.near / limits.far
+    near = camera.near or min(limits.near, np.inf if camera.far is None else camera.far * ratio)
+    far = max(limits.far, near / ratio) if camera.far is None else camera.far
+    return {"near_clip": near, "far_clip": far}
+
+
 def no_sensor(camera: Any, film: Film, limits: Limits) -> XmlElement | None:
     """Mitsuba lacks this camera: its rays are handed over."""
     return None

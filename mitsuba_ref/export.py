@@ -40,18 +40,8 @@ def export(scene: Scene, model: Model, *, robust: bool = True) -> Export:
     sensor = camera_reference(scene.camera).to_xml(scene.camera, scene.film, limits(scene, model))
     if sensor is None:
         out.notes.append(f"no sensor: Mitsuba has no {scene.camera.type} camera, so rays are handed over")
-    text = to_text(scene, shapes, sensor, out)
-    return Export(text if robust else not_robust(text), out.meshes, shape_ids(scene), out.notes)
-
-
-ROBUST = '<boolean name="embree_use_robust_intersections" value="true" />'
-
-
-def not_robust(text: str) -> str:
-    """The same document for Embree as it comes, whose faster tests let rays slip through edges."""
-    if text.count(ROBUST) != 1:
-        raise ValueError(f"expected one element {ROBUST}, found {text.count(ROBUST)}")
-    return text.replace(ROBUST, ROBUST.replace("true", "false"))
+    text = to_text(scene, shapes, sensor, out, robust=robust)
+    return Export(text, out.meshes, shape_ids(scene), out.notes)
 
 
 def shape_ids(scene: Scene) -> list[str]:

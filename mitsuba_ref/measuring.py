@@ -1,11 +1,13 @@
 """What a pixel is like where the reference is wrong: the numbers that tell its case (mitsuba_ref/cases.py)."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
+from mitsuba_ref.bounds import nearest_root
 from mitsuba_ref.bracket import Bracket, Claims
 from mitsuba_ref.cases import CYLINDERS, ELLIPSOIDS, SLACK, SPHERES, TRIANGLES, Measured
 from mitsuba_ref.exact import ExactAnswer, Oracle
@@ -34,11 +36,33 @@ class Measure:
         """m pixels. lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; prims: the numbers of what it says
         is hit, -1 on a miss."""
         o, d, _ = lines
-        nearly = self.wide.judge(*lines, claims).allowed
+        named = np.asarray(prims, np.int64)
+        nearly = self.wide.judge(*lines, claims, also=named).allowed
+        whole, normless = self._with_normals(o, d, claims, named)
+        normless &= self.wide.judge(*lines, whole, also=named).allowed
         for i, (answer, prim) in enumerate(zip(answers, prims, strict=True)):
             t, shape = float(claims.t[i]), int(claims.shape[i])
             at_zero = t == 0.0 and self._at_zero(shape, prim, o[i], d[i])
-            yield self._measured(o[i], d[i], t, answer, prim, at_zero, bool(nearly[i]))
+            found = self._measured(o[i], d[i], t, answer, prim, at_zero)
+            yield replace(found, nearly=bool(nearly[i]), normless=bool(normless[i]))
+
+    def _with_normals(
+        self, o: np.ndarray, d: np.ndarray, claims: Claims, prims: np.ndarray
+    ) -> tuple[Claims, np.ndarray]:
+        """(the claims, made whole where they have no normal; where that is, and rounding may be the reason).
+
+        A normal that is bounded no closer than its own length, 1, may have any length, 0 included, and then it is 0/0.
+        """
+        rows = np.flatnonzero((prims >= 0) & np.isnan(claims.n).any(axis=1) & np.isfinite(claims.t))
+        normless = np.zeros(len(prims), bool)
+        n, sh_n, p = claims.n.copy(), claims.sh_n.copy(), claims.p.copy()
+        if len(rows):
+            met = self.model.meet(prims[rows], o[rows], d[rows], KU, ours=False)
+            at = nearest_root(met, claims.t[rows])
+            n[rows], sh_n[rows] = at.n, at.sh_n
+            p[rows] = o[rows] + at.t[:, None] * d[rows]
+            normless[rows] = at.n_error >= 1.0
+        return claims._replace(n=n, sh_n=sh_n, p=p), normless
 
     def _measured(
         self,
@@ -48,7 +72,6 @@ class Measure:
         answer: ExactAnswer,
         prim: int,
         at_zero: bool,
-        nearly: bool,
     ) -> Measured:
         ours, theirs = (self._kind(each) for each in (answer.prim, prim))
         looks = [self._look(each, o, d) for each in (answer.prim, prim) if each >= 0]
@@ -68,7 +91,7 @@ class Measure:
             offset=max((look["offset"] for look in looks), default=0.0),
             axis_angle=min((look["axis_angle"] for look in looks), default=1.0),
             stretch=max((look["stretch"] for look in looks), default=1.0),
-            nearly=nearly,
+            nearly=False,
         )
 
     def _place(self, prim: int) -> tuple[Any, int]:

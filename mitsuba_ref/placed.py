@@ -18,6 +18,7 @@ class Claim(NamedTuple):
     packed: np.ndarray
     expected: np.ndarray
     size: np.ndarray
+    rounded: bool = True  # False: it has to be these very numbers
 
 
 # A matrix that is flatter than this may turn inside out when its numbers are rounded to float32.
@@ -132,7 +133,7 @@ def _same(what: str, packed: Any, expected: Any) -> Claim:
 
 
 def _exact(what: str, packed: Any, expected: Any) -> Claim:
-    return Claim(what, np.asarray(packed, np.float64), np.asarray(expected, np.float64), np.zeros(()))
+    return Claim(what, np.asarray(packed, np.float64), np.asarray(expected, np.float64), np.zeros(()), rounded=False)
 
 
 def _turned(matrix: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

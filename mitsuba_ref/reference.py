@@ -15,7 +15,7 @@ from mitsuba_ref.jobs import Answer, Crash, Job
 from mitsuba_ref.model import Model, reference_of
 from mitsuba_ref.rays import SharedRays
 from mitsuba_ref.variants import variant_for
-from mitsuba_ref.worker import DEFAULT_TIMEOUT, ask
+from mitsuba_ref.worker import DEFAULT_TIMEOUT, Ask, ask
 
 # What the reference can tell, of all that the caster can.
 GIVEN = (
@@ -72,8 +72,9 @@ def consult(
     variant: str | None = None,
     lights: bool = True,
     timeout: float = DEFAULT_TIMEOUT,
+    ask: Ask = ask,
 ) -> Witness | Crash:
-    """Ask Mitsuba about these rays. A crash of it is an answer, too."""
+    """Ask Mitsuba about these rays. A crash of it is an answer, too. ask: the way to it, a child for itself if not said."""
     with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as folder:
         xml = export(scene, model).write(Path(folder))
         job = Job(xml, variant or variant_of(scene), rays.o, rays.d, rays.t_max, lights=lights, sensor=True)

@@ -1,12 +1,15 @@
 """`render`, which is what users get, against the way that pixels are judged.
 
 Judged rays start at the near plane and have no least t; those of `render` start in the eye. Without a near plane the
-two are the same rays, and check_culling demands the same bits. With one, the float64 bracket says what either may give.
+two are the same rays, and check_culling demands the same bits. With one they are others, by the rounding of where the
+near plane is, which is as large as the last digit of the eye's coordinates. So where bits differ, `render` is held to
+its own rays, from the eye, with their least t: what the float64 bracket allows there, with no room for the move.
 """
 
 import numpy as np
 
 from caster.hits import trace
+from caster.kernels.nearest import Rays
 from caster.packing import pack
 from caster.placing import as_given
 from caster.rendering import Aovs, camera_rays, evaluate, film_window, render
@@ -14,7 +17,7 @@ from caster.scene import Scene
 from mitsuba_ref.bounds import nearest_root
 from mitsuba_ref.bracket import Bracket, Claims
 from mitsuba_ref.lambert import Hit
-from mitsuba_ref.meeting import KU_OURS
+from mitsuba_ref.meeting import KU_OURS, norm
 from mitsuba_ref.model import model_of
 from mitsuba_ref.pixels import flat
 from mitsuba_ref.rays import SharedRays
@@ -38,19 +41,19 @@ def check_render(scene: Scene) -> SceneCheck:
     rows = np.flatnonzero(differs & (rays.t_min > 0.0))
     if len(rows):
         rows = np.random.default_rng(1).choice(rows, min(SAMPLE, len(rows)), replace=False)
-        lines = SharedRays(o[rows], rays.d[rows], left[rows], rays.t_min[rows])
         differs &= rays.t_min == 0.0
-        differs[rows] = ~_right(scene, ours, rows, lines)
+        differs[rows] = ~_right(scene, ours, rows, Rays(*(a[rows] for a in rays)))
     return worst_of("render", {"pixel": np.where(differs, np.inf, 0.0)}, np.ones(len(o), bool), scene)
 
 
-def _right(scene: Scene, ours: Aovs, rows: np.ndarray, rays: SharedRays) -> np.ndarray:
+def _right(scene: Scene, ours: Aovs, rows: np.ndarray, rays: Rays) -> np.ndarray:
     """(m,) bool: geometry within float64's bracket, diffuse as the lights' definitions give it there."""
     depth, n, sh_n, p, shape, diffuse, prim = (flat(ours, name)[rows] for name in NAMES)
-    t = depth - rays.start
-    model = model_of(scene, pack(scene, as_given), rays)
+    t = depth / norm(rays.d)
+    model = model_of(scene, pack(scene, as_given), SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))))
     bracket = Bracket(model, KU_OURS, ours=True)
-    found = bracket.judge(rays.o, rays.d, rays.t_max, Claims(t, shape, n, sh_n, p, KU_OURS * depth))
+    claims = Claims(t, shape, n, sh_n, p, KU_OURS * t)
+    found = bracket.judge(rays.o, rays.d, rays.t_max, claims, t_min=rays.t_min)
     right = found.allowed | found.open
     hit = np.flatnonzero(right & (shape >= 0))
     o, d, t, shape = rays.o[hit], rays.d[hit], t[hit], shape[hit]

@@ -28,12 +28,19 @@ def check_placement(scene: Scene) -> SceneCheck:
 # float32 it is rounded once more.
 PLACED_ROUNDINGS = 16.0
 
+# (which numbers, unit round-off, smallest normal number). Below the latter the spacing of numbers stays what it is
+# there, and so does what a rounding may take: half of it, the round-off of the smallest normal number.
+ROUNDINGS = (
+    (as_given, 2.0**-53, 2.0**-1022),
+    (as_float32, 2.0**-24, 2.0**-126),
+)
+
 
 def check_geometry(scene: Scene) -> SceneCheck:
     """Each shape's numbers in the world, float64 and float32, against its description, worked out a second time."""
     shares = {
-        f"{claim.what} of {name}": _share_of_claim(claim, rounding)
-        for rounded, rounding in ((as_given, 2.0**-53), (as_float32, 2.0**-24))
+        f"{claim.what} of {name}": _share_of_claim(claim, rounding, normal)
+        for rounded, rounding, normal in ROUNDINGS
         for name, shape, part in zip(
             scene.shape_names(), scene.shapes, pack(scene, rounded).parts, strict=True
         )
@@ -43,12 +50,13 @@ def check_geometry(scene: Scene) -> SceneCheck:
     return SceneCheck("geometry", shares.get(worst, 0.0), worst)
 
 
-def _share_of_claim(claim: Claim, rounding: float) -> float:
+def _share_of_claim(claim: Claim, rounding: float, normal: float) -> float:
     """Largest error over its bound; inf where there are other numbers than expected."""
     if claim.packed.shape != np.shape(claim.expected):
         return float("inf")
     error = np.abs(claim.packed - claim.expected)
-    bound = PLACED_ROUNDINGS * rounding * np.broadcast_to(claim.size, error.shape)
+    size = np.maximum(claim.size, normal) if claim.rounded else claim.size
+    bound = PLACED_ROUNDINGS * rounding * np.broadcast_to(size, error.shape)
     hopeless = np.isposinf(bound)  # normals that cancel: nobody knows where they point
     return float(np.where(hopeless, 0.0, share_of_bound(error, bound)).max(initial=0.0))
 

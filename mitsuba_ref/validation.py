@@ -30,7 +30,7 @@ from mitsuba_ref.verdict import (
     Verdict,
     pixel_of,
 )
-from mitsuba_ref.worker import DEFAULT_TIMEOUT
+from mitsuba_ref.worker import DEFAULT_TIMEOUT, Ask, ask
 
 
 def validate(scene: Scene | str | Path, *, timeout: float = DEFAULT_TIMEOUT) -> Verdict:
@@ -51,11 +51,12 @@ def validate_scene(
     *,
     folder: Path | None = None,
     timeout: float = DEFAULT_TIMEOUT,
+    ask: Ask = ask,
 ) -> SceneVerdict:
-    """The verdict of one scene that is loaded. folder: where the pictures of both sides go."""
+    """The verdict of one scene that is loaded. folder: where the pictures of both sides go; ask: the way to Mitsuba."""
     start = time.perf_counter()
     checks = tuple(check(scene) for check in CHECKS_WITHOUT_REFERENCE)
-    judge = judge_of(scene, timeout=timeout)
+    judge = judge_of(scene, timeout=timeout, ask=ask)
     size, pixels = (scene.film.width, scene.film.height), film_window(scene)
     if isinstance(judge, Crash):
         problem = f"Mitsuba ended without an answer ({judge.exit}): {judge.words}".strip()

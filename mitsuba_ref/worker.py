@@ -1,7 +1,7 @@
 """Mitsuba in a child process: an abort, a hang or a refusal in there is a result here."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,10 @@ from mitsuba_ref import child, variants
 from mitsuba_ref.jobs import Answer, Crash, Job
 
 DEFAULT_TIMEOUT = 300.0  # seconds; a scene of 256 x 256 pixels takes one to three
+
+
+# A way to Mitsuba: (what is asked, seconds it may take) -> what came of it.
+Ask = Callable[[Job, float], Answer | Crash]
 
 
 def ask(job: Job, timeout: float = DEFAULT_TIMEOUT) -> Answer | Crash:

@@ -82,13 +82,15 @@ class Writer:
         return bsdf_element(self.scene.material_of(shape))
 
 
-def to_text(scene: Scene, shapes: Sequence[XmlElement], sensor: XmlElement | None, out: Writer) -> str:
-    """The whole document. Without a sensor, rays have to be handed over."""
+def to_text(
+    scene: Scene, shapes: Sequence[XmlElement], sensor: XmlElement | None, out: Writer, *, robust: bool = True
+) -> str:
+    """The whole document. Without a sensor, rays have to be handed over. robust: Embree's mode of that name."""
     root = Element("scene", version="3.0.0")
     for note in out.notes:
         root.append(Comment(f" {note.replace('--', '- -')} "))
     # Without it, Embree lets rays slip through the edges of meshes.
-    SubElement(root, "boolean", name="embree_use_robust_intersections", value="true")
+    SubElement(root, "boolean", name="embree_use_robust_intersections", value="true" if robust else "false")
     root.append(integrator_element())
     if sensor is not None:
         sensor.append(film_element(scene))

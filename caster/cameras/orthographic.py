@@ -3,24 +3,23 @@
 import math
 from typing import Annotated, Any, Literal, NamedTuple
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from caster.fields import Camera, NonNegative, Positive
 from caster.kernels.jit import implement
-from caster.kernels.protocol import project, ray
-from caster.kernels.vec import add, dot, scaled, sub, vector
+from caster.kernels.protocol import Vec3, project, ray
+from caster.kernels.vec import add, dot, scaled, sub
 
 
 class OrthographicRays(NamedTuple):
     """The orthographic camera as its kernels read it."""
 
-    eye: np.ndarray  # (3,) float64, centre of the window
-    right: np.ndarray  # (3,) unit
-    up: np.ndarray  # (3,) unit
-    forward: np.ndarray  # (3,) unit
-    size: np.ndarray  # (2,) film width and height in pixels
-    half: np.ndarray  # (2,) half extent of the window, scene units
+    eye: Vec3  # float64, centre of the window
+    right: Vec3  # unit
+    up: Vec3  # unit
+    forward: Vec3  # unit
+    size: tuple[float, float]  # film width and height in pixels
+    half: tuple[float, float]  # half extent of the window, scene units
     near: float
     far: float
 
@@ -42,22 +41,22 @@ class Orthographic(Camera):
     def pack(self, width: int, height: int) -> OrthographicRays:
         right, up, forward = self.frame
         far = math.inf if self.far is None else self.far
-        half = np.array([0.5 * self.width, 0.5 * self.width * height / width])
-        size = np.array([width, height], np.float64)
-        return OrthographicRays(np.array(self.eye), right, up, forward, size, half, self.near, far)
+        half = (0.5 * self.width, 0.5 * self.width * height / width)
+        size = (float(width), float(height))
+        return OrthographicRays(self.eye, right, up, forward, size, half, self.near, far)
 
 
 @implement(ray, OrthographicRays)
 def _ray(camera: Any, x: float, y: float) -> Any:
     across = (2.0 * (x / camera.size[0]) - 1.0) * camera.half[0]
     above = (1.0 - 2.0 * (y / camera.size[1])) * camera.half[1]
-    sideways = add(scaled(across, vector(camera.right)), scaled(above, vector(camera.up)))
-    return add(vector(camera.eye), sideways), vector(camera.forward), camera.near, camera.far
+    sideways = add(scaled(across, camera.right), scaled(above, camera.up))
+    return add(camera.eye, sideways), camera.forward, camera.near, camera.far
 
 
 @implement(project, OrthographicRays)
 def _project(camera: Any, p: Any) -> Any:
-    q = sub(p, vector(camera.eye))
-    x = 0.5 * (dot(q, vector(camera.right)) / camera.half[0] + 1.0) * camera.size[0]
-    y = 0.5 * (1.0 - dot(q, vector(camera.up)) / camera.half[1]) * camera.size[1]
+    q = sub(p, camera.eye)
+    x = 0.5 * (dot(q, camera.right) / camera.half[0] + 1.0) * camera.size[0]
+    y = 0.5 * (1.0 - dot(q, camera.up) / camera.half[1]) * camera.size[1]
     return x, y, 0.5 * camera.size[0] / camera.half[0], True

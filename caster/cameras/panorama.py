@@ -3,23 +3,21 @@
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
-import numpy as np
-
 from caster.fields import Camera
 from caster.kernels.camera_circle import mixed
 from caster.kernels.jit import implement
-from caster.kernels.protocol import ray
-from caster.kernels.vec import unit, vector
+from caster.kernels.protocol import Vec3, ray
+from caster.kernels.vec import unit
 
 
 class PanoramaRays(NamedTuple):
     """The panorama camera as its kernel reads it."""
 
-    eye: np.ndarray  # (3,) float64
-    right: np.ndarray  # (3,) unit
-    up: np.ndarray  # (3,) unit
-    forward: np.ndarray  # (3,) unit
-    size: np.ndarray  # (2,) film width and height in pixels
+    eye: Vec3  # float64
+    right: Vec3  # unit
+    up: Vec3  # unit
+    forward: Vec3  # unit
+    size: tuple[float, float]  # film width and height in pixels
 
 
 class Panorama(Camera):
@@ -30,7 +28,7 @@ class Panorama(Camera):
 
     def pack(self, width: int, height: int) -> PanoramaRays:
         right, up, forward = self.frame
-        return PanoramaRays(np.array(self.eye), right, up, forward, np.array([width, height], np.float64))
+        return PanoramaRays(self.eye, right, up, forward, (float(width), float(height)))
 
 
 @implement(ray, PanoramaRays)
@@ -39,4 +37,4 @@ def _ray(camera: Any, x: float, y: float) -> Any:
     latitude = (0.5 - y / camera.size[1]) * math.pi
     level = math.cos(latitude)
     d = unit(mixed(camera, level * math.sin(longitude), math.sin(latitude), level * math.cos(longitude)))
-    return vector(camera.eye), d, 0.0, math.inf
+    return camera.eye, d, 0.0, math.inf

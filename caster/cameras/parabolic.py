@@ -3,23 +3,21 @@
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
-import numpy as np
-
 from caster.fields import Camera
 from caster.kernels.camera_circle import film_circle, mixed, on_circle
 from caster.kernels.jit import implement
-from caster.kernels.protocol import ray
-from caster.kernels.vec import unit, vector
+from caster.kernels.protocol import Vec3, ray
+from caster.kernels.vec import unit
 
 
 class ParabolicRays(NamedTuple):
     """The parabolic camera as its kernel reads it."""
 
-    eye: np.ndarray  # (3,) float64
-    right: np.ndarray  # (3,) unit
-    up: np.ndarray  # (3,) unit
-    forward: np.ndarray  # (3,) unit
-    circle: np.ndarray  # (3,) image circle: centre x, centre y, radius, in pixels
+    eye: Vec3  # float64
+    right: Vec3  # unit
+    up: Vec3  # unit
+    forward: Vec3  # unit
+    circle: Vec3  # image circle: centre x, centre y, radius, in pixels
 
 
 class Parabolic(Camera):
@@ -34,7 +32,7 @@ class Parabolic(Camera):
 
     def pack(self, width: int, height: int) -> ParabolicRays:
         right, up, forward = self.frame
-        return ParabolicRays(np.array(self.eye), right, up, forward, film_circle(width, height))
+        return ParabolicRays(self.eye, right, up, forward, film_circle(width, height))
 
 
 @implement(ray, ParabolicRays)
@@ -43,5 +41,5 @@ def _ray(camera: Any, x: float, y: float) -> Any:
     square = across * across + above * above
     d = unit(mixed(camera, 2.0 * across, 2.0 * above, 1.0 - square))
     if square > 1.0:
-        return vector(camera.eye), vector(camera.forward), 0.0, -1.0
-    return vector(camera.eye), d, 0.0, math.inf
+        return camera.eye, camera.forward, 0.0, -1.0
+    return camera.eye, d, 0.0, math.inf

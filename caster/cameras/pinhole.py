@@ -3,13 +3,12 @@
 import math
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from caster.fields import Camera, FieldOfView, NonNegative, Number, Positive
 from caster.kernels.jit import implement
-from caster.kernels.protocol import project, ray
-from caster.kernels.vec import add, dot, scaled, sub, unit, vector
+from caster.kernels.protocol import Vec3, project, ray
+from caster.kernels.vec import add, dot, scaled, sub, unit
 
 # A point is projected only where its depth is more than this share of its distance from the eye: there the
 # rounding of its position moves the picture by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
@@ -19,13 +18,13 @@ SHALLOWEST = 1e-6
 class PinholeRays(NamedTuple):
     """The pinhole camera as its kernels read it."""
 
-    eye: np.ndarray  # (3,) float64
-    right: np.ndarray  # (3,) unit, to the right in the image
-    up: np.ndarray  # (3,) unit
-    forward: np.ndarray  # (3,) unit
-    size: np.ndarray  # (2,) film width and height in pixels
-    half: np.ndarray  # (2,) half extent of the image plane at distance 1
-    shift: np.ndarray  # (2,) principal point offset, fractions of the film
+    eye: Vec3  # float64
+    right: Vec3  # unit, to the right in the image
+    up: Vec3  # unit
+    forward: Vec3  # unit
+    size: tuple[float, float]  # film width and height in pixels
+    half: tuple[float, float]  # half extent of the image plane at distance 1
+    shift: tuple[float, float]  # principal point offset, fractions of the film
     near: float
     far: float
 
@@ -66,9 +65,11 @@ class Pinhole(Camera):
     def pack(self, width: int, height: int) -> PinholeRays:
         right, up, forward = self.frame
         far = math.inf if self.far is None else self.far
-        half = np.array(self.half_extent(width, height))
-        size, shift = np.array([width, height], np.float64), np.array(self.principal_point, np.float64)
-        return PinholeRays(np.array(self.eye), right, up, forward, size, half, shift, self.near, far)
+        half = self.half_extent(width, height)
+        size = (float(width), float(height))
+        return PinholeRays(
+            self.eye, right, up, forward, size, half, self.principal_point, self.near, far
+        )
 
 
 @implement(ray, PinholeRays)
@@ -76,20 +77,20 @@ def _ray(camera: Any, x: float, y: float) -> Any:
     across = (2.0 * (x / camera.size[0] + camera.shift[0]) - 1.0) * camera.half[0]
     above = (1.0 - 2.0 * (y / camera.size[1] + camera.shift[1])) * camera.half[1]
     length = math.sqrt(across * across + above * above + 1.0)
-    sideways = add(scaled(across, vector(camera.right)), scaled(above, vector(camera.up)))
-    d = unit(add(sideways, vector(camera.forward)))
-    return vector(camera.eye), d, camera.near * length, camera.far * length
+    sideways = add(scaled(across, camera.right), scaled(above, camera.up))
+    d = unit(add(sideways, camera.forward))
+    return camera.eye, d, camera.near * length, camera.far * length
 
 
 @implement(project, PinholeRays)
 def _project(camera: Any, p: Any) -> Any:
-    q = sub(p, vector(camera.eye))
-    depth = dot(q, vector(camera.forward))
+    q = sub(p, camera.eye)
+    depth = dot(q, camera.forward)
     distance = math.sqrt(dot(q, q))
     if depth <= SHALLOWEST * distance:
         return 0.0, 0.0, 0.0, False
-    across = dot(q, vector(camera.right)) / depth / camera.half[0]
-    above = dot(q, vector(camera.up)) / depth / camera.half[1]
+    across = dot(q, camera.right) / depth / camera.half[0]
+    above = dot(q, camera.up) / depth / camera.half[1]
     x = (0.5 * (across + 1.0) - camera.shift[0]) * camera.size[0]
     y = (0.5 * (1.0 - above) - camera.shift[1]) * camera.size[1]
     pixels = 0.5 * max(camera.size[0] / camera.half[0], camera.size[1] / camera.half[1]) / depth

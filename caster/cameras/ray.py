@@ -10,7 +10,6 @@ from pydantic import Field, field_validator
 from caster.fields import Description, PositiveNumber, Vec3, refuse
 from caster.kernels.jit import implement
 from caster.kernels.protocol import ray
-from caster.kernels.vec import vector
 
 # Directions of 2^-PLAIN to 2^PLAIN have squares, and t times such a length is a number wherever the scene is one.
 PLAIN = 100
@@ -19,8 +18,8 @@ PLAIN = 100
 class RayRays(NamedTuple):
     """The ray as its kernel reads it."""
 
-    o: np.ndarray  # (3,) float64
-    d: np.ndarray  # (3,) float64, of any length
+    o: tuple[float, float, float]  # float64
+    d: tuple[float, float, float]  # float64, of any length
     t_max: float
 
 
@@ -71,7 +70,8 @@ class Ray(Description):
         if abs(exponent) > PLAIN:
             with np.errstate(over="ignore", under="ignore"):
                 d, t_max = np.ldexp(d, -exponent), float(np.ldexp(t_max, exponent))
-        return RayRays(np.array(self.origin), d, t_max)
+        x, y, z = d.tolist()
+        return RayRays(self.origin, (x, y, z), t_max)
 
 
 def _is_negative(written: Any) -> bool:
@@ -83,4 +83,4 @@ def _is_negative(written: Any) -> bool:
 
 @implement(ray, RayRays)
 def _ray(camera: Any, x: float, y: float) -> Any:
-    return vector(camera.o), vector(camera.d), 0.0, camera.t_max
+    return camera.o, camera.d, 0.0, camera.t_max

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.kernels.jit import jit
-from caster.kernels.protocol import hull_point, hull_size, intersect, keep_nearer, prepare
+from caster.kernels.protocol import hull_point, hull_size, intersect, keep_nearer, passes, prepare
 
 LEAF_SIZE = 4
 STACK_SIZE = (
@@ -168,6 +168,9 @@ def cast_bvh(prims: Any, tree: Any, rays: Any, record: Any, span: Any) -> None:
                 top += 2
             for at in range(tree.first[node], tree.first[node] + tree.prims_in[node]):
                 k = tree.order[at]
-                hit = intersect(prims, prepare(prims, k, o), d, t_min, rays.t_max[i])
+                pre = prepare(prims, k, o)
+                if passes(prims, pre, d):
+                    continue
+                hit = intersect(prims, pre, d, t_min, rays.t_max[i])
                 if hit[0] < math.inf:
                     keep_nearer(record, i, prims, k, rays, hit)

@@ -2,15 +2,14 @@
 
 from typing import Any
 
-import numpy as np
-
 from caster.kernels.jit import jit
-from caster.kernels.vec import add, scaled, vector
+from caster.kernels.protocol import Vec3
+from caster.kernels.vec import add, scaled
 
 
-def film_circle(width: int, height: int) -> np.ndarray:
+def film_circle(width: int, height: int) -> Vec3:
     """(centre x, centre y, radius) of the largest centred circle, in pixels."""
-    return np.array([0.5 * width, 0.5 * height, 0.5 * min(width, height)])
+    return 0.5 * width, 0.5 * height, 0.5 * min(width, height)
 
 
 @jit
@@ -20,7 +19,7 @@ def on_circle(circle: Any, x: float, y: float) -> tuple[float, float]:
 
 
 @jit
-def mixed(camera: Any, right: float, up: float, forward: float) -> tuple[float, float, float]:
+def mixed(camera: Any, right: float, up: float, forward: float) -> Vec3:
     """right, up and forward shares of the camera's axes, added."""
-    sideways = add(scaled(right, vector(camera.right)), scaled(up, vector(camera.up)))
-    return add(sideways, scaled(forward, vector(camera.forward)))
+    sideways = add(scaled(right, camera.right), scaled(up, camera.up))
+    return add(sideways, scaled(forward, camera.forward))

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from caster.kernels.jit import jit
-from caster.kernels.protocol import intersect, keep_nearer, prepare
+from caster.kernels.protocol import intersect, keep_nearer, passes, prepare
 
 
 @jit
@@ -20,6 +20,8 @@ def cast_everything(prims: Any, count: int, rays: Any, record: Any, start: int, 
                 o = rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]
                 pre = prepare(prims, k, o)
             d = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
+            if passes(prims, pre, d):
+                continue
             hit = intersect(prims, pre, d, rays.t_min[i], rays.t_max[i])
             if hit[0] < math.inf:
                 keep_nearer(record, i, prims, k, rays, hit)

@@ -22,7 +22,13 @@ def intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> Any:
     """(t, off): the smallest t in (t_min, t_max] at which o + t d lies on the prepared primitive, within off.
 
     A filter in float64, with proven bounds: (MISS, 0) is sure, as is a finite off; UNDECIDED leaves it to `root`.
+    It has no branch, and divides by nothing that may be 0, so that several rays can be tested at once.
     """
+
+
+@generic_inlined
+def passes(prims: Any, pre: Any, d: Vec3) -> Any:
+    """Whether the ray is soon seen to miss the prepared primitive: True only where `intersect` would say MISS."""
 
 
 @generic

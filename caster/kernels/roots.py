@@ -6,11 +6,7 @@ from typing import Any, NamedTuple
 from caster.kernels.exact_root import times_power
 from caster.kernels.jit import inlined, jit
 from caster.kernels.protocol import Vec3
-from caster.kernels.vec import MISS, TINY, UNDECIDED, U, along, dot, size, sure_within, unit
-
-# The discriminant's error has a term 2 p q; for any LOOSE it is at most p^2 / LOOSE + q^2 LOOSE, which takes no root.
-# By that most rays are seen to miss, or to hit so well that the discriminant is known to SHARE of itself.
-LOOSE, SHARE = 2.0**-40, 2.0**-26
+from caster.kernels.vec import TINY, U, along, answer, dot, size, sure_within, unit
 
 # The bounds are of second order in the error of d over d's length, which has to be below 1/32 for them to hold.
 STEADY = 2.0**-10
@@ -27,18 +23,32 @@ class Ball(NamedTuple):
 
     f: Vec3  # the origin, seen from the centre
     f1: float  # size(f)
+    r: float
+    over_r: float  # 1 / r
     rr: float  # r^2
     c: float  # f.f - r^2
     c_off: float  # error of c
     b_off: float  # error of -f.d over size(d)
     moved: float  # how far off the point of closest approach may be
-    bar: float  # error of the discriminant, but for what depends on the closest approach
+
+
+class Approach(NamedTuple):
+    """How near the line through a ray comes to a ball's centre."""
+
+    met: bool  # the line is sure to meet the ball
+    missed: bool  # it is sure not to
+    a: float  # d.d
+    over_a: float  # 1 / a
+    b: float  # -f.d
+    within: float  # the discriminant over a: r^2 less the square of the closest approach
+    within_off: float  # its error
 
 
 class Chord(NamedTuple):
-    """Both roots, near first, and how far off each may be; `sure` is 1: they exist, -1: they do not, 0: who knows."""
+    """Both roots, near first, and how far off each may be, if they are sure to exist."""
 
-    sure: int
+    met: bool
+    missed: bool
     near: float
     far: float
     near_off: float
@@ -50,76 +60,59 @@ def ball_at(f: Vec3, r: float, f_off: float) -> Ball:
     """|p - f| = r, for an f that is off by no more than f_off."""
     f1, rr = size(f), r * r
     c_off = 5.0 * U * (f1 * f1 + rr) + (3.0 * f1 + 2.0 * f_off) * f_off + TINY
-    moved = 12.0 * U * f1 + 2.0 * f_off
-    bar = moved * moved / LOOSE + 8.0 * U * rr + TINY
-    return Ball(f, f1, rr, dot(f, f) - rr, c_off, 5.0 * U * f1 + 2.0 * f_off, moved, bar)
-
-
-@jit
-def unknown(sure: int) -> Chord:
-    return Chord(sure, 0.0, 0.0, math.inf, math.inf)
+    return Ball(
+        f, f1, r, 1.0 / r, rr, dot(f, f) - rr, c_off, 5.0 * U * f1 + 2.0 * f_off, 12.0 * U * f1 + 2.0 * f_off
+    )
 
 
 @inlined
-def chord(ball: Any, d: Vec3, d_off: float) -> Chord:
-    """|f + t d| = r, for a d that is off by no more than d_off.
+def approach(ball: Any, d: Vec3, d_off: float) -> Approach:
+    """Whether |f + t d| = r has roots, for a d that is off by no more than d_off.
 
     The discriminant is taken at the point of closest approach, f + (b/a) d, where the numbers are as small as
     the ball: b^2 - a c would cancel for a small ball far away (Haines et al., Ray Tracing Gems, chapter 7).
     The bounds are worked out in docs/method.md, "Exact decisions".
     """
-    f = ball.f
+    f, moved, lean = ball.f, ball.moved, 0.0
     a, b = dot(d, d), -dot(f, d)
-    if not (a > FLOOR and d_off * d_off < STEADY * a):
-        return unknown(0)
-    over_a = 1.0 / a
+    steady = (a > FLOOR) & (d_off * d_off < STEADY * a)
+    over_a = 1.0 / (a if steady else 1.0)
     s = b * over_a
-    x, y, z = f[0] + s * d[0], f[1] + s * d[1], f[2] + s * d[2]
-    gg = x * x + y * y + z * z
-    within = ball.rr - gg
-    moved, lean, bar = ball.moved, 0.0, ball.bar
     if d_off > 0.0:
         moved, lean = moved + 2.0 * abs(s) * d_off, ball.f1 * d_off
         lean = 8.0 * (lean * lean) * over_a
-        bar += moved * moved / LOOSE + lean
-    loose = 2.0 * LOOSE * gg + bar
-    if within < -loose:
-        return unknown(-1)
-    line = a, over_a, b, size(d)
-    if within > loose / SHARE:
-        return both_roots(ball, line, d_off, within, SHARE)
-    within_off = 2.0 * moved * math.sqrt(gg) + moved * moved + lean + 8.0 * U * (gg + ball.rr) + TINY
-    if within < -within_off:
-        return unknown(-1)
-    return both_roots(ball, line, d_off, within, within_off / within if within > 0.0 else math.inf)
+    x, y, z = f[0] + s * d[0], f[1] + s * d[1], f[2] + s * d[2]
+    gg = x * x + y * y + z * z
+    within = ball.rr - gg
+    # 2 g <= g^2 / r + r, with hardly more than equality where it matters, at the rim
+    within_off = moved * (gg * ball.over_r + ball.r) + moved * moved + lean + 8.0 * U * (gg + ball.rr) + TINY
+    met, missed = steady & (within > 2.0 * within_off), steady & (within < -within_off)
+    return Approach(met, missed, a, over_a, b, within, within_off)
 
 
 @inlined
-def both_roots(
-    ball: Any, line: tuple[float, float, float, float], d_off: float, within: float, share: float
-) -> Chord:
-    """The roots, for a discriminant that may be off by a share of itself; unknown where that is more than half.
+def chord(ball: Any, d: Vec3, d_off: float) -> Chord:
+    """The roots, where the discriminant is known to half of itself.
 
     The root of larger magnitude adds numbers of one sign; the other follows from the roots' product, c / a.
     """
-    a, over_a, b, d1 = line
-    if not share < 0.5:
-        return unknown(0)
-    root = math.sqrt(a * within)
+    met, missed, a, over_a, b, within, within_off = approach(ball, d, d_off)
+    d1, root = size(d), math.sqrt(a * within if met else 1.0)
     a_share, b_off = 5.0 * U, ball.b_off * d1 + TINY
     if d_off > 0.0:
         a_share, b_off = a_share + 3.0 * d1 * d_off * over_a, b_off + 2.0 * ball.f1 * d_off
     q = b + root if b >= 0.0 else b - root
-    q_off = b_off + root * (a_share + share) + 5.0 * U * abs(q)
-    if not 2.0 * q_off < abs(q):
-        return unknown(0)
-    over_q = 1.0 / q
+    # the root of a number that is off by a share < 1/2 of itself is off by no more than that share
+    q_off = b_off + root * a_share + a * within_off / root + 5.0 * U * abs(q)
+    met &= 2.0 * q_off < abs(q)
+    over_q = 1.0 / (q if met else 1.0)
     large, small = q * over_a, ball.c * over_q
     large_off = 2.0 * (q_off * over_a + abs(large) * a_share) + 3.0 * U * abs(large)
     small_off = 2.0 * (ball.c_off + abs(small) * q_off) * abs(over_q) + 3.0 * U * abs(small)
-    if b >= 0.0:
-        return Chord(1, small, large, small_off, large_off)
-    return Chord(1, large, small, large_off, small_off)
+    first = b >= 0.0
+    near, far = small if first else large, large if first else small
+    near_off, far_off = small_off if first else large_off, large_off if first else small_off
+    return Chord(met, missed, near, far, near_off, far_off)
 
 
 @jit
@@ -145,11 +138,15 @@ def way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
 
 
 @inlined
+def earlier(near: tuple[float, float], far: tuple[float, float]) -> tuple[float, float]:
+    """The near answer, unless it is MISS."""
+    behind = near[0] == math.inf
+    return far[0] if behind else near[0], far[1] if behind else near[1]
+
+
+@inlined
 def first_root(roots: Chord, t_min: float, t_max: float) -> tuple[float, float]:
     """The first root in (t_min, t_max], as `intersect` answers."""
-    if roots.sure != 1:
-        return MISS if roots.sure < 0 else UNDECIDED
     near = sure_within(roots.near, roots.near_off, t_min, t_max)
-    if near[0] != math.inf:
-        return near
-    return sure_within(roots.far, roots.far_off, t_min, t_max)
+    t, off = earlier(near, sure_within(roots.far, roots.far_off, t_min, t_max))
+    return answer(roots.met, roots.missed, t, off)

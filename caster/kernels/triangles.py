@@ -6,15 +6,14 @@ import numpy as np
 
 from caster.kernels.exact_planar import exact_triangle
 from caster.kernels.exact_root import Root
-from caster.kernels.jit import implement, jit
-from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, prepare, root, surface
+from caster.kernels.jit import implement, inlined, jit
+from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, passes, prepare, root, surface
 from caster.kernels.vec import (
-    MISS,
     TINY,
-    UNDECIDED,
     U,
     about_one,
     add,
+    answer,
     cross,
     dot,
     permanent,
@@ -81,24 +80,35 @@ def _prepare(prims: Any, k: int, o: Vec3) -> Any:
 @implement(intersect, Triangles)
 def _intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> tuple[float, float]:
     """Inside where all three edge functions have one sign; sure of it where they exceed their error."""
-    bc, ca, ab, n, spread, height, edge_error, height_error = pre
-    u, v, w = dot(d, bc), dot(d, ca), dot(d, ab)
-    error = edge_error * size(d) + TINY
-    low, high = min(u, v, w), max(u, v, w)
-    if low < -error and high > error:
-        return MISS
-    if not (low > error or high < -error):
-        return UNDECIDED
+    _, _, _, n, spread, height, _, height_error = pre
+    positive, negative, outside = _sides(pre, d)
     slope = dot(n, d)
     slope_error = (
         SLOPE_ERROR * (abs(d[0]) * spread[0] + (abs(d[1]) * spread[1] + abs(d[2]) * spread[2])) + TINY
     )
-    if not abs(slope) > 2.0 * slope_error:
-        return UNDECIDED
-    t = height / slope
-    # (h + e) / (s + f) - h / s = (e - t f) / (s + f), and |s + f| > |s| / 2; 2 u |t| for the quotient's own rounding
-    off = 2.0 * (height_error + abs(t) * slope_error) / abs(slope) + 2.0 * U * abs(t)
-    return sure_within(t, off, t_min, t_max)
+    steep = abs(slope) > 2.0 * slope_error
+    over = 1.0 / (slope if steep else 1.0)
+    t = height * over
+    # (h + e) / (s + f) - h / s = (e - t f) / (s + f), and |s + f| > |s| / 2; 3 u |t| for 1 / s and the product
+    off = 2.0 * (height_error + abs(t) * slope_error) * abs(over) + 3.0 * U * abs(t)
+    t, off = sure_within(t, off, t_min, t_max)
+    return answer((positive | negative) & steep, outside, t, off)
+
+
+@implement(passes, Triangles)
+def _passes(prims: Any, pre: Any, d: Vec3) -> bool:
+    return _sides(pre, d)[2]
+
+
+@inlined
+def _sides(pre: Any, d: Vec3) -> tuple[bool, bool, bool]:
+    """Whether all edge functions are sure to be positive, all negative, or some are positive and some negative."""
+    u, v, w = dot(d, pre[0]), dot(d, pre[1]), dot(d, pre[2])
+    error = pre[6] * size(d) + TINY
+    above_u, above_v, above_w = u > error, v > error, w > error
+    below_u, below_v, below_w = u < -error, v < -error, w < -error
+    outside = (above_u | above_v | above_w) & (below_u | below_v | below_w)
+    return above_u & above_v & above_w, below_u & below_v & below_w, outside
 
 
 @jit

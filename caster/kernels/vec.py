@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from caster.kernels.jit import jit
+from caster.kernels.jit import inlined, jit
 from caster.kernels.protocol import Vec3
 
 U = 2.0**-53  # unit round-off of float64
@@ -41,7 +41,8 @@ def size(a: Vec3) -> float:
 @jit
 def no_terms(a: Vec3, b: Vec3) -> bool:
     """Whether a.b is exactly 0 because each of its products has a factor 0."""
-    return (a[0] == 0.0 or b[0] == 0.0) and (a[1] == 0.0 or b[1] == 0.0) and (a[2] == 0.0 or b[2] == 0.0)
+    x, y, z = (a[0] == 0.0) | (b[0] == 0.0), (a[1] == 0.0) | (b[1] == 0.0), (a[2] == 0.0) | (b[2] == 0.0)
+    return x & y & z
 
 
 @jit
@@ -169,11 +170,17 @@ def angle_fraction(y: float, x: float) -> float:
     return turn + 1.0 if turn < 0.0 else turn
 
 
-@jit
+# What follows has no branch, so that loops over rays can test several at once (SIMD).
+
+
+@inlined
+def answer(hit: bool, missed: bool, t: float, off: float) -> tuple[float, float]:
+    """(t, off) where it is sure to be hit, MISS where it is sure to be missed, else UNDECIDED."""
+    return t if hit else (math.inf if missed else 0.0), off if hit else (0.0 if missed else math.inf)
+
+
+@inlined
 def sure_within(t: float, off: float, t_min: float, t_max: float) -> tuple[float, float]:
-    """(t, off) if the true t is sure to be in (t_min, t_max], MISS if it is sure not to be, else UNDECIDED."""
-    if t - off > t_min and t + off <= t_max:
-        return t, off
-    if t + off <= t_min or t - off > t_max:
-        return MISS
-    return UNDECIDED
+    """The answer for a hit at t, within off, if t_min < t <= t_max."""
+    inside = (t - off > t_min) & (t + off <= t_max)
+    return answer(inside, (t + off <= t_min) | (t - off > t_max), t, off)

@@ -9,16 +9,15 @@ from pydantic import model_validator
 from caster.fields import Positive, Shape, Vec3
 from caster.kernels.exact_quadric import exact_tube, placed
 from caster.kernels.exact_root import Root
-from caster.kernels.jit import implement, jit
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, root, surface
-from caster.kernels.roots import ball_at, chord, way_out
+from caster.kernels.jit import implement, inlined
+from caster.kernels.protocol import hull_point, hull_size, intersect, passes, prepare, root, surface
+from caster.kernels.roots import approach, ball_at, chord, earlier, way_out
 from caster.kernels.vec import (
-    MISS,
     SEEN_ERROR,
     TINY,
-    UNDECIDED,
     add,
     angle_fraction,
+    answer,
     by_rows,
     no_terms,
     row,
@@ -96,32 +95,32 @@ def _prepare(prims: Any, k: int, o: Any) -> Any:
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     m, wall, height, height_off, across_off, along_off = pre
     e, d1 = by_rows(m, d), size(d)
-    if e[0] == 0.0 and e[1] == 0.0:  # along the axis, if exactly so
-        return MISS if no_terms(m[0], d) and no_terms(m[1], d) else UNDECIDED
     roots = chord(wall, (e[0], e[1], 0.0), across_off * d1)
-    if roots.sure != 1:
-        return MISS if roots.sure < 0 else UNDECIDED
     axis = height, height_off, e[2], along_off * d1
-    near = sure_within(roots.near, roots.near_off, t_min, t_max)
-    if near[0] < math.inf:
-        near = between_ends(near, axis)
-    if near[0] < math.inf:
-        return near
-    far = sure_within(roots.far, roots.far_off, t_min, t_max)
-    return between_ends(far, axis) if far[0] < math.inf else MISS
+    near = between_ends(sure_within(roots.near, roots.near_off, t_min, t_max), axis)
+    far = between_ends(sure_within(roots.far, roots.far_off, t_min, t_max), axis)
+    t, off = earlier(near, far)
+    along_axis = no_terms(m[0], d) & no_terms(m[1], d)  # exactly so
+    return answer(roots.met, roots.missed | along_axis, t, off)
 
 
-@jit
+@implement(passes, Cylinders)
+def _passes(prims: Any, pre: Any, d: Any) -> bool:
+    e = by_rows(pre[0], d)
+    return approach(pre[1], (e[0], e[1], 0.0), pre[4] * size(d)).missed
+
+
+@inlined
 def between_ends(hit: tuple[float, float], axis: tuple[float, float, float, float]) -> tuple[float, float]:
     """The hit if z = f + t e is sure to be in [0, 1], MISS if sure not to be; axis: f, its error, e, its error."""
-    t, off = hit
+    there = hit[0] < math.inf
+    t, off = hit[0] if there else 0.0, hit[1]
     f, f_off, e, e_off = axis
     z = f + t * e
     # t e, its rounding and that of the sum are within 3 u of what SEEN_ERROR is taken of
     z_off = 2.0 * (f_off + abs(t) * e_off + abs(e) * off) + TINY
-    if z < -z_off or z > 1.0 + z_off:
-        return MISS
-    return hit if z > z_off and z < 1.0 - z_off else UNDECIDED
+    inside = there & (z > z_off) & (z < 1.0 - z_off)
+    return answer(inside, (z < -z_off) | (z > 1.0 + z_off) | (not there), t, off)
 
 
 @implement(root, Cylinders)

@@ -9,15 +9,14 @@ from caster.fields import Shape
 from caster.kernels.exact_planar import exact_disk
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, root, surface
+from caster.kernels.protocol import hull_point, hull_size, intersect, passes, prepare, root, surface
 from caster.kernels.vec import (
-    MISS,
     SEEN_ERROR,
     TINY,
-    UNDECIDED,
     U,
     add,
     angle_fraction,
+    answer,
     by_rows,
     no_terms,
     row,
@@ -65,9 +64,8 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     m, f, f_off, e_off = pre
     e, d1 = by_rows(m, d), size(d)
     slope_off = e_off[2] * d1 + TINY
-    if not abs(e[2]) > 2.0 * slope_off:  # edge-on, if exactly so
-        return MISS if no_terms(m[2], d) else UNDECIDED
-    over = 1.0 / e[2]
+    steep = abs(e[2]) > 2.0 * slope_off
+    over = 1.0 / (e[2] if steep else 1.0)
     t = -f[2] * over
     off = 2.0 * (f_off[2] + TINY + abs(t) * slope_off) * abs(over) + 3.0 * U * abs(t)
     x, y = f[0] + t * e[0], f[1] + t * e[1]
@@ -78,9 +76,14 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     beyond_off = (
         (2.0 * abs(x) + x_off) * x_off + (2.0 * abs(y) + y_off) * y_off + 4.0 * U * (x * x + y * y + 1.0)
     )
-    if beyond > beyond_off:
-        return MISS
-    return sure_within(t, off, t_min, t_max) if beyond < -beyond_off else UNDECIDED
+    t, off = sure_within(t, off, t_min, t_max)
+    edge_on = no_terms(m[2], d)
+    return answer(steep & (beyond < -beyond_off), edge_on | (steep & (beyond > beyond_off)), t, off)
+
+
+@implement(passes, Disks)
+def _passes(prims: Any, pre: Any, d: Any) -> bool:
+    return False  # to know it takes nearly all of `intersect`
 
 
 @implement(root, Disks)

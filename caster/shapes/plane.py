@@ -9,13 +9,12 @@ from caster.fields import Number, Shape, UnitVec3, Vec3
 from caster.kernels.exact_planar import exact_plane
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, root, surface
+from caster.kernels.protocol import hull_point, hull_size, intersect, passes, prepare, root, surface
 from caster.kernels.vec import (
-    MISS,
     TINY,
-    UNDECIDED,
     U,
     along,
+    answer,
     cross,
     dot,
     no_terms,
@@ -74,11 +73,17 @@ def _prepare(prims: Any, k: int, o: Any) -> Any:
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     n, height, height_off, tilt_off = pre
     slope, slope_off = dot(n, d), tilt_off * size(d) + TINY
-    if not abs(slope) > 2.0 * slope_off:  # edge-on, if exactly so
-        return MISS if no_terms(n, d) else UNDECIDED
+    steep = abs(slope) > 2.0 * slope_off
+    slope = slope if steep else 1.0
     t = height / slope
     off = 2.0 * (height_off + abs(t) * slope_off) / abs(slope) + 2.0 * U * abs(t)
-    return sure_within(t, off, t_min, t_max)
+    t, off = sure_within(t, off, t_min, t_max)
+    return answer(steep, no_terms(n, d), t, off)  # without terms it is exactly edge-on
+
+
+@implement(passes, Planes)
+def _passes(prims: Any, pre: Any, d: Any) -> bool:
+    return False  # nearly all rays meet a plane, in front or behind
 
 
 @implement(root, Planes)

@@ -9,8 +9,8 @@ from caster.fields import Positive, Shape, Vec3
 from caster.kernels.exact_quadric import exact_ball, exact_sphere, placed
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, root, surface
-from caster.kernels.roots import ball_at, chord, first_root, way_out
+from caster.kernels.protocol import hull_point, hull_size, intersect, passes, prepare, root, surface
+from caster.kernels.roots import approach, ball_at, chord, first_root, way_out
 from caster.kernels.vec import (
     SEEN_ERROR,
     U,
@@ -75,6 +75,11 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     return first_root(chord(pre, d, 0.0), t_min, t_max)
 
 
+@implement(passes, Spheres)
+def _passes(prims: Any, pre: Any, d: Any) -> bool:
+    return approach(pre, d, 0.0).missed
+
+
 @implement(root, Spheres)
 def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     return exact_sphere(row(prims.center, k), prims.radius[k], o, d, t_min, t_max)
@@ -116,6 +121,12 @@ def _prepare_ellipsoid(prims: Any, k: int, o: Any) -> Any:
 def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     m, ball, d_off = pre
     return first_root(chord(ball, by_rows(m, d), d_off * size(d)), t_min, t_max)
+
+
+@implement(passes, Ellipsoids)
+def _passes_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
+    m, ball, d_off = pre
+    return approach(ball, by_rows(m, d), d_off * size(d)).missed
 
 
 @implement(root, Ellipsoids)

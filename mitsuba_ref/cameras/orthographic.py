@@ -6,7 +6,7 @@ import numpy as np
 
 from caster.cameras.orthographic import Orthographic
 from caster.scene import Film
-from mitsuba_ref.camera_reference import CameraRays, CameraReference, Limits, axes, eyes, pose
+from mitsuba_ref.camera_reference import CameraRays, CameraReference, Limits, axes, clip_planes, eyes, pose
 from mitsuba_ref.xml import XmlElement, matrix_element
 
 
@@ -22,11 +22,7 @@ def rays(camera: Orthographic, film: Film, x: np.ndarray, y: np.ndarray) -> Came
 
 def to_xml(camera: Orthographic, film: Film, limits: Limits) -> XmlElement:
     sensor = Element("sensor", type="orthographic")
-    numbers = {
-        "near_clip": camera.near or limits.near,
-        "far_clip": limits.far if camera.far is None else camera.far,
-    }
-    for name, value in numbers.items():
+    for name, value in clip_planes(camera, limits).items():
         SubElement(sensor, "float", name=name, value=repr(float(value)))
     sensor.append(matrix_element(*pose(camera, camera.width / 2.0)))
     return sensor

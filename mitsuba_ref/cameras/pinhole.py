@@ -6,7 +6,7 @@ import numpy as np
 
 from caster.cameras.pinhole import Pinhole
 from caster.scene import Film
-from mitsuba_ref.camera_reference import CameraRays, CameraReference, Limits, eyes, looking, pose
+from mitsuba_ref.camera_reference import CameraRays, CameraReference, Limits, clip_planes, eyes, looking, pose
 from mitsuba_ref.xml import XmlElement, matrix_element
 
 
@@ -42,8 +42,7 @@ def to_xml(camera: Pinhole, film: Film, limits: Limits) -> XmlElement:
     px, py = camera.principal_point
     numbers = {
         "fov": float(np.rad2deg(2.0 * np.arctan(across))),
-        "near_clip": camera.near or limits.near,
-        "far_clip": limits.far if camera.far is None else camera.far,
+        **clip_planes(camera, limits),
         "principal_point_offset_x": px,
         "principal_point_offset_y": py,
     }

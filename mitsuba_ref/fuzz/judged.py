@@ -1,36 +1,19 @@
 """Scenes held to Mitsuba by the judge itself, through one child for all of them."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 from caster.scene import Scene
 from caster.wording import SceneError
-from mitsuba_ref import reference
 from mitsuba_ref.fuzz.finding import Finding, Tally
 from mitsuba_ref.fuzz.resident import Resident
 from mitsuba_ref.validation import validate_scene
 from mitsuba_ref.verdict import SceneVerdict
 
-ASK = "ask"  # what mitsuba_ref.reference calls the way to Mitsuba
 TIMEOUT = 60.0  # seconds; a scene of a few dozen pixels takes a hundredth of one
-
-
-@contextmanager
-def asked_through(resident: Resident) -> Iterator[None]:
-    """Let the judge ask this child, where it would start one for each scene."""
-    usual = vars(reference)[ASK]
-    setattr(reference, ASK, resident.ask)
-    try:
-        yield
-    finally:
-        setattr(reference, ASK, usual)
 
 
 def judge_scene(scene: Scene, resident: Resident, tally: Tally) -> list[Finding]:
     """What the judge says against it. Scenes that prove little pass: pictures of a few pixels may hit nothing."""
     try:
-        with asked_through(resident):
-            verdict = validate_scene(scene, "fuzz", timeout=TIMEOUT)
+        verdict = validate_scene(scene, "fuzz", timeout=TIMEOUT, ask=resident.ask)
     except SceneError:  # numbers beyond float32
         tally.outside += 1
         return []

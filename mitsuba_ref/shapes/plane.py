@@ -113,12 +113,13 @@ def meet(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float)
     corners, others = (mesh.vertices[mesh.faces[each]] for each in (first, second))
     moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # one rounding, not K of them
     within_one = local.certain | other.certain
-    height = np.where(
-        within_one, np.minimum(_height(corners), _height(others)), _least_height(prims.half[k], face)
-    )
+    with np.errstate(invalid="ignore"):
+        met = np.minimum(_height(corners), _height(others))
+    height = np.where(within_one, met, _least_height(prims.half[k], face))
     with np.errstate(divide="ignore", invalid="ignore"):
         t_error = local.t_error + 2.0 * moved / np.abs(slope)  # 2 = 1 / (1 - UNRESOLVABLE)
-    n_error = np.maximum(local.n_error, other.n_error) + 2.0 * moved / height
+        n_error = np.maximum(local.n_error, other.n_error) + 2.0 * moved / height
+    n_error = np.where(np.isnan(n_error), np.inf, n_error)  # corners that float32 lets fall together
     resolved = within & np.isfinite(t_error) & np.isfinite(t)
     t_error = np.where(resolved, t_error, np.inf)
     sure = resolved & (within_one | (local.side != 0.0) | (other.side != 0.0))

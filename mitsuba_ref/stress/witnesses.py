@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from caster.casting import find_nearest_on_film
+from caster.film_casting import find_nearest_on_film
 from caster.hits import cast
 from caster.packing import Packed, pack
 from caster.placing import as_float32

@@ -12,7 +12,7 @@ from random_fields import own_fields
 from random_scenes import random_scene
 from same_bits import assert_same_bits
 
-from caster import casting
+from caster import casting, film_casting
 from caster.cameras import Panorama, Pinhole
 from caster.fields import Camera, Shape
 from caster.hits import packed
@@ -51,14 +51,14 @@ def test_an_array_of_another_type_or_shape_or_name_is_seen():
 
 
 def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
-    """The rectangles reach a pixel further than they must; without half of their columns hits are lost."""
-    find_spans = casting.find_spans
+    """Without the lower half of their rows hits are lost."""
+    find_spans = film_casting.find_spans
 
-    def narrow(prims, camera, window, spans, slack):
-        find_spans(prims, camera, window, spans, slack)
-        spans[:, 1] = (spans[:, 0] + spans[:, 1]) // 2
+    def narrow(prims, camera, window, spans, slack, start, stop):
+        find_spans(prims, camera, window, spans, slack, start, stop)
+        spans[start:stop, 3] = (spans[start:stop, 1] + spans[start:stop, 3]) // 2
 
-    monkeypatch.setattr(casting, "find_spans", narrow)
+    monkeypatch.setattr(film_casting, "find_spans", narrow)
     with pytest.raises(AssertionError, match="screen: "):
         test_cullings.count_hits_where_cullings_agree(a_scene())
 

@@ -1,20 +1,25 @@
 """A copy of both packages in which a few lines are other than here, and the judge run from it."""
 
+import importlib.util
+import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("caster", "mitsuba_ref")
 DEADLINE = 120.0  # seconds; plain Python needs one to four for a film of 24 x 20 pixels
+SERVER = (sys.executable, "-P", str(Path(__file__).with_name("forked_runs.py")))
 
 
-def copy_tree(folder: Path) -> Path:
+def copy_tree(folder: Path, source: Path = ROOT) -> Path:
     """caster/ and mitsuba_ref/ side by side in `folder`."""
     for package in PACKAGES:
-        shutil.copytree(ROOT / package, folder / package)
+        shutil.copytree(source / package, folder / package)
     return folder
 
 
@@ -24,6 +29,7 @@ def edit(tree: Path, file: str, old: str, new: str) -> None:
     source = path.read_text(encoding="utf-8")
     assert source.count(old) == 1, f"{file}: expected once, found {source.count(old)} times: {old!r}"
     path.write_text(source.replace(old, new), encoding="utf-8")
+    Path(importlib.util.cache_from_source(path)).unlink(missing_ok=True)
 
 
 def run(tree: Path, *argv: str, module: str = "mitsuba_ref") -> subprocess.CompletedProcess[str]:
@@ -33,3 +39,51 @@ def run(tree: Path, *argv: str, module: str = "mitsuba_ref") -> subprocess.Compl
     return subprocess.run(
         words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
     )
+
+
+class Forks:
+    """`run`, for many copies: in forks of one process, which ask Mitsuba once about the same. See forked_runs.py."""
+
+    def __init__(self, folder: Path, memory: Path) -> None:
+        """folder: of this object alone, for what commands say; memory: for answers of Mitsuba, may be shared."""
+        self.folder, self.memory = folder, memory
+        environment = {**os.environ, "CASTER_JIT": "0"}
+        environment.pop("PYTHONPATH", None)
+        self.server = subprocess.Popen(
+            SERVER,
+            cwd=ROOT,
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def run(self, tree: Path, *argv: str, module: str = "mitsuba_ref") -> subprocess.CompletedProcess[str]:
+        """The same as the function `run`, sooner."""
+        out, err = self.folder / "out", self.folder / "err"
+        order = {"tree": tree, "module": module, "argv": argv, "out": out, "err": err, "memory": self.memory}
+        code = self.obeyed(json.dumps(order, default=str))
+        return subprocess.CompletedProcess(argv, code, *(file.read_text(encoding="utf-8") for file in (out, err)))
+
+    def obeyed(self, order: str) -> int:
+        """The exit code. Whoever takes longer than DEADLINE is killed, and the process with it: an error here."""
+        assert self.server.stdin and self.server.stdout
+        late = threading.Timer(DEADLINE, self.kill)
+        late.start()
+        try:
+            self.server.stdin.write(order + "\n")
+            self.server.stdin.flush()
+            answer = self.server.stdout.readline()
+        finally:
+            late.cancel()
+        assert answer, f"no answer within {DEADLINE:g} s, or no process any more: {order}"
+        return int(answer)
+
+    def kill(self) -> None:
+        os.killpg(self.server.pid, signal.SIGKILL)
+
+    def close(self) -> None:
+        """No more orders: the process ends."""
+        with self.server:
+            pass

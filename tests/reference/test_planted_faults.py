@@ -3,17 +3,19 @@
 Each scene passes in an unedited copy, so it is the fault that fails it.
 """
 
+import compileall
+import os
 import re
 import shlex
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-from edited_tree import copy_tree, edit, run
+from edited_tree import PACKAGES, Forks, copy_tree, edit, run
 
 from caster.exr import read_exr, write_exr
 
-WIDTH, HEIGHT = "24", "20"
+WIDTH, HEIGHT = "12", "10"  # the fewer pixels, the harder is a fault to see
 
 
 class Fault(NamedTuple):
@@ -52,8 +54,8 @@ PINHOLE, ORTHOGRAPHIC = "caster/cameras/pinhole.py", "caster/cameras/orthographi
 DIFFUSE, LIGHTS, VIEW = "caster/aovs/diffuse.py", "caster/lights.py", "caster/view.py"
 SCREEN, TREE, PLACING = "caster/kernels/screen.py", "caster/kernels/bvh.py", "caster/placing.py"
 
-ODD = "25", "25"  # pixel centres on the edges that faces share
-FEW = "12", "10"  # for scenes of many triangles
+ODD = "15", "15"  # pixel centres on the edges that faces share
+FEW = "6", "5"  # for scenes of many triangles
 
 FAULTS = (
     # ---- which hit ----
@@ -687,30 +689,50 @@ FAULTS = (
 CASES = sorted({(fault.scene, *fault.size) for fault in FAULTS})
 
 
-def validate(tree, scene, size):
-    """What `validate` says, with its exit code; an internal error is no verdict."""
-    found = run(tree, "validate", f"scenes/{scene}.toml", "--size", *size, "-j", "1")
-    assert found.returncode in (0, 1), found.stderr
-    return found
+@pytest.fixture(scope="session")
+def forks(tmp_path_factory):
+    """Runs commands; the processes of one session share what Mitsuba answered."""
+    base = tmp_path_factory.getbasetemp()
+    memory = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "answers"
+    memory.mkdir(exist_ok=True)
+    forks = Forks(tmp_path_factory.mktemp("words"), memory)
+    yield forks
+    forks.close()
 
 
 @pytest.fixture(scope="session")
 def unedited(tmp_path_factory):
-    return copy_tree(tmp_path_factory.mktemp("unedited"))
+    """Its modules are compiled to bytecode once, here, and so in every copy of it."""
+    tree = copy_tree(tmp_path_factory.mktemp("unedited"))
+    for package in PACKAGES:
+        assert compileall.compile_dir(tree / package, quiet=1)
+    return tree
+
+
+@pytest.fixture
+def tree(unedited, tmp_path):
+    """A copy to plant a fault in."""
+    return copy_tree(tmp_path, unedited)
+
+
+def validate(forks, tree, scene, size):
+    """What `validate` says, with its exit code; an internal error is no verdict."""
+    found = forks.run(tree, "validate", f"scenes/{scene}.toml", "--size", *size, "-j", "1")
+    assert found.returncode in (0, 1), found.stderr
+    return found
 
 
 @pytest.mark.parametrize(("scene", "width", "height"), CASES)
-def test_without_a_fault_the_scene_passes(unedited, scene, width, height):
-    found = validate(unedited, scene, (width, height))
+def test_without_a_fault_the_scene_passes(forks, unedited, scene, width, height):
+    found = validate(forks, unedited, scene, (width, height))
     assert (found.returncode, found.stderr) == (0, ""), found.stdout
     assert f"PASS  {scene} " in found.stdout and "FAIL" not in found.stdout
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.what)
-def test_a_planted_fault_fails_by_the_check_it_offends(tmp_path, fault):
-    tree = copy_tree(tmp_path)
+def test_a_planted_fault_fails_by_the_check_it_offends(forks, tree, fault):
     edit(tree, fault.file, fault.old, fault.new)
-    found = validate(tree, fault.scene, fault.size)
+    found = validate(forks, tree, fault.scene, fault.size)
     assert found.returncode == 1, f"this passes: {fault.what}\n{found.stdout}"
     assert re.search(rf"^FAIL  {fault.scene}  {fault.check}: ", found.stdout, re.MULTILINE), found.stdout
     again = re.findall(r"^      replay:    mitsuba-ref (.*)", found.stdout, re.MULTILINE)
@@ -726,13 +748,12 @@ CLASS_OF = {
 
 
 @pytest.mark.parametrize("what", CLASS_OF)
-def test_the_replay_of_a_pixel_shows_its_failure_again(tmp_path, what):
+def test_the_replay_of_a_pixel_shows_its_failure_again(forks, tree, what):
     (fault,) = (fault for fault in FAULTS if fault.what == what)
-    tree = copy_tree(tmp_path)
     edit(tree, fault.file, fault.old, fault.new)
-    found = validate(tree, fault.scene, fault.size)
+    found = validate(forks, tree, fault.scene, fault.size)
     (again,) = re.findall(r"^      replay:    mitsuba-ref (probe .*)", found.stdout, re.MULTILINE)
-    shown = run(tree, *shlex.split(again))
+    shown = forks.run(tree, *shlex.split(again))
     assert (shown.returncode, shown.stderr) == (1, "")
     assert shown.stdout.splitlines()[0].endswith(f": {CLASS_OF[what]}")
 
@@ -742,10 +763,10 @@ def test_the_replay_of_a_pixel_shows_its_failure_again(tmp_path, what):
 FILM = ("31", "24")
 
 
-def picture(tree, folder, module, name):
+def picture(forks, tree, folder, module, name):
     """One sphere as an EXR file, by `caster` or by `mitsuba_ref`."""
     words = ["--aov", "hit,depth,normal,shading_normal,position,diffuse,shape_id"]
-    found = run(
+    found = forks.run(
         tree,
         "render",
         "scenes/one-sphere.toml",
@@ -761,22 +782,21 @@ def picture(tree, folder, module, name):
 
 
 @pytest.fixture(scope="session")
-def pictures(unedited, tmp_path_factory):
+def pictures(forks, unedited, tmp_path_factory):
     """(ours, the reference's)"""
     folder = tmp_path_factory.mktemp("pictures")
-    return picture(unedited, folder, "caster", "ours.exr"), picture(
-        unedited, folder, "mitsuba_ref", "reference.exr"
-    )
+    ours = picture(forks, unedited, folder, "caster", "ours.exr")
+    return ours, picture(forks, unedited, folder, "mitsuba_ref", "reference.exr")
 
 
-def compare(tree, ours, reference):
-    found = run(tree, "compare", str(ours), str(reference))
+def compare(forks, tree, ours, reference):
+    found = forks.run(tree, "compare", str(ours), str(reference))
     assert found.returncode in (0, 1), found.stdout + found.stderr
     return found
 
 
-def test_without_a_fault_the_pictures_pass(unedited, pictures):
-    found = compare(unedited, *pictures)
+def test_without_a_fault_the_pictures_pass(forks, unedited, pictures):
+    found = compare(forks, unedited, *pictures)
     assert found.returncode == 0 and "PASS" in found.stdout
 
 
@@ -796,11 +816,10 @@ SEEN_IN_PICTURES = (
 
 
 @pytest.mark.parametrize(("what", "quantity"), SEEN_IN_PICTURES)
-def test_compare_fails_on_what_a_faulty_caster_renders(tmp_path, pictures, what, quantity):
+def test_compare_fails_on_what_a_faulty_caster_renders(forks, tree, tmp_path, pictures, what, quantity):
     (fault,) = (fault for fault in FAULTS if fault.what == what)
-    tree = copy_tree(tmp_path)
     edit(tree, fault.file, fault.old, fault.new)
-    found = compare(tree, picture(tree, tmp_path, "caster", "faulty.exr"), pictures[1])
+    found = compare(forks, tree, picture(forks, tree, tmp_path, "caster", "faulty.exr"), pictures[1])
     assert found.returncode == 1, f"this passes: {what}\n{found.stdout}"
     assert f"FAIL  {quantity}: " in found.stdout and "replay: mitsuba-ref probe" in found.stdout
 
@@ -838,11 +857,11 @@ IN_DATA = {
 
 
 @pytest.mark.parametrize("what", IN_DATA)
-def test_compare_fails_on_a_picture_with_a_fault(tmp_path, pictures, unedited, what):
+def test_compare_fails_on_a_picture_with_a_fault(forks, tmp_path, pictures, unedited, what):
     good = read_exr(pictures[0])
     faulty = tmp_path / "faulty.exr"
     with np.errstate(invalid="ignore"):  # inf where an average leaves the silhouette
         write_exr(faulty, IN_DATA[what](good.channels), good.provenance)
-    found = compare(unedited, faulty, pictures[1])
+    found = compare(forks, unedited, faulty, pictures[1])
     assert found.returncode == 1, f"this passes: {what}\n{found.stdout}"
     assert re.search(r"^FAIL  \w+: ", found.stdout, re.MULTILINE)

@@ -138,9 +138,9 @@ def test_one_step_needs_no_list():
 
 def test_a_camera_frame_has_right_and_up_as_in_the_image():
     right, up, forward = Orthographic(eye=[1, 1, 1], direction=[0, 0, -7], up=[0.0, 2.0, 1.0]).frame
-    assert (right.tolist(), up.tolist(), forward.tolist()) == ([1, 0, 0], [0, 1, 0], [0, 0, -1])
+    assert (right, up, forward) == ((1, 0, 0), (0, 1, 0), (0, 0, -1))
     right, up, forward = Pinhole(eye=[1, 1, 1], look_at=[9, 1, 1]).frame
-    assert (right.tolist(), up.tolist(), forward.tolist()) == ([0, 0, 1], [0, 1, 0], [1, 0, 0])
+    assert (right, up, forward) == ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 
 
 def test_a_shape_is_open_to_a_scene_once_it_is_in_the_registry():

@@ -1,0 +1,120 @@
+"""Rays of a film in, nearest hits out, tile by tile: each primitive against the pixels of its picture."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from caster.casting import decide_doubtful, finish, in_bands, thread_count
+from caster.kernels.nearest import Nearest, Rays, no_hits
+from caster.kernels.screen import (
+    Window,
+    cast_own_origins,
+    cast_shared_origin,
+    count_in_tiles,
+    find_spans,
+    sort_into_tiles,
+)
+from caster.kernels.tile import HEIGHT, WIDTH, Box, load_rays, new_tile, store_nearest
+from caster.packing import Kind, Packed
+
+
+@dataclass(frozen=True)
+class Sorted:
+    """The primitives of a kind, and in which tiles of the window each is to be looked for."""
+
+    kind: Kind
+    base: int  # place of its first primitive, counted kind by kind
+    spans: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
+    runs: list[int]  # tile n has primitives order[runs[n]:runs[n + 1]]
+    order: np.ndarray  # int32, primitive numbers within the kind
+
+
+def find_nearest_on_film(
+    packed: Packed, rays: Rays, camera: Any, window: Window, shares_origin: bool, threads: int | None = None
+) -> Nearest:
+    """The nearest hit of a camera's own rays."""
+    kinds = sorted_kinds(packed, camera, window, float(np.abs(rays.o).max(initial=0.0)), threads)
+    cast = cast_shared_origin if shares_origin else cast_own_origins
+    nearest, doubt = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
+    ids = ids_by_place(packed)
+
+    def work(number: int, box: Box, tile: np.ndarray) -> None:
+        load_rays(rays, window.width, box, tile)
+        cast_tile(cast, kinds, number, box, tile)
+        store_nearest(tile, ids, window.width, box, nearest, doubt)
+
+    in_tiles(work, window, threads)
+    return decide_doubtful(packed, rays, nearest, doubt, threads)
+
+
+def ids_by_place(packed: Packed) -> np.ndarray:
+    """(places,) int32, number in the scene of each primitive, kind by kind."""
+    return np.concatenate([kind.ids for kind in packed.kinds]) if packed.kinds else np.zeros(0, np.int32)
+
+
+def cast_tile(cast: Callable[..., None], kinds: list[Sorted], number: int, box: Box, tile: np.ndarray) -> None:
+    """Everything that may be seen in a tile."""
+    for it in kinds:
+        run = it.runs[number], it.runs[number + 1]
+        if run[0] < run[1]:
+            cast(it.kind.prims, it.order, run, it.spans, it.base, box, tile)
+
+
+def boxes(window: Window) -> Iterator[Box]:
+    """The tiles of a window, row by row."""
+    for y in range(0, window.height, HEIGHT):
+        for x in range(0, window.width, WIDTH):
+            yield x, y, min(x + WIDTH, window.width), min(y + HEIGHT, window.height)
+
+
+def in_tiles(
+    work: Callable[[int, Box, np.ndarray], None], window: Window, threads: int | None = None
+) -> None:
+    """Call work(number, box, tile) for each tile of the window; every thread has one array, for one tile at a time."""
+    left = iter(enumerate(boxes(window)))
+    tiles = len(range(0, window.width, WIDTH)) * len(range(0, window.height, HEIGHT))
+    workers = min(thread_count(threads), tiles)
+
+    def go() -> None:
+        tile = new_tile()
+        while (following := next(left, None)) is not None:  # one step of an iterator in C, so no two get the same
+            work(*following, tile)
+
+    if workers == 1:
+        go()
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            finish(pool, [pool.submit(go) for _ in range(workers)])
+        except BaseException:
+            for _ in left:
+                pass
+            raise
+
+
+def sorted_kinds(
+    packed: Packed, camera: Any, window: Window, origin: float, threads: int | None = None
+) -> list[Sorted]:
+    """Where to look for each primitive; `origin`: the largest |coordinate| of a ray's origin."""
+    bases = itertools.accumulate((len(kind.ids) for kind in packed.kinds), initial=0)
+    return [_sort(kind, base, camera, window, origin, threads) for kind, base in zip(packed.kinds, bases, strict=False)]
+
+
+def _sort(
+    kind: Kind, base: int, camera: Any, window: Window, origin: float, threads: int | None
+) -> Sorted:
+    slack = kind.reach * (origin + kind.extent) if kind.bounded else 0.0
+    spans = np.empty((len(kind.ids), 4), np.int32)
+    in_bands(lambda start, stop: find_spans(kind.prims, camera, window, spans, slack, start, stop), len(spans), threads)
+    across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
+    counts = np.zeros(across * down + 1, np.int64)
+    count_in_tiles(spans, across, counts)
+    ends = np.cumsum(counts)
+    runs = ends.tolist()
+    order = np.empty(runs[-1], np.int32)
+    sort_into_tiles(spans, across, ends, order)
+    return Sorted(kind, base, spans, runs, order)

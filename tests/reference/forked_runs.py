@@ -1,0 +1,98 @@
+"""Commands of edited copies, each in a fork of one process that has the libraries loaded already.
+
+To start Python, to load the libraries and to start Mitsuba takes three times as long as to judge a small film.
+So the process loads the libraries, and no more: what is under test is loaded by each fork, from its own tree. And
+Mitsuba is asked once about the same rays through the same scene; a fault that alters either has it asked anew.
+
+As a program it reads orders, a line of JSON each, and answers each with a line: the exit code.
+"""
+
+import hashlib
+import importlib
+import json
+import os
+import runpy
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+PACKAGES = ("caster", "mitsuba_ref")
+LIBRARIES = ("numpy.ma", "numpy.random", "numpy.typing", "pydantic.main", "pydantic.json_schema", "tree_sitter")
+STANDARD = ("concurrent.futures.thread", "importlib.metadata", "tomllib", "xml.etree.ElementTree", "zoneinfo")
+
+
+def serve() -> None:
+    """Obey until nobody gives orders any more."""
+    for name in (*LIBRARIES, *STANDARD):
+        importlib.import_module(name)
+    loaded = [name for name in sys.modules if name.partition(".")[0] in PACKAGES]
+    assert not loaded, f"a fork would not take these from its tree: {loaded}"
+    while order := sys.stdin.readline():
+        child = os.fork()
+        if child == 0:
+            return obey(**json.loads(order))
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+
+
+def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: str) -> None:
+    """What `python -P -m module argv` does with PYTHONPATH=tree; its words go to the files out and err."""
+    new = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+    for number, file, flags in ((0, os.devnull, os.O_RDONLY), (1, out, new), (2, err, new)):
+        os.dup2(os.open(file, flags), number)
+    os.environ["PYTHONPATH"] = tree
+    sys.path.insert(0, tree)
+    sys.argv = [module, *argv]
+    ask_once(Path(memory))
+    for name in PACKAGES:
+        assert Path(str(importlib.import_module(name).__file__)).is_relative_to(tree)
+    runpy.run_module(module, run_name="__main__", alter_sys=True)
+
+
+def ask_once(memory: Path) -> None:
+    """Answers of Mitsuba are kept in a folder, and taken from there where all that it would be given is the same."""
+    from mitsuba_ref import child
+    from mitsuba_ref.jobs import Answer
+
+    put = child.put
+
+    def put_once(job: Any, timeout: float, settings: Any = None) -> Any:
+        place = memory / everything_given(job, dict(settings or {}))
+        if place.is_dir():
+            return Answer.read(place, len(job.o))
+        answer = put(job, timeout, settings)
+        if isinstance(answer, Answer):
+            keep(answer, place)
+        return answer
+
+    child.put = put_once
+
+
+def everything_given(job: Any, settings: dict[str, str]) -> str:
+    """A hash of the settings, the rays and the files of the scene; every file of its folder counts."""
+    assert not job.more, "only jobs of one scene are known here"
+    told = hashlib.sha256()
+    told.update(repr((job.variant, job.lights, job.sensor, job.strict, sorted(settings.items()))).encode())
+    for name in job.ROWS:
+        array = getattr(job, name)
+        told.update(f"\n{name} {array.dtype} {array.shape}\n".encode() + array.tobytes())
+    folder = job.xml.parent
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        content = path.read_bytes()
+        told.update(f"\n{path.relative_to(folder)} {len(content)}\n".encode() + content)
+    return told.hexdigest()
+
+
+def keep(answer: Any, place: Path) -> None:
+    """Whole or not at all: two processes may keep the same answer at the same time."""
+    part = place.with_name(f"{place.name}.{os.getpid()}")
+    part.mkdir()
+    answer.write(part)
+    try:
+        part.rename(place)
+    except OSError:  # the other one was quicker
+        shutil.rmtree(part)
+
+
+if __name__ == "__main__":
+    serve()
