@@ -27,8 +27,8 @@ class Sorted:
     """The primitives of a kind, and in which tiles of the window each is to be looked for."""
 
     kind: Kind
-    base: int  # place of its first primitive, counted kind by kind
     spans: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
+    places: tuple[int, int]  # of its primitives, counted kind by kind
     runs: list[int]  # tile n has primitives order[runs[n]:runs[n + 1]]
     order: np.ndarray  # int32, primitive numbers within the kind
 
@@ -61,7 +61,7 @@ def cast_tile(cast: Callable[..., None], kinds: list[Sorted], number: int, box: 
     for it in kinds:
         run = it.runs[number], it.runs[number + 1]
         if run[0] < run[1]:
-            cast(it.kind.prims, it.order, run, it.spans, it.base, box, tile)
+            cast(it.kind.prims, it.order, run, it.spans, it.places[0], box, tile)
 
 
 def boxes(window: Window) -> Iterator[Box]:
@@ -117,4 +117,4 @@ def _sort(
     runs = ends.tolist()
     order = np.empty(runs[-1], np.int32)
     sort_into_tiles(spans, across, ends, order)
-    return Sorted(kind, base, spans, runs, order)
+    return Sorted(kind, spans, (base, base + len(kind.ids)), runs, order)

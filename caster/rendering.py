@@ -8,8 +8,9 @@ from caster.aovs import BY_NAME
 from caster.casting import Culling, find_nearest, in_bands
 from caster.fields import SceneError, suggestion
 from caster.film_casting import find_nearest_on_film
+from caster.film_painting import PAINTED, paint_film
 from caster.kernels.gather import shoot
-from caster.kernels.nearest import Rays
+from caster.kernels.nearest import Rays, new_rays
 from caster.kernels.screen import Window
 from caster.packing import Packed, pack
 from caster.placing import Rounding, as_given
@@ -51,6 +52,10 @@ def render(
     Raises SceneError for an AOV that does not exist.
     """
     check_names(aovs)
+    planned = culling or plan(scene.camera.pack(1, 1)).culling
+    if planned == "screen" and PAINTED.issuperset(aovs):
+        painted = paint_film(scene, pack(scene), film_window(scene), aovs, threads)
+        return Aovs(painted.images, painted.hit)
     return evaluate(look(scene, threads=threads, culling=culling), aovs, film_window(scene))
 
 
@@ -72,8 +77,7 @@ def camera_rays(scene: Scene, threads: int | None = None) -> Rays:
     """Rays through the pixel centres of the window, row by row from the top left; float64, d of length 1."""
     window = film_window(scene)
     camera = scene.camera.pack(scene.film.width, scene.film.height)
-    n = window.width * window.height
-    rays = Rays(np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty(n))
+    rays = new_rays(window.width * window.height)
     in_bands(lambda start, stop: shoot(camera, window, rays, start, stop), window.height, threads)
     return rays
 

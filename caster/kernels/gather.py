@@ -35,6 +35,17 @@ def shoot(camera: Any, window: Any, rays: Any, first_row: int, last_row: int) ->
 
 
 @jit
+def shoot_at(camera: Any, window: Any, rays: Any, pixels: Any) -> None:
+    """The rays through the centres of some pixels, numbered row by row through the window."""
+    for j in range(len(pixels)):
+        y, x = pixels[j] // window.width, pixels[j] % window.width
+        o, d, t_min, t_max = ray(camera, window.x0 + x + 0.5, window.y0 + y + 0.5)
+        for c in range(3):
+            rays.o[j, c], rays.d[j, c] = o[c], d[c]
+        rays.t_min[j], rays.t_max[j] = t_min, t_max
+
+
+@jit
 def find_surfaces(prims: Any, ks: Any, where: Any, rays: Any, t: Any, out: Any) -> None:
     """The surface of primitive ks[j] on ray where[j], for every j."""
     for j in range(len(where)):

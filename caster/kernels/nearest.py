@@ -38,6 +38,11 @@ class Sketch(NamedTuple):
     ids: np.ndarray  # (k,) int32, numbers in the scene of the primitives that are being cast at
 
 
+def new_rays(count: int) -> Rays:
+    """Room for so many."""
+    return Rays(np.empty((count, 3)), np.empty((count, 3)), np.empty(count), np.empty(count))
+
+
 def no_hits(count: int) -> Nearest:
     return Nearest(np.full(count, np.inf), np.full(count, -1, np.int32), np.zeros(count))
 

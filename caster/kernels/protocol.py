@@ -41,6 +41,11 @@ def keep_nearer(record: Any, i: int, prims: Any, k: int, rays: Any, hit: Any) ->
     """Fold what `intersect` says of primitive k into the record of ray i, by the order of (true t, k)."""
 
 
+@generic_inlined
+def normal(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
+    """The geometric normal, of unit length, where the ray meets primitive k at t."""
+
+
 @generic
 def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
     """(p, n, sh_n, u, v) where the ray meets primitive k at t; n and sh_n are unit vectors."""

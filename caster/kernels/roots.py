@@ -11,8 +11,9 @@ from caster.kernels.vec import TINY, U, along, answer, dot, size, sure_within, u
 # The bounds are of second order in the error of d over d's length, which has to be below 1/32 for them to hold.
 STEADY = 2.0**-10
 
-# 2^ROOM has a square, with room for three of them.
+# 2^ROOM has a square, with room for three of them. Between the other two, squares need no thought at all.
 ROOM = 500
+SMALL, LARGE = 2.0**-100, 2.0**100
 
 # Squares of shorter directions lose bits to underflow.
 FLOOR = 2.0**-900
@@ -122,13 +123,15 @@ def way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     From the closest approach, g off the centre, and half the chord h: by that a ball that is smaller than the rounding
     of t keeps its shape. h^2 = r^2 - g^2 is off by u / h, so where h < g, t tells it better.
     """
-    largest = max(abs(f[0]), abs(f[1]), abs(f[2]))
-    e = min(-math.frexp(r)[1], ROOM - math.frexp(largest)[1])  # so that all squares are numbers
-    f = times_power(f[0], e), times_power(f[1], e), times_power(f[2], e)
-    r, along_d = math.ldexp(r, e), unit(d)
+    largest, along_d = max(abs(f[0]), abs(f[1]), abs(f[2])), unit(d)
+    reach = t * dot(d, along_d)
+    if not (r > SMALL and max(r, largest) < LARGE):
+        e = min(-math.frexp(r)[1], ROOM - math.frexp(largest)[1])  # so that all squares are numbers
+        f, r = (times_power(f[0], e), times_power(f[1], e), times_power(f[2], e)), math.ldexp(r, e)
+        reach = times_power(reach, e)
     s = -dot(f, along_d)
     closest = along(f, s, along_d)
-    gg, beyond = dot(closest, closest), times_power(t * dot(d, along_d), e) - s
+    gg, beyond = dot(closest, closest), reach - s
     h = math.sqrt(max(r * r - gg, 0.0))
     told = min(abs(beyond), r) if h * h < gg else h
     # where t does not tell the two ends apart, the near one is what a ray from outside meets

@@ -1,5 +1,6 @@
 """The kind `Triangles`: what triangle, mesh, rectangle, cube and every generated mesh are made of."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -7,8 +8,10 @@ import numpy as np
 from caster.kernels.exact_planar import exact_triangle
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement, inlined, jit
-from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, passes, prepare, root, surface
+from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, normal, passes, prepare, root, surface
 from caster.kernels.vec import (
+    LARGEST_SQUARE,
+    SMALLEST_SQUARE,
     TINY,
     U,
     about_one,
@@ -180,13 +183,31 @@ def _root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> R
     return exact_triangle(corners, o, d, t_min, t_max)
 
 
+@jit
+def across(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+    """The unit normal of a triangle, however small or large it is; 0 if it has none."""
+    e1, e2 = sub(b, a), sub(c, a)
+    n = cross(e1, e2)
+    square = dot(n, n)
+    if SMALLEST_SQUARE < square < LARGEST_SQUARE:
+        length = math.sqrt(square)
+        return n[0] / length, n[1] / length, n[2] / length
+    return unit(cross(about_one(e1), about_one(e2)))
+
+
+@implement(normal, Triangles)
+def _normal(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Vec3:
+    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
+    return across(row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2))
+
+
 @implement(surface, Triangles)
 def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
     b0, b1, b2 = barycentrics(sub(a, o), sub(b, o), sub(c, o), d, t)
     p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
-    n = unit(cross(about_one(sub(b, a)), about_one(sub(c, a))))
+    n = across(a, b, c)
     sh_n = n
     if prims.smooth[k]:
         n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)

@@ -10,7 +10,7 @@ from caster.fields import Positive, Shape, Vec3
 from caster.kernels.exact_quadric import exact_tube, placed
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement, inlined
-from caster.kernels.protocol import hull_point, hull_size, intersect, passes, prepare, root, surface
+from caster.kernels.protocol import hull_point, hull_size, intersect, normal, passes, prepare, root, surface
 from caster.kernels.roots import approach, ball_at, chord, earlier, way_out
 from caster.kernels.vec import (
     SEEN_ERROR,
@@ -127,6 +127,14 @@ def between_ends(hit: tuple[float, float], axis: tuple[float, float, float, floa
 def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     f, e, h, unit = placed(row(prims.center, k), prims.to_world[k], o, d)
     return exact_tube(f, e, h, unit, t_min, t_max)
+
+
+@implement(normal, Cylinders)
+def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
+    f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
+    e = turned(prims.to_object, k, d)
+    x, y, _ = way_out((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
+    return unit(turned_back(prims.to_object, k, (x, y, 0.0)))
 
 
 @implement(surface, Cylinders)

@@ -9,7 +9,7 @@ from caster.fields import Shape
 from caster.kernels.exact_planar import exact_disk
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, passes, prepare, root, surface
+from caster.kernels.protocol import hull_point, hull_size, intersect, normal, passes, prepare, root, surface
 from caster.kernels.vec import (
     SEEN_ERROR,
     TINY,
@@ -91,13 +91,18 @@ def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Roo
     return exact_disk(row(prims.center, k), prims.to_world[k], o, d, t_min, t_max)
 
 
+@implement(normal, Disks)
+def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
+    return unit(turned_back(prims.to_object, k, (0.0, 0.0, 1.0)))
+
+
 @implement(surface, Disks)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     """u is the distance from the centre, v the angle as a fraction of a turn."""
     f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
     e = turned(prims.to_object, k, d)
     x, y = f[0] + t * e[0], f[1] + t * e[1]
-    n = unit(turned_back(prims.to_object, k, (0.0, 0.0, 1.0)))
+    n = normal(prims, k, o, d, t)
     p = add(row(prims.center, k), turned(prims.to_world, k, (x, y, 0.0)))
     return p, n, n, math.sqrt(x * x + y * y), angle_fraction(y, x)
 

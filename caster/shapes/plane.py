@@ -9,7 +9,7 @@ from caster.fields import Number, Shape, UnitVec3, Vec3
 from caster.kernels.exact_planar import exact_plane
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, passes, prepare, root, surface
+from caster.kernels.protocol import hull_point, hull_size, intersect, normal, passes, prepare, root, surface
 from caster.kernels.vec import (
     TINY,
     U,
@@ -91,10 +91,15 @@ def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Roo
     return exact_plane(row(prims.normal, k), row(prims.point, k), o, d, t_min, t_max)
 
 
+@implement(normal, Planes)
+def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
+    return unit(row(prims.normal, k))
+
+
 @implement(surface, Planes)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     """uv are distances from `point` along two axes of the plane, in scene units."""
-    n = unit(row(prims.normal, k))
+    n = normal(prims, k, o, d, t)
     p = along(o, t, d)
     side = (1.0, 0.0, 0.0) if abs(n[0]) < 0.5 else (0.0, 1.0, 0.0)
     right = unit(cross(side, n))

@@ -9,7 +9,7 @@ from caster.fields import Positive, Shape, Vec3
 from caster.kernels.exact_quadric import exact_ball, exact_sphere, placed
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, passes, prepare, root, surface
+from caster.kernels.protocol import hull_point, hull_size, intersect, normal, passes, prepare, root, surface
 from caster.kernels.roots import approach, ball_at, chord, first_root, way_out
 from caster.kernels.vec import (
     SEEN_ERROR,
@@ -85,10 +85,15 @@ def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Roo
     return exact_sphere(row(prims.center, k), prims.radius[k], o, d, t_min, t_max)
 
 
+@implement(normal, Spheres)
+def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
+    return way_out(sub(o, row(prims.center, k)), d, t, prims.radius[k])
+
+
 @implement(surface, Spheres)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     center, r = row(prims.center, k), prims.radius[k]
-    n = way_out(sub(o, center), d, t, r)
+    n = normal(prims, k, o, d, t)
     q = turned(prims.turn, k, n)
     v = math.acos(min(max(q[2], -1.0), 1.0)) / math.pi
     return along(center, r, n), n, n, angle_fraction(q[1], q[0]), v
@@ -133,6 +138,13 @@ def _passes_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
 def _root_ellipsoid(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     f, e, h, unit = placed(row(prims.center, k), prims.to_world[k], o, d)
     return exact_ball(f, e, h, unit, t_min, t_max)
+
+
+@implement(normal, Ellipsoids)
+def _normal_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
+    f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
+    q = way_out(f, turned(prims.to_object, k, d), t, 1.0)
+    return unit(turned_back(prims.to_object, k, q))
 
 
 @implement(surface, Ellipsoids)

@@ -1,0 +1,144 @@
+"""AOVs of a film, tile by tile: rays, hits and what is asked about them, while they are in a core's cache.
+
+The same bits as `rendering.evaluate` gives, which takes one step after the other for the whole film.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from caster.aovs import BY_NAME
+from caster.casting import decide
+from caster.film_casting import Sorted, cast_tile, ids_by_place, in_tiles, sorted_kinds
+from caster.kernels.gather import shoot_at
+from caster.kernels.nearest import new_rays
+from caster.kernels.paint import (
+    paint_albedo,
+    paint_depth,
+    paint_doubt,
+    paint_hits,
+    paint_normals,
+    paint_numbers,
+    paint_surfaces,
+)
+from caster.kernels.screen import Window, cast_own_origins, cast_shared_origin
+from caster.kernels.tile import Box, shoot_rays
+from caster.packing import Packed
+from caster.scene import Scene
+from caster.view import View
+
+CHANNELS = {"position": 3, "normal": 3, "shading_normal": 3, "uv": 2, "albedo": 3}
+NUMBERS = ("shape_id", "prim_id")
+PAINTED = {"hit", "depth", *CHANNELS, *NUMBERS}
+
+Painter = Callable[[np.ndarray, Box], None]
+
+
+@dataclass(frozen=True)
+class Painted:
+    """A film with all its pixels."""
+
+    images: dict[str, np.ndarray]
+    hit: np.ndarray  # (h, w) bool
+    doubtful: int  # pixels whose answer had to be found exactly
+
+
+def paint_film(
+    scene: Scene, packed: Packed, window: Window, aovs: Sequence[str], threads: int | None = None
+) -> Painted:
+    """The AOVs, all of PAINTED, of a window that a camera which keeps straight lines straight looks through."""
+    camera = scene.camera.pack(scene.film.width, scene.film.height)
+    hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
+    images = {name: _blank(name, window) for name in aovs}
+    kinds = sorted_kinds(packed, camera, window, _farthest_origin(camera, window), threads)
+    painters = [*_painters(scene, packed, kinds, images), partial(_hits, hit, doubt)]
+    cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
+
+    def work(number: int, box: Box, tile: np.ndarray) -> None:
+        shoot_rays(camera, window, box, tile)
+        cast_tile(cast, kinds, number, box, tile)
+        for paint in painters:
+            paint(tile, box)
+
+    in_tiles(work, window, threads)
+    pixels = np.flatnonzero(doubt)
+    if len(pixels):
+        view = _decided(scene, packed, window, camera, pixels, threads)
+        hit.reshape(-1)[pixels] = view.hit
+        for name, image in images.items():
+            image.reshape(doubt.size, *image.shape[2:])[pixels] = BY_NAME[name].evaluate(view)
+    return Painted(images, hit, len(pixels))
+
+
+def _blank(name: str, window: Window) -> np.ndarray:
+    """An image of nothing; depth and hit are written everywhere."""
+    shape = window.height, window.width
+    if name in NUMBERS:
+        return np.full(shape, -1, np.int32)
+    return np.zeros((*shape, CHANNELS[name])) if name in CHANNELS else np.empty(shape)
+
+
+def _farthest_origin(camera: Any, window: Window) -> float:
+    """The largest |coordinate| of an origin, which is one point or linear over the film: at a corner of it."""
+    rays = new_rays(4)
+    right, bottom = window.width - 1, (window.height - 1) * window.width
+    shoot_at(camera, window, rays, np.array([0, right, bottom, bottom + right]))
+    return float(np.abs(rays.o).max())
+
+
+def _hits(hit: np.ndarray, doubt: np.ndarray, tile: np.ndarray, box: Box) -> None:
+    paint_hits(tile, box, hit)
+    paint_doubt(tile, box, doubt)
+
+
+def _painters(
+    scene: Scene, packed: Packed, kinds: list[Sorted], images: dict[str, np.ndarray]
+) -> list[Painter]:
+    """What paints the images, and nothing else."""
+    painters: list[Painter] = []
+    if "hit" in images:
+        painters.append(lambda tile, box: paint_hits(tile, box, images["hit"]))
+    if "depth" in images:
+        painters.append(lambda tile, box: paint_depth(tile, box, images["depth"]))
+    if images.keys() & {"position", "shading_normal", "uv"}:
+        wanted = [images.get(name) for name in ("position", "normal", "shading_normal", "uv")]
+        painters.extend(partial(_surfaces, it, wanted) for it in kinds)
+    elif "normal" in images:
+        painters.extend(partial(_normals, it, images["normal"]) for it in kinds)
+    if packed.kinds and images.keys() & {*NUMBERS, "albedo"}:
+        painters.extend(_number_painters(scene, packed, images))
+    return painters
+
+
+def _surfaces(it: Sorted, wanted: list[np.ndarray | None], tile: np.ndarray, box: Box) -> None:
+    paint_surfaces(it.kind.prims, it.places, tile, box, *wanted)
+
+
+def _normals(it: Sorted, image: np.ndarray, tile: np.ndarray, box: Box) -> None:
+    paint_normals(it.kind.prims, it.places, tile, box, image)
+
+
+def _number_painters(scene: Scene, packed: Packed, images: dict[str, np.ndarray]) -> list[Painter]:
+    ids = ids_by_place(packed)
+    shapes, painters = packed.shape_of(ids), []
+    if "shape_id" in images:
+        painters.append(lambda tile, box: paint_numbers(tile, box, shapes, images["shape_id"]))
+    if "prim_id" in images:
+        numbers = (ids - packed.first[shapes]).astype(np.int32)
+        painters.append(lambda tile, box: paint_numbers(tile, box, numbers, images["prim_id"]))
+    if "albedo" in images:
+        table = np.array([scene.material_of(shape).reflectance for shape in scene.shapes])
+        painters.append(lambda tile, box: paint_albedo(tile, box, shapes, table, images["albedo"]))
+    return painters
+
+
+def _decided(
+    scene: Scene, packed: Packed, window: Window, camera: Any, pixels: np.ndarray, threads: int | None
+) -> View:
+    """What is seen in some pixels, found exactly where float64 cannot tell."""
+    rays = new_rays(len(pixels))
+    shoot_at(camera, window, rays, pixels)
+    return View(scene, packed, rays, decide(packed, rays, threads), np.zeros(len(pixels)), threads)

@@ -1,0 +1,105 @@
+"""From the hits of a tile to AOVs: one pass a tile for each thing that was asked for."""
+
+import math
+from typing import Any
+
+from caster.kernels.jit import jit
+from caster.kernels.protocol import normal, surface
+from caster.kernels.tile import DOUBT, DX, DY, DZ, OX, OY, OZ, PLACE, WIDTH, T, lane
+
+# Images are (height, width) or (height, width, c) arrays of the whole window; box says where the tile lies.
+
+
+@jit
+def paint_hits(tile: Any, box: Any, hit: Any) -> None:
+    """Whether anything was hit."""
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        for x in range(x1 - x0):
+            hit[y, x0 + x] = tile[PLACE + lane((y - y0) * WIDTH + x)] >= 0.0
+
+
+@jit
+def paint_doubt(tile: Any, box: Any, doubt: Any) -> None:
+    """Whether the answer has to be found exactly; doubt is all false before."""
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        any_doubt = 0.0
+        for x in range(x1 - x0):
+            any_doubt += tile[DOUBT + lane((y - y0) * WIDTH + x)]
+        if any_doubt > 0.0:
+            for x in range(x1 - x0):
+                doubt[y, x0 + x] = tile[DOUBT + lane((y - y0) * WIDTH + x)] != 0.0
+
+
+@jit
+def paint_depth(tile: Any, box: Any, depth: Any) -> None:
+    """t times the length of d, inf on a miss."""
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        for x in range(x1 - x0):
+            i = lane((y - y0) * WIDTH + x)
+            a, b, c = tile[DX + i], tile[DY + i], tile[DZ + i]
+            depth[y, x0 + x] = tile[T + i] * math.sqrt(a * a + b * b + c * c)
+
+
+@jit
+def paint_numbers(tile: Any, box: Any, table: Any, image: Any) -> None:
+    """table[place] of what was hit; the image stays as it is elsewhere."""
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        for x in range(x1 - x0):
+            place = int(tile[PLACE + lane((y - y0) * WIDTH + x)])
+            if place >= 0:
+                image[y, x0 + x] = table[place]
+
+
+@jit
+def paint_albedo(tile: Any, box: Any, shapes: Any, table: Any, image: Any) -> None:
+    """table[shapes[place]], three numbers each; the image stays as it is on a miss."""
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        for x in range(x1 - x0):
+            place = int(tile[PLACE + lane((y - y0) * WIDTH + x)])
+            if place >= 0:
+                for c in range(3):
+                    image[y, x0 + x, c] = table[shapes[place], c]
+
+
+@jit
+def paint_normals(prims: Any, places: Any, tile: Any, box: Any, image: Any) -> None:
+    """Geometric normals of the hits on one kind, whose places are places[0] to places[1]."""
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        for x in range(x1 - x0):
+            i = lane((y - y0) * WIDTH + x)
+            place = int(tile[PLACE + i])
+            if places[0] <= place < places[1]:
+                o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
+                n = normal(prims, place - places[0], o, d, tile[T + i])
+                image[y, x0 + x, 0], image[y, x0 + x, 1], image[y, x0 + x, 2] = n[0], n[1], n[2]
+
+
+@jit
+def paint_surfaces(prims: Any, places: Any, tile: Any, box: Any, p: Any, n: Any, sh_n: Any, uv: Any) -> None:
+    """The same for all that `surface` says; None for an image that was not asked for."""
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        for x in range(x1 - x0):
+            i = lane((y - y0) * WIDTH + x)
+            place = int(tile[PLACE + i])
+            if places[0] <= place < places[1]:
+                o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
+                at, across, shading, s, r = surface(prims, place - places[0], o, d, tile[T + i])
+                if p is not None:
+                    p[y, x0 + x, 0], p[y, x0 + x, 1], p[y, x0 + x, 2] = at[0], at[1], at[2]
+                if n is not None:
+                    n[y, x0 + x, 0], n[y, x0 + x, 1], n[y, x0 + x, 2] = across[0], across[1], across[2]
+                if sh_n is not None:
+                    sh_n[y, x0 + x, 0], sh_n[y, x0 + x, 1], sh_n[y, x0 + x, 2] = (
+                        shading[0],
+                        shading[1],
+                        shading[2],
+                    )
+                if uv is not None:
+                    uv[y, x0 + x, 0], uv[y, x0 + x, 1] = s, r
