@@ -20,6 +20,8 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parents[1]
 SCENES = (
+    "one-sphere",
+    "cylinders",
     "every-shape",
     "cornell-box",
     "teapot",

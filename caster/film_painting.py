@@ -16,6 +16,7 @@ from caster.film_casting import Sorted, cast_tile, ids_by_place, in_tiles, sorte
 from caster.kernels.gather import shoot_at
 from caster.kernels.nearest import new_rays
 from caster.kernels.paint import (
+    find_normals,
     paint_albedo,
     paint_depth,
     paint_doubt,
@@ -53,8 +54,9 @@ def paint_film(
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: _blank(name, window) for name in aovs}
-    kinds = sorted_kinds(packed, camera, window, _farthest_origin(camera, window), threads)
-    painters = [*_painters(scene, packed, kinds, images), partial(_hits, hit, doubt)]
+    reach = _farthest_origin(camera, window)
+    kinds = sorted_kinds(packed, camera, window, reach, threads)
+    painters = [*_painters(scene, packed, kinds, reach, images), partial(_hits, hit, doubt)]
     cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
 
     def work(number: int, box: Box, tile: np.ndarray) -> None:
@@ -95,7 +97,7 @@ def _hits(hit: np.ndarray, doubt: np.ndarray, tile: np.ndarray, box: Box) -> Non
 
 
 def _painters(
-    scene: Scene, packed: Packed, kinds: list[Sorted], images: dict[str, np.ndarray]
+    scene: Scene, packed: Packed, kinds: list[Sorted], reach: float, images: dict[str, np.ndarray]
 ) -> list[Painter]:
     """What paints the images, and nothing else."""
     painters: list[Painter] = []
@@ -107,7 +109,8 @@ def _painters(
         wanted = [images.get(name) for name in ("position", "normal", "shading_normal", "uv")]
         painters.extend(partial(_surfaces, it, wanted) for it in kinds)
     elif "normal" in images:
-        painters.extend(partial(_normals, it, images["normal"]) for it in kinds)
+        painters.extend(partial(_normals, it, reach) for it in kinds)
+        painters.append(lambda tile, box: paint_normals(tile, box, images["normal"]))
     if packed.kinds and images.keys() & {*NUMBERS, "albedo"}:
         painters.extend(_number_painters(scene, packed, images))
     return painters
@@ -117,8 +120,8 @@ def _surfaces(it: Sorted, wanted: list[np.ndarray | None], tile: np.ndarray, box
     paint_surfaces(it.kind.prims, it.places, tile, box, *wanted)
 
 
-def _normals(it: Sorted, image: np.ndarray, tile: np.ndarray, box: Box) -> None:
-    paint_normals(it.kind.prims, it.places, tile, box, image)
+def _normals(it: Sorted, reach: float, tile: np.ndarray, box: Box) -> None:
+    find_normals(it.kind.prims, it.places, reach, tile, box)
 
 
 def _number_painters(scene: Scene, packed: Packed, images: dict[str, np.ndarray]) -> list[Painter]:

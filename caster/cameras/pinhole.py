@@ -8,9 +8,9 @@ from pydantic import Field, model_validator
 from caster.fields import Camera, FieldOfView, NonNegative, Number, Positive
 from caster.kernels.jit import implement
 from caster.kernels.protocol import Vec3, project, ray
-from caster.kernels.vec import add, dot, scaled, sub, unit
+from caster.kernels.vec import add, dot, scaled, size, sub, unit
 
-# A point is projected only where its depth is more than this share of its distance from the eye: there the
+# A point is projected only where its depth is more than this share of its distance (the sum of magnitudes): there the
 # rounding of its position moves the picture by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
 SHALLOWEST = 1e-6
 
@@ -85,13 +85,11 @@ def _ray(camera: Any, x: float, y: float) -> Any:
 @implement(project, PinholeRays)
 def _project(camera: Any, p: Any) -> Any:
     q = sub(p, camera.eye)
-    depth = dot(q, camera.forward)
-    distance = math.sqrt(dot(q, q))
-    if depth <= SHALLOWEST * distance:
+    depth, distance = dot(q, camera.forward), size(q)
+    if not depth > SHALLOWEST * distance:
         return 0.0, 0.0, 0.0, False
-    across = dot(q, camera.right) / depth / camera.half[0]
-    above = dot(q, camera.up) / depth / camera.half[1]
-    x = (0.5 * (across + 1.0) - camera.shift[0]) * camera.size[0]
-    y = (0.5 * (1.0 - above) - camera.shift[1]) * camera.size[1]
-    pixels = 0.5 * max(camera.size[0] / camera.half[0], camera.size[1] / camera.half[1]) / depth
-    return x, y, pixels * (1.0 + distance / depth), True
+    closeness = 1.0 / depth
+    wide, high = 0.5 * camera.size[0] / camera.half[0], 0.5 * camera.size[1] / camera.half[1]
+    x = wide * (dot(q, camera.right) * closeness) + (0.5 - camera.shift[0]) * camera.size[0]
+    y = (0.5 - camera.shift[1]) * camera.size[1] - high * (dot(q, camera.up) * closeness)
+    return x, y, max(wide, high) * closeness * (1.0 + distance * closeness), True

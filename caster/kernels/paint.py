@@ -3,9 +3,9 @@
 import math
 from typing import Any
 
-from caster.kernels.jit import jit
-from caster.kernels.protocol import normal, surface
-from caster.kernels.tile import DOUBT, DX, DY, DZ, OX, OY, OZ, PLACE, WIDTH, T, lane
+from caster.kernels.jit import inlined, jit
+from caster.kernels.protocol import facing, normal, plain_normal, surface
+from caster.kernels.tile import DOUBT, DX, DY, DZ, NX, NY, NZ, OX, OY, OZ, PLACE, WIDTH, T, lane
 
 # Images are (height, width) or (height, width, c) arrays of the whole window; box says where the tile lies.
 
@@ -67,17 +67,48 @@ def paint_albedo(tile: Any, box: Any, shapes: Any, table: Any, image: Any) -> No
 
 
 @jit
-def paint_normals(prims: Any, places: Any, tile: Any, box: Any, image: Any) -> None:
-    """Geometric normals of the hits on one kind, whose places are places[0] to places[1]."""
+def find_normals(prims: Any, places: Any, reach: float, tile: Any, box: Any) -> None:
+    """Geometric normals of the hits on one kind, whose places are places[0] to places[1]; run by run of pixels.
+
+    Into the fields NX, NY, NZ. reach: the largest |coordinate| of an origin.
+    """
+    x0, y0, x1, y1 = box
+    for y in range(y1 - y0):
+        i, stop = lane(y * WIDTH), lane(y * WIDTH + x1 - x0)
+        while i < stop:
+            place, end = tile[PLACE + i], i + lane(1)
+            while end < stop and tile[PLACE + end] == place:
+                end += lane(1)
+            if places[0] <= place < places[1]:
+                k = int(place) - places[0]
+                find_run(prims, k, facing(prims, k, reach), tile, i, end)
+            i = end
+
+
+@inlined
+def find_run(prims: Any, k: int, face: Any, tile: Any, start: Any, stop: Any) -> None:
+    """The normals of pixels in a row that show one primitive."""
+    if face[0]:
+        for i in range(start, stop):
+            o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
+            tile[NX + i], tile[NY + i], tile[NZ + i] = plain_normal(prims, face, o, d, tile[T + i])
+        return
+    for i in range(start, stop):
+        o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
+        tile[NX + i], tile[NY + i], tile[NZ + i] = normal(prims, k, o, d, tile[T + i])
+
+
+@jit
+def paint_normals(tile: Any, box: Any, image: Any) -> None:
+    """The normals that have been found; 0 on a miss."""
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
         for x in range(x1 - x0):
             i = lane((y - y0) * WIDTH + x)
-            place = int(tile[PLACE + i])
-            if places[0] <= place < places[1]:
-                o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
-                n = normal(prims, place - places[0], o, d, tile[T + i])
-                image[y, x0 + x, 0], image[y, x0 + x, 1], image[y, x0 + x, 2] = n[0], n[1], n[2]
+            hit = tile[PLACE + i] >= 0.0
+            image[y, x0 + x, 0] = tile[NX + i] if hit else 0.0
+            image[y, x0 + x, 1] = tile[NY + i] if hit else 0.0
+            image[y, x0 + x, 2] = tile[NZ + i] if hit else 0.0
 
 
 @jit

@@ -46,27 +46,40 @@ def normal(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
     """The geometric normal, of unit length, where the ray meets primitive k at t."""
 
 
+@generic_inlined
+def facing(prims: Any, k: int, reach: float) -> Any:
+    """(plain, ...): what `plain_normal` wants to know of primitive k, and whether it will do for it.
+
+    reach: the largest |coordinate| of an origin.
+    """
+
+
+@generic_inlined
+def plain_normal(prims: Any, face: Any, o: Vec3, d: Vec3, t: float) -> Any:
+    """The same bits as `normal`, without a branch."""
+
+
 @generic
 def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
     """(p, n, sh_n, u, v) where the ray meets primitive k at t; n and sh_n are unit vectors."""
 
 
-@generic
+@generic_inlined
 def hull_size(prims: Any) -> Any:
     """How many points hull_point gives for each primitive; 0 for a kind without bounds."""
 
 
-@generic
+@generic_inlined
 def hull_point(prims: Any, k: int, j: int) -> Any:
     """Point j of a set whose convex hull holds primitive k."""
 
 
-@generic
+@generic_inlined
 def ray(camera: Any, x: float, y: float) -> Any:
     """(o, d, t_min, t_max) of the ray through film position (x, y), in pixels; t_max < 0 says: no ray."""
 
 
-@generic
+@generic_inlined
 def project(camera: Any, p: Vec3) -> Any:
     """(x, y, pixels, valid): where p falls on the film; a unit step of p moves it by at most so many pixels.
 

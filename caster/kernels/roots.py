@@ -118,26 +118,47 @@ def chord(ball: Any, d: Vec3, d_off: float) -> Chord:
 
 @jit
 def way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
-    """The unit vector from the centre of |p| = r to where f + t d meets it.
-
-    From the closest approach, g off the centre, and half the chord h: by that a ball that is smaller than the rounding
-    of t keeps its shape. h^2 = r^2 - g^2 is off by u / h, so where h < g, t tells it better.
-    """
+    """The unit vector from the centre of |p| = r to where f + t d meets it."""
     largest, along_d = max(abs(f[0]), abs(f[1]), abs(f[2])), unit(d)
     reach = t * dot(d, along_d)
     if not (r > SMALL and max(r, largest) < LARGE):
         e = min(-math.frexp(r)[1], ROOM - math.frexp(largest)[1])  # so that all squares are numbers
         f, r = (times_power(f[0], e), times_power(f[1], e), times_power(f[2], e)), math.ldexp(r, e)
         reach = times_power(reach, e)
-    s = -dot(f, along_d)
-    closest = along(f, s, along_d)
-    gg, beyond = dot(closest, closest), reach - s
+    return off_the_approach(f, along_d, reach, r)
+
+
+@inlined
+def plain_way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
+    """The same bits, for r from SMALL to LARGE and an f below LARGE."""
+    along_d = unit(d)
+    return off_the_approach(f, along_d, t * dot(d, along_d), r)
+
+
+@inlined
+def off_the_approach(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
+    """The unit vector from the centre of |p| = r to f + t d, d being of length 1.
+
+    From the closest approach, g off the centre, and half the chord h: by that a ball that is smaller than the rounding
+    of t keeps its shape. h^2 = r^2 - g^2 is off by u / h, so where h < g, t tells it better.
+    """
+    s = -dot(f, d)
+    closest = along(f, s, d)
+    gg, beyond = dot(closest, closest), t - s
     h = math.sqrt(max(r * r - gg, 0.0))
     told = min(abs(beyond), r) if h * h < gg else h
     # where t does not tell the two ends apart, the near one is what a ray from outside meets
     side = 1.0 if beyond > (4.0 * U * abs(s) if dot(f, f) > r * r else 0.0) else -1.0
-    out = along(closest, side * told, along_d)
-    return unit(out if size(out) > 0.0 else along(closest, side * r, along_d))
+    out = along(closest, side * told, d)
+    back = along(closest, side * r, d)
+    there = size(out) > 0.0
+    return unit((out[0] if there else back[0], out[1] if there else back[1], out[2] if there else back[2]))
+
+
+@jit
+def is_plain(center: Vec3, r: float, reach: float) -> bool:
+    """Whether `plain_way_out` will do, for origins whose coordinates are at most `reach`."""
+    return r > SMALL and max(r, abs(center[0]) + reach, abs(center[1]) + reach, abs(center[2]) + reach) < LARGE
 
 
 @inlined

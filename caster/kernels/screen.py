@@ -41,7 +41,7 @@ class Window(NamedTuple):
     height: int
 
 
-@jit
+@inlined
 def film_box(prims: Any, k: int, camera: Any, slack: float) -> tuple[float, float, float, float]:
     """(left, top, right, bottom) around the picture of primitive k; endless where a hull point has none."""
     left, top, right, bottom = math.inf, math.inf, -math.inf, -math.inf
@@ -57,7 +57,7 @@ def film_box(prims: Any, k: int, camera: Any, slack: float) -> tuple[float, floa
     return left, top, right, bottom
 
 
-@jit
+@inlined
 def pixel_span(low: float, high: float, first: int, count: int) -> tuple[int, int]:
     """Pixels first + start .. first + stop (exclusive) hold all whose centres lie in [low, high]."""
     start = min(max(low - 0.5 - first, 0.0), float(count))

@@ -26,6 +26,9 @@ T, OFF, PLACE, DOUBT, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (lane(SIZE * field)
 # T, OFF: the nearest so far, the true t within OFF; PLACE: number of the primitive, kind by kind, -1 for none;
 # DOUBT: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
 
+# Once all is cast, three of them are free for normals.
+NX, NY, NZ = OFF, T_MIN, T_MAX
+
 Box = tuple[int, int, int, int]  # x0, y0, x1, y1: pixels of the window, x1 and y1 just outside
 
 

@@ -8,7 +8,19 @@ import numpy as np
 from caster.kernels.exact_planar import exact_triangle
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement, inlined, jit
-from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, normal, passes, prepare, root, surface
+from caster.kernels.protocol import (
+    Vec3,
+    facing,
+    hull_point,
+    hull_size,
+    intersect,
+    normal,
+    passes,
+    plain_normal,
+    prepare,
+    root,
+    surface,
+)
 from caster.kernels.vec import (
     LARGEST_SQUARE,
     SMALLEST_SQUARE,
@@ -183,7 +195,7 @@ def _root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> R
     return exact_triangle(corners, o, d, t_min, t_max)
 
 
-@jit
+@inlined
 def across(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     """The unit normal of a triangle, however small or large it is; 0 if it has none."""
     e1, e2 = sub(b, a), sub(c, a)
@@ -197,8 +209,23 @@ def across(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
 
 @implement(normal, Triangles)
 def _normal(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Vec3:
+    return _normal_of(prims, k)
+
+
+@inlined
+def _normal_of(prims: Any, k: int) -> Vec3:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     return across(row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2))
+
+
+@implement(facing, Triangles)
+def _facing(prims: Any, k: int, reach: float) -> Any:
+    return True, _normal_of(prims, k)
+
+
+@implement(plain_normal, Triangles)
+def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+    return face[1]
 
 
 @implement(surface, Triangles)

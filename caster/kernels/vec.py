@@ -121,6 +121,16 @@ def by_rows(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
 
 
 @jit
+def by_columns(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
+    """The transpose of the matrix with these rows times v: `turned_back` without an array."""
+    return (
+        m[0][0] * v[0] + m[1][0] * v[1] + m[2][0] * v[2],
+        m[0][1] * v[0] + m[1][1] * v[1] + m[2][1] * v[2],
+        m[0][2] * v[0] + m[1][2] * v[1] + m[2][2] * v[2],
+    )
+
+
+@jit
 def turned(m: Any, k: int, v: Vec3) -> Vec3:
     """The 3x3 matrix m[k] times v."""
     return (

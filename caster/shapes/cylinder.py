@@ -10,14 +10,26 @@ from caster.fields import Positive, Shape, Vec3
 from caster.kernels.exact_quadric import exact_tube, placed
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement, inlined
-from caster.kernels.protocol import hull_point, hull_size, intersect, normal, passes, prepare, root, surface
-from caster.kernels.roots import approach, ball_at, chord, earlier, way_out
+from caster.kernels.protocol import (
+    facing,
+    hull_point,
+    hull_size,
+    intersect,
+    normal,
+    passes,
+    plain_normal,
+    prepare,
+    root,
+    surface,
+)
+from caster.kernels.roots import approach, ball_at, chord, earlier, is_plain, plain_way_out, way_out
 from caster.kernels.vec import (
     SEEN_ERROR,
     TINY,
     add,
     angle_fraction,
     answer,
+    by_columns,
     by_rows,
     no_terms,
     row,
@@ -135,6 +147,22 @@ def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     e = turned(prims.to_object, k, d)
     x, y, _ = way_out((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
     return unit(turned_back(prims.to_object, k, (x, y, 0.0)))
+
+
+@implement(facing, Cylinders)
+def _facing(prims: Any, k: int, reach: float) -> Any:
+    """Plain where the origin is, seen from there: its coordinates are sums of three products."""
+    center, m = row(prims.center, k), rows_of(prims.to_object, k)
+    farthest = 3.0 * size(row_sizes(prims.to_object, k)) * (size(center) + reach)
+    return is_plain((0.0, 0.0, 0.0), 1.0, farthest), center, m
+
+
+@implement(plain_normal, Cylinders)
+def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+    _, center, m = face
+    f, e = by_rows(m, sub(o, center)), by_rows(m, d)
+    x, y, _ = plain_way_out((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
+    return unit(by_columns(m, (x, y, 0.0)))
 
 
 @implement(surface, Cylinders)

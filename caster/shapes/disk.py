@@ -9,7 +9,18 @@ from caster.fields import Shape
 from caster.kernels.exact_planar import exact_disk
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, normal, passes, prepare, root, surface
+from caster.kernels.protocol import (
+    facing,
+    hull_point,
+    hull_size,
+    intersect,
+    normal,
+    passes,
+    plain_normal,
+    prepare,
+    root,
+    surface,
+)
 from caster.kernels.vec import (
     SEEN_ERROR,
     TINY,
@@ -94,6 +105,16 @@ def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Roo
 @implement(normal, Disks)
 def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     return unit(turned_back(prims.to_object, k, (0.0, 0.0, 1.0)))
+
+
+@implement(facing, Disks)
+def _facing(prims: Any, k: int, reach: float) -> Any:
+    return True, unit(turned_back(prims.to_object, k, (0.0, 0.0, 1.0)))
+
+
+@implement(plain_normal, Disks)
+def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+    return face[1]
 
 
 @implement(surface, Disks)

@@ -9,14 +9,26 @@ from caster.fields import Positive, Shape, Vec3
 from caster.kernels.exact_quadric import exact_ball, exact_sphere, placed
 from caster.kernels.exact_root import Root
 from caster.kernels.jit import implement
-from caster.kernels.protocol import hull_point, hull_size, intersect, normal, passes, prepare, root, surface
-from caster.kernels.roots import approach, ball_at, chord, first_root, way_out
+from caster.kernels.protocol import (
+    facing,
+    hull_point,
+    hull_size,
+    intersect,
+    normal,
+    passes,
+    plain_normal,
+    prepare,
+    root,
+    surface,
+)
+from caster.kernels.roots import approach, ball_at, chord, first_root, is_plain, plain_way_out, way_out
 from caster.kernels.vec import (
     SEEN_ERROR,
     U,
     add,
     along,
     angle_fraction,
+    by_columns,
     by_rows,
     row,
     row_sizes,
@@ -90,6 +102,18 @@ def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     return way_out(sub(o, row(prims.center, k)), d, t, prims.radius[k])
 
 
+@implement(facing, Spheres)
+def _facing(prims: Any, k: int, reach: float) -> Any:
+    center, r = row(prims.center, k), prims.radius[k]
+    return is_plain(center, r, reach), center, r
+
+
+@implement(plain_normal, Spheres)
+def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+    _, center, r = face
+    return plain_way_out(sub(o, center), d, t, r)
+
+
 @implement(surface, Spheres)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     center, r = row(prims.center, k), prims.radius[k]
@@ -145,6 +169,20 @@ def _normal_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
     q = way_out(f, turned(prims.to_object, k, d), t, 1.0)
     return unit(turned_back(prims.to_object, k, q))
+
+
+@implement(facing, Ellipsoids)
+def _facing_ellipsoid(prims: Any, k: int, reach: float) -> Any:
+    """Plain where the origin is, seen from there: its coordinates are sums of three products."""
+    center, m = row(prims.center, k), rows_of(prims.to_object, k)
+    farthest = 3.0 * size(row_sizes(prims.to_object, k)) * (size(center) + reach)
+    return is_plain((0.0, 0.0, 0.0), 1.0, farthest), center, m
+
+
+@implement(plain_normal, Ellipsoids)
+def _plain_normal_ellipsoid(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+    _, center, m = face
+    return unit(by_columns(m, plain_way_out(by_rows(m, sub(o, center)), by_rows(m, d), t, 1.0)))
 
 
 @implement(surface, Ellipsoids)
