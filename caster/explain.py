@@ -41,7 +41,7 @@ def _way(kind: Kind, culling: Culling) -> str:
         return "tried by every ray, since they have no bounds"
     if culling == "screen":
         return "tried in the pixels around their pictures"
-    return f"a tree of {len(kind.tree.first)} boxes" if worth_a_tree(kind) else "too few for a tree"
+    return f"a tree of {len(kind.tree.links)} boxes" if worth_a_tree(kind) else "too few for a tree"
 
 
 def _surfaces(view: View) -> Iterator[tuple[str, str]]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.casting import decide_doubtful, finish, in_bands, thread_count
+from caster.casting import decide_doubtful
 from caster.kernels.nearest import Nearest, Rays, no_hits
 from caster.kernels.screen import (
     Window,
@@ -20,6 +20,7 @@ from caster.kernels.screen import (
 )
 from caster.kernels.tile import HEIGHT, WIDTH, Box, load_rays, new_tile, store_nearest
 from caster.packing import Kind, Packed
+from caster.threads import finish, in_bands, thread_count
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,9 @@ def ids_by_place(packed: Packed) -> np.ndarray:
     return np.concatenate([kind.ids for kind in packed.kinds]) if packed.kinds else np.zeros(0, np.int32)
 
 
-def cast_tile(cast: Callable[..., None], kinds: list[Sorted], number: int, box: Box, tile: np.ndarray) -> None:
+def cast_tile(
+    cast: Callable[..., None], kinds: list[Sorted], number: int, box: Box, tile: np.ndarray
+) -> None:
     """Everything that may be seen in a tile."""
     for it in kinds:
         run = it.runs[number], it.runs[number + 1]
@@ -81,7 +84,9 @@ def in_tiles(
 
     def go() -> None:
         tile = new_tile()
-        while (following := next(left, None)) is not None:  # one step of an iterator in C, so no two get the same
+        while (
+            following := next(left, None)
+        ) is not None:  # one step of an iterator in C, so no two get the same
             work(*following, tile)
 
     if workers == 1:
@@ -101,15 +106,20 @@ def sorted_kinds(
 ) -> list[Sorted]:
     """Where to look for each primitive; `origin`: the largest |coordinate| of a ray's origin."""
     bases = itertools.accumulate((len(kind.ids) for kind in packed.kinds), initial=0)
-    return [_sort(kind, base, camera, window, origin, threads) for kind, base in zip(packed.kinds, bases, strict=False)]
+    return [
+        _sort(kind, base, camera, window, origin, threads)
+        for kind, base in zip(packed.kinds, bases, strict=False)
+    ]
 
 
-def _sort(
-    kind: Kind, base: int, camera: Any, window: Window, origin: float, threads: int | None
-) -> Sorted:
+def _sort(kind: Kind, base: int, camera: Any, window: Window, origin: float, threads: int | None) -> Sorted:
     slack = kind.reach * (origin + kind.extent) if kind.bounded else 0.0
     spans = np.empty((len(kind.ids), 4), np.int32)
-    in_bands(lambda start, stop: find_spans(kind.prims, camera, window, spans, slack, start, stop), len(spans), threads)
+    in_bands(
+        lambda start, stop: find_spans(kind.prims, camera, window, spans, slack, start, stop),
+        len(spans),
+        threads,
+    )
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
     counts = np.zeros(across * down + 1, np.int64)
     count_in_tiles(spans, across, counts)

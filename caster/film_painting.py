@@ -56,7 +56,7 @@ def paint_film(
     images = {name: _blank(name, window) for name in aovs}
     reach = _farthest_origin(camera, window)
     kinds = sorted_kinds(packed, camera, window, reach, threads)
-    painters = [*_painters(scene, packed, kinds, reach, images), partial(_hits, hit, doubt)]
+    painters: list[Painter] = [*_painters(scene, packed, kinds, reach, images), partial(_hits, hit, doubt)]
     cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
 
     def work(number: int, box: Box, tile: np.ndarray) -> None:
@@ -126,7 +126,8 @@ def _normals(it: Sorted, reach: float, tile: np.ndarray, box: Box) -> None:
 
 def _number_painters(scene: Scene, packed: Packed, images: dict[str, np.ndarray]) -> list[Painter]:
     ids = ids_by_place(packed)
-    shapes, painters = packed.shape_of(ids), []
+    shapes = packed.shape_of(ids)
+    painters: list[Painter] = []
     if "shape_id" in images:
         painters.append(lambda tile, box: paint_numbers(tile, box, shapes, images["shape_id"]))
     if "prim_id" in images:

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from caster.kernels.bvh import REACH, Tree, find_boxes, grow
 from caster.kernels.protocol import hull_size
+from caster.kernels.tree import REACH, Tree, find_boxes
 from caster.kernels.triangles import Triangles as Triangles
 from caster.placing import Rounding, as_given
 from caster.problems import speak
 from caster.scene import Scene
+from caster.threads import thread_count
+from caster.trees import grown_tree
 from caster.wording import SceneError
 
 
@@ -53,30 +55,7 @@ class Kind:
 
     @cached_property
     def tree(self) -> Tree:
-        return grown_tree(*self.boxes, self.extent, self.reach)
-
-
-PER_NODE = ("low", "high", "second", "first", "prims_in")
-
-
-def grown_tree(low: np.ndarray, high: np.ndarray, extent: float, reach: float) -> Tree:
-    """A tree over boxes low, high (n, 3)."""
-    count = len(low)
-    room = (
-        count + 1
-    )  # a run is halved only above LEAF_SIZE, so a leaf holds two or more: fewer nodes than this
-    tree = Tree(
-        low=np.zeros((room, 3)),
-        high=np.zeros((room, 3)),
-        second=np.zeros(room, np.int32),
-        first=np.zeros(room, np.int32),
-        prims_in=np.zeros(room, np.int32),
-        order=np.arange(count, dtype=np.int32),
-        extent=extent,
-        reach=reach,
-    )
-    nodes = grow(low, high, np.ascontiguousarray(0.5 * low.T + 0.5 * high.T), tree)
-    return tree._replace(**{name: getattr(tree, name)[:nodes].copy() for name in PER_NODE})
+        return grown_tree(*self.boxes, thread_count())
 
 
 @dataclass(frozen=True)

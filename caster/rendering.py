@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from caster.aovs import BY_NAME
-from caster.casting import Culling, find_nearest, in_bands
+from caster.casting import Culling, find_nearest
 from caster.fields import SceneError, suggestion
 from caster.film_casting import find_nearest_on_film
 from caster.film_painting import PAINTED, paint_film
@@ -16,6 +16,7 @@ from caster.packing import Packed, pack
 from caster.placing import Rounding, as_given
 from caster.plan import plan
 from caster.scene import Scene
+from caster.threads import in_bands
 from caster.view import View
 
 DEFAULT_AOVS = ("hit", "depth", "normal", "position", "diffuse")

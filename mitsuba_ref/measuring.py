@@ -9,7 +9,7 @@ import numpy as np
 
 from mitsuba_ref.bounds import nearest_root
 from mitsuba_ref.bracket import Bracket, Claims
-from mitsuba_ref.cases import CYLINDERS, ELLIPSOIDS, SLACK, SPHERES, TRIANGLES, Measured
+from mitsuba_ref.cases import CYLINDERS, ELLIPSOIDS, PLANES, SLACK, SPHERES, TRIANGLES, Measured
 from mitsuba_ref.exact import ExactAnswer, Oracle
 from mitsuba_ref.meeting import KU
 from mitsuba_ref.model import Model
@@ -110,9 +110,12 @@ class Measure:
         return corners
 
     def _at_zero(self, shape: int, prim: int, o: np.ndarray, d: np.ndarray) -> bool:
-        """Whether the primitive, or another one of that shape, is met at t = 0."""
+        """Whether the primitive, or another one of that shape, is met at t = 0; a plane, as its patch may be."""
         if shape < 0:
             return False
+        if self._kind(prim) == PLANES:
+            at = self.model.meet(np.array([prim]), o[None], d[None], KU, ours=False).at
+            return bool((np.isfinite(at.t_error) & (np.abs(at.t) <= at.t_error)).any())
         first, last = (int(n) for n in self.model.packed.first[shape : shape + 2])
         low, high = (corner[first:last] for corner in self.model.boxes)
         away = np.maximum(np.maximum(low - o, o - high), 0.0).max(axis=1)

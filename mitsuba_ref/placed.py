@@ -133,7 +133,9 @@ def _same(what: str, packed: Any, expected: Any) -> Claim:
 
 
 def _exact(what: str, packed: Any, expected: Any) -> Claim:
-    return Claim(what, np.asarray(packed, np.float64), np.asarray(expected, np.float64), np.zeros(()), rounded=False)
+    return Claim(
+        what, np.asarray(packed, np.float64), np.asarray(expected, np.float64), np.zeros(()), rounded=False
+    )
 
 
 def _turned(matrix: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

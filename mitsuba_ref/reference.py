@@ -74,7 +74,7 @@ def consult(
     timeout: float = DEFAULT_TIMEOUT,
     ask: Ask = ask,
 ) -> Witness | Crash:
-    """Ask Mitsuba about these rays. A crash of it is an answer, too. ask: the way to it, a child for itself if not said."""
+    """Ask Mitsuba about these rays, by `ask`. A crash of it is an answer, too."""
     with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as folder:
         xml = export(scene, model).write(Path(folder))
         job = Job(xml, variant or variant_of(scene), rays.o, rays.d, rays.t_max, lights=lights, sensor=True)

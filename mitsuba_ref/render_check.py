@@ -6,16 +6,17 @@ near plane is, which is as large as the last digit of the eye's coordinates. So 
 its own rays, from the eye, with their least t: what the float64 bracket allows there, with no room for the move.
 """
 
+from typing import Any
+
 import numpy as np
 
 from caster.hits import trace
-from caster.kernels.nearest import Rays
 from caster.packing import pack
 from caster.placing import as_given
 from caster.rendering import Aovs, camera_rays, evaluate, film_window, render
 from caster.scene import Scene
 from mitsuba_ref.bounds import nearest_root
-from mitsuba_ref.bracket import Bracket, Claims
+from mitsuba_ref.bracket import Bracket, Claims, Line
 from mitsuba_ref.lambert import Hit
 from mitsuba_ref.meeting import KU_OURS, norm
 from mitsuba_ref.model import model_of
@@ -42,11 +43,16 @@ def check_render(scene: Scene) -> SceneCheck:
     if len(rows):
         rows = np.random.default_rng(1).choice(rows, min(SAMPLE, len(rows)), replace=False)
         differs &= rays.t_min == 0.0
-        differs[rows] = ~_right(scene, ours, rows, Rays(*(a[rows] for a in rays)))
+        differs[rows] = ~_right(scene, ours, rows, _some(rays, rows))
     return worst_of("render", {"pixel": np.where(differs, np.inf, 0.0)}, np.ones(len(o), bool), scene)
 
 
-def _right(scene: Scene, ours: Aovs, rows: np.ndarray, rays: Rays) -> np.ndarray:
+def _some(rays: Any, rows: np.ndarray) -> Line:
+    """Some of the camera's rays."""
+    return Line(rays.o[rows], rays.d[rows], rays.t_min[rows], rays.t_max[rows])
+
+
+def _right(scene: Scene, ours: Aovs, rows: np.ndarray, rays: Line) -> np.ndarray:
     """(m,) bool: geometry within float64's bracket, diffuse as the lights' definitions give it there."""
     depth, n, sh_n, p, shape, diffuse, prim = (flat(ours, name)[rows] for name in NAMES)
     t = depth / norm(rays.d)

@@ -67,9 +67,7 @@ class Pinhole(Camera):
         far = math.inf if self.far is None else self.far
         half = self.half_extent(width, height)
         size = (float(width), float(height))
-        return PinholeRays(
-            self.eye, right, up, forward, size, half, self.principal_point, self.near, far
-        )
+        return PinholeRays(self.eye, right, up, forward, size, half, self.principal_point, self.near, far)
 
 
 @implement(ray, PinholeRays)

@@ -1,14 +1,13 @@
 """Culling 0: none. Every ray against every primitive, the slow and obvious oracle of the other two."""
 
-import math
 from typing import Any
 
 from caster.kernels.jit import jit
-from caster.kernels.protocol import intersect, keep_nearer, passes, prepare
+from caster.kernels.protocol import intersect, nearer, note, passes, prepare, recall
 
 
 @jit
-def cast_everything(prims: Any, count: int, rays: Any, record: Any, start: int, stop: int) -> None:
+def cast_everything(mode: Any, prims: Any, count: int, rays: Any, record: Any, start: int, stop: int) -> None:
     """Rays start..stop against all `count` primitives of a kind; rays in a row from one origin share `prepare`."""
     if start >= stop:
         return
@@ -19,9 +18,9 @@ def cast_everything(prims: Any, count: int, rays: Any, record: Any, start: int, 
             if rays.o[i, 0] != o[0] or rays.o[i, 1] != o[1] or rays.o[i, 2] != o[2]:
                 o = rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]
                 pre = prepare(prims, k, o)
-            d = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
+            d, t_min, t_max = (rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]), rays.t_min[i], rays.t_max[i]
             if passes(prims, pre, d):
                 continue
-            hit = intersect(prims, pre, d, rays.t_min[i], rays.t_max[i])
-            if hit[0] < math.inf:
-                keep_nearer(record, i, prims, k, rays, hit)
+            hit = intersect(prims, pre, d, t_min, t_max)
+            best = nearer(mode, recall(mode, record, i), i, k, hit)
+            note(mode, record, i, best)

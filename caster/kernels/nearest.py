@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.kernels.exact_root import FLOAT_ERROR, as_float, order
-from caster.kernels.jit import implement, jit
-from caster.kernels.protocol import keep_nearer, root
+from caster.kernels.exact_root import FLOAT_ERROR, as_float, no_root, order
+from caster.kernels.jit import implement, inlined, jit
+from caster.kernels.protocol import intersect, nearer, note, prepare, recall, root
 from caster.kernels.vec import row
 
 
@@ -35,7 +35,6 @@ class Sketch(NamedTuple):
     prim: np.ndarray
     off: np.ndarray
     doubt: np.ndarray  # (n,) bool: something else may come first
-    ids: np.ndarray  # (k,) int32, numbers in the scene of the primitives that are being cast at
 
 
 def new_rays(count: int) -> Rays:
@@ -47,36 +46,98 @@ def no_hits(count: int) -> Nearest:
     return Nearest(np.full(count, np.inf), np.full(count, -1, np.int32), np.zeros(count))
 
 
-@implement(keep_nearer, Sketch)
-def _keep_nearer(record: Any, i: int, prims: Any, k: int, rays: Any, hit: tuple[float, float]) -> None:
-    """Without a branch: around one, Numba counts references to every array of the record, 30 ns a hit."""
-    t, off = hit
-    ahead, margin = record.t[i] - t if t < math.inf else -math.inf, record.off[i] + off
-    nearer = ahead > margin
-    record.doubt[i] |= abs(ahead) <= margin
-    record.t[i] = t if nearer else record.t[i]
-    record.prim[i] = record.ids[k] if nearer else record.prim[i]
-    record.off[i] = off if nearer else record.off[i]
+class Folding(NamedTuple):
+    """What the loops over primitives do with hits: fold them as far as float64 can tell, and note doubts."""
+
+    ids: np.ndarray  # (k,) int32, numbers in the scene of the primitives that are being cast at
 
 
-@implement(keep_nearer, Nearest)
-def _keep_nearer_exactly(
-    record: Any, i: int, prims: Any, k: int, rays: Any, hit: tuple[float, float]
-) -> None:
+class Counting(NamedTuple):
+    """The same: count what may come first."""
+
+    counts: np.ndarray  # (n,) int64
+
+
+class Listing(NamedTuple):
+    """The same: write down what may come first."""
+
+    ends: np.ndarray  # (n,) int64, where the next candidate of each ray goes
+    candidates: np.ndarray  # int32, numbers within the kind
+
+
+Best = tuple[float, float, int, bool]
+"""(t, off, number of the primitive within its kind or -1 for what was there before, whether there is doubt)"""
+
+
+@implement(recall, Folding)
+@implement(recall, Counting)
+@implement(recall, Listing)
+def _recall(mode: Any, record: Any, i: int) -> Best:
+    return record.t[i], record.off[i], -1, False
+
+
+@implement(nearer, Folding)
+def _nearer(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
     t, off = hit
-    if t == math.inf or t - off > record.t[i] + record.off[i]:
-        return
-    held, sure = record.prim[i], off < math.inf
-    if not t + off < record.t[i] - record.off[i] and not (held < 0 and sure):
-        if not rays.t_min[i] < rays.t_max[i]:
-            return
-        new = exact_hit(prims, k, rays, i)
-        if not new.hit or (held >= 0 and not precedes(new, k, exact_hit(prims, held, rays, i), held)):
-            return
-        if not sure:
-            t = as_float(new)
-            off = FLOAT_ERROR * t
-    record.t[i], record.prim[i], record.off[i] = t, k, off
+    ahead, margin = best[0] - t if t < math.inf else -math.inf, best[1] + off
+    doubt = best[3] | (abs(ahead) <= margin)
+    return (t, off, k, doubt) if ahead > margin else (best[0], best[1], best[2], doubt)
+
+
+@implement(nearer, Counting)
+def _count(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
+    if may_precede(hit, best):
+        mode.counts[i] += 1
+    return best
+
+
+@implement(nearer, Listing)
+def _list(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
+    if may_precede(hit, best):
+        mode.candidates[mode.ends[i]] = k
+        mode.ends[i] += 1
+    return best
+
+
+@inlined
+def may_precede(hit: tuple[float, float], best: Best) -> bool:
+    """Whether the hit is not sure to lie behind the best."""
+    return hit[0] < math.inf and hit[0] - hit[1] <= best[0] + best[1]
+
+
+@implement(note, Folding)
+def _note(mode: Any, record: Any, i: int, best: Best) -> None:
+    record.doubt[i] |= best[3]
+    if best[2] >= 0:
+        record.t[i], record.off[i], record.prim[i] = best[0], best[1], mode.ids[best[2]]
+
+
+@implement(note, Counting)
+@implement(note, Listing)
+def _note_nothing(mode: Any, record: Any, i: int, best: Best) -> None:
+    pass
+
+
+@jit
+def choose(prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, start: int, stop: int) -> None:
+    """Of candidates[starts[i]:starts[i + 1]], the one that ray i meets first, for rays start..stop; found: misses.
+
+    In the order of (true t, number). A t that float64 is sure of stays as it is.
+    """
+    for i in range(start, stop):
+        o, d, t_min, t_max = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
+        first, chosen = no_root(), -1
+        for at in range(starts[i], starts[i + 1]):
+            k = candidates[at]
+            new = root(prims, k, o, d, t_min, t_max)
+            if new.hit and (chosen < 0 or precedes(new, k, first, chosen)):
+                first, chosen = new, k
+        if chosen >= 0:
+            t, off = intersect(prims, prepare(prims, chosen, o), d, t_min, t_max)
+            if not off < math.inf:
+                t = as_float(first)
+                off = FLOAT_ERROR * t
+            found.t[i], found.prim[i], found.off[i] = t, chosen, off
 
 
 @jit

@@ -36,9 +36,19 @@ def root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> An
     """The same of primitive k, exactly and slowly: an exact_root.Root."""
 
 
-@generic
-def keep_nearer(record: Any, i: int, prims: Any, k: int, rays: Any, hit: Any) -> None:
-    """Fold what `intersect` says of primitive k into the record of ray i, by the order of (true t, k)."""
+@generic_inlined
+def nearer(mode: Any, best: Any, i: int, k: int, hit: Any) -> Any:
+    """The best of ray i once `intersect` has answered `hit` for primitive k."""
+
+
+@generic_inlined
+def recall(mode: Any, record: Any, i: int) -> Any:
+    """The best of ray i, from the record."""
+
+
+@generic_inlined
+def note(mode: Any, record: Any, i: int, best: Any) -> None:
+    """Put the best of ray i into the record."""
 
 
 @generic_inlined

@@ -158,7 +158,9 @@ def off_the_approach(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
 @jit
 def is_plain(center: Vec3, r: float, reach: float) -> bool:
     """Whether `plain_way_out` will do, for origins whose coordinates are at most `reach`."""
-    return r > SMALL and max(r, abs(center[0]) + reach, abs(center[1]) + reach, abs(center[2]) + reach) < LARGE
+    return (
+        r > SMALL and max(r, abs(center[0]) + reach, abs(center[1]) + reach, abs(center[2]) + reach) < LARGE
+    )
 
 
 @inlined

@@ -9,7 +9,14 @@ from mitsuba_ref.exact_arithmetic.round import CYLINDERS
 from mitsuba_ref.meeting import ErrorModel, Meetings, U, dot, norm, position_error, transformed
 from mitsuba_ref.placed import tube
 from mitsuba_ref.shape_reference import ShapeReference
-from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
+from mitsuba_ref.shapes.quadric import (
+    affine_bounds,
+    half_chord_error,
+    in_object_space,
+    ours_through_object_space,
+    roots,
+    turned_normal,
+)
 from mitsuba_ref.xml import Writer, XmlElement
 
 
@@ -71,6 +78,5 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
     return tuple(found)
 
 
-REFERENCE = ShapeReference(
-    Cylinder, to_xml, {Cylinders: ErrorModel(meet, affine_bounds, exact=CYLINDERS)}, tube, analytic=True
-)
+MODEL = ErrorModel(meet, affine_bounds, ours_through_object_space(meet), exact=CYLINDERS)
+REFERENCE = ShapeReference(Cylinder, to_xml, {Cylinders: MODEL}, tube, analytic=True)

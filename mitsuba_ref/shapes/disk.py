@@ -9,7 +9,12 @@ from mitsuba_ref.exact_arithmetic.flat import DISKS
 from mitsuba_ref.meeting import ErrorModel, Meetings, norm, position_error, somewhere
 from mitsuba_ref.placed import disk
 from mitsuba_ref.shape_reference import ShapeReference
-from mitsuba_ref.shapes.quadric import affine_bounds, in_object_space, turned_normal
+from mitsuba_ref.shapes.quadric import (
+    affine_bounds,
+    in_object_space,
+    ours_through_object_space,
+    turned_normal,
+)
 from mitsuba_ref.shapes.triangles import UNRESOLVABLE
 from mitsuba_ref.xml import Writer, XmlElement
 
@@ -40,6 +45,5 @@ def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> 
     return (Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error),)
 
 
-REFERENCE = ShapeReference(
-    Disk, to_xml, {Disks: ErrorModel(meet, affine_bounds, exact=DISKS)}, disk, analytic=True
-)
+MODEL = ErrorModel(meet, affine_bounds, ours_through_object_space(meet, used=(1.0, 1.0, 0.0)), exact=DISKS)
+REFERENCE = ShapeReference(Disk, to_xml, {Disks: MODEL}, disk, analytic=True)

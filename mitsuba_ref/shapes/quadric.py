@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.meeting import dot, norm, transformed
+from mitsuba_ref.meeting import Meet, Meetings, dot, norm, transformed
 
 
 class ObjectRays(NamedTuple):
@@ -29,6 +29,26 @@ def in_object_space(center: np.ndarray, to_object: np.ndarray, o: np.ndarray, d:
     return ObjectRays(
         transformed(to_object, o - center), transformed(to_object, d), rows, offset, norm(o), norm(d)
     )
+
+
+def ours_through_object_space(meet: Meet, used: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Meet:
+    """The model of ours, for kinds whose surface point is found in object space and taken back by to_world.
+
+    Coordinate i is off there by ku components_i, and comes back along column i of the matrix; under a matrix of large
+    condition that is far more than t_error and the rounding of o + t d, which it is held to. Components are at least
+    |q_i|, so the products with the columns and their sum are covered, too. used: which coordinates are not set to 0.
+    """
+
+    def meet_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
+        rays = in_object_space(prims.center[k], prims.to_object[k], o, d)
+        to_world = prims.to_world[k]
+        columns = np.sqrt(np.einsum("ijk,ijk->ik", to_world, to_world)) * np.array(used)
+        return tuple(
+            at._replace(p_error=at.p_error + ku * dot(columns, rays.components(at.t)))
+            for at in meet(prims, k, o, d, ku)
+        )
+
+    return meet_ours
 
 
 def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndarray:

@@ -9,7 +9,14 @@ from mitsuba_ref.exact_arithmetic.round import ELLIPSOIDS, SPHERES
 from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error, transformed
 from mitsuba_ref.placed import ball
 from mitsuba_ref.shape_reference import ShapeReference
-from mitsuba_ref.shapes.quadric import affine_bounds, half_chord_error, in_object_space, roots, turned_normal
+from mitsuba_ref.shapes.quadric import (
+    affine_bounds,
+    half_chord_error,
+    in_object_space,
+    ours_through_object_space,
+    roots,
+    turned_normal,
+)
 from mitsuba_ref.xml import Writer, XmlElement
 
 
@@ -91,7 +98,9 @@ REFERENCE = ShapeReference(
     to_xml,
     {
         Spheres: ErrorModel(meet, ball_bounds, exact=SPHERES),
-        Ellipsoids: ErrorModel(meet_ellipsoid, affine_bounds, exact=ELLIPSOIDS),
+        Ellipsoids: ErrorModel(
+            meet_ellipsoid, affine_bounds, ours_through_object_space(meet_ellipsoid), exact=ELLIPSOIDS
+        ),
     },
     ball,
     analytic=True,

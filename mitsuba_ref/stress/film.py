@@ -41,7 +41,7 @@ def of_side(rng: Rng, width: float, count: int) -> Setting:
     """A crop window around a point of a ball's silhouette, in a square film of this width."""
     eye, view = eye_and_view(rng)
     camera = Pinhole(eye=tuple(eye), direction=tuple(view), fov=45.0)
-    forward = camera.frame[2]
+    forward = np.array(camera.frame[2])
     turned = rng.uniform(0.0, 2.0 * math.pi)
     share = math.tan(math.asin(1.0 / DISTANCE)) / math.tan(math.radians(camera.fov / 2.0))
     middle = [0.5 * (1.0 + share * math.cos(turned)), 0.5 * (1.0 - share * math.sin(turned))]

@@ -15,7 +15,7 @@ from caster.scene import Scene
 from caster.shapes import SHAPES
 
 SIZES = (1e-3, 1.0, 1e3)
-RAYS = 300  # of each family, for each shape, size and offset
+RAYS = 200  # of each family, for each shape, size and offset; `make nightly` casts 200,000 hard rays a shape
 
 
 def count_hits_where_tree_agrees(scene: Scene, o: np.ndarray, d: np.ndarray, what: str) -> int:
@@ -44,8 +44,8 @@ def test_a_tree_never_changes_a_hit_where_all_kinds_are_mixed():
     rng = np.random.default_rng(11)
     for size in SIZES:
         scene = random_scene(rng, SHAPES, Pinhole, count=3, size=size, offset=size)
-        for family, (o, d) in hard_rays(packed(scene), rng, 1000).items():
-            assert count_hits_where_tree_agrees(scene, o, d, family) >= 300
+        for family, (o, d) in hard_rays(packed(scene), rng, 250).items():
+            assert count_hits_where_tree_agrees(scene, o, d, family) >= 75
 
 
 def slivers(rng: np.random.Generator, count: int) -> Packed:
@@ -66,7 +66,7 @@ def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():
     hits = 0
     for _ in range(10):
         packed = slivers(rng, 60)
-        for family, (o, d) in hard_rays(packed, rng, 250).items():
+        for family, (o, d) in hard_rays(packed, rng, 100).items():
             rays = checked_rays(o, d, 0.0, np.inf)
             slow, fast = find_nearest(packed, rays, "everything"), find_nearest(packed, rays, "bvh")
             assert_same_bits(slow._asdict(), fast._asdict(), family)

@@ -66,8 +66,8 @@ def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
 def test_a_ray_lost_by_the_tree_is_seen(monkeypatch):
     cast_bvh = casting.cast_bvh
 
-    def forgetful(prims, tree, rays, record, span):
-        cast_bvh(prims, tree, rays, record, (span[0], span[1] - 1))
+    def forgetful(mode, prims, tree, rays, record, span, room):
+        cast_bvh(mode, prims, tree, rays, record, (span[0], span[1] - 1), room)
 
     monkeypatch.setattr(casting, "cast_bvh", forgetful)
     with pytest.raises(AssertionError, match="bvh: "):
@@ -82,9 +82,9 @@ def test_boxes_too_small_are_seen():
     scene = a_scene()
     rays = at_corners(scene_points(packed(scene)), np.random.default_rng(83), 300)
     for kind in packed(scene).kinds:
-        inset = 1e-3 * (kind.tree.high - kind.tree.low)
-        kind.tree.low[...] += inset
-        kind.tree.high[...] -= inset
+        inset = 1e-3 * (kind.tree.boxes[:, 3:] - kind.tree.boxes[:, :3])
+        kind.tree.boxes[:, :3] += inset
+        kind.tree.boxes[:, 3:] -= inset
     with pytest.raises(AssertionError, match="a family: "):
         test_any_rays.count_hits_where_tree_agrees(scene, *rays, "a family")
 

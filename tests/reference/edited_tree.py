@@ -42,10 +42,10 @@ def run(tree: Path, *argv: str, module: str = "mitsuba_ref") -> subprocess.Compl
 
 
 class Forks:
-    """`run`, for many copies: in forks of one process, which ask Mitsuba once about the same. See forked_runs.py."""
+    """`run`, for many commands: in forks of one process; see forked_runs.py."""
 
-    def __init__(self, folder: Path, memory: Path) -> None:
-        """folder: of this object alone, for what commands say; memory: for answers of Mitsuba, may be shared."""
+    def __init__(self, folder: Path, memory: Path | None = None) -> None:
+        """folder: of this object alone, for what commands say. memory: for Mitsuba's answers, may be shared."""
         self.folder, self.memory = folder, memory
         environment = {**os.environ, "CASTER_JIT": "0"}
         environment.pop("PYTHONPATH", None)
@@ -64,7 +64,9 @@ class Forks:
         out, err = self.folder / "out", self.folder / "err"
         order = {"tree": tree, "module": module, "argv": argv, "out": out, "err": err, "memory": self.memory}
         code = self.obeyed(json.dumps(order, default=str))
-        return subprocess.CompletedProcess(argv, code, *(file.read_text(encoding="utf-8") for file in (out, err)))
+        return subprocess.CompletedProcess(
+            argv, code, *(file.read_text(encoding="utf-8") for file in (out, err))
+        )
 
     def obeyed(self, order: str) -> int:
         """The exit code. Whoever takes longer than DEADLINE is killed, and the process with it: an error here."""

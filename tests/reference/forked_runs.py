@@ -1,8 +1,9 @@
-"""Commands of edited copies, each in a fork of one process that has the libraries loaded already.
+"""Commands of a tree, perhaps an edited copy, each in a fork of one process that has the libraries loaded already.
 
 To start Python, to load the libraries and to start Mitsuba takes three times as long as to judge a small film.
 So the process loads the libraries, and no more: what is under test is loaded by each fork, from its own tree. And
-Mitsuba is asked once about the same rays through the same scene; a fault that alters either has it asked anew.
+with a memory, Mitsuba is asked once about the same rays through the same scene; a fault that alters either has it
+asked anew.
 
 As a program it reads orders, a line of JSON each, and answers each with a line: the exit code.
 """
@@ -18,7 +19,14 @@ from pathlib import Path
 from typing import Any
 
 PACKAGES = ("caster", "mitsuba_ref")
-LIBRARIES = ("numpy.ma", "numpy.random", "numpy.typing", "pydantic.main", "pydantic.json_schema", "tree_sitter")
+LIBRARIES = (
+    "numpy.ma",
+    "numpy.random",
+    "numpy.typing",
+    "pydantic.main",
+    "pydantic.json_schema",
+    "tree_sitter",
+)
 STANDARD = ("concurrent.futures.thread", "importlib.metadata", "tomllib", "xml.etree.ElementTree", "zoneinfo")
 
 
@@ -35,7 +43,7 @@ def serve() -> None:
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 
 
-def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: str) -> None:
+def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: str | None) -> None:
     """What `python -P -m module argv` does with PYTHONPATH=tree; its words go to the files out and err."""
     new = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
     for number, file, flags in ((0, os.devnull, os.O_RDONLY), (1, out, new), (2, err, new)):
@@ -43,7 +51,8 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
     os.environ["PYTHONPATH"] = tree
     sys.path.insert(0, tree)
     sys.argv = [module, *argv]
-    ask_once(Path(memory))
+    if memory:
+        ask_once(Path(memory))
     for name in PACKAGES:
         assert Path(str(importlib.import_module(name).__file__)).is_relative_to(tree)
     runpy.run_module(module, run_name="__main__", alter_sys=True)
@@ -58,7 +67,7 @@ def ask_once(memory: Path) -> None:
 
     def put_once(job: Any, timeout: float, settings: Any = None) -> Any:
         place = memory / everything_given(job, dict(settings or {}))
-        if place.is_dir():
+        if place.is_dir():  # put there whole
             return Answer.read(place, len(job.o))
         answer = put(job, timeout, settings)
         if isinstance(answer, Answer):

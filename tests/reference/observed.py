@@ -7,6 +7,7 @@ from aimed_rays import Setting, rays_at, scene_of
 
 from caster.packing import pack
 from caster.placing import as_float32
+from mitsuba_ref import worker
 from mitsuba_ref.bounds import nearest_root
 from mitsuba_ref.bracket import Bracket, Claims
 from mitsuba_ref.jobs import Crash
@@ -15,6 +16,7 @@ from mitsuba_ref.model import Model, model_of
 from mitsuba_ref.pixels import share_of_bound
 from mitsuba_ref.rays import SharedRays
 from mitsuba_ref.reference import Witness, consult
+from mitsuba_ref.worker import Ask
 
 
 class Observed(NamedTuple):
@@ -30,14 +32,16 @@ class Observed(NamedTuple):
     true_hit: np.ndarray  # the same by float64
 
 
-def observe(kind: str, setting: Setting, seed: list[int], *, shapes: int, count: int) -> Observed:
+def observe(
+    kind: str, setting: Setting, seed: list[int], *, shapes: int, count: int, ask: Ask = worker.ask
+) -> Observed:
     """Ask Mitsuba about `count` rays aimed at `shapes` shapes, and compare with the models alone."""
     rng = np.random.default_rng(seed)
     scene = scene_of(kind, rng, setting, shapes)
     o, d = rays_at(scene, rng, setting, count)
     rays = SharedRays(*(a.astype(np.float32) for a in (o, d, np.full(len(o), np.inf))), np.zeros(len(o)))
     model = model_of(scene, pack(scene, as_float32), rays)
-    witness = consult(scene, model, rays, lights=False)
+    witness = consult(scene, model, rays, lights=False, ask=ask)
     assert not isinstance(witness, Crash), witness
     return compared(model, witness, o, d)
 

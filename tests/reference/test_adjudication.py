@@ -13,20 +13,18 @@ from caster.packing import pack
 from caster.placing import as_float32
 from caster.rendering import Aovs, render
 from caster.scene import Scene, load_scene
-from mitsuba_ref import judging, validate
+from mitsuba_ref import judging
 from mitsuba_ref import model as judges_model
 from mitsuba_ref.adjudication import SAMPLE
 from mitsuba_ref.exact import Oracle, OutsideDomain
-from mitsuba_ref.jobs import Crash
 from mitsuba_ref.judge import CODE, Judge
-from mitsuba_ref.judging import judge_of
 from mitsuba_ref.pair import our_view
 from mitsuba_ref.pixels import flat
 from mitsuba_ref.probing import probe
 from mitsuba_ref.rays import share
 from mitsuba_ref.reproducer import reproducer
 from mitsuba_ref.table import failure, summary
-from mitsuba_ref.verdict import FAILING, UNLISTED, SceneVerdict, Verdict
+from mitsuba_ref.verdict import FAILING, UNLISTED, Verdict
 
 LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
 TURN_IN_PLANE = [{"rotate": {"axis": [0, 0, 1], "degrees": 17}}]
@@ -37,16 +35,6 @@ def scene_of(*shapes: Any, **more: Any) -> Scene:
     camera = caster.Pinhole(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), fov=40)
     usual = {"film": caster.Film(width=36, height=24), "camera": camera, "lights": [LAMP]}
     return Scene(**(usual | more), shapes=shapes)
-
-
-def judged(scene: Scene) -> SceneVerdict:
-    return validate(scene).scenes[0]
-
-
-def brought(scene: Scene) -> Judge:
-    judge = judge_of(scene)
-    assert not isinstance(judge, Crash), judge
-    return judge
 
 
 # Case 28 of the catalogue: a skinny triangle nearly edge-on, which the ray misses.
@@ -84,14 +72,14 @@ def starting_on_a_disk() -> Scene:
     ],
     ids=["quads", "balls", "disks", "quads that overlap"],
 )
-def test_of_coincident_surfaces_either_may_be_the_one(shapes):
+def test_of_coincident_surfaces_either_may_be_the_one(judged, shapes):
     found = judged(scene_of(*shapes, materials={"a": {"reflectance": (0.9, 0.1, 0.1)}}))
     counts = found.counts
     assert found.ok and counts["tie"] >= 80 and counts["tie"] + counts["agree"] == found.hit_pixels, counts
     assert found.evidence > 0 == found.excused
 
 
-def test_a_tie_has_to_be_right_by_float64_all_the_same():
+def test_a_tie_has_to_be_right_by_float64_all_the_same(brought):
     judge = brought(scene_of(caster.Sphere(), caster.Sphere()))
     before = judge.judge()
     tied = before.is_class("tie")
@@ -101,7 +89,7 @@ def test_a_tie_has_to_be_right_by_float64_all_the_same():
     assert np.array_equal(after.classes[~tied], before.classes[~tied])
 
 
-def test_an_eye_in_the_plane_of_a_quad_sees_past_it():
+def test_an_eye_in_the_plane_of_a_quad_sees_past_it(judged):
     upright = [{"rotate": {"axis": [1, 0, 0], "degrees": -90}}]
     camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 1, 0), fov=40)
     found = judged(
@@ -113,7 +101,7 @@ def test_an_eye_in_the_plane_of_a_quad_sees_past_it():
 # ---- reference_wrong ----
 
 
-def test_a_ray_that_starts_on_a_surface_does_not_hit_it_there():
+def test_a_ray_that_starts_on_a_surface_does_not_hit_it_there(judged):
     found = judged(starting_on_a_disk())
     wrong = found.counts["reference_wrong"]
     assert found.ok and 10 <= wrong < found.evidence and found.cases == {"30": wrong}, found
@@ -122,7 +110,7 @@ def test_a_ray_that_starts_on_a_surface_does_not_hit_it_there():
     assert UNLISTED.upper() not in text
 
 
-def test_a_reference_that_is_wrong_everywhere_is_no_evidence():
+def test_a_reference_that_is_wrong_everywhere_is_no_evidence(judged):
     camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 1, 0), fov=40)
     floor = caster.Plane(normal=(0, 1, 0), offset=0)
     found = judged(scene_of(floor, caster.Sphere(center=(0, 1, 0)), camera=camera))
@@ -133,7 +121,7 @@ def test_a_reference_that_is_wrong_everywhere_is_no_evidence():
     )
 
 
-def test_a_triangle_nearly_edge_on_is_case_28():
+def test_a_triangle_nearly_edge_on_is_case_28(judged):
     scene = Scene(film=caster.Film(width=1, height=1), camera=PAST, shapes=[SKINNY])
     found = judged(scene)
     assert found.counts["reference_wrong"] == 1 and found.cases == {"28": 1} and found.failing == 0
@@ -157,12 +145,12 @@ EXPORTS = {
 }
 
 
-def test_what_the_exporter_writes_is_right():
+def test_what_the_exporter_writes_is_right(judged):
     assert judged(scene_of(WALL, BALL, LID)).ok
 
 
 @pytest.mark.parametrize("what", EXPORTS)
-def test_a_broken_exporter_is_no_defect_of_mitsuba(monkeypatch, what):
+def test_a_broken_exporter_is_no_defect_of_mitsuba(judged, monkeypatch, what):
     """Ours is right and the reference is wrong, in a minority of the pixels; but in no way that is known."""
     scene = scene_of(WALL, BALL, LID)
     shape, change = EXPORTS[what]
@@ -175,7 +163,7 @@ def test_a_broken_exporter_is_no_defect_of_mitsuba(monkeypatch, what):
     assert f"UNLISTED:   {found.failing} pixels" in summary(Verdict((found,)), 1.0)
 
 
-def test_a_light_that_mitsuba_gets_wrong_is_no_known_case():
+def test_a_light_that_mitsuba_gets_wrong_is_no_known_case(brought):
     judge = brought(scene_of(BALL))
     assert not judge.judge().is_class("reference_wrong").any()
     judge.pair.witness.unshadowed[:] *= 1.001
@@ -188,7 +176,7 @@ def test_a_light_that_mitsuba_gets_wrong_is_no_known_case():
 
 
 @pytest.fixture(scope="module")
-def one_cube() -> Judge:
+def one_cube(brought) -> Judge:
     return brought(load_scene(ROOT / "scenes/shared-edges-cube.toml").with_film(width=25, height=25))
 
 
@@ -267,7 +255,7 @@ def test_what_nobody_can_say_is_undecided(cube, monkeypatch):
 # ---- who is asked ----
 
 
-def test_edges_disputes_and_a_sample_are_asked_about():
+def test_edges_disputes_and_a_sample_are_asked_about(brought):
     scene = scene_of(BALL, LID, film=caster.Film(width=90, height=60))
     judge = brought(scene)
     found = judge.judge()
@@ -289,7 +277,7 @@ def test_edges_disputes_and_a_sample_are_asked_about():
 # ---- reproducers ----
 
 
-def test_a_reproducer_holds_the_very_numbers_and_shows_the_same():
+def test_a_reproducer_holds_the_very_numbers_and_shows_the_same(brought):
     judge = brought(load_scene(ROOT / "scenes/every-shape.toml").with_film(width=64, height=60))
     packed, kinds = judge.model.packed, set()
     shapes = flat(judge.pair.ours, "shape_id")
@@ -363,7 +351,7 @@ CORRUPT = (
 )
 
 
-def test_a_corrupt_reproducer_is_refused_with_its_line(tmp_path):
+def test_a_corrupt_reproducer_is_refused_with_its_line(brought, tmp_path):
     judge = brought(Scene(film=caster.Film(width=1, height=1), camera=PAST, shapes=[SKINNY]))
     text = reproducer(judge, 0).text(["A test."])
     for i, (old, new, says) in enumerate(CORRUPT):

@@ -28,17 +28,18 @@ from mitsuba_ref.pair import our_view, pair_up
 from mitsuba_ref.pixels import Pixels
 from mitsuba_ref.rays import SharedRays, share
 from mitsuba_ref.reference import Witness, consult
+from mitsuba_ref.worker import Ask
 
 
 class Asked:
     """A scene with Mitsuba's answer, asked for once; ours is traced anew for each fault."""
 
-    def __init__(self, name: str, width: int, height: int):
+    def __init__(self, ask: Ask, name: str, width: int, height: int):
         self.scene: Scene = load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=width, height=height)
         self.rays: SharedRays = share(self.scene)
         self.packed: Packed = pack(self.scene, as_float32)
         self.model: Model = model_of(self.scene, self.packed, self.rays)
-        answer = consult(self.scene, self.model, self.rays)
+        answer = consult(self.scene, self.model, self.rays, ask=ask)
         assert not isinstance(answer, Crash), answer
         self.witness: Witness = answer
 
@@ -88,8 +89,8 @@ def errors(asked: Asked, view: View) -> Statistics:
 
 
 @pytest.fixture(scope="module")
-def ball() -> Asked:
-    return Asked("one-sphere", 256, 256)
+def ball(ask) -> Asked:
+    return Asked(ask, "one-sphere", 256, 256)
 
 
 def test_the_right_caster_is_within_every_bound_and_leans_to_no_side(ball):
@@ -127,9 +128,9 @@ def test_pixel_centres_off_by_a_thousandth_are_beyond_the_bound_at_most_hits(bal
 
 
 @pytest.mark.parametrize(("share", "biased"), [(0.0, False), (3e-8, True)])
-def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(share, biased):
+def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(ask, share, biased):
     """Each face has an error of its own, for all rays; there are enough faces that these have to cancel."""
-    asked = Asked("torus-smooth", 160, 120)
+    asked = Asked(ask, "torus-smooth", 160, 120)
     eye = np.array(asked.scene.camera.eye)
 
     def pull(prims: Any) -> None:
@@ -153,8 +154,8 @@ ERRORS = {
 
 
 @pytest.mark.parametrize("name", ERRORS)
-def test_of_the_right_caster_every_pixel_is_far_within_k(name):
-    asked = Asked(name, 64, 48)
+def test_of_the_right_caster_every_pixel_is_far_within_k(ask, name):
+    asked = Asked(ask, name, 64, 48)
     judge = asked.judge(our_view(asked.scene, asked.rays))
     found = statistics(asked.packed, judge.pair, judge.bounds)
     print(f"\n{name}: {found}")

@@ -3,7 +3,9 @@
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from mitsuba_scenes import VARIANTS, film, job, point_light, random_mesh, rays_a
 
 from mitsuba_ref import variants, worker
 from mitsuba_ref.jobs import Answer
+from mitsuba_ref.worker import Ask
 
 HERE = VARIANTS if variants.usable().llvm else VARIANTS[:1]  # the run's header says which
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,10 +33,16 @@ MANY = {  # where each shape's middle is: none covers another
 }
 
 
-def asked(*args, **kwargs) -> Answer:
-    answer = worker.ask(job(*args, **kwargs), timeout=120)
-    assert isinstance(answer, Answer), answer
-    return answer
+@pytest.fixture
+def asked(ask: Ask) -> Callable[..., Answer]:
+    """An answer to what mitsuba_scenes.job makes of the words given."""
+
+    def answered(*args: Any, **kwargs: Any) -> Answer:
+        answer = ask(job(*args, **kwargs), 120.0)
+        assert isinstance(answer, Answer), answer
+        return answer
+
+    return answered
 
 
 @pytest.fixture
@@ -45,7 +54,7 @@ def many(tmp_path):
 
 
 @pytest.mark.parametrize("variant", HERE)
-def test_a_hit_names_its_shape_and_an_instance_goes_before_what_it_repeats(many, variant):
+def test_a_hit_names_its_shape_and_an_instance_goes_before_what_it_repeats(asked, many, variant):
     aimed = {
         "ball": (-4, 2),
         "square": (0, 2),
@@ -62,7 +71,7 @@ def test_a_hit_names_its_shape_and_an_instance_goes_before_what_it_repeats(many,
 
 
 @pytest.mark.parametrize("variant", HERE)
-def test_prim_is_the_triangle_that_was_hit(many, variant):
+def test_prim_is_the_triangle_that_was_hit(asked, many, variant):
     xml, corners = many
     middles = corners.mean(axis=1)
     n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -73,7 +82,7 @@ def test_prim_is_the_triangle_that_was_hit(many, variant):
 
 
 @pytest.mark.skipif(len(HERE) == 1, reason="one variant has nothing to agree with")
-def test_both_variants_hit_the_same_shapes_and_primitives(many):
+def test_both_variants_hit_the_same_shapes_and_primitives(asked, many):
     o, d = rays_at(np.random.default_rng(2), 5000, 7.0)
     scalar, llvm = (asked(many[0], variant, o, d) for variant in VARIANTS)
     assert np.array_equal(scalar.shape, llvm.shape) and np.array_equal(scalar.prim, llvm.prim)
@@ -83,7 +92,7 @@ def test_both_variants_hit_the_same_shapes_and_primitives(many):
 
 
 @pytest.mark.skipif(len(HERE) == 1, reason="one variant has nothing to agree with")
-def test_triangles_are_met_at_the_same_bits_of_t_in_both_variants(tmp_path):
+def test_triangles_are_met_at_the_same_bits_of_t_in_both_variants(asked, tmp_path):
     random_mesh(tmp_path / "strewn.ply", np.random.default_rng(3), 2000)
     o, d = rays_at(np.random.default_rng(4), 20000, 1.2)
     scalar, llvm = (asked(write(tmp_path, MANY["strewn"]), variant, o, d) for variant in VARIANTS)
@@ -93,7 +102,7 @@ def test_triangles_are_met_at_the_same_bits_of_t_in_both_variants(tmp_path):
 
 
 @pytest.mark.parametrize("variant", HERE)
-def test_a_miss_is_inf_minus_one_and_zero(many, variant):
+def test_a_miss_is_inf_minus_one_and_zero(asked, many, variant):
     answer = asked(many[0], variant, [[0, 2, 9], [0, 2, 9]], [[0, 0, 1], [0, 0, -1]])
     assert answer.t.tolist() == [np.inf, 9.0]
     assert answer.shape[0] == answer.prim[0] == -1 and answer.shape[1] >= 0
@@ -104,21 +113,21 @@ def test_a_miss_is_inf_minus_one_and_zero(many, variant):
 
 
 @pytest.mark.parametrize("variant", HERE)
-def test_t_counts_in_lengths_of_d_and_ends_at_t_max(many, variant):
+def test_t_counts_in_lengths_of_d_and_ends_at_t_max(asked, many, variant):
     rays = [[0, 2, 9]] * 2, [[0, 0, -1], [0, 0, -4]]
     assert asked(many[0], variant, *rays).t.tolist() == [9.0, 2.25]
     assert asked(many[0], variant, *rays, t_max=8.5).t.tolist() == [np.inf, 2.25]
 
 
 @pytest.mark.parametrize("variant", HERE)
-def test_unwanted_light_is_not_computed(many, variant):
+def test_unwanted_light_is_not_computed(asked, many, variant):
     answer = asked(many[0], variant, [[0, 2, 9]], [[0, 0, -1]], lights=False)
     assert answer.light_rgb.shape == (0, 1, 3) and answer.light_visible.shape == (0, 1)
     assert not answer.albedo.any() and answer.t.tolist() == [9.0]
 
 
 @pytest.mark.parametrize("variant", HERE)
-def test_no_rays_and_no_shapes_are_answered_too(tmp_path, many, variant):
+def test_no_rays_and_no_shapes_are_answered_too(asked, tmp_path, many, variant):
     none = asked(many[0], variant, [], [])
     assert none.t.shape == (0,) and none.n.shape == (0, 3) and none.light_rgb.shape == (2, 0, 3)
     empty = asked(write(tmp_path, "", "empty.xml"), variant, [[0, 0, 0]], [[0, 0, 1]], sensor=True)
@@ -126,7 +135,7 @@ def test_no_rays_and_no_shapes_are_answered_too(tmp_path, many, variant):
 
 
 @pytest.mark.parametrize("variant", HERE)
-def test_lights_come_in_the_order_of_the_document(tmp_path, variant):
+def test_lights_come_in_the_order_of_the_document(asked, tmp_path, variant):
     """Each of 24 lights shines straight down on the floor, with its number as its strength."""
     lights = [
         point_light("0 0 1", f"{k} {k} {k}") if k % 3 else sun("0 0 -1", f"{k} {k} {k}") for k in range(1, 25)
@@ -171,7 +180,7 @@ BEHIND = (  # a wall behind the point light, and behind the camera: it shadows n
     "light", [point_light("1 4 5", "30 20 10") + BEHIND, sun("-0.3 -0.8 -1", "3 2 1")], ids=["point", "sun"]
 )
 @pytest.mark.parametrize("variant", HERE)
-def test_light_times_its_visibility_is_what_the_direct_integrator_renders(tmp_path, variant, light):
+def test_light_times_its_visibility_is_what_the_direct_integrator_renders(asked, tmp_path, variant, light):
     xml = write(tmp_path, LIT + light)
     command = [sys.executable, "-c", RENDER, variant, xml, tmp_path / "direct.npy"]
     subprocess.run(command, check=True, capture_output=True, timeout=120)
@@ -186,7 +195,7 @@ def test_light_times_its_visibility_is_what_the_direct_integrator_renders(tmp_pa
 
 @pytest.mark.parametrize("crop", [None, (3, 5, 7, 4)], ids=["whole", "crop"])
 @pytest.mark.parametrize("variant", HERE)
-def test_the_sensors_rays_are_those_of_the_formula(tmp_path, variant, crop):
+def test_the_sensors_rays_are_those_of_the_formula(asked, tmp_path, variant, crop):
     """A pinhole in float64, its rays starting on the near plane; float32 is off by a few roundings."""
     width, height, near, far = 33, 20, 0.5, 40.0
     columns = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
@@ -215,7 +224,7 @@ def test_the_sensors_rays_are_those_of_the_formula(tmp_path, variant, crop):
 
 
 @pytest.mark.parametrize("variant", HERE)
-def test_the_answer_says_who_gave_it(many, variant):
+def test_the_answer_says_who_gave_it(asked, many, variant):
     answer = asked(many[0], variant, [[0, 2, 9]], [[0, 0, -1]])
     assert answer.versions["variant"] == variant
     assert re.fullmatch(r"\d+\.\d+\.\d+", answer.versions["mitsuba"]) and answer.versions["drjit"]

@@ -3,8 +3,6 @@
 What is measured is printed (`-s`) and stands in docs/method.md, "Measured".
 """
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting, a_tube, decades, scene_of
@@ -18,6 +16,7 @@ from mitsuba_ref.model import model_of
 from mitsuba_ref.rays import SharedRays
 from mitsuba_ref.reference import consult
 from mitsuba_ref.shapes.cylinder import passes_for_round
+from mitsuba_ref.worker import Ask
 
 COUNT = 2000  # rays a setting
 
@@ -48,16 +47,13 @@ SHAPES = {"planes": 1, "meshes": 3}  # of a scene; 6 of the others
 
 
 @pytest.fixture(scope="module", params=KINDS)
-def observed(request: pytest.FixtureRequest) -> tuple[str, dict[str, Observed]]:
+def observed(request: pytest.FixtureRequest, ask: Ask) -> tuple[str, dict[str, Observed]]:
     """A kind, and what was seen of it in each setting."""
-    kind = request.param
-
-    def ask(numbered: tuple[int, str]) -> Observed:
-        number, name = numbered
-        return observe(kind, SETTINGS[name], [200, number], shapes=SHAPES.get(kind, 6), count=COUNT)
-
-    with ThreadPoolExecutor(2) as pool:
-        return kind, dict(zip(SETTINGS, pool.map(ask, enumerate(SETTINGS)), strict=True))
+    kind, shapes = request.param, SHAPES.get(request.param, 6)
+    return kind, {
+        name: observe(kind, setting, [200, number], shapes=shapes, count=COUNT, ask=ask)
+        for number, (name, setting) in enumerate(SETTINGS.items())
+    }
 
 
 def test_no_hit_is_farther_off_than_its_bound(observed):
@@ -96,7 +92,7 @@ def test_every_hit_and_miss_is_one_that_rounding_allows(observed):
     assert differ >= 100 or kind == "planes"
 
 
-def test_mitsuba_takes_every_cylinder_that_goes_as_it_is():
+def test_mitsuba_takes_every_cylinder_that_goes_as_it_is(ask):
     """Its test for shear is absolute, so large ones fail it by rounding alone: those go as instances."""
     rng = np.random.default_rng(201)
     sizes = decades(rng, 1e-3, 1e2, 300)
@@ -108,5 +104,5 @@ def test_mitsuba_takes_every_cylinder_that_goes_as_it_is():
     assert 100 <= native <= 250
     away = np.full((1, 3), 1e6, np.float32)
     nowhere = SharedRays(away, away, np.ones(1, np.float32), np.zeros(1))
-    witness = consult(scene, model_of(scene, packed, nowhere), nowhere, lights=False)
+    witness = consult(scene, model_of(scene, packed, nowhere), nowhere, lights=False, ask=ask)
     assert not isinstance(witness, Crash), witness

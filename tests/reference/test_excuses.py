@@ -8,16 +8,10 @@ import pytest
 
 import caster
 from caster.scene import Scene, load_scene
-from mitsuba_ref import validate
-from mitsuba_ref.jobs import Crash
-from mitsuba_ref.judge import Judge
-from mitsuba_ref.model import model_of
-from mitsuba_ref.pair import our_view, pair_up
+from mitsuba_ref.judge import Judge, Judgement
 from mitsuba_ref.pixels import flat
-from mitsuba_ref.rays import share
-from mitsuba_ref.reference import consult
 from mitsuba_ref.table import failure
-from mitsuba_ref.verdict import EXPLAINED, OUR_WORD, SceneVerdict
+from mitsuba_ref.verdict import EXPLAINED, OUR_WORD
 
 SCENES = Path(__file__).parents[2] / "scenes"
 LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
@@ -29,26 +23,21 @@ def scene_of(*shapes: Any, **more: Any) -> Scene:
     return Scene(**(usual | more), shapes=shapes)
 
 
-def judged(scene: Scene) -> SceneVerdict:
-    return validate(scene).scenes[0]
+@pytest.fixture(scope="module")
+def shaded(brought) -> Judge:
+    """A scene with many pixels that are excused: their rays pass through edges, exactly."""
+    return brought(load_scene(SCENES / "shared-edges-icosphere.toml"))
 
 
 @pytest.fixture(scope="module")
-def shaded() -> Judge:
-    """A scene with many pixels that are excused: their rays pass through edges, exactly."""
-    scene = load_scene(SCENES / "shared-edges-icosphere.toml")
-    rays = share(scene)
-    view = our_view(scene, rays)
-    model = model_of(scene, view.packed, rays)
-    witness = consult(scene, model, rays)
-    assert not isinstance(witness, Crash), witness
-    return Judge(scene, model, pair_up(scene, rays, view, witness))
+def first(shaded) -> Judgement:
+    """Its pixels as nobody has altered them."""
+    return shaded.judge()
 
 
 @pytest.mark.parametrize("name", ["diffuse", "depth", "position", "normal"])
 @pytest.mark.parametrize("change", [lambda v: v * 1.5 + 0.1, lambda v: v * np.nan], ids=["other", "nan"])
-def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, name, change):
-    first = shaded.judge()
+def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, first, name, change):
     before, excused = first.classes, first.is_class(*OUR_WORD) & shaded.pair.ours.hit.ravel()
     assert 50 <= excused.sum() < len(excused) // 10
     image = flat(shaded.pair.ours, name)
@@ -65,7 +54,7 @@ def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, name, ch
     assert np.array_equal(after.classes[~excused], before[~excused])
 
 
-def test_more_excuses_than_evidence_do_not_pass():
+def test_more_excuses_than_evidence_do_not_pass(judged):
     """Every ray meets the rim of a ball, exactly: float32 may miss it."""
     wall = caster.Disk(to_world=[{"translate": [0.0, 1.0, 0.0]}])
     camera = caster.Orthographic(eye=(0, 0, 3), direction=(0, 0, -1), width=2.0**-40)
@@ -76,7 +65,7 @@ def test_more_excuses_than_evidence_do_not_pass():
     assert told in failure(found)
 
 
-def test_a_plane_edge_on_excuses_neither_what_stands_before_it_nor_beside_it(monkeypatch):
+def test_a_plane_edge_on_excuses_neither_what_stands_before_it_nor_beside_it(judged, monkeypatch):
     """The plane holds the rays up to rounding: nobody can say where they meet. The ball is another matter."""
     shapes = (caster.Sphere(), caster.Plane(normal=(0, 0.6, 0.8), offset=0))
     camera = caster.Orthographic(eye=(0, -4, 3), direction=(0, 0.8, -0.6), up=(0, 0, 1), width=1.5)
@@ -91,7 +80,7 @@ def test_a_plane_edge_on_excuses_neither_what_stands_before_it_nor_beside_it(mon
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_a_doubtful_shadow_counts_whichever_place_its_light_has(first):
+def test_a_doubtful_shadow_counts_whichever_place_its_light_has(judged, first):
     """Pixel centres lie on a shadow's border, exactly; six more lights are in no doubt."""
     others = [caster.Point(position=(i, 0.5, 9), intensity=(1, 1, 1)) for i in range(9)]
     sun = [caster.Directional(direction=(-1, -1, 0), irradiance=(1, 1, 1))]
@@ -110,7 +99,7 @@ def test_a_doubtful_shadow_counts_whichever_place_its_light_has(first):
 
 
 @pytest.mark.parametrize("name", ["depth", "position", "normal", "shading_normal", "diffuse"])
-def test_a_scene_may_ask_for_less_than_the_derived_bound(name):
+def test_a_scene_may_ask_for_less_than_the_derived_bound(judged, name):
     strict = scene_of(caster.Sphere(), checks={name: {"ratio": 1e-6}})
     found = judged(strict)
     assert not found.ok and found.counts["undecided"] > 100
@@ -119,11 +108,11 @@ def test_a_scene_may_ask_for_less_than_the_derived_bound(name):
     assert lax.ok and lax.allowed == {name: 2.0}
 
 
-def test_a_check_that_nothing_would_heed_is_refused():
+def test_a_check_that_nothing_would_heed_is_refused(judged):
     with pytest.raises(caster.SceneError, match=r"check.uv: is compared exactly or not at all"):
         judged(scene_of(caster.Sphere(), checks={"uv": {"ratio": 0.1}}))
 
 
 @pytest.mark.parametrize("name", ["$x", "a$", "ball & chain", "<ball>", "a.b", "Kugel, groß"])
-def test_a_shape_may_be_called_what_it_likes(name):
+def test_a_shape_may_be_called_what_it_likes(judged, name):
     assert judged(scene_of(caster.Sphere(name=name))).ok

@@ -23,6 +23,8 @@ from mitsuba_ref.fuzz.judged import judge_scene
 from mitsuba_ref.fuzz.kept import read
 from mitsuba_ref.fuzz.resident import Resident
 from mitsuba_ref.jobs import Crash
+from mitsuba_ref.judging import judge_of
+from mitsuba_ref.validation import validate_scene
 from mitsuba_ref.verdict import CLASSES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -205,6 +207,20 @@ def test_mitsuba_stays_for_the_next_scene():
         assert judge_scene(scene, resident, tally) == []
         assert child.process.pid == pid and child.alive
     assert not child.alive and (tally.judged, tally.pixels) == (2, 128)
+
+
+def test_the_judge_asks_the_way_that_it_is_given():
+    asked = []
+
+    def refuses(job, timeout):
+        asked.append((job.variant, timeout))
+        return Crash("error", "not today", "exit code 1", 0.0)
+
+    scene = load_scene(SCENE).with_film(width=8, height=8)
+    verdict = validate_scene(scene, "scene", timeout=7.0, ask=refuses)
+    assert len(asked) == 1 and asked[0][1] == 7.0
+    assert verdict.problem == "Mitsuba ended without an answer (exit code 1): not today"
+    assert judge_of(scene, ask=refuses).words == "not today"
 
 
 def test_a_crash_of_mitsuba_is_a_finding_and_the_next_scene_gets_a_new_child():

@@ -10,6 +10,7 @@ from caster.placing import as_float32
 from caster.scene import Scene
 from caster.shapes import Icosphere, Plane, Sphere, Triangle
 from mitsuba_ref.bracket import Bracket, Claims, Finding
+from mitsuba_ref.cases import SLACK
 from mitsuba_ref.meeting import KU, KU_OURS, U
 from mitsuba_ref.model import Model, model_of
 from mitsuba_ref.rays import SharedRays
@@ -131,6 +132,33 @@ def test_nothing_counts_beyond_t_max_or_behind_the_origin():
     assert allows([BALL], ABOVE, DOWN, *MISS, t_max=3.5)
     assert allows([BALL], ABOVE, DOWN, 4.0, 0, t_max=4.0) and allows([BALL], ABOVE, DOWN, *MISS, t_max=4.0)
     assert not allows([BALL], ABOVE, UP, -4.0, 0) and allows([BALL], ABOVE, UP, *MISS)
+
+
+def at_least(t: float, t_min: float, n: Any = UP) -> bool:
+    """Whether a ray that begins at t_min may meet the ball at t; inf: miss it."""
+    o, d = np.array([ABOVE]), DOWN[None]
+    p = np.array([ABOVE]) + (t if np.isfinite(t) else 0.0) * d
+    claims = Claims(np.array([t]), np.array([0 if np.isfinite(t) else -1]), np.array([n]), np.array([n]), p)
+    judge = bracket([BALL], o, d, ours=True).judge
+    return bool(judge(o, d, np.array([np.inf]), claims, t_min=t_min).allowed[0])
+
+
+def test_nothing_counts_before_t_min():
+    assert at_least(4.0, 3.0) and not at_least(6.0, 3.0, DOWN) and not at_least(np.inf, 3.0)
+    assert not at_least(4.0, 5.0) and at_least(6.0, 5.0, DOWN) and not at_least(np.inf, 5.0)
+    assert not at_least(6.0, 7.0, DOWN) and at_least(np.inf, 7.0)
+    assert at_least(4.0, 4.0) and at_least(6.0, 4.0, DOWN)  # within rounding, either
+
+
+def test_a_primitive_is_looked_at_beyond_its_box_if_it_is_named():
+    """An ellipsoid squashed to 1e-6, 5 units aside, whose bound reaches that far."""
+    thin = Sphere(to_world=[{"scale": [1e-6, 1.0, 1e-6]}, {"rotate": {"axis": [1, 0, 0], "degrees": 30}}])
+    o, d = np.array([[0.0, 5.0, 5.0]]), DOWN[None]
+    claims = Claims(np.array([5.0]), np.array([0]), UP[None], UP[None], o + 5.0 * d)
+    judge = Bracket(modelled([thin], o, d), SLACK * KU, ours=False).judge
+    assert not judge(o, d, np.array([np.inf]), claims).allowed[0]
+    assert judge(o, d, np.array([np.inf]), claims, also=np.array([0])).allowed[0]
+    assert not judge(o, d, np.array([np.inf]), claims, also=np.array([-1])).allowed[0]
 
 
 @pytest.mark.parametrize("t", [4.0 + 1e-4, 4.0 - 1e-4, np.nan, -4.0, 0.0])

@@ -1,5 +1,6 @@
 """The doctor names what is missing, what it would add and the way out, and never dies of what it looks at."""
 
+import importlib.metadata
 import json
 import re
 import sys
@@ -33,6 +34,24 @@ def test_every_dependency_is_looked_for_with_its_least_version():
 def test_the_judges_pins_are_the_projects():
     pins = [f"{name}=={version}" for name, version in judge_doctor.PINNED.items()]
     assert pins == PROJECT["optional-dependencies"]["reference"]
+
+
+def test_matplotlib_is_looked_for_with_the_projects_least_version_and_is_not_needed():
+    (least,) = PROJECT["optional-dependencies"]["plots"]
+    assert f"{judge_doctor.PLOTS.distribution}>={judge_doctor.PLOTS.least}" == least
+    finding = next(each for each in judge_doctor.report() if each.name == "matplotlib")
+    assert finding.found and not finding.needed and finding.detail == importlib.metadata.version("matplotlib")
+    assert "stress --report" in finding.adds
+
+
+def test_a_judge_without_matplotlib_is_usable_and_says_what_it_would_add(monkeypatch):
+    monkeypatch.setattr(judge_doctor, "PLOTS", judge_doctor.PLOTS._replace(distribution="no-such-matplotlib"))
+    finding = describe(variants=["scalar_rgb"])["no-such-matplotlib"]
+    assert (
+        not finding.found and finding.detail == "not installed" and finding.way_out.startswith("pip install")
+    )
+    assert judge_doctor.exit_code([finding]) == 0
+    assert "would add the pictures" in doctor.format([finding])
 
 
 def test_this_environment_is_usable():

@@ -1,0 +1,51 @@
+"""What many tests start with: Mitsuba in one process a variant, which stays, and a copy of both packages."""
+
+import compileall
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from edited_tree import PACKAGES, copy_tree
+
+from caster.scene import Scene
+from mitsuba_ref.fuzz.resident import Resident
+from mitsuba_ref.jobs import Crash
+from mitsuba_ref.judge import Judge
+from mitsuba_ref.judging import judge_of
+from mitsuba_ref.validation import validate_scene
+from mitsuba_ref.verdict import SceneVerdict
+from mitsuba_ref.worker import Ask
+
+
+@pytest.fixture(scope="session")
+def ask() -> Iterator[Ask]:
+    """The way to Mitsuba, for tests that ask it about small scenes: to start it takes ten times as long."""
+    with Resident() as resident:
+        yield resident.ask
+
+
+@pytest.fixture(scope="session")
+def judged(ask: Ask) -> Callable[[Scene], SceneVerdict]:
+    """What `mitsuba_ref.validate` finds about a scene."""
+    return lambda scene: validate_scene(scene, "scene", ask=ask)
+
+
+@pytest.fixture(scope="session")
+def brought(ask: Ask) -> Callable[[Scene], Judge]:
+    """A scene before the judge."""
+
+    def bring(scene: Scene) -> Judge:
+        judge = judge_of(scene, ask=ask)
+        assert not isinstance(judge, Crash), judge
+        return judge
+
+    return bring
+
+
+@pytest.fixture(scope="session")
+def unedited(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of both packages whose modules are compiled to bytecode once, here, and so in every copy of it."""
+    tree = copy_tree(tmp_path_factory.mktemp("unedited"))
+    for package in PACKAGES:
+        assert compileall.compile_dir(tree / package, quiet=1)
+    return tree
