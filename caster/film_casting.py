@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from caster.casting import decide_doubtful
 from caster.kernels.nearest import Nearest, Rays, no_hits
 from caster.kernels.screen import (
+    MARGIN,
     Window,
     cast_own_origins,
     cast_shared_origin,
@@ -35,10 +37,18 @@ class Sorted:
 
 
 def find_nearest_on_film(
-    packed: Packed, rays: Rays, camera: Any, window: Window, shares_origin: bool, threads: int | None = None
+    packed: Packed,
+    rays: Rays,
+    camera: Any,
+    window: Window,
+    shares_origin: bool,
+    threads: int | None = None,
+    *,
+    off_centre: float = 0.0,
 ) -> Nearest:
-    """The nearest hit of a camera's own rays."""
-    kinds = sorted_kinds(packed, camera, window, float(np.abs(rays.o).max(initial=0.0)), threads)
+    """The nearest hit of a camera's own rays; off_centre: by how many pixels they may pass their pixel's centre."""
+    origin = float(np.abs(rays.o).max(initial=0.0))
+    kinds = sorted_kinds(packed, camera, window, origin, threads, off_centre)
     cast = cast_shared_origin if shares_origin else cast_own_origins
     nearest, doubt = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
     ids = ids_by_place(packed)
@@ -78,16 +88,13 @@ def in_tiles(
     work: Callable[[int, Box, np.ndarray], None], window: Window, threads: int | None = None
 ) -> None:
     """Call work(number, box, tile) for each tile of the window; every thread has one array, for one tile at a time."""
-    left = iter(enumerate(boxes(window)))
-    tiles = len(range(0, window.width, WIDTH)) * len(range(0, window.height, HEIGHT))
-    workers = min(thread_count(threads), tiles)
+    every = list(enumerate(boxes(window)))
+    left, workers = iter(every), min(thread_count(threads), len(every))
 
     def go() -> None:
         tile = new_tile()
-        while (
-            following := next(left, None)
-        ) is not None:  # one step of an iterator in C, so no two get the same
-            work(*following, tile)
+        for number, box in left:  # one step of a list's iterator at a time: no two threads get the same
+            work(number, box, tile)
 
     if workers == 1:
         go()
@@ -102,24 +109,29 @@ def in_tiles(
 
 
 def sorted_kinds(
-    packed: Packed, camera: Any, window: Window, origin: float, threads: int | None = None
+    packed: Packed,
+    camera: Any,
+    window: Window,
+    origin: float,
+    threads: int | None = None,
+    off_centre: float = 0.0,
 ) -> list[Sorted]:
-    """Where to look for each primitive; `origin`: the largest |coordinate| of a ray's origin."""
+    """Where to look for each primitive.
+
+    origin: the largest |coordinate| of a ray's origin; off_centre: how far from the centres of pixels rays may pass.
+    """
+
+    def sort(kind: Kind, base: int) -> Sorted:
+        slack = kind.reach * (origin + kind.extent) if kind.bounded else 0.0
+        spans, reach = np.empty((len(kind.ids), 4), np.int32), (slack, MARGIN + off_centre)
+        in_bands(partial(find_spans, kind.prims, camera, window, spans, reach), len(spans), threads)
+        return _into_tiles(kind, base, window, spans)
+
     bases = itertools.accumulate((len(kind.ids) for kind in packed.kinds), initial=0)
-    return [
-        _sort(kind, base, camera, window, origin, threads)
-        for kind, base in zip(packed.kinds, bases, strict=False)
-    ]
+    return [sort(kind, base) for kind, base in zip(packed.kinds, bases, strict=False)]
 
 
-def _sort(kind: Kind, base: int, camera: Any, window: Window, origin: float, threads: int | None) -> Sorted:
-    slack = kind.reach * (origin + kind.extent) if kind.bounded else 0.0
-    spans = np.empty((len(kind.ids), 4), np.int32)
-    in_bands(
-        lambda start, stop: find_spans(kind.prims, camera, window, spans, slack, start, stop),
-        len(spans),
-        threads,
-    )
+def _into_tiles(kind: Kind, base: int, window: Window, spans: np.ndarray) -> Sorted:
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
     counts = np.zeros(across * down + 1, np.int64)
     count_in_tiles(spans, across, counts)

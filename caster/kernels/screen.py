@@ -42,14 +42,16 @@ class Window(NamedTuple):
 
 
 @inlined
-def film_box(prims: Any, k: int, camera: Any, slack: float) -> tuple[float, float, float, float]:
+def film_box(
+    prims: Any, k: int, camera: Any, slack: float, margin: float
+) -> tuple[float, float, float, float]:
     """(left, top, right, bottom) around the picture of primitive k; endless where a hull point has none."""
     left, top, right, bottom = math.inf, math.inf, -math.inf, -math.inf
     for j in range(hull_size(prims)):
         x, y, pixels, valid = project(camera, hull_point(prims, k, j))
         if not valid:
             return -math.inf, -math.inf, math.inf, math.inf
-        reach = MARGIN + slack * pixels
+        reach = margin + slack * pixels
         left, top = min(left, x - reach), min(top, y - reach)
         right, bottom = max(right, x + reach), max(bottom, y + reach)
     if left > right:  # a kind without bounds
@@ -66,10 +68,15 @@ def pixel_span(low: float, high: float, first: int, count: int) -> tuple[int, in
 
 
 @jit
-def find_spans(prims: Any, camera: Any, window: Any, spans: Any, slack: float, start: int, stop: int) -> None:
-    """spans[k] = (x_start, y_start, x_stop, y_stop) within the window, for primitives start..stop."""
+def find_spans(
+    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
+) -> None:
+    """spans[k] = (x_start, y_start, x_stop, y_stop) within the window, for primitives start..stop.
+
+    reach: how far beyond its points a primitive may be seen, in scene units and in pixels.
+    """
     for k in range(start, stop):
-        left, top, right, bottom = film_box(prims, k, camera, slack)
+        left, top, right, bottom = film_box(prims, k, camera, reach[0], reach[1])
         spans[k, 0], spans[k, 2] = pixel_span(left, right, window.x0, window.width)
         spans[k, 1], spans[k, 3] = pixel_span(top, bottom, window.y0, window.height)
 

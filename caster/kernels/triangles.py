@@ -21,6 +21,7 @@ from caster.kernels.protocol import (
     root,
     surface,
 )
+from caster.kernels.twofold import cross_of_edges
 from caster.kernels.vec import (
     LARGEST_SQUARE,
     SMALLEST_SQUARE,
@@ -195,16 +196,33 @@ def _root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> R
     return exact_triangle(corners, o, d, t_min, t_max)
 
 
+# Where fewer than half of its bits are known, a normal is worked out with twice as many.
+HALF_KNOWN = 2.0**-52  # its square over that of the permanent
+
+
 @inlined
 def across(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
-    """The unit normal of a triangle, however small or large it is; 0 if it has none."""
+    """The unit normal of a triangle, however small, large or thin it is."""
     e1, e2 = sub(b, a), sub(c, a)
-    n = cross(e1, e2)
+    n, spread = cross(e1, e2), permanent(e1, e2)
     square = dot(n, n)
-    if SMALLEST_SQUARE < square < LARGEST_SQUARE:
+    if SMALLEST_SQUARE < square < LARGEST_SQUARE and square > HALF_KNOWN * dot(spread, spread):
         length = math.sqrt(square)
         return n[0] / length, n[1] / length, n[2] / length
-    return unit(cross(about_one(e1), about_one(e2)))
+    return across_needle(a, b, c)
+
+
+@jit
+def across_needle(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+    """The same with twice the bits; where even those see a line, one of the normals across it; 0 of a point."""
+    n = cross_of_edges(a, b, c)
+    if size(n) > 0.0:
+        return unit(n)
+    along = about_one(sub(b, a) if size(sub(b, a)) >= size(sub(c, a)) else sub(c, a))
+    x, y, z = abs(along[0]), abs(along[1]), abs(along[2])
+    if x <= y and x <= z:
+        return unit((0.0, along[2], -along[1]))
+    return unit((-along[2], 0.0, along[0]) if y <= z else (along[1], -along[0], 0.0))
 
 
 @implement(normal, Triangles)

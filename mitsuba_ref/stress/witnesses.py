@@ -103,7 +103,9 @@ def on_screen(ready: Prepared) -> Sight | Absent:
         rays.o[:], rays.t_max[:] = setting.o[rows[0]], -1.0  # no ray but those of the setting
         rays.d[pixels], rays.t_max[pixels] = setting.d[rows], np.inf
         seen_by = camera.pack(film.width, film.height)
-        nearest = find_nearest_on_film(ready.packed, rays, seen_by, window, camera.shares_origin)
+        nearest = find_nearest_on_film(
+            ready.packed, rays, seen_by, window, camera.shares_origin, off_centre=1.0
+        )
         t[rows], prim[rows] = nearest.t[pixels], nearest.prim[pixels]
     return Sight(t, prim)
 

@@ -54,8 +54,8 @@ def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
     """Without the lower half of their rows hits are lost."""
     find_spans = film_casting.find_spans
 
-    def narrow(prims, camera, window, spans, slack, start, stop):
-        find_spans(prims, camera, window, spans, slack, start, stop)
+    def narrow(prims, camera, window, spans, reach, start, stop):
+        find_spans(prims, camera, window, spans, reach, start, stop)
         spans[start:stop, 3] = (spans[start:stop, 1] + spans[start:stop, 3]) // 2
 
     monkeypatch.setattr(film_casting, "find_spans", narrow)
