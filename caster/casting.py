@@ -1,11 +1,13 @@
 """Rays in, nearest hits out: the three cullings, on as many threads as there are cores."""
 
+import itertools
 from collections.abc import Callable
 from functools import partial
 from typing import Literal
 
 import numpy as np
 
+from caster.kernels.bundle import cast_all, cast_bundles
 from caster.kernels.bvh import cast_bvh
 from caster.kernels.everything import cast_everything
 from caster.kernels.nearest import (
@@ -21,6 +23,7 @@ from caster.kernels.nearest import (
     no_hits,
     precedes,
 )
+from caster.kernels.tile import SIZE, load_run, new_tile, store_run
 from caster.kernels.tree import LEAF_SIZE, STACK_SIZE
 from caster.packing import Kind, Packed
 from caster.threads import in_bands
@@ -30,12 +33,52 @@ Culling = Literal["everything", "screen", "bvh"]
 
 def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None) -> Nearest:
     """The nearest hit of any rays."""
+    count = len(rays.t_min)
+    nearest, doubt = no_hits(count), np.zeros(count, bool)
+    if culling == "everything":
+        for kind in packed.kinds:
+            in_bands(_by_everything(Folding(kind.ids), kind, rays, Sketch(*nearest, doubt)), count, threads)
+        return decide_doubtful(packed, rays, nearest, doubt, threads, trees=False)
+    ids = ids_by_place(packed)
+    cast = [_in_bundles(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
 
-    def search(kind: Kind, found: Sketch) -> None:
-        cast = _by_tree if culling == "bvh" and worth_a_tree(kind) else _by_everything
-        in_bands(cast(Folding(kind.ids), kind, rays, found), len(rays.t_min), threads)
+    def work(start: int, stop: int) -> None:
+        tile, room = new_tile(), _room()
+        for first in range(start, stop, SIZE):
+            last = min(first + SIZE, stop)
+            load_run(rays, first, last, tile)
+            for kind in cast:
+                kind(last - first, tile, room)
+            store_run(tile, ids, first, last, nearest, doubt)
 
-    return _over_kinds(packed, rays, search, threads, trees=culling != "everything")
+    in_bands(work, count, threads)
+    return decide_doubtful(packed, rays, nearest, doubt, threads)
+
+
+Room = tuple[np.ndarray, np.ndarray]
+
+
+def _room() -> Room:
+    """For the nodes that a ray has yet to look at, and where it enters them."""
+    return np.empty(STACK_SIZE, np.int32), np.empty(STACK_SIZE)
+
+
+def _in_bundles(kind: Kind, base: int) -> Callable[[int, np.ndarray, Room], None]:
+    """Cast so many rays of a tile at a kind."""
+    if worth_a_tree(kind):
+        tree = kind.tree
+        return lambda count, tile, room: cast_bundles(kind.prims, tree, base, count, tile, room)
+    return lambda count, tile, room: cast_all(kind.prims, len(kind.ids), base, count, tile)
+
+
+def bases(packed: Packed) -> list[int]:
+    """Place of each kind's first primitive: they are counted kind by kind."""
+    return [0, *itertools.accumulate(len(kind.ids) for kind in packed.kinds)][: len(packed.kinds)]
+
+
+def ids_by_place(packed: Packed) -> np.ndarray:
+    """(places,) int32, number in the scene of each primitive, kind by kind."""
+    return np.concatenate([kind.ids for kind in packed.kinds]) if packed.kinds else np.zeros(0, np.int32)
 
 
 def worth_a_tree(kind: Kind) -> bool:
@@ -53,25 +96,9 @@ def _by_tree(mode: Mode, kind: Kind, rays: Rays, record: Sketch) -> Callable[[in
     tree = kind.tree
 
     def work(start: int, stop: int) -> None:
-        room = np.empty(STACK_SIZE, np.int32), np.empty(STACK_SIZE)
-        cast_bvh(mode, kind.prims, tree, rays, record, (start, stop), room)
+        cast_bvh(mode, kind.prims, tree, rays, record, (start, stop), _room())
 
     return work
-
-
-def _over_kinds(
-    packed: Packed,
-    rays: Rays,
-    search: Callable[[Kind, Sketch], None],
-    threads: int | None,
-    *,
-    trees: bool = True,
-) -> Nearest:
-    """The nearest hit among all kinds; search(kind, found) goes through one. Doubtful rays are cast once more."""
-    nearest, doubt = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
-    for kind in packed.kinds:
-        search(kind, Sketch(*nearest, doubt))
-    return decide_doubtful(packed, rays, nearest, doubt, threads, trees=trees)
 
 
 def decide_doubtful(

@@ -1,6 +1,5 @@
 """Rays of a film in, nearest hits out, tile by tile: each primitive against the pixels of its picture."""
 
-import itertools
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -9,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.casting import decide_doubtful
+from caster.casting import bases, decide_doubtful, ids_by_place
 from caster.kernels.nearest import Nearest, Rays, no_hits
 from caster.kernels.screen import (
     MARGIN,
@@ -60,11 +59,6 @@ def find_nearest_on_film(
 
     in_tiles(work, window, threads)
     return decide_doubtful(packed, rays, nearest, doubt, threads)
-
-
-def ids_by_place(packed: Packed) -> np.ndarray:
-    """(places,) int32, number in the scene of each primitive, kind by kind."""
-    return np.concatenate([kind.ids for kind in packed.kinds]) if packed.kinds else np.zeros(0, np.int32)
 
 
 def cast_tile(
@@ -127,8 +121,7 @@ def sorted_kinds(
         in_bands(partial(find_spans, kind.prims, camera, window, spans, reach), len(spans), threads)
         return _into_tiles(kind, base, window, spans)
 
-    bases = itertools.accumulate((len(kind.ids) for kind in packed.kinds), initial=0)
-    return [sort(kind, base) for kind, base in zip(packed.kinds, bases, strict=False)]
+    return [sort(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
 
 
 def _into_tiles(kind: Kind, base: int, window: Window, spans: np.ndarray) -> Sorted:

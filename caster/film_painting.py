@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from caster.aovs import BY_NAME
-from caster.casting import decide
-from caster.film_casting import Sorted, cast_tile, ids_by_place, in_tiles, sorted_kinds
+from caster.casting import decide, ids_by_place
+from caster.film_casting import Sorted, cast_tile, in_tiles, sorted_kinds
 from caster.kernels.gather import shoot_at
 from caster.kernels.nearest import new_rays
 from caster.kernels.paint import (

@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from caster.kernels.jit import inlined, jit
-from caster.kernels.protocol import Vec3, intersect, nearer, note, passes, prepare, recall
+from caster.kernels.protocol import Vec3, intersect, nearer, note, numbers, passes, prepare, recall
 
 # A box is met from (low + c) / d to (high + c) / d along an axis, c being its reference point seen from the origin,
 # less or more the pad, taken as low (1/d) + c (1/d). What the products round, u (|low| + |c|) in space, is in REACH;
@@ -70,44 +70,47 @@ def enters(boxes: Any, node: int, view: Any, t_min: float, t_max: float) -> floa
     return near if near <= far else math.inf
 
 
-@jit
-def cast_bvh(mode: Any, prims: Any, tree: Any, rays: Any, record: Any, span: Any, room: Any) -> None:
-    """Rays span[0]..span[1] against one kind; a box at exactly the nearest t is opened, so no tie is lost.
+@inlined
+def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, room: Any) -> Any:
+    """The best of ray i (o, d, t_min, t_max) once all of a kind has been looked at; the nearer of two boxes first.
 
-    The nearer of two boxes first. What is known of a ray is kept in numbers: around branches, Numba counts references
-    to every array that something is put into.
+    A box at exactly the nearest t is opened, so no tie is lost.
     """
     stack, entries = room
+    o, d, t_min, t_max = ray
+    view = view_along(tree, o, d)
+    top, stack[0], entries[0] = 1, 0, -math.inf
+    while top > 0:
+        top -= 1
+        limit = min(t_max, best[0] + best[1])
+        if entries[top] > limit:
+            continue
+        node = stack[top]
+        start, number = tree.links[node, 0], tree.links[node, 1]
+        if number < 0:
+            a, b = node + 1, start
+            enter_a = enters(tree.boxes, a, view, t_min, limit)
+            enter_b = enters(tree.boxes, b, view, t_min, limit)
+            swap = enter_b < enter_a
+            # pushed whether or not it is entered; if not, the next one takes its place
+            stack[top], entries[top] = a if swap else b, max(enter_a, enter_b)
+            top += max(enter_a, enter_b) < math.inf
+            stack[top], entries[top] = b if swap else a, min(enter_a, enter_b)
+            top += min(enter_a, enter_b) < math.inf
+            continue
+        for at in range(start, start + number):
+            k = tree.order[at]
+            pre = prepare(prims, numbers(prims, k), o)
+            if not passes(prims, pre, d):
+                best = nearer(mode, best, i, k, intersect(prims, pre, d, t_min, t_max))
+    return best
+
+
+@jit
+def cast_bvh(mode: Any, prims: Any, tree: Any, rays: Any, record: Any, span: Any, room: Any) -> None:
+    """Rays span[0]..span[1] against one kind."""
     for i in range(span[0], span[1]):
         o = rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]
         d = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
-        t_min, t_max = rays.t_min[i], rays.t_max[i]
-        view = view_along(tree, o, d)
-        best = recall(mode, record, i)
-        top, stack[0], entries[0] = 1, 0, -math.inf
-        while top > 0:
-            top -= 1
-            limit = min(t_max, best[0] + best[1])
-            if entries[top] > limit:
-                continue
-            node = stack[top]
-            number = tree.links[node, 1]
-            if number < 0:
-                a, b = node + 1, tree.links[node, 0]
-                enter_a = enters(tree.boxes, a, view, t_min, limit)
-                enter_b = enters(tree.boxes, b, view, t_min, limit)
-                swap = enter_b < enter_a
-                # pushed whether or not it is entered; if not, the next one takes its place
-                stack[top], entries[top] = a if swap else b, max(enter_a, enter_b)
-                top += max(enter_a, enter_b) < math.inf
-                stack[top], entries[top] = b if swap else a, min(enter_a, enter_b)
-                top += min(enter_a, enter_b) < math.inf
-                continue
-            start = tree.links[node, 0]
-            for at in range(start, start + number):
-                k = tree.order[at]
-                pre = prepare(prims, k, o)
-                if not passes(prims, pre, d):
-                    hit = intersect(prims, pre, d, t_min, t_max)
-                    best = nearer(mode, best, i, k, hit)
-        note(mode, record, i, best)
+        ray = o, d, rays.t_min[i], rays.t_max[i]
+        note(mode, record, i, traverse(mode, prims, tree, i, ray, recall(mode, record, i), room))

@@ -7,7 +7,7 @@ import numpy as np
 
 from caster.kernels.exact_root import FLOAT_ERROR, as_float, no_root, order
 from caster.kernels.jit import implement, inlined, jit
-from caster.kernels.protocol import intersect, nearer, note, prepare, recall, root
+from caster.kernels.protocol import intersect, nearer, note, numbers, prepare, recall, root
 from caster.kernels.vec import row
 
 
@@ -133,7 +133,7 @@ def choose(prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, star
             if new.hit and (chosen < 0 or precedes(new, k, first, chosen)):
                 first, chosen = new, k
         if chosen >= 0:
-            t, off = intersect(prims, prepare(prims, chosen, o), d, t_min, t_max)
+            t, off = intersect(prims, prepare(prims, numbers(prims, chosen), o), d, t_min, t_max)
             if not off < math.inf:
                 t = as_float(first)
                 off = FLOAT_ERROR * t

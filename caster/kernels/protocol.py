@@ -13,8 +13,13 @@ Vec3 = tuple[float, float, float]
 
 
 @generic_inlined
-def prepare(prims: Any, k: int, o: Vec3) -> Any:
-    """Everything about primitive k that depends on the ray origin only."""
+def numbers(prims: Any, k: int) -> Any:
+    """What `prepare` wants to know of primitive k: read once, since in loops over rays arrays are slow."""
+
+
+@generic_inlined
+def prepare(prims: Any, prim: Any, o: Vec3) -> Any:
+    """Everything about a primitive, given by its `numbers`, that depends on the ray origin only."""
 
 
 @generic_inlined

@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from caster.kernels.jit import inlined, jit
-from caster.kernels.protocol import hull_point, hull_size, intersect, prepare, project
+from caster.kernels.protocol import hull_point, hull_size, intersect, numbers, prepare, project
 from caster.kernels.tile import (
     DX,
     DY,
@@ -118,7 +118,7 @@ def cast_shared_origin(prims: Any, order: Any, run: Any, spans: Any, base: int, 
     for at in range(run[0], run[1]):
         k = order[at]
         x_start, y_start, x_stop, y_stop = within_tile(spans, k, box)
-        pre, place = prepare(prims, k, o), float(base + k)
+        pre, place = prepare(prims, numbers(prims, k), o), float(base + k)
         for y in range(y_start, y_stop):
             for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
                 for i in range(first, first + lane(LANES)):
@@ -133,11 +133,11 @@ def cast_own_origins(prims: Any, order: Any, run: Any, spans: Any, base: int, bo
     for at in range(run[0], run[1]):
         k = order[at]
         x_start, y_start, x_stop, y_stop = within_tile(spans, k, box)
-        place = float(base + k)
+        prim, place = numbers(prims, k), float(base + k)
         for y in range(y_start, y_stop):
             for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
                 for i in range(first, first + lane(LANES)):
                     o = tile[OX + i], tile[OY + i], tile[OZ + i]
                     d = tile[DX + i], tile[DY + i], tile[DZ + i]
-                    t, off = intersect(prims, prepare(prims, k, o), d, tile[T_MIN + i], tile[T_MAX + i])
+                    t, off = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
                     keep_first(tile, i, place, t, off)

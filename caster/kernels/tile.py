@@ -29,11 +29,15 @@ T, OFF, PLACE, DOUBT, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (lane(SIZE * field)
 # Once all is cast, three of them are free for normals.
 NX, NY, NZ = OFF, T_MIN, T_MAX
 
+# Behind the fields: how the rays of a bundle see boxes (kernels/bundle.py).
+VIEW = lane(SIZE * FIELDS)
+VIEW_SIZE = 9 * LANES
+
 Box = tuple[int, int, int, int]  # x0, y0, x1, y1: pixels of the window, x1 and y1 just outside
 
 
 def new_tile() -> np.ndarray:
-    return np.zeros(FIELDS * SIZE)
+    return np.zeros(FIELDS * SIZE + VIEW_SIZE)
 
 
 @inlined
@@ -75,6 +79,26 @@ def load_rays(rays: Any, width: int, box: Box, tile: Any) -> None:
             o, d = (rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]), (rays.d[n, 0], rays.d[n, 1], rays.d[n, 2])
             put_ray(tile, lane(y * WIDTH + x), (o, d, rays.t_min[n], rays.t_max[n]))
         pad(tile, y, x1 - x0)
+
+
+@jit
+def load_run(rays: Any, start: int, stop: int, tile: Any) -> None:
+    """Begin a tile with rays start..stop, filled up to whole LANES with none."""
+    for n in range(start, stop):
+        o, d = (rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]), (rays.d[n, 0], rays.d[n, 1], rays.d[n, 2])
+        put_ray(tile, lane(n - start), (o, d, rays.t_min[n], rays.t_max[n]))
+    for i in range(lane(stop - start), lane(-(-(stop - start) // LANES) * LANES)):
+        put_ray(tile, i, ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0))
+
+
+@jit
+def store_run(tile: Any, ids: Any, start: int, stop: int, nearest: Any, doubt: Any) -> None:
+    """Into the record of rays start..stop; ids[place] is the primitive's number in the scene."""
+    for n in range(start, stop):
+        i = lane(n - start)
+        place = int(tile[PLACE + i])
+        nearest.t[n], nearest.off[n], doubt[n] = tile[T + i], tile[OFF + i], tile[DOUBT + i] != 0.0
+        nearest.prim[n] = ids[place] if place >= 0 else -1
 
 
 @jit

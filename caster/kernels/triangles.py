@@ -15,6 +15,7 @@ from caster.kernels.protocol import (
     hull_size,
     intersect,
     normal,
+    numbers,
     passes,
     plain_normal,
     prepare,
@@ -32,6 +33,7 @@ from caster.kernels.vec import (
     answer,
     cross,
     dot,
+    largest,
     permanent,
     row,
     scaled,
@@ -53,11 +55,6 @@ class Triangles(NamedTuple):
     textured: np.ndarray  # (n,) bool: uv from the vertices, else the barycentrics b1, b2
 
 
-@jit
-def largest(a: Vec3) -> float:
-    return max(abs(a[0]), abs(a[1]), abs(a[2]))
-
-
 # The edge function d . (b x c) of corners b, c seen from the origin, magnitudes at most m:
 # a difference b is off by u of itself; a component of b x c by (2 u + u) 2 m^2 for its factors and products, and by
 # u 2 m^2 for the subtraction, 8 u m^2 together; the dot product by |d|_1 times that, and 3 u |d|_1 2 m^2 for its own
@@ -69,15 +66,21 @@ EDGE_ERROR = 16.0 * U
 PLANE_ERROR, SLOPE_ERROR = 9.0 * U, 8.0 * U
 
 
-@implement(prepare, Triangles)
-def _prepare(prims: Any, k: int, o: Vec3) -> Any:
-    """(b x c, c x a, a x b, n, Q, n . a, errors of the edge functions and of n . a)."""
+@implement(numbers, Triangles)
+def _numbers(prims: Any, k: int) -> Any:
+    """(corners, n, Q)."""
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     p, q, r = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
+    e1, e2 = sub(q, p), sub(r, p)
+    return p, q, r, cross(e1, e2), permanent(e1, e2)
+
+
+@implement(prepare, Triangles)
+def _prepare(prims: Any, prim: Any, o: Vec3) -> Any:
+    """(b x c, c x a, a x b, n, Q, n . a, errors of the edge functions and of n . a)."""
+    p, q, r, n, spread = prim
     a, b, c = sub(p, o), sub(q, o), sub(r, o)
     m = max(largest(a), largest(b), largest(c))
-    e1, e2 = sub(q, p), sub(r, p)
-    n, spread = cross(e1, e2), permanent(e1, e2)
     height_error = (
         PLANE_ERROR * (abs(a[0]) * spread[0] + (abs(a[1]) * spread[1] + abs(a[2]) * spread[2])) + TINY
     )

@@ -146,21 +146,27 @@ SEEN_ERROR = 6.0 * U
 
 
 @jit
-def seen(m: Any, k: int, v: Vec3) -> tuple[Vec3, Vec3]:
-    """(m[k] v, how far off each component may be): for an m that is the rounded inverse of a matrix."""
-    x = abs(m[k, 0, 0] * v[0]) + abs(m[k, 0, 1] * v[1]) + abs(m[k, 0, 2] * v[2])
-    y = abs(m[k, 1, 0] * v[0]) + abs(m[k, 1, 1] * v[1]) + abs(m[k, 1, 2] * v[2])
-    z = abs(m[k, 2, 0] * v[0]) + abs(m[k, 2, 1] * v[1]) + abs(m[k, 2, 2] * v[2])
-    return turned(m, k, v), (SEEN_ERROR * x, SEEN_ERROR * y, SEEN_ERROR * z)
+def seen(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> tuple[Vec3, Vec3]:
+    """(m v, how far off each component may be): for rows m of the rounded inverse of a matrix."""
+    x, y, z = magnitude(m[0], v), magnitude(m[1], v), magnitude(m[2], v)
+    return by_rows(m, v), (SEEN_ERROR * x, SEEN_ERROR * y, SEEN_ERROR * z)
 
 
 @jit
-def row_sizes(m: Any, k: int) -> Vec3:
-    """The largest magnitude in each row of m[k]: times size(v), at least what `seen` makes an error of."""
-    x = max(abs(m[k, 0, 0]), abs(m[k, 0, 1]), abs(m[k, 0, 2]))
-    y = max(abs(m[k, 1, 0]), abs(m[k, 1, 1]), abs(m[k, 1, 2]))
-    z = max(abs(m[k, 2, 0]), abs(m[k, 2, 1]), abs(m[k, 2, 2]))
-    return x, y, z
+def magnitude(a: Vec3, b: Vec3) -> float:
+    """The dot product of magnitudes."""
+    return abs(a[0] * b[0]) + abs(a[1] * b[1]) + abs(a[2] * b[2])
+
+
+@jit
+def row_sizes(m: tuple[Vec3, Vec3, Vec3]) -> Vec3:
+    """The largest magnitude in each row: times size(v), at least what `seen` makes an error of."""
+    return largest(m[0]), largest(m[1]), largest(m[2])
+
+
+@jit
+def largest(a: Vec3) -> float:
+    return max(abs(a[0]), abs(a[1]), abs(a[2]))
 
 
 @jit

@@ -16,6 +16,7 @@ from caster.kernels.protocol import (
     hull_size,
     intersect,
     normal,
+    numbers,
     passes,
     plain_normal,
     prepare,
@@ -88,19 +89,19 @@ class Cylinder(Shape):
         return np.column_stack([self.radius * first, self.radius * np.cross(along, first), axis])
 
 
+@implement(numbers, Cylinders)
+def _numbers(prims: Any, k: int) -> Any:
+    m = rows_of(prims.to_object, k)
+    x, y, z = row_sizes(m)
+    return row(prims.center, k), m, SEEN_ERROR * (x + y), SEEN_ERROR * z
+
+
 @implement(prepare, Cylinders)
-def _prepare(prims: Any, k: int, o: Any) -> Any:
+def _prepare(prims: Any, prim: Any, o: Any) -> Any:
     """(to_object, the wall there, the origin's height and its error, by how much d is off there over its size)."""
-    f, off = seen(prims.to_object, k, sub(o, row(prims.center, k)))
-    x, y, z = row_sizes(prims.to_object, k)
-    return (
-        rows_of(prims.to_object, k),
-        ball_at((f[0], f[1], 0.0), 1.0, off[0] + off[1]),
-        f[2],
-        off[2],
-        SEEN_ERROR * (x + y),
-        SEEN_ERROR * z,
-    )
+    center, m, across_off, along_off = prim
+    f, off = seen(m, sub(o, center))
+    return m, ball_at((f[0], f[1], 0.0), 1.0, off[0] + off[1]), f[2], off[2], across_off, along_off
 
 
 @implement(intersect, Cylinders)
@@ -153,7 +154,7 @@ def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
 def _facing(prims: Any, k: int, reach: float) -> Any:
     """Plain where the origin is, seen from there: its coordinates are sums of three products."""
     center, m = row(prims.center, k), rows_of(prims.to_object, k)
-    farthest = 3.0 * size(row_sizes(prims.to_object, k)) * (size(center) + reach)
+    farthest = 3.0 * size(row_sizes(m)) * (size(center) + reach)
     return is_plain((0.0, 0.0, 0.0), 1.0, farthest), center, m
 
 

@@ -15,6 +15,7 @@ from caster.kernels.protocol import (
     hull_size,
     intersect,
     normal,
+    numbers,
     passes,
     plain_normal,
     prepare,
@@ -62,11 +63,18 @@ class Disk(Shape):
         return Disks(*affine_arrays(self.matrix[:3, 3], self.matrix[:3, :3], rounded))
 
 
+@implement(numbers, Disks)
+def _numbers(prims: Any, k: int) -> Any:
+    m = rows_of(prims.to_object, k)
+    return row(prims.center, k), m, scaled(SEEN_ERROR, row_sizes(m))
+
+
 @implement(prepare, Disks)
-def _prepare(prims: Any, k: int, o: Any) -> Any:
+def _prepare(prims: Any, prim: Any, o: Any) -> Any:
     """(to_object, o in object space, how far off that is, by how much d is off there over its size)."""
-    f, off = seen(prims.to_object, k, sub(o, row(prims.center, k)))
-    return rows_of(prims.to_object, k), f, off, scaled(SEEN_ERROR, row_sizes(prims.to_object, k))
+    center, m, e_off = prim
+    f, off = seen(m, sub(o, center))
+    return m, f, off, e_off
 
 
 @implement(intersect, Disks)

@@ -15,6 +15,7 @@ from caster.kernels.protocol import (
     hull_size,
     intersect,
     normal,
+    numbers,
     passes,
     plain_normal,
     prepare,
@@ -73,9 +74,15 @@ class Plane(Shape):
 PRODUCT_ERROR = 5.0 * U
 
 
+@implement(numbers, Planes)
+def _numbers(prims: Any, k: int) -> Any:
+    return row(prims.normal, k), row(prims.point, k)
+
+
 @implement(prepare, Planes)
-def _prepare(prims: Any, k: int, o: Any) -> Any:
-    n, away = row(prims.normal, k), sub(row(prims.point, k), o)
+def _prepare(prims: Any, prim: Any, o: Any) -> Any:
+    n, point = prim
+    away = sub(point, o)
     largest = max(abs(n[0]), abs(n[1]), abs(n[2]))
     return n, dot(n, away), PRODUCT_ERROR * largest * size(away) + TINY, PRODUCT_ERROR * largest
 

@@ -15,6 +15,7 @@ from caster.kernels.protocol import (
     hull_size,
     intersect,
     normal,
+    numbers,
     passes,
     plain_normal,
     prepare,
@@ -76,10 +77,16 @@ class Sphere(Shape):
         return Spheres(rounded(center[None]), rounded(np.array([scale * self.radius])), rounded(turn[None]))
 
 
+@implement(numbers, Spheres)
+def _numbers(prims: Any, k: int) -> Any:
+    return row(prims.center, k), prims.radius[k]
+
+
 @implement(prepare, Spheres)
-def _prepare(prims: Any, k: int, o: Any) -> Any:
-    f = sub(o, row(prims.center, k))
-    return ball_at(f, prims.radius[k], U * size(f))
+def _prepare(prims: Any, prim: Any, o: Any) -> Any:
+    center, r = prim
+    f = sub(o, center)
+    return ball_at(f, r, U * size(f))
 
 
 @implement(intersect, Spheres)
@@ -135,15 +142,18 @@ def _hull_point(prims: Any, k: int, j: int) -> Any:
     )
 
 
+@implement(numbers, Ellipsoids)
+def _numbers_ellipsoid(prims: Any, k: int) -> Any:
+    m = rows_of(prims.to_object, k)
+    return row(prims.center, k), m, SEEN_ERROR * size(row_sizes(m))
+
+
 @implement(prepare, Ellipsoids)
-def _prepare_ellipsoid(prims: Any, k: int, o: Any) -> Any:
+def _prepare_ellipsoid(prims: Any, prim: Any, o: Any) -> Any:
     """(to_object, the unit ball in object space, by how much d is off there over its size)."""
-    f, off = seen(prims.to_object, k, sub(o, row(prims.center, k)))
-    return (
-        rows_of(prims.to_object, k),
-        ball_at(f, 1.0, size(off)),
-        SEEN_ERROR * size(row_sizes(prims.to_object, k)),
-    )
+    center, m, d_off = prim
+    f, off = seen(m, sub(o, center))
+    return m, ball_at(f, 1.0, size(off)), d_off
 
 
 @implement(intersect, Ellipsoids)
@@ -175,7 +185,7 @@ def _normal_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
 def _facing_ellipsoid(prims: Any, k: int, reach: float) -> Any:
     """Plain where the origin is, seen from there: its coordinates are sums of three products."""
     center, m = row(prims.center, k), rows_of(prims.to_object, k)
-    farthest = 3.0 * size(row_sizes(prims.to_object, k)) * (size(center) + reach)
+    farthest = 3.0 * size(row_sizes(m)) * (size(center) + reach)
     return is_plain((0.0, 0.0, 0.0), 1.0, farthest), center, m
 
 
