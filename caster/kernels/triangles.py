@@ -212,12 +212,19 @@ def across(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     if SMALLEST_SQUARE < square < LARGEST_SQUARE and square > HALF_KNOWN * dot(spread, spread):
         length = math.sqrt(square)
         return n[0] / length, n[1] / length, n[2] / length
-    return across_needle(a, b, c)
+    return across_unusual(a, b, c)
 
 
 @jit
-def across_needle(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
-    """The same with twice the bits; where even those see a line, one of the normals across it; 0 of a point."""
+def across_unusual(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+    """The same, of edges scaled to about 1, and then, if need be, with twice the bits.
+
+    Where even those see a line, one of the normals across it; 0 of a point.
+    """
+    e1, e2 = about_one(sub(b, a)), about_one(sub(c, a))
+    n, spread = cross(e1, e2), permanent(e1, e2)
+    if dot(n, n) > HALF_KNOWN * dot(spread, spread):
+        return unit(n)
     n = cross_of_edges(a, b, c)
     if size(n) > 0.0:
         return unit(n)

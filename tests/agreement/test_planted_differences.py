@@ -64,12 +64,12 @@ def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
 
 
 def test_a_ray_lost_by_the_tree_is_seen(monkeypatch):
-    cast_bvh = casting.cast_bvh
+    cast_bundles = casting.cast_bundles
 
-    def forgetful(mode, prims, tree, rays, record, span, room):
-        cast_bvh(mode, prims, tree, rays, record, (span[0], span[1] - 1), room)
+    def forgetful(prims, tree, base, count, tile, room):
+        cast_bundles(prims, tree, base, count // 2, tile, room)
 
-    monkeypatch.setattr(casting, "cast_bvh", forgetful)
+    monkeypatch.setattr(casting, "cast_bundles", forgetful)
     with pytest.raises(AssertionError, match="bvh: "):
         test_cullings.count_hits_where_cullings_agree(a_scene(Panorama))
     scene = a_scene()

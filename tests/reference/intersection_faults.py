@@ -6,7 +6,9 @@ KERNELS = "caster/kernels"
 TREE, ROOTS, TRIANGLES, NEAREST = (
     f"{KERNELS}/{name}.py" for name in ("bvh", "roots", "triangles", "nearest")
 )
-VEC, SCREEN, INTEGERS = (f"{KERNELS}/{name}.py" for name in ("vec", "screen", "integers"))
+SCREEN, INTEGERS, BOXES, BUNDLE = (
+    f"{KERNELS}/{name}.py" for name in ("screen", "integers", "tree", "bundle")
+)
 PLANAR, QUADRIC, EXACT_ROOT = (f"{KERNELS}/exact_{name}.py" for name in ("planar", "quadric", "root"))
 CASTING, HITS, PLACING = "caster/casting.py", "caster/hits.py", "caster/placing.py"
 SPHERE, CYLINDER, DISK, PLANE = (
@@ -37,11 +39,10 @@ def fault(what: str, family: str, examples: int, kinds: str, *edits: tuple[str, 
 
 
 UNPADDED = (
-    (TREE, "pad = tree.reach * (max(abs(o[0]), abs(o[1]), abs(o[2])) + tree.extent)", "pad = 0.0"),
+    (TREE, "return tree.reach * (max(abs(o[0]), abs(o[1]), abs(o[2])) + tree.extent)", "return 0.0"),
     (TREE, "FAR_PADDING = 1.0 + 2.0 * (3.0 * 2.0**-53) / (1.0 - 3.0 * 2.0**-53)", "FAR_PADDING = 1.0"),
+    (BOXES, "return x + (abs(x) * ULP32 + SMALLEST32)", "return x"),
 )
-
-NORMAL_OF_ANY_LENGTH = "    n = cross(about_one(sub(b, a)), about_one(sub(c, a)))"
 
 FAULTS = (
     fault(
@@ -49,7 +50,11 @@ FAULTS = (
         "tangents",
         4,
         "t missed prim",
-        (ROOTS, "    if near[0] != math.inf:\n        return near\n    return sure", "    return sure"),
+        (
+            ROOTS,
+            "near = sure_within(roots.near, roots.near_off, t_min, t_max)",
+            "near = sure_within(roots.far, roots.far_off, t_min, t_max)",
+        ),
     ),
     fault(
         "t_min forgotten by exact roots",
@@ -78,7 +83,8 @@ FAULTS = (
         4,
         "culling missed prim",
         *UNPADDED,
-        (TREE, "return near <= far", "return near < far"),
+        (TREE, "return near if near <= far", "return near if near < far"),
+        (BUNDLE, "<= min(far * FAR_PADDING, limit)", "< min(far * FAR_PADDING, limit)"),
     ),
     fault("slabs unpadded", "edges", 24, "culling missed prim", *UNPADDED),
     fault(
@@ -86,18 +92,19 @@ FAULTS = (
         "lattice",
         4,
         "culling missed prim",
-        (TREE, "if math.copysign(1.0, inverse[c]) > 0.0:", "if inverse[c] > 0.0 or inverse[c] == -math.inf:"),
+        (
+            TREE,
+            "near = 0 if x > 0.0 else 3, 1 if y > 0.0 else 4,",
+            "near = 0 if d[0] >= 0.0 else 3, 1 if d[1] >= 0.0 else 4,",
+        ),
     ),
     fault(
         "the last primitive of a leaf forgotten",
         "clutter",
         4,
         "culling missed prim",
-        (
-            TREE,
-            "tree.first[node] + tree.prims_in[node]):",
-            "tree.first[node] + max(tree.prims_in[node] - 1, 0)):",
-        ),
+        (TREE, "range(start, start + number)", "range(start, start + max(number - 1, 0))"),
+        (BUNDLE, "range(start, start + number)", "range(start, start + max(number - 1, 0))"),
     ),
     fault(
         "edges excluded",
@@ -138,8 +145,8 @@ FAULTS = (
         "missed prim",
         (
             CYLINDER,
-            "    return between_ends(far, axis) if far[0] < math.inf else MISS\n",
-            "    return MISS\n",
+            "    far = between_ends(sure_within(roots.far, roots.far_off, t_min, t_max), axis)\n",
+            "    far = math.inf, 0.0\n",
         ),
     ),
     fault(
@@ -207,7 +214,7 @@ FAULTS = (
         "planes",
         4,
         "missed prim",
-        (PLANE, "return MISS if no_terms(n, d) else UNDECIDED", "return MISS"),
+        (PLANE, "answer(steep, no_terms(n, d), t, off)", "answer(steep, not steep, t, off)"),
     ),
     fault(
         "the last bit of a number lost in the exact arithmetic",
@@ -221,7 +228,7 @@ FAULTS = (
         "pictures",
         4,
         "culling",
-        (SCREEN, "MARGIN = 1.0", "MARGIN = -1.5"),
+        (SCREEN, "MARGIN = 2.0**-10", "MARGIN = -0.5"),
     ),
     fault(
         "boxes of ellipsoids around half of them",
@@ -239,6 +246,6 @@ FAULTS = (
         "edges",
         4,
         "surface",
-        (TRIANGLES, "    n = unit(cross(about_one(sub(b, a)), about_one(sub(c, a))))", NORMAL_OF_ANY_LENGTH),
+        (TRIANGLES, "return n[0] / length, n[1] / length, n[2] / length", "return n"),
     ),
 )
