@@ -233,7 +233,7 @@ FAULTS = (
     fault(
         "boxes of ellipsoids around half of them",
         "clutter",
-        4,
+        16,
         "culling missed prim",
         (
             SPHERE,
