@@ -23,7 +23,7 @@ from caster.kernels.nearest import (
     no_hits,
     precedes,
 )
-from caster.kernels.tile import SIZE, load_run, new_tile, store_run
+from caster.kernels.tile import SIZE, WIDTH, Box, load_run, new_tile, store_run
 from caster.kernels.tree import LEAF_SIZE, STACK_SIZE
 from caster.packing import Kind, Packed
 from caster.threads import in_bands
@@ -53,6 +53,18 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
 
     in_bands(work, count, threads)
     return decide_doubtful(packed, rays, nearest, doubt, threads)
+
+
+def by_trees(packed: Packed) -> Callable[[int, Box, np.ndarray], None]:
+    """Cast the rays of a tile, of whatever camera: (its number, its box, its numbers)."""
+    cast = [_in_bundles(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
+
+    def go(number: int, box: Box, tile: np.ndarray) -> None:
+        room = _room()
+        for kind in cast:
+            kind((box[3] - box[1]) * WIDTH, tile, room)
+
+    return go
 
 
 Room = tuple[np.ndarray, np.ndarray]

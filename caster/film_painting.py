@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from caster.aovs import BY_NAME
-from caster.casting import decide, ids_by_place
-from caster.film_casting import Sorted, cast_tile, in_tiles, sorted_kinds
+from caster.casting import Culling, bases, by_trees, decide, ids_by_place
+from caster.film_casting import cast_tile, in_tiles, sorted_kinds
 from caster.kernels.gather import shoot_at
 from caster.kernels.nearest import new_rays
 from caster.kernels.paint import (
@@ -33,35 +33,48 @@ from caster.view import View
 
 CHANNELS = {"position": 3, "normal": 3, "shading_normal": 3, "uv": 2, "albedo": 3}
 NUMBERS = ("shape_id", "prim_id")
+FROM_SURFACES = {"position", "shading_normal", "uv"}
 PAINTED = {"hit", "depth", *CHANNELS, *NUMBERS}
 
 Painter = Callable[[np.ndarray, Box], None]
+Caster = Callable[[int, Box, np.ndarray], None]  # number of the tile, its box, its numbers
 
 
 @dataclass(frozen=True)
 class Painted:
     """A film with all its pixels."""
 
+    packed: Packed
     images: dict[str, np.ndarray]
     hit: np.ndarray  # (h, w) bool
+    surfaces: tuple[str, ...]  # what was worked out of each hit's surface
     doubtful: int  # pixels whose answer had to be found exactly
 
 
 def paint_film(
-    scene: Scene, packed: Packed, window: Window, aovs: Sequence[str], threads: int | None = None
+    scene: Scene,
+    packed: Packed,
+    window: Window,
+    aovs: Sequence[str],
+    culling: Culling,
+    threads: int | None = None,
 ) -> Painted:
-    """The AOVs, all of PAINTED, of a window that a camera which keeps straight lines straight looks through."""
+    """The AOVs, all of PAINTED, by the cullings "screen" (for cameras that keep straight lines straight) and "bvh"."""
     camera = scene.camera.pack(scene.film.width, scene.film.height)
+    reach = _farthest_origin(camera, window)
     hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: _blank(name, window) for name in aovs}
-    reach = _farthest_origin(camera, window)
-    kinds = sorted_kinds(packed, camera, window, reach, threads)
-    painters: list[Painter] = [*_painters(scene, packed, kinds, reach, images), partial(_hits, hit, doubt)]
-    cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
+    painters: list[Painter] = [*_painters(scene, packed, reach, images), partial(_hits, hit, doubt)]
+    if culling == "screen":
+        kinds = sorted_kinds(packed, camera, window, reach, threads)
+        cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
+        seek: Caster = partial(cast_tile, cast, kinds)
+    else:
+        seek = by_trees(packed)
 
     def work(number: int, box: Box, tile: np.ndarray) -> None:
         shoot_rays(camera, window, box, tile)
-        cast_tile(cast, kinds, number, box, tile)
+        seek(number, box, tile)
         for paint in painters:
             paint(tile, box)
 
@@ -72,7 +85,13 @@ def paint_film(
         hit.reshape(-1)[pixels] = view.hit
         for name, image in images.items():
             image.reshape(doubt.size, *image.shape[2:])[pixels] = BY_NAME[name].evaluate(view)
-    return Painted(images, hit, len(pixels))
+    return Painted(packed, images, hit, _worked_out(aovs), len(pixels))
+
+
+def _worked_out(aovs: Sequence[str]) -> tuple[str, ...]:
+    if FROM_SURFACES.intersection(aovs):
+        return "position", "normals", "uv"
+    return ("normals",) if "normal" in aovs else ()
 
 
 def _blank(name: str, window: Window) -> np.ndarray:
@@ -96,32 +115,32 @@ def _hits(hit: np.ndarray, doubt: np.ndarray, tile: np.ndarray, box: Box) -> Non
     paint_doubt(tile, box, doubt)
 
 
-def _painters(
-    scene: Scene, packed: Packed, kinds: list[Sorted], reach: float, images: dict[str, np.ndarray]
-) -> list[Painter]:
+def _painters(scene: Scene, packed: Packed, reach: float, images: dict[str, np.ndarray]) -> list[Painter]:
     """What paints the images, and nothing else."""
     painters: list[Painter] = []
     if "hit" in images:
         painters.append(lambda tile, box: paint_hits(tile, box, images["hit"]))
     if "depth" in images:
         painters.append(lambda tile, box: paint_depth(tile, box, images["depth"]))
-    if images.keys() & {"position", "shading_normal", "uv"}:
+    kinds = [
+        (kind.prims, (base, base + len(kind.ids)))
+        for kind, base in zip(packed.kinds, bases(packed), strict=True)
+    ]
+    if images.keys() & FROM_SURFACES:
         wanted = [images.get(name) for name in ("position", "normal", "shading_normal", "uv")]
-        painters.extend(partial(_surfaces, it, wanted) for it in kinds)
+        painters.extend(partial(_surfaces, *kind, wanted) for kind in kinds)
     elif "normal" in images:
-        painters.extend(partial(_normals, it, reach) for it in kinds)
+        painters.extend(partial(find_normals, *kind, reach) for kind in kinds)
         painters.append(lambda tile, box: paint_normals(tile, box, images["normal"]))
     if packed.kinds and images.keys() & {*NUMBERS, "albedo"}:
         painters.extend(_number_painters(scene, packed, images))
     return painters
 
 
-def _surfaces(it: Sorted, wanted: list[np.ndarray | None], tile: np.ndarray, box: Box) -> None:
-    paint_surfaces(it.kind.prims, it.places, tile, box, *wanted)
-
-
-def _normals(it: Sorted, reach: float, tile: np.ndarray, box: Box) -> None:
-    find_normals(it.kind.prims, it.places, reach, tile, box)
+def _surfaces(
+    prims: Any, places: tuple[int, int], wanted: list[np.ndarray | None], tile: np.ndarray, box: Box
+) -> None:
+    paint_surfaces(prims, places, tile, box, *wanted)
 
 
 def _number_painters(scene: Scene, packed: Packed, images: dict[str, np.ndarray]) -> list[Painter]:

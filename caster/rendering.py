@@ -1,6 +1,7 @@
 """Scene in, AOVs out."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,12 +53,35 @@ def render(
     miss, everything else 0. `culling` overrides the plan; no culling and no number of threads changes a bit.
     Raises SceneError for an AOV that does not exist.
     """
+    return render_film(scene, aovs, threads=threads, culling=culling).aovs
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What was rendered, and how."""
+
+    scene: Scene
+    packed: Packed
+    aovs: Aovs
+    culling: Culling
+    surfaces: tuple[str, ...]  # what was worked out of each hit's surface
+    doubtful: int | None  # pixels found exactly since float64 could not tell; None: not counted
+
+
+def render_film(
+    scene: Scene, aovs: Sequence[str], *, threads: int | None = None, culling: Culling | None = None
+) -> Rendered:
+    """The same as `render`, with an account of it."""
     check_names(aovs)
-    planned = culling or plan(scene.camera.pack(1, 1)).culling
-    if planned == "screen" and PAINTED.issuperset(aovs):
-        painted = paint_film(scene, pack(scene), film_window(scene), aovs, threads)
-        return Aovs(painted.images, painted.hit)
-    return evaluate(look(scene, threads=threads, culling=culling), aovs, film_window(scene))
+    window, culling = film_window(scene), culling or plan(scene.camera.pack(1, 1)).culling
+    if culling != "everything" and PAINTED.issuperset(aovs):
+        painted = paint_film(scene, pack(scene), window, aovs, culling, threads)
+        images = Aovs(painted.images, painted.hit)
+        return Rendered(scene, painted.packed, images, culling, painted.surfaces, painted.doubtful)
+    view = look(scene, threads=threads, culling=culling)
+    images = evaluate(view, aovs, window)
+    surfaces = ("position", "normals", "uv") if "surfaces" in vars(view) else ()
+    return Rendered(scene, view.packed, images, culling, surfaces, None)
 
 
 def check_names(aovs: Sequence[str]) -> None:

@@ -46,18 +46,18 @@ def run(args: argparse.Namespace) -> int:
     scene = cropped(load(args), args.crop)
     output = output_path(args)
     from caster.explain import explain
-    from caster.rendering import check_names, evaluate, film_window, look
+    from caster.rendering import check_names, render_film
     from caster.whole_files import check_writable
 
     aovs = tuple(dict.fromkeys((DEFAULT if args.aov is None else args.aov).split(",")))
     check_names(aovs)
     check_writable(output)  # before a render that may take long
     with blamed_on(args.scene):
-        view = look(scene, threads=args.threads)
-    images = evaluate(view, aovs, film_window(scene))
+        rendered = render_film(scene, aovs, threads=args.threads)
+    images = rendered.aovs
     write(output, scene, images, args.scene)
     if args.explain:
-        print(explain(view, aovs))
+        print(explain(rendered, aovs))
     height, width = images.hit.shape
     print(f"{output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(aovs)}")
     return OK
