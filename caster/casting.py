@@ -1,7 +1,7 @@
 """Rays in, nearest hits out: the three cullings, on as many threads as there are cores."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Literal
 
@@ -134,6 +134,9 @@ def decide_doubtful(
 # For fewer rays than this, trying every primitive takes less time than growing a tree that is not there yet.
 WORTH_GROWING = 64
 
+# So many primitives that may come first are written down at once, 16 MiB of them; rays with more take turns.
+MOST_CANDIDATES = 1 << 22
+
 
 def decide(packed: Packed, rays: Rays, threads: int | None = None, *, trees: bool = True) -> Nearest:
     """The nearest hits of rays, found exactly wherever float64 cannot tell; without trees, by trying everything.
@@ -143,25 +146,34 @@ def decide(packed: Packed, rays: Rays, threads: int | None = None, *, trees: boo
     count = len(rays.t_min)
     sketch, nearest = Sketch(*no_hits(count), np.zeros(count, bool)), no_hits(count)
 
-    def go_through(kind: Kind, mode: Mode) -> None:
+    def go_through(kind: Kind, mode: Mode, rays: Rays = rays, sketch: Sketch = sketch) -> None:
         tree = trees and worth_a_tree(kind) and (count > WORTH_GROWING or kind.has_tree)
         cast = _by_tree if tree else _by_everything
-        in_bands(cast(mode, kind, rays, sketch), count, threads)
+        in_bands(cast(mode, kind, rays, sketch), len(rays.t_min), threads)
 
     for kind in packed.kinds:
         go_through(kind, Folding(kind.ids))
     for kind in packed.kinds:
-        counts = np.zeros(count + 1, np.int64)
-        go_through(kind, Counting(counts[1:]))
-        starts = np.cumsum(counts)
-        candidates = np.empty(starts[-1], np.int32)
-        go_through(kind, Listing(starts[:-1].copy(), candidates))
-        found, contested = no_hits(count), np.zeros(count, bool)
-        in_bands(partial(choose, kind.prims, rays, starts, candidates, found), count, threads)
+        counts, found, contested = np.zeros(count, np.int64), no_hits(count), np.zeros(count, bool)
+        go_through(kind, Counting(counts))
+        for rows in _turns(counts):
+            starts = np.concatenate([[0], np.cumsum(counts[rows])])
+            candidates = np.empty(starts[-1], np.int32)
+            some, into = Rays(*(a[rows] for a in rays)), Nearest(*(a[rows] for a in found))
+            bounds = Sketch(*(a[rows] for a in sketch))
+            go_through(kind, Listing(starts[:-1].copy(), candidates), some, bounds)
+            in_bands(partial(choose, kind.prims, some, starts, candidates, into), len(starts) - 1, threads)
         merge(nearest, found, kind.ids, contested, 0, count)
         for i in np.flatnonzero(contested):
             _decide_between(packed, kind, rays, nearest, found, int(i))
     return nearest
+
+
+def _turns(counts: np.ndarray) -> Iterator[slice]:
+    """Runs of rays with about MOST_CANDIDATES together, or one ray with more."""
+    turn = np.cumsum(counts) // MOST_CANDIDATES
+    ends = [0, *(np.flatnonzero(np.diff(turn)) + 1).tolist(), len(counts)]
+    return (slice(start, stop) for start, stop in itertools.pairwise(ends))
 
 
 def _decide_between(packed: Packed, kind: Kind, rays: Rays, nearest: Nearest, found: Nearest, i: int) -> None:

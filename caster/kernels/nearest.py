@@ -129,6 +129,9 @@ def choose(prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, star
         first, chosen = no_root(), -1
         for at in range(starts[i], starts[i + 1]):
             k = candidates[at]
+            if chosen >= 0 and numbers(prims, k) == numbers(prims, chosen):  # the same thing once more
+                chosen = min(k, chosen)
+                continue
             new = root(prims, k, o, d, t_min, t_max)
             if new.hit and (chosen < 0 or precedes(new, k, first, chosen)):
                 first, chosen = new, k

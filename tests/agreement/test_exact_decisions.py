@@ -86,3 +86,20 @@ def test_t_keeps_its_digits_where_scaled_rays_would_lose_them():
         [[-(2.0**-1022), 0, 0]],
     )
     assert hits.t[0] == float.fromhex("0x1.5555555555555p-54")
+
+
+def test_many_candidates_take_turns_and_identical_ones_cost_nothing(monkeypatch):
+    """A thousand times the same triangle: the lowest number wins, with room for few candidates at once."""
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    shapes = [Triangle(vertices=corners) for _ in range(1000)]
+    scene = Scene(camera=Pinhole(eye=(0, 0, 1), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=shapes)
+    o = np.column_stack([np.linspace(0.01, 0.4, 50), np.linspace(0.4, 0.01, 50), np.ones(50)])
+    o[::2] += 5.0
+    asked = []
+    exactly = casting.choose
+    monkeypatch.setattr(casting, "MOST_CANDIDATES", 3000)
+    monkeypatch.setattr(casting, "choose", lambda *args: asked.append(args[3]) or exactly(*args))
+    hits = cast(scene, o, np.tile([0.0, 0.0, -1.0], (50, 1)))
+    assert (hits.shape_id == np.where(np.arange(50) % 2, 0, -1)).all()
+    sizes = {id(candidates): len(candidates) for candidates in asked}
+    assert len(sizes) >= 8 and sum(sizes.values()) == 25 * 1000 and max(sizes.values()) <= 4000
