@@ -126,6 +126,8 @@ def choose(prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, star
     """
     for i in range(start, stop):
         o, d, t_min, t_max = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
+        if not t_min < t_max:  # nothing lies between, and integers know no inf but as t_max
+            continue
         first, chosen = no_root(), -1
         for at in range(starts[i], starts[i + 1]):
             k = candidates[at]

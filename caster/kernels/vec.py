@@ -197,6 +197,7 @@ def answer(hit: bool, missed: bool, t: float, off: float) -> tuple[float, float]
 
 @inlined
 def sure_within(t: float, off: float, t_min: float, t_max: float) -> tuple[float, float]:
-    """The answer for a hit at t, within off, if t_min < t <= t_max."""
+    """The answer for a hit at t, within off, if t_min < t <= t_max. TINY: t and off may have underflowed themselves."""
+    off = off + TINY
     inside = (t - off > t_min) & (t + off <= t_max)
     return answer(inside, (t + off <= t_min) | (t - off > t_max), t, off)
