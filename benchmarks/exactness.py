@@ -40,15 +40,27 @@ WITHOUT_BOUNDS = (
     ("kernels/vec.py", "(t + off <= t_min) | (t - off > t_max), t, off)", "not inside, t, 0.0)"),
     ("kernels/tile.py", "tile[DOUBT + i] = 1.0 if abs(ahead) <= margin else tile[DOUBT + i]\n", "pass\n"),
     ("kernels/triangles.py", "error = pre[6] * size(d) + TINY", "error = 0.0"),
-    ("kernels/triangles.py", "steep = abs(slope) > 2.0 * slope_error", "steep = slope != 0.0"),
+    (
+        "kernels/triangles.py",
+        "steep = (abs(slope) > 2.0 * slope_error) & (abs(slope) < math.inf)",
+        "steep = slope != 0.0",
+    ),
     (
         "kernels/roots.py",
         "steady & (within > 2.0 * within_off), steady & (within < -within_off)",
         "within > 0.0, within <= 0.0",
     ),
     ("kernels/roots.py", "met &= 2.0 * q_off < abs(q)", "met &= abs(q) > 0.0"),
-    ("shapes/plane.py", "steep = abs(slope) > 2.0 * slope_off", "steep = slope != 0.0"),
-    ("shapes/disk.py", "steep = abs(e[2]) > 2.0 * slope_off", "steep = e[2] != 0.0"),
+    (
+        "shapes/plane.py",
+        "steep = (abs(slope) > 2.0 * slope_off) & (abs(slope) < math.inf)",
+        "steep = slope != 0.0",
+    ),
+    (
+        "shapes/disk.py",
+        "steep = (abs(e[2]) > 2.0 * slope_off) & (abs(e[2]) < math.inf)",
+        "steep = e[2] != 0.0",
+    ),
     (
         "shapes/disk.py",
         "steep & (beyond < -beyond_off), edge_on | (steep & (beyond > beyond_off))",

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from caster.kernels.tree import LEAF_SIZE, REACH, Tree, grow, shrink_boxes
+from caster.kernels.tree import LARGEST_STEEP, LEAF_SIZE, REACH, STEEP, Tree, grow, shrink_boxes
 
 PARTS = 16  # a tree is begun by one thread, down to so many parts that grow on their own
 WORTH_PARTING = 20_000  # primitives; fewer take less time than parting them
@@ -25,7 +25,8 @@ def grown_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
         _grown(boxes, order, 0, count, LEAF_SIZE) if count < WORTH_PARTING else _parted(boxes, order, threads)
     )
     extent = float(max(np.abs(low).max(), np.abs(high).max()))
-    return Tree(*nodes, order, center, unit, extent, REACH)
+    steep = min(STEEP / unit, LARGEST_STEEP) if unit > STEEP / LARGEST_STEEP else LARGEST_STEEP
+    return Tree(*nodes, order, center, unit, steep, extent, REACH)
 
 
 def _unit(least: np.ndarray, largest: np.ndarray, center: np.ndarray) -> float:

@@ -37,7 +37,8 @@ def view_bundle(tree: Any, tile: Any, first: Any) -> None:
     for j in range(MANY):
         i = first + j
         o = tile[OX + i], tile[OY + i], tile[OZ + i]
-        x, y, z = inverse_of(tile[DX + i]), inverse_of(tile[DY + i]), inverse_of(tile[DZ + i])
+        x, y = inverse_of(tile[DX + i], tree.steep), inverse_of(tile[DY + i], tree.steep)
+        z = inverse_of(tile[DZ + i], tree.steep)
         a, b, c = tree.center[0] - o[0], tree.center[1] - o[1], tree.center[2] - o[2]
         pad = pad_of(tree, o)
         tile[IX + j], tile[IY + j], tile[IZ + j] = tree.unit * x, tree.unit * y, tree.unit * z

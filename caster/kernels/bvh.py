@@ -3,6 +3,8 @@
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from caster.kernels.jit import inlined, jit
 from caster.kernels.protocol import Vec3, intersect, nearer, note, numbers, passes, prepare, recall
 
@@ -12,8 +14,8 @@ from caster.kernels.protocol import Vec3, intersect, nearer, note, numbers, pass
 # gamma_3 = 3 u / (1 - 3 u), u = 2^-53.
 FAR_PADDING = 1.0 + 2.0 * (3.0 * 2.0**-53) / (1.0 - 3.0 * 2.0**-53)
 
-# 1/0: so large that a ray beside a slab is sent far away, and still a number, so that 0 times it is 0.
-STEEP = 2.0**600
+
+LATEST = float(np.finfo(np.float64).max)  # for boxes that are entered at a t beyond float64
 
 
 class View(NamedTuple):
@@ -27,9 +29,9 @@ class View(NamedTuple):
 
 
 @inlined
-def inverse_of(x: float) -> float:
-    """1 / x, STEEP at most."""
-    return math.copysign(STEEP, x) if abs(x) <= 1.0 / STEEP else 1.0 / x
+def inverse_of(x: float, steep: float) -> float:
+    """1 / x, `steep` at most."""
+    return math.copysign(steep, x) if abs(x) * steep <= 1.0 else 1.0 / x
 
 
 @inlined
@@ -41,7 +43,7 @@ def pad_of(tree: Any, o: Vec3) -> float:
 @inlined
 def view_along(tree: Any, o: Vec3, d: Vec3) -> View:
     """How a ray sees the boxes of a tree."""
-    x, y, z = inverse_of(d[0]), inverse_of(d[1]), inverse_of(d[2])
+    x, y, z = inverse_of(d[0], tree.steep), inverse_of(d[1], tree.steep), inverse_of(d[2], tree.steep)
     a, b, c = tree.center[0] - o[0], tree.center[1] - o[1], tree.center[2] - o[2]
     pad = pad_of(tree, o)
     near = 0 if x > 0.0 else 3, 1 if y > 0.0 else 4, 2 if z > 0.0 else 5
@@ -67,7 +69,7 @@ def enters(boxes: Any, node: int, view: Any, t_min: float, t_max: float) -> floa
     b = float(boxes[node, view.far[1]]) * y + view.leave[1]
     c = float(boxes[node, view.far[2]]) * z + view.leave[2]
     far = min(min(min(a, b), c) * FAR_PADDING, t_max)
-    return near if near <= far else math.inf
+    return min(near, LATEST) if near <= far else math.inf
 
 
 @inlined

@@ -15,8 +15,8 @@ STEADY = 2.0**-10
 ROOM = 500
 SMALL, LARGE = 2.0**-100, 2.0**100
 
-# Squares of shorter directions lose bits to underflow.
-FLOOR = 2.0**-900
+# Squares of shorter directions lose bits to underflow, those of longer ones overflow.
+FLOOR, CEILING = 2.0**-900, 2.0**1000
 
 
 class Ball(NamedTuple):
@@ -76,7 +76,7 @@ def approach(ball: Any, d: Vec3, d_off: float) -> Approach:
     """
     f, moved, lean = ball.f, ball.moved, 0.0
     a, b = dot(d, d), -dot(f, d)
-    steady = (a > FLOOR) & (d_off * d_off < STEADY * a)
+    steady = (a > FLOOR) & (a < CEILING) & (d_off * d_off < STEADY * a)
     over_a = 1.0 / (a if steady else 1.0)
     s = b * over_a
     if d_off > 0.0:

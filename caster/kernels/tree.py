@@ -20,6 +20,11 @@ STACK_SIZE = 80
 REACH = 24.0 * 2.0**-53
 
 
+# What stands for 1/0, in units of a tree: so large that within t < 2^950 no ray gets across a pad by a step of d that
+# is 1 over it, and still a number times any box, since inf - inf is none. At most LARGEST_STEEP.
+STEEP, LARGEST_STEEP = 2.0**1010, 2.0**1020
+
+
 class Tree(NamedTuple):
     """Nodes in depth-first order: the first child of an inner node follows it.
 
@@ -34,6 +39,7 @@ class Tree(NamedTuple):
     order: np.ndarray  # (n,) int32, primitive numbers within the kind
     center: Vec3
     unit: float  # a power of two
+    steep: float  # what stands for 1/0
     extent: float  # largest |coordinate| of any box, in scene units
     reach: float  # REACH
 

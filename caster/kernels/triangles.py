@@ -105,7 +105,7 @@ def _intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> tup
     slope_error = (
         SLOPE_ERROR * (abs(d[0]) * spread[0] + (abs(d[1]) * spread[1] + abs(d[2]) * spread[2])) + TINY
     )
-    steep = abs(slope) > 2.0 * slope_error
+    steep = (abs(slope) > 2.0 * slope_error) & (abs(slope) < math.inf)
     over = 1.0 / (slope if steep else 1.0)
     t = height * over
     # (h + e) / (s + f) - h / s = (e - t f) / (s + f), and |s + f| > |s| / 2; 3 u |t| for 1 / s and the product

@@ -83,7 +83,7 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     m, f, f_off, e_off = pre
     e, d1 = by_rows(m, d), size(d)
     slope_off = e_off[2] * d1 + TINY
-    steep = abs(e[2]) > 2.0 * slope_off
+    steep = (abs(e[2]) > 2.0 * slope_off) & (abs(e[2]) < math.inf)
     over = 1.0 / (e[2] if steep else 1.0)
     t = -f[2] * over
     off = 2.0 * (f_off[2] + TINY + abs(t) * slope_off) * abs(over) + 3.0 * U * abs(t)

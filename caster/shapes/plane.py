@@ -1,5 +1,6 @@
 """An infinite plane."""
 
+import math
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -91,7 +92,7 @@ def _prepare(prims: Any, prim: Any, o: Any) -> Any:
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     n, height, height_off, tilt_off = pre
     slope, slope_off = dot(n, d), tilt_off * size(d) + TINY
-    steep = abs(slope) > 2.0 * slope_off
+    steep = (abs(slope) > 2.0 * slope_off) & (abs(slope) < math.inf)
     slope = slope if steep else 1.0
     t = height / slope
     off = 2.0 * (height_off + abs(t) * slope_off) / abs(slope) + 2.0 * U * abs(t)

@@ -13,7 +13,7 @@ from caster.kernels.exact_root import order
 from caster.kernels.nearest import Rays, exact_hit
 from caster.packing import Packed
 from caster.scene import Scene
-from caster.shapes import SHAPES, Cube, Triangle
+from caster.shapes import SHAPES, Cube, Cylinder, Disk, Plane, Sphere, Triangle
 
 FEW = 12  # rays of a family whose every primitive is asked exactly
 SMALL = [
@@ -103,3 +103,38 @@ def test_many_candidates_take_turns_and_identical_ones_cost_nothing(monkeypatch)
     assert (hits.shape_id == np.where(np.arange(50) % 2, 0, -1)).all()
     sizes = {id(candidates): len(candidates) for candidates in asked}
     assert len(sizes) >= 8 and sum(sizes.values()) == 25 * 1000 and max(sizes.values()) <= 4000
+
+
+@pytest.mark.parametrize("shape", [Plane(normal=(0, 0, 1), offset=0.0), Sphere(), Cube(), Cylinder()])
+def test_nothing_lies_beyond_an_infinite_t_min(shape):
+    """Rays from the surface, along it and into it: in doubt by t = 0, and yet there is no t > inf."""
+    scene = Scene(camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=[shape])
+    o = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
+    d = np.array([[0.0, 1.0, 5e-324], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 5e-324]])
+    assert (cast(scene, o, d, t_min=np.inf).shape_id == -1).all()
+    assert (cast(scene, o, d, t_min=7.0, t_max=7.0).shape_id == -1).all()
+    assert (cast(scene, o - 3.0 * d, d).shape_id == 0).sum() >= 2
+
+
+def test_a_hit_nearer_than_the_smallest_float64_is_a_hit():
+    """t is some 2^-1127: it rounds to 0, as does what bounds its error, and is more than 0."""
+    tiny = float.fromhex("0x0.0000000000002p-1022")
+    corners = np.array([[8.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 1.0, -tiny]])
+    scene = Scene(
+        camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=[Triangle(vertices=corners)]
+    )
+    along = np.array([[8.0 * tiny, 0.0, -(2.0**53)], [8.0 * tiny, 0.0, 2.0**53]])
+    hits = cast(scene, np.zeros((2, 3)), along)
+    assert hits.shape_id.tolist() == [0, -1] and hits.t[0] == 0.0
+
+
+@pytest.mark.parametrize("shape", [Plane(normal=(0, 0, 1), offset=0.0), Sphere(), Cube(), Cylinder(), Disk()])
+@pytest.mark.parametrize("length", [1e160, 1e250, 1e300])
+def test_directions_whose_squares_overflow_hit_what_they_should(shape, length):
+    """A denormal component keeps `cast` from bringing d to length 1; the tree is asked, too."""
+    scene = Scene(camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=5 * [shape])
+    o = np.array([[0.25, 0.25, 2.0], [5.0, 0.25, 2.0], [0.25, 3.0, 0.5]])
+    d = length * np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, -0.35], [0.0, -1.0, 0.0]])
+    long, plain = cast(scene, o, np.where(d == 0.0, 5e-324, d)), cast(scene, o, d)
+    assert (long.shape_id == plain.shape_id).all() and (plain.shape_id == 0).sum() >= 1
+    assert np.allclose(long.t * length, plain.t * length, rtol=1e-12, atol=0)
