@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from caster.kernels.exact_root import times_power
 from caster.kernels.jit import inlined, jit
 from caster.kernels.protocol import Vec3
-from caster.kernels.vec import TINY, U, along, answer, dot, size, sure_within, unit
+from caster.kernels.vec import TINY, U, along, answer, dot, row_sizes, size, sure_within, unit
 
 # The bounds are of second order in the error of d over d's length, which has to be below 1/32 for them to hold.
 STEADY = 2.0**-10
@@ -161,6 +161,12 @@ def is_plain(center: Vec3, r: float, reach: float) -> bool:
     return (
         r > SMALL and max(r, abs(center[0]) + reach, abs(center[1]) + reach, abs(center[2]) + reach) < LARGE
     )
+
+
+@jit
+def is_plain_through(m: tuple[Vec3, Vec3, Vec3], center: Vec3, reach: float) -> bool:
+    """The same for the unit ball or tube, seen through a matrix: coordinates there are sums of three products."""
+    return is_plain((0.0, 0.0, 0.0), 1.0, 3.0 * size(row_sizes(m)) * (size(center) + reach))
 
 
 @inlined

@@ -23,7 +23,7 @@ from caster.kernels.protocol import (
     root,
     surface,
 )
-from caster.kernels.roots import approach, ball_at, chord, earlier, is_plain, plain_way_out, way_out
+from caster.kernels.roots import approach, ball_at, chord, earlier, is_plain_through, plain_way_out, way_out
 from caster.kernels.vec import (
     SEEN_ERROR,
     TINY,
@@ -152,10 +152,8 @@ def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
 
 @implement(facing, Cylinders)
 def _facing(prims: Any, k: int, reach: float) -> Any:
-    """Plain where the origin is, seen from there: its coordinates are sums of three products."""
     center, m = row(prims.center, k), rows_of(prims.to_object, k)
-    farthest = 3.0 * size(row_sizes(m)) * (size(center) + reach)
-    return is_plain((0.0, 0.0, 0.0), 1.0, farthest), center, m
+    return is_plain_through(m, center, reach), center, m
 
 
 @implement(plain_normal, Cylinders)

@@ -50,12 +50,15 @@ class Tally:
     outside: int = 0  # rays or scenes outside the oracle's domain
     judged: int = 0  # scenes compared with Mitsuba
     pixels: int = 0  # that were judged
+    worst: float = 0.0  # largest error of t over its bound
     findings: int = 0
     kinds: dict[str, int] = field(default_factory=dict)
 
     def add(self, other: "Tally") -> None:
         for name, value in vars(other).items():
-            if name != "kinds":
+            if name == "worst":
+                self.worst = max(self.worst, value)
+            elif name != "kinds":
                 setattr(self, name, getattr(self, name) + value)
         for kind, number in other.kinds.items():
             self.kinds[kind] = self.kinds.get(kind, 0) + number

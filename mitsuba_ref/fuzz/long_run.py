@@ -104,12 +104,14 @@ class LongRun:
     def text(self) -> str:
         """A row a shape, the failures, and the sum."""
         rows = [
-            f"{'shape':<12}  {'rays':>10}  {'hits':>10}  {'edges':>10}  {'ties':>10}  {'wrong':>7}   rays/s"
+            f"{'shape':<12}  {'rays':>10}  {'hits':>10}  {'edges':>10}  {'ties':>10}  {'worst t':>7}  {'wrong':>7}"
+            "   rays/s"
         ]
         for shape, t in self.tallies.items():
             speed = t.rays / max(self.seconds[shape], 1e-9)
             rows.append(
-                f"{shape:<12}  {t.rays:>10}  {t.hits:>10}  {t.edges:>10}  {t.ties:>10}  {t.findings:>7}  {speed:>7.0f}"
+                f"{shape:<12}  {t.rays:>10}  {t.hits:>10}  {t.edges:>10}  {t.ties:>10}  {t.worst:>7.3f}  "
+                f"{t.findings:>7}  {speed:>7.0f}"
             )
         for failure in self.failures:
             rows += [
@@ -120,6 +122,7 @@ class LongRun:
         wrong = "".join(f", {n} {kind}" for kind, n in sorted(total.kinds.items()))
         rows.append(
             f"seed {self.seed}: {total.rays} rays in {total.examples} scenes, {total.findings} wrong{wrong}, "
+            f"t off by at most {total.worst:.3f} of its bound, "
             f"in {sum(self.seconds.values()):.1f} s"
         )
         return "\n".join(rows)

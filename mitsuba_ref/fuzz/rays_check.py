@@ -60,7 +60,8 @@ def adjudicate(subject: Subject, shots: Shots, ours: Found, tally: Tally) -> lis
         return []
     bounds = t_bounds(subject.scene, subject.packed, ours, shots.o, shots.d)
     count_exact(tally, answers, bounds)
-    rows = zip(answers, ours.t.tolist(), ours.prim.tolist(), bounds.tolist(), strict=True)
+    rows = list(zip(answers, ours.t.tolist(), ours.prim.tolist(), bounds.tolist(), strict=True))
+    tally.worst = max((tally.worst, *(share_of_bound(*row) for row in rows)))
     wrong = ((i, disagreement(answer, *rest)) for i, (answer, *rest) in enumerate(rows))
     return [Finding(kind, what, shots.taken(slice(i, i + 1))) for i, (kind, what) in wrong if kind]
 
@@ -76,6 +77,13 @@ def disagreement(answer: ExactAnswer, t: float, prim: int, bound: float) -> tupl
             return "", ""
         return "t", f"{in_words(answer, t, prim)}: {off:.3g} off, bound {bound:.3g}"
     return ("missed" if prim < 0 else "prim"), in_words(answer, t, prim)
+
+
+def share_of_bound(answer: ExactAnswer, t: float, prim: int, bound: float) -> float:
+    """The error of t over its bound; 0 where either is no number, and where another primitive is hit."""
+    if answer.t is None or prim != answer.prim or not 0.0 < bound < np.inf or t >= LARGEST:
+        return 0.0
+    return float(answer.t.off(t)) / bound
 
 
 def in_words(answer: ExactAnswer, t: float, prim: int) -> str:
