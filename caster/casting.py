@@ -93,8 +93,12 @@ def ids_by_place(packed: Packed) -> np.ndarray:
     return np.concatenate([kind.ids for kind in packed.kinds]) if packed.kinds else np.zeros(0, np.int32)
 
 
+# Where a kind's largest coordinate lies beyond these, products with 1/d may leave float64: everything is tried instead.
+SMALLEST_TREE, LARGEST_TREE = 2.0**-400, 2.0**400
+
+
 def worth_a_tree(kind: Kind) -> bool:
-    return kind.bounded and len(kind.ids) > LEAF_SIZE
+    return kind.bounded and len(kind.ids) > LEAF_SIZE and SMALLEST_TREE < kind.extent < LARGEST_TREE
 
 
 Mode = Folding | Counting | Listing

@@ -39,7 +39,7 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: float = 0.0, t_max:
     o, d: (n, 3), scene units; d need not be of unit length, t counts in lengths of d, t_min < t <= t_max.
     Equal t go to the earlier shape of the scene, then to the lower prim_id.
     Raises SceneError if a ray is not finite or has no direction, naming the first such ray.
-    Source: watertight edge tests after Woop, Benthin, Wald (2013); slabs padded after Ize (2013).
+    Source: docs/method.md, "Exact decisions"; slabs padded after Ize (2013).
     """
     given = checked_rays(o, d, t_min, t_max)
     rays, exponent = _scaled(given)

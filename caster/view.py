@@ -12,7 +12,7 @@ from caster.lights import Light
 from caster.packing import Packed
 from caster.scene import Scene
 
-# A computed hit lies within 16 u (|o| + t + |p|) of the surface (kernels/bvh.py, REACH); shadow rays start
+# A computed hit lies within 16 u (|o| + t + |p|) of the surface (kernels/roots.py, triangles.py); shadow rays start
 # four times as far out, along the normal, so that no surface shadows itself. u = 2^-53.
 SHADOW_OFFSET = 4 * 16.0 * 2.0**-53
 

@@ -14,6 +14,9 @@ from caster.kernels.vec import add, dot, scaled, size, sub, unit
 # rounding of its position moves the picture by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
 SHALLOWEST = 1e-6
 
+# And more than this, whose inverse is a number.
+NEAREST = 2.0**-1000
+
 
 class PinholeRays(NamedTuple):
     """The pinhole camera as its kernels read it."""
@@ -84,8 +87,8 @@ def _ray(camera: Any, x: float, y: float) -> Any:
 def _project(camera: Any, p: Any) -> Any:
     q = sub(p, camera.eye)
     depth, distance = dot(q, camera.forward), size(q)
-    if not depth > SHALLOWEST * distance:
-        return 0.0, 0.0, 0.0, False
+    if not depth > max(SHALLOWEST * distance, NEAREST):
+        return 0.0, 0.0, depth, False
     closeness = 1.0 / depth
     wide, high = 0.5 * camera.size[0] / camera.half[0], 0.5 * camera.size[1] / camera.half[1]
     x = wide * (dot(q, camera.right) * closeness) + (0.5 - camera.shift[0]) * camera.size[0]

@@ -7,8 +7,8 @@ import numpy as np
 
 from caster.kernels.exact_root import FLOAT_ERROR, as_float, no_root, order
 from caster.kernels.jit import implement, inlined, jit
-from caster.kernels.protocol import intersect, nearer, note, numbers, prepare, recall, root
-from caster.kernels.vec import row
+from caster.kernels.protocol import intersect, nearer, note, numbers, prepare, recall, root, same
+from caster.kernels.vec import TINY, row
 
 
 class Rays(NamedTuple):
@@ -131,7 +131,7 @@ def choose(prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, star
         first, chosen = no_root(), -1
         for at in range(starts[i], starts[i + 1]):
             k = candidates[at]
-            if chosen >= 0 and numbers(prims, k) == numbers(prims, chosen):  # the same thing once more
+            if chosen >= 0 and same(prims, k, chosen):  # the same thing once more
                 chosen = min(k, chosen)
                 continue
             new = root(prims, k, o, d, t_min, t_max)
@@ -141,7 +141,7 @@ def choose(prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, star
             t, off = intersect(prims, prepare(prims, numbers(prims, chosen), o), d, t_min, t_max)
             if not off < math.inf:
                 t = as_float(first)
-                off = FLOAT_ERROR * t
+                off = FLOAT_ERROR * t + TINY
             found.t[i], found.prim[i], found.off[i] = t, chosen, off
 
 

@@ -36,6 +36,11 @@ def passes(prims: Any, pre: Any, d: Vec3) -> Any:
     """Whether the ray is soon seen to miss the prepared primitive: True only where `intersect` would say MISS."""
 
 
+@generic_inlined
+def same(prims: Any, k: int, j: int) -> Any:
+    """Whether `root` reads the same numbers of primitives k and j; False will do."""
+
+
 @generic
 def root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Any:
     """The same of primitive k, exactly and slowly: an exact_root.Root."""
@@ -98,6 +103,6 @@ def ray(camera: Any, x: float, y: float) -> Any:
 def project(camera: Any, p: Vec3) -> Any:
     """(x, y, pixels, valid): where p falls on the film; a unit step of p moves it by at most so many pixels.
 
-    Not valid where straight edges would not stay straight. A camera without a body for this goes through the
-    tree.
+    Not valid where straight edges would not stay straight; pixels is then how far p is in front of the camera, or, if
+    negative, behind it. A camera without a body for this goes through the tree.
     """

@@ -98,6 +98,7 @@ def chord(ball: Any, d: Vec3, d_off: float) -> Chord:
     The root of larger magnitude adds numbers of one sign; the other follows from the roots' product, c / a.
     """
     met, missed, a, over_a, b, within, within_off = approach(ball, d, d_off)
+    met &= a * within > FLOOR
     d1, root = size(d), math.sqrt(a * within if met else 1.0)
     a_share, b_off = 5.0 * U, ball.b_off * d1 + TINY
     if d_off > 0.0:

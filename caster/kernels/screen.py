@@ -45,15 +45,17 @@ class Window(NamedTuple):
 def film_box(
     prims: Any, k: int, camera: Any, slack: float, margin: float
 ) -> tuple[float, float, float, float]:
-    """(left, top, right, bottom) around the picture of primitive k; endless where a hull point has none."""
+    """(left, top, right, bottom) around the picture of primitive k; endless where a point has none; none behind."""
     left, top, right, bottom = math.inf, math.inf, -math.inf, -math.inf
-    for j in range(hull_size(prims)):
+    behind, corners = 0, hull_size(prims)
+    for j in range(corners):
         x, y, pixels, valid = project(camera, hull_point(prims, k, j))
-        if not valid:
-            return -math.inf, -math.inf, math.inf, math.inf
-        reach = margin + slack * pixels
+        behind += not valid and pixels < -slack
+        reach = margin + slack * pixels if valid else math.inf
         left, top = min(left, x - reach), min(top, y - reach)
         right, bottom = max(right, x + reach), max(bottom, y + reach)
+    if 0 < behind == corners:
+        return math.inf, math.inf, -math.inf, -math.inf
     if left > right:  # a kind without bounds
         return -math.inf, -math.inf, math.inf, math.inf
     return left, top, right, bottom

@@ -10,8 +10,10 @@ from caster.kernels.protocol import Vec3, hull_point, hull_size
 
 LEAF_SIZE = 4
 BINS = 16
-STEEPEST = 40  # below this depth runs are halved, so a tree of 2^31 primitives is less than STACK_SIZE deep
-STACK_SIZE = 80
+# Below this depth runs are halved. A large tree grows in two goes (caster/trees.py), so that with 2^31 primitives it is
+# less than 2 (40 + 31) deep; a traversal holds one node a level.
+STEEPEST = 40
+STACK_SIZE = 160
 
 # The intersection tests round, so a ray may be counted as a hit that passes a primitive at a distance of a few
 # u (|o| + extent): 6 u per sheared corner of a triangle, about 8 u for the closest approach to a ball. Up to 7 u more

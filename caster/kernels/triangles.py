@@ -20,6 +20,7 @@ from caster.kernels.protocol import (
     plain_normal,
     prepare,
     root,
+    same,
     surface,
 )
 from caster.kernels.twofold import cross_of_edges
@@ -190,6 +191,14 @@ def barycentrics_edge_on(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
     together = max(b1 + b2, 1.0)
     b1, b2 = b1 / together, b2 / together
     return max(1.0 - (b1 + b2), 0.0), b1, b2
+
+
+@implement(same, Triangles)
+def _same(prims: Any, k: int, j: int) -> bool:
+    p, q, r = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
+    a, b, c = prims.faces[j, 0], prims.faces[j, 1], prims.faces[j, 2]
+    v = prims.vertices
+    return row(v, p) == row(v, a) and row(v, q) == row(v, b) and row(v, r) == row(v, c)
 
 
 @implement(root, Triangles)

@@ -21,6 +21,7 @@ from caster.kernels.protocol import (
     plain_normal,
     prepare,
     root,
+    same,
     surface,
 )
 from caster.kernels.roots import approach, ball_at, chord, earlier, is_plain_through, plain_way_out, way_out
@@ -134,6 +135,11 @@ def between_ends(hit: tuple[float, float], axis: tuple[float, float, float, floa
     z_off = 2.0 * (f_off + abs(t) * e_off + abs(e) * off) + TINY
     inside = there & (z > z_off) & (z < 1.0 - z_off)
     return answer(inside, (z < -z_off) | (z > 1.0 + z_off) | (not there), t, off)
+
+
+@implement(same, Cylinders)
+def _same(prims: Any, k: int, j: int) -> bool:
+    return False
 
 
 @implement(root, Cylinders)

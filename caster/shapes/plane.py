@@ -21,6 +21,7 @@ from caster.kernels.protocol import (
     plain_normal,
     prepare,
     root,
+    same,
     surface,
 )
 from caster.kernels.vec import (
@@ -103,6 +104,11 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
 @implement(passes, Planes)
 def _passes(prims: Any, pre: Any, d: Any) -> bool:
     return False  # nearly all rays meet a plane, in front or behind
+
+
+@implement(same, Planes)
+def _same(prims: Any, k: int, j: int) -> bool:
+    return False
 
 
 @implement(root, Planes)

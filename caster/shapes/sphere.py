@@ -20,6 +20,7 @@ from caster.kernels.protocol import (
     plain_normal,
     prepare,
     root,
+    same,
     surface,
 )
 from caster.kernels.roots import (
@@ -108,6 +109,11 @@ def _passes(prims: Any, pre: Any, d: Any) -> bool:
     return approach(pre, d, 0.0).missed
 
 
+@implement(same, Spheres)
+def _same(prims: Any, k: int, j: int) -> bool:
+    return row(prims.center, k) == row(prims.center, j) and prims.radius[k] == prims.radius[j]
+
+
 @implement(root, Spheres)
 def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     return exact_sphere(row(prims.center, k), prims.radius[k], o, d, t_min, t_max)
@@ -175,6 +181,11 @@ def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: floa
 def _passes_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
     m, ball, d_off = pre
     return approach(ball, by_rows(m, d), d_off * size(d)).missed
+
+
+@implement(same, Ellipsoids)
+def _same_ellipsoid(prims: Any, k: int, j: int) -> bool:
+    return False
 
 
 @implement(root, Ellipsoids)

@@ -7,13 +7,16 @@ from random_scenes import name, random_scene
 
 from caster import casting
 from caster.cameras import Pinhole
-from caster.casting import decide, find_nearest
+from caster.casting import decide, find_nearest, worth_a_tree
+from caster.film import Film
+from caster.film_casting import sorted_kinds
 from caster.hits import cast, checked_rays, packed
-from caster.kernels.exact_root import order
+from caster.kernels.exact_root import as_float, order
 from caster.kernels.nearest import Rays, exact_hit
 from caster.packing import Packed
+from caster.rendering import film_window, look
 from caster.scene import Scene
-from caster.shapes import SHAPES, Cube, Cylinder, Disk, Plane, Sphere, Triangle
+from caster.shapes import SHAPES, Cube, Cylinder, Disk, Icosphere, Plane, Sphere, Triangle
 
 FEW = 12  # rays of a family whose every primitive is asked exactly
 SMALL = [
@@ -138,3 +141,47 @@ def test_directions_whose_squares_overflow_hit_what_they_should(shape, length):
     long, plain = cast(scene, o, np.where(d == 0.0, 5e-324, d)), cast(scene, o, d)
     assert (long.shape_id == plain.shape_id).all() and (plain.shape_id == 0).sum() >= 1
     assert np.allclose(long.t * length, plain.t * length, rtol=1e-12, atol=0)
+
+
+def test_two_ellipsoids_whose_inverses_round_alike_are_two():
+    """Only their to_world differ, by an ulp; the second is nearer, and no tie."""
+    wide = [Sphere(to_world={"scale": [x, 1.0, 1.0]}) for x in (1.9, np.nextafter(1.9, 2.0))]
+    scene = Scene(camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=wide)
+    prims = packed(scene).kinds[0].prims
+    assert (prims.to_object[0] == prims.to_object[1]).all() and (prims.to_world[0] != prims.to_world[1]).any()
+    assert cast(scene, [[3.0, 0.0, 0.0]], [[-1.0, 0.0, 0.0]]).shape_id.tolist() == [1]
+
+
+def test_t_is_known_where_squares_of_short_directions_and_small_balls_underflow():
+    ball = Sphere(radius=1.1 * 2.0**-285)
+    scene = Scene(camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=[ball])
+    o = np.array([[-1.3 * 2.0**-284, 0.3 * 2.0**-285, 0.0]])
+    rays = checked_rays(o, np.array([[1.2 * 2.0**-250, 0.0, 0.0]]), 0.0, np.inf)
+    exact = as_float(exact_hit(packed(scene).kinds[0].prims, 0, rays, 0))
+    for culling in ("everything", "bvh"):
+        assert np.isclose(find_nearest(packed(scene), rays, culling).t[0], exact, rtol=1e-14, atol=0)
+
+
+def test_a_corner_nearer_than_the_inverse_of_the_largest_number_is_in_the_picture():
+    corners = [(0, 0, 1e-310), (1, 0, 1.1), (1, 0.5, 1)]
+    eye = Pinhole(eye=(0, 0, 0), look_at=(0, 0, 1), up=(0, 1, 0), fov=90)
+    scene = Scene(camera=eye, film=Film(width=32, height=32), shapes=[Triangle(vertices=corners)])
+    seen = [(look(scene, culling=culling).nearest.prim >= 0).sum() for culling in ("screen", "everything")]
+    assert seen[0] == seen[1] > 50
+
+
+@pytest.mark.parametrize("size", [1e-310, 1e-200, 1e160, 1e307])
+def test_trees_are_left_alone_where_they_leave_float64(size):
+    balls = [Sphere(center=(size * (1.0 + 0.1 * i), 0.1 * size, 0.0), radius=0.05 * size) for i in range(6)]
+    scene = Scene(camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=balls)
+    hits = cast(scene, [[-size, 0.1 * size, 0.0]], [[1.0, 0.0, 0.0]])
+    assert hits.shape_id.tolist() == [0] and np.isclose(hits.t[0], 1.95 * size, rtol=1e-3)
+    assert not worth_a_tree(packed(scene).kinds[0])
+
+
+def test_what_lies_behind_the_eye_is_looked_for_nowhere():
+    scene = Scene(camera=Pinhole(eye=(0.1, 0.2, 0.3), look_at=(9, 1, 0)), shapes=[Icosphere(subdivisions=4)])
+    (kind,) = sorted_kinds(packed(scene), scene.camera.pack(256, 256), film_window(scene), 1.0)
+    spans = kind.spans
+    nowhere = ((spans[:, 0] >= spans[:, 2]) | (spans[:, 1] >= spans[:, 3])).mean()
+    assert nowhere > 0.8 and (look(scene).hit).all()

@@ -152,3 +152,16 @@ def test_one_of_each_kind_is_reported_first_things_first():
 def test_subjects_share_what_is_packed(subject):
     assert isinstance(subject.oracle, Oracle)
     assert subject.packed.first[-1] == pack(subject.scene).first[-1] == 3
+
+
+def test_the_largest_error_of_t_is_told_in_units_of_its_bound(subject):
+    """A t that is a bit off counts by its bound, a miss and another primitive do not; of several the largest."""
+    told = []
+    for t in (RIGHT[0], [2.0 + 2.0**-51, 2.0, 2.0, np.inf], [2.0, 2.0, 2.0 + 2.0**-30, np.inf]):
+        tally = Tally()
+        adjudicate(subject, rays(), Found(np.array(t), np.array(RIGHT[1])), tally)
+        told.append(tally.worst)
+    assert told[0] == 0.0 < told[1] < 1.0 < told[2] < np.inf
+    tally.add(Tally(worst=2.0 * told[2]))
+    tally.add(Tally(worst=0.5))
+    assert tally.worst == 2.0 * told[2]
