@@ -31,7 +31,7 @@ class View(NamedTuple):
 @inlined
 def inverse_of(x: float, steep: float) -> float:
     """1 / x, `steep` at most."""
-    return math.copysign(steep, x) if abs(x) * steep <= 1.0 else 1.0 / x
+    return math.copysign(steep, x) if abs(x) <= 1.0 / steep else 1.0 / x
 
 
 @inlined

@@ -22,9 +22,9 @@ STACK_SIZE = 160
 REACH = 24.0 * 2.0**-53
 
 
-# What stands for 1/0, in units of a tree: so large that within t < 2^950 no ray gets across a pad by a step of d that
+# What stands for 1/0, in units of a tree: so large that within t < 2^930 no ray gets across a pad by a step of d that
 # is 1 over it, and still a number times any box, since inf - inf is none. At most LARGEST_STEEP.
-STEEP, LARGEST_STEEP = 2.0**1010, 2.0**1020
+STEEP, LARGEST_STEEP = 2.0**990, 2.0**1000
 
 
 class Tree(NamedTuple):

@@ -83,7 +83,7 @@ FAULTS = (
         4,
         "culling missed prim",
         *UNPADDED,
-        (TREE, "return near if near <= far", "return near if near < far"),
+        (TREE, "LATEST) if near <= far", "LATEST) if near < far"),
         (BUNDLE, "<= min(far * FAR_PADDING, limit)", "< min(far * FAR_PADDING, limit)"),
     ),
     fault("slabs unpadded", "edges", 24, "culling missed prim", *UNPADDED),
