@@ -13,21 +13,9 @@ import statistics
 import tempfile
 from pathlib import Path
 
-from turns import BY_DEFAULT, DEPTH, HERE, seconds, worker
+from turns import BY_DEFAULT, DEPTH, HERE, SCENES, seconds, worker
 
-SCENES = (
-    "one-sphere",
-    "two-thousand-spheres",
-    "ellipsoids",
-    "cylinders",
-    "flat-shapes",
-    "every-shape",
-    "cornell-box",
-    "teapot",
-    "hills-131072-triangles",
-    "orthographic",
-    "fisheye",
-)
+CAMERAS = ("orthographic", "fisheye")
 TURNS = 15
 
 # file, what the caster says, what the copy says
@@ -88,7 +76,7 @@ def main() -> None:
     )
     parser.add_argument("scenes", nargs="*")
     args = parser.parse_args()
-    scenes = args.scenes or [str(HERE / "scenes" / f"{name}.toml") for name in SCENES]
+    scenes = args.scenes or [str(HERE / "scenes" / f"{name}.toml") for name in SCENES + CAMERAS]
     with tempfile.TemporaryDirectory() as folder:
         take_away_bounds(Path(folder))
         with worker(Path(folder)) as plain, worker(HERE) as exact:

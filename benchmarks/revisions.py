@@ -14,19 +14,8 @@ import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 
-from turns import DEPTH, HERE, seconds, worker
+from turns import DEPTH, HERE, SCENES, seconds, worker
 
-SCENES = (
-    "one-sphere",
-    "two-thousand-spheres",
-    "ellipsoids",
-    "cylinders",
-    "flat-shapes",
-    "every-shape",
-    "cornell-box",
-    "teapot",
-    "hills-131072-triangles",
-)
 TURNS = 9
 
 

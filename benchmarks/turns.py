@@ -9,6 +9,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parents[1]
+SCENES = (
+    "one-sphere",
+    "two-thousand-spheres",
+    "ellipsoids",
+    "cylinders",
+    "flat-shapes",
+    "every-shape",
+    "cornell-box",
+    "teapot",
+    "hills-131072-triangles",
+)
 SIZE = 512  # pixels a side
 
 WORKER = """

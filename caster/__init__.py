@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from caster.cameras import *  # noqa: F403
+    from caster.cameras import *  # noqa: F403 - a registry, whatever is in it
     from caster.exr import read_exr as read_exr
     from caster.exr import write_exr as write_exr
     from caster.film import Check as Check
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from caster.rendering import render as render
     from caster.scene_files import load_scene as load_scene
     from caster.scene_model import Scene as Scene
-    from caster.shapes import *  # noqa: F403
+    from caster.shapes import *  # noqa: F403 - a registry, whatever is in it
     from caster.wording import SceneError as SceneError
 
 __version__ = "0.1.0"

@@ -23,7 +23,7 @@ from caster.kernels.nearest import (
     no_hits,
     precedes,
 )
-from caster.kernels.tile import SIZE, WIDTH, Box, load_run, new_tile, store_run
+from caster.kernels.tile import LANES, SIZE, load_run, new_tile, put_none, store_run
 from caster.kernels.tree import LEAF_SIZE, STACK_SIZE
 from caster.packing import Kind, Packed
 from caster.threads import in_bands
@@ -40,29 +40,29 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
             in_bands(_by_everything(Folding(kind.ids), kind, rays, Sketch(*nearest, doubt)), count, threads)
         return decide_doubtful(packed, rays, nearest, doubt, threads, trees=False)
     ids = ids_by_place(packed)
-    cast = [_in_bundles(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
+    cast = by_trees(packed)
 
     def work(start: int, stop: int) -> None:
-        tile, room = new_tile(), _room()
+        tile = new_tile()
         for first in range(start, stop, SIZE):
-            last = min(first + SIZE, stop)
-            load_run(rays, first, last, tile)
-            for kind in cast:
-                kind(last - first, tile, room)
-            store_run(tile, ids, first, last, nearest, doubt)
+            count = min(SIZE, stop - first)
+            load_run(rays, first, first + count, tile, 0)
+            put_none(tile, count, -(-count // LANES) * LANES)
+            cast(count, tile)
+            store_run(tile, 0, ids, first, first + count, nearest, doubt)
 
     in_bands(work, count, threads)
     return decide_doubtful(packed, rays, nearest, doubt, threads)
 
 
-def by_trees(packed: Packed) -> Callable[[int, Box, np.ndarray], None]:
-    """Cast the rays of a tile, of whatever camera: (its number, its box, its numbers)."""
-    cast = [_in_bundles(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
+def by_trees(packed: Packed) -> Callable[[int, np.ndarray], None]:
+    """Cast the first so many rays of a tile."""
+    kinds = [_in_bundles(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
 
-    def go(number: int, box: Box, tile: np.ndarray) -> None:
+    def go(count: int, tile: np.ndarray) -> None:
         room = _room()
-        for kind in cast:
-            kind((box[3] - box[1]) * WIDTH, tile, room)
+        for cast in kinds:
+            cast(count, tile, room)
 
     return go
 

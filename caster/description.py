@@ -48,7 +48,7 @@ class Description(BaseModel):
             raise SceneError("\n".join(problem.text for problem in problems)) from None
 
     # Tells Pydantic that a nested description needs no call of __init__, so that it can collect all errors.
-    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # on a function
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:

@@ -20,6 +20,7 @@ from caster.kernels.screen import (
     sort_into_tiles,
 )
 from caster.kernels.tile import HEIGHT, WIDTH, Box, load_rays, new_tile, store_nearest
+from caster.kernels.tree import REACH
 from caster.packing import Kind, Packed
 from caster.threads import finish, in_bands, thread_count
 
@@ -116,7 +117,7 @@ def sorted_kinds(
     """
 
     def sort(kind: Kind, base: int) -> Sorted:
-        slack = kind.reach * (origin + kind.extent) if kind.bounded else 0.0
+        slack = REACH * (origin + kind.extent) if kind.bounded else 0.0
         spans, reach = np.empty((len(kind.ids), 4), np.int32), (slack, MARGIN + off_centre)
         in_bands(partial(find_spans, kind.prims, camera, window, spans, reach), len(spans), threads)
         return _into_tiles(kind, base, window, spans)

@@ -26,7 +26,7 @@ from caster.kernels.paint import (
     paint_surfaces,
 )
 from caster.kernels.screen import Window, cast_own_origins, cast_shared_origin
-from caster.kernels.tile import Box, shoot_rays
+from caster.kernels.tile import WIDTH, Box, shoot_rays
 from caster.packing import Packed
 from caster.scene import Scene
 from caster.view import View
@@ -65,12 +65,16 @@ def paint_film(
     hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: _blank(name, window) for name in aovs}
     painters: list[Painter] = [*_painters(scene, packed, reach, images), partial(_hits, hit, doubt)]
+    seek: Caster
     if culling == "screen":
         kinds = sorted_kinds(packed, camera, window, reach, threads)
         cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
-        seek: Caster = partial(cast_tile, cast, kinds)
+        seek = partial(cast_tile, cast, kinds)
     else:
-        seek = by_trees(packed)
+        cast_rows = by_trees(packed)
+
+        def seek(number: int, box: Box, tile: np.ndarray) -> None:
+            cast_rows((box[3] - box[1]) * WIDTH, tile)
 
     def work(number: int, box: Box, tile: np.ndarray) -> None:
         shoot_rays(camera, window, box, tile)

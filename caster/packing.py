@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from caster.kernels.protocol import hull_size
-from caster.kernels.tree import REACH, Tree, find_boxes
+from caster.kernels.tree import Tree, find_boxes
 from caster.kernels.triangles import Triangles as Triangles
 from caster.placing import Rounding, as_given
 from caster.problems import speak
@@ -42,11 +42,6 @@ class Kind:
         """Largest |coordinate| of any box."""
         low, high = self.boxes
         return float(max(np.abs(low).max(), np.abs(high).max()))
-
-    @cached_property
-    def reach(self) -> float:
-        """By how much boxes and rays are widened, as a share of |o| + extent."""
-        return REACH
 
     @property
     def has_tree(self) -> bool:

@@ -56,9 +56,8 @@ class ErrorModel(NamedTuple):
     bounds: Callable[[Any], tuple[np.ndarray, np.ndarray]]  # prims -> low, high corners (n, 3) of their boxes
     meet_ours: Meet | None = None  # our own primitive, where the reference's is a stand-in
     exact: ExactKind | None = None  # our own primitive in whole numbers, for the oracle
-    unfold: Mapping[type, Unfold] | None = (
-        None  # arrays that stand in for it -> primitives that have an `exact`
-    )
+    # arrays that stand in for it -> primitives that have an `exact`
+    unfold: Mapping[type, Unfold] | None = None
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

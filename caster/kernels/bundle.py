@@ -5,7 +5,7 @@ from typing import Any
 from caster.kernels.bvh import FAR_PADDING, inverse_of, pad_of, traverse
 from caster.kernels.jit import inlined, jit
 from caster.kernels.nearest import Folding
-from caster.kernels.protocol import intersect, numbers, prepare
+from caster.kernels.protocol import numbers
 from caster.kernels.tile import (
     DOUBT,
     DX,
@@ -21,7 +21,7 @@ from caster.kernels.tile import (
     T_MIN,
     VIEW,
     T,
-    keep_first,
+    cast_lanes,
     lane,
 )
 
@@ -131,12 +131,7 @@ def cast_bundles(prims: Any, tree: Any, base: int, count: int, tile: Any, room: 
                 continue
             for at in range(start, start + number):
                 k = tree.order[at]
-                prim, place = numbers(prims, k), float(base + k)
-                for i in range(first, first + MANY):
-                    o = tile[OX + i], tile[OY + i], tile[OZ + i]
-                    d = tile[DX + i], tile[DY + i], tile[DZ + i]
-                    t, off = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
-                    keep_first(tile, i, place, t, off)
+                cast_lanes(prims, numbers(prims, k), float(base + k), tile, first)
 
 
 @jit
@@ -145,8 +140,4 @@ def cast_all(prims: Any, number: int, base: int, count: int, tile: Any) -> None:
     for k in range(number):
         prim, place = numbers(prims, k), float(base + k)
         for first in range(lane(0), lane(count), MANY):
-            for i in range(first, first + MANY):
-                o = tile[OX + i], tile[OY + i], tile[OZ + i]
-                d = tile[DX + i], tile[DY + i], tile[DZ + i]
-                t, off = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
-                keep_first(tile, i, place, t, off)
+            cast_lanes(prims, prim, place, tile, first)

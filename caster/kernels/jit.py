@@ -105,7 +105,7 @@ class Generic:
 
         for function in (dispatch, choose):
             function.__name__, function.__doc__ = stub.__name__, stub.__doc__
-            function.__signature__ = inspect.signature(stub)  # type: ignore[attr-defined]
+            function.__signature__ = inspect.signature(stub)  # type: ignore[attr-defined]  # Numba reads it
         if COMPILED:
             NUMBA.extending.overload(dispatch, jit_options=options, strict=False)(choose)
         return dispatch
@@ -127,7 +127,7 @@ def generic_inlined(stub: Function) -> Function:
 def _declared(stub: Function, options: dict[str, Any]) -> Function:
     entry = Generic(stub, options)
     _GENERICS[entry.call] = entry
-    return entry.call  # type: ignore[return-value]
+    return entry.call  # type: ignore[return-value]  # called like the stub
 
 
 def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], Function]:

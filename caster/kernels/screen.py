@@ -22,6 +22,7 @@ from caster.kernels.tile import (
     T_MIN,
     WIDTH,
     Box,
+    cast_lanes,
     keep_first,
     lane,
 )
@@ -138,8 +139,4 @@ def cast_own_origins(prims: Any, order: Any, run: Any, spans: Any, base: int, bo
         prim, place = numbers(prims, k), float(base + k)
         for y in range(y_start, y_stop):
             for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
-                for i in range(first, first + lane(LANES)):
-                    o = tile[OX + i], tile[OY + i], tile[OZ + i]
-                    d = tile[DX + i], tile[DY + i], tile[DZ + i]
-                    t, off = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
-                    keep_first(tile, i, place, t, off)
+                cast_lanes(prims, prim, place, tile, first)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from caster.kernels.jit import COMPILED, inlined, jit
-from caster.kernels.protocol import ray
+from caster.kernels.protocol import intersect, prepare, ray
 
 WIDTH, HEIGHT = 128, 64  # pixels
 SIZE = WIDTH * HEIGHT
@@ -61,11 +61,29 @@ def put_ray(tile: Any, i: Any, aim: Any) -> None:
     tile[OX + i], tile[OY + i], tile[OZ + i] = o[0], o[1], o[2]
 
 
+@inlined
+def cast_lanes(prims: Any, prim: Any, place: float, tile: Any, first: Any) -> None:
+    """LANES rays from `first` on, wherever they start, against a primitive given by its `numbers`."""
+    for i in range(first, first + lane(LANES)):
+        o = tile[OX + i], tile[OY + i], tile[OZ + i]
+        d = tile[DX + i], tile[DY + i], tile[DZ + i]
+        t, off = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
+        keep_first(tile, i, place, t, off)
+
+
 @jit
-def pad(tile: Any, y: int, start: int) -> None:
-    """No rays in what is left of row y."""
-    for i in range(lane(y * WIDTH + start), lane((y + 1) * WIDTH)):
+def put_none(tile: Any, start: int, stop: int) -> None:
+    """No rays at start..stop."""
+    for i in range(lane(start), lane(stop)):
         put_ray(tile, i, ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0))
+
+
+@jit
+def load_run(rays: Any, start: int, stop: int, tile: Any, at: int) -> None:
+    """Begin a tile from `at` on, with rays start..stop."""
+    for n in range(start, stop):
+        o, d = (rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]), (rays.d[n, 0], rays.d[n, 1], rays.d[n, 2])
+        put_ray(tile, lane(at + n - start), (o, d, rays.t_min[n], rays.t_max[n]))
 
 
 @jit
@@ -74,31 +92,8 @@ def load_rays(rays: Any, width: int, box: Box, tile: Any) -> None:
     x0, y0, x1, y1 = box
     for y in range(y1 - y0):
         first = (y0 + y) * width + x0
-        for x in range(x1 - x0):
-            n = first + x
-            o, d = (rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]), (rays.d[n, 0], rays.d[n, 1], rays.d[n, 2])
-            put_ray(tile, lane(y * WIDTH + x), (o, d, rays.t_min[n], rays.t_max[n]))
-        pad(tile, y, x1 - x0)
-
-
-@jit
-def load_run(rays: Any, start: int, stop: int, tile: Any) -> None:
-    """Begin a tile with rays start..stop, filled up to whole LANES with none."""
-    for n in range(start, stop):
-        o, d = (rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]), (rays.d[n, 0], rays.d[n, 1], rays.d[n, 2])
-        put_ray(tile, lane(n - start), (o, d, rays.t_min[n], rays.t_max[n]))
-    for i in range(lane(stop - start), lane(-(-(stop - start) // LANES) * LANES)):
-        put_ray(tile, i, ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0))
-
-
-@jit
-def store_run(tile: Any, ids: Any, start: int, stop: int, nearest: Any, doubt: Any) -> None:
-    """Into the record of rays start..stop; ids[place] is the primitive's number in the scene."""
-    for n in range(start, stop):
-        i = lane(n - start)
-        place = int(tile[PLACE + i])
-        nearest.t[n], nearest.off[n], doubt[n] = tile[T + i], tile[OFF + i], tile[DOUBT + i] != 0.0
-        nearest.prim[n] = ids[place] if place >= 0 else -1
+        load_run(rays, first, first + x1 - x0, tile, y * WIDTH)
+        put_none(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
 
 
 @jit
@@ -110,17 +105,23 @@ def shoot_rays(camera: Any, window: Any, box: Box, tile: Any) -> None:
         for x in range(x1 - x0):
             aim = ray(camera, window.x0 + x0 + x + 0.5, row)
             put_ray(tile, lane(y * WIDTH + x), aim)
-        pad(tile, y, x1 - x0)
+        put_none(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
+
+
+@jit
+def store_run(tile: Any, at: int, ids: Any, start: int, stop: int, nearest: Any, doubt: Any) -> None:
+    """From `at` on into the record of rays start..stop; ids[place] is the primitive's number in the scene."""
+    for n in range(start, stop):
+        i = lane(at + n - start)
+        place = int(tile[PLACE + i])
+        nearest.t[n], nearest.off[n], doubt[n] = tile[T + i], tile[OFF + i], tile[DOUBT + i] != 0.0
+        nearest.prim[n] = ids[place] if place >= 0 else -1
 
 
 @jit
 def store_nearest(tile: Any, ids: Any, width: int, box: Box, nearest: Any, doubt: Any) -> None:
-    """Into the record of a window `width` pixels wide; ids[place] is the primitive's number in the scene."""
+    """The same for the rays of a window that is `width` pixels wide."""
     x0, y0, x1, y1 = box
     for y in range(y1 - y0):
         first = (y0 + y) * width + x0
-        for x in range(x1 - x0):
-            i, n = lane(y * WIDTH + x), first + x
-            place = int(tile[PLACE + i])
-            nearest.t[n], nearest.off[n], doubt[n] = tile[T + i], tile[OFF + i], tile[DOUBT + i] != 0.0
-            nearest.prim[n] = ids[place] if place >= 0 else -1
+        store_run(tile, y * WIDTH, ids, first, first + x1 - x0, nearest, doubt)

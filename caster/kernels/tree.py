@@ -15,10 +15,9 @@ BINS = 16
 STEEPEST = 40
 STACK_SIZE = 160
 
-# The intersection tests round, so a ray may be counted as a hit that passes a primitive at a distance of a few
-# u (|o| + extent): 6 u per sheared corner of a triangle, about 8 u for the closest approach to a ball. Up to 7 u more
-# are lost where boxes and origins are seen from the tree's centre and multiplied by 1/d (kernels/bvh.py). Boxes are
-# widened by 24 u (|o| + extent).
+# What is hit is hit exactly, but the points of a hull are sums of four numbers, off by 4 u of their magnitudes at most:
+# 16 u (|o| + extent) cover them. Up to 7 u more are lost where boxes and origins are seen from the tree's centre and
+# multiplied by 1/d (kernels/bvh.py), so boxes are widened by 24.
 REACH = 24.0 * 2.0**-53
 
 
@@ -35,9 +34,8 @@ class Tree(NamedTuple):
     """
 
     boxes: np.ndarray  # (nodes, 6) float32: low x, y, z, high x, y, z
-    links: (
-        np.ndarray
-    )  # (nodes, 2) int32: (second child, -1 - axis of the split), or in a leaf (start in order, count)
+    # (nodes, 2) int32: (second child, -1 - axis of the split), or in a leaf (start in order, how many)
+    links: np.ndarray
     order: np.ndarray  # (n,) int32, primitive numbers within the kind
     center: Vec3
     unit: float  # a power of two

@@ -40,7 +40,7 @@ class MissingPlots(ImportError):  # noqa: N818 - what is missing is the subject
 def check_available() -> None:
     """Raise MissingPlots unless pictures can be drawn."""
     try:
-        import matplotlib  # noqa: F401
+        import matplotlib  # noqa: F401 - whether it is there
     except ImportError as error:
         text = "pictures need matplotlib, tables and JSON do not: pip install 'ray-reference[plots]'"
         raise MissingPlots(text) from error

@@ -20,12 +20,10 @@ from caster.shapes import SHAPES, Sphere
 OFFSETS = 2 * (0.0, 1.0, 1e3, 1e5, 1e7)
 PAIRS = 2000  # of a ray and a primitive, for each offset
 ULP = 2.0**-52
-T_ULPS = (
-    4.0  # times the condition, which counts each operand's rounding once and not the roundings in between
-)
-MARGIN = (
-    16.0 * 2.0**-53
-)  # as in kernels/bvh.py, REACH: closer than that to an edge, hit and miss are both right
+# Times the condition, which counts each operand's rounding once and not the roundings in between.
+T_ULPS = 4.0
+# Rays closer than that to an edge are left to tests/exact.
+MARGIN = 16.0 * 2.0**-53
 
 
 def compare(packed: Packed, o: np.ndarray, d: np.ndarray) -> tuple[int, int, float, int]:
