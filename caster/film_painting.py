@@ -44,7 +44,6 @@ Caster = Callable[[int, Box, np.ndarray], None]  # number of the tile, its box, 
 class Painted:
     """A film with all its pixels."""
 
-    packed: Packed
     images: dict[str, np.ndarray]
     hit: np.ndarray  # (h, w) bool
     surfaces: tuple[str, ...]  # what was worked out of each hit's surface
@@ -89,7 +88,7 @@ def paint_film(
         hit.reshape(-1)[pixels] = view.hit
         for name, image in images.items():
             image.reshape(doubt.size, *image.shape[2:])[pixels] = BY_NAME[name].evaluate(view)
-    return Painted(packed, images, hit, _worked_out(aovs), len(pixels))
+    return Painted(images, hit, _worked_out(aovs), len(pixels))
 
 
 def _worked_out(aovs: Sequence[str]) -> tuple[str, ...]:

@@ -75,9 +75,10 @@ def render_film(
     check_names(aovs)
     window, culling = film_window(scene), culling or plan(scene.camera.pack(1, 1)).culling
     if culling != "everything" and PAINTED.issuperset(aovs):
-        painted = paint_film(scene, pack(scene), window, aovs, culling, threads)
+        packed = pack(scene)
+        painted = paint_film(scene, packed, window, aovs, culling, threads)
         images = Aovs(painted.images, painted.hit)
-        return Rendered(scene, painted.packed, images, culling, painted.surfaces, painted.doubtful)
+        return Rendered(scene, packed, images, culling, painted.surfaces, painted.doubtful)
     view = look(scene, threads=threads, culling=culling)
     images = evaluate(view, aovs, window)
     surfaces = ("position", "normals", "uv") if "surfaces" in vars(view) else ()
