@@ -11,16 +11,22 @@ import numpy as np
 from caster.casting import bases, decide_doubtful, ids_by_place
 from caster.kernels.nearest import Nearest, Rays, no_hits
 from caster.kernels.screen import (
+    DRAWERS,
     MARGIN,
+    Spans,
     Window,
     cast_own_origins,
     cast_shared_origin,
     count_in_tiles,
+    find_pictures,
     find_spans,
+    find_spans_of_faces,
+    last_depth,
     sort_into_tiles,
 )
 from caster.kernels.tile import HEIGHT, WIDTH, Box, load_rays, new_tile, store_nearest
 from caster.kernels.tree import REACH
+from caster.kernels.triangles import Triangles
 from caster.packing import Kind, Packed
 from caster.threads import finish, in_bands, thread_count
 
@@ -30,10 +36,10 @@ class Sorted:
     """The primitives of a kind, and in which tiles of the window each is to be looked for."""
 
     kind: Kind
-    spans: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
+    spans: Spans
     places: tuple[int, int]  # of its primitives, counted kind by kind
     runs: list[int]  # tile n has primitives order[runs[n]:runs[n + 1]]
-    order: np.ndarray  # int32, primitive numbers within the kind
+    order: np.ndarray  # int32, primitive numbers within the kind, roughly from front to back
 
 
 def find_nearest_on_film(
@@ -46,9 +52,13 @@ def find_nearest_on_film(
     *,
     off_centre: float = 0.0,
 ) -> Nearest:
-    """The nearest hit of a camera's own rays; off_centre: by how many pixels they may pass their pixel's centre."""
+    """The nearest hit of a camera's own rays, or of others that start where those do.
+
+    off_centre: by how many pixels they may pass their pixel's centre; their d may be of any length.
+    """
     origin = float(np.abs(rays.o).max(initial=0.0))
-    kinds = sorted_kinds(packed, camera, window, origin, threads, off_centre)
+    longest = max(1.0, float(np.abs(rays.d).sum(axis=1).max(initial=0.0)))
+    kinds = sorted_kinds(packed, camera, window, origin, threads, off_centre, longest)
     cast = cast_shared_origin if shares_origin else cast_own_origins
     nearest, doubt = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
     ids = ids_by_place(packed)
@@ -110,27 +120,41 @@ def sorted_kinds(
     origin: float,
     threads: int | None = None,
     off_centre: float = 0.0,
+    longest: float = 1.0,
 ) -> list[Sorted]:
     """Where to look for each primitive.
 
-    origin: the largest |coordinate| of a ray's origin; off_centre: how far from the centres of pixels rays may pass.
+    origin: the largest |coordinate| of a ray's origin; off_centre: how far from the centres of pixels rays may pass;
+    longest: no d is longer.
     """
 
     def sort(kind: Kind, base: int) -> Sorted:
         slack = REACH * (origin + kind.extent) if kind.bounded else 0.0
-        spans, reach = np.empty((len(kind.ids), 4), np.int32), (slack, MARGIN + off_centre)
-        in_bands(partial(find_spans, kind.prims, camera, window, spans, reach), len(spans), threads)
+        reach, number = (slack, MARGIN + off_centre), len(kind.ids)
+        spans = Spans(np.empty((number, 4), np.int32), np.empty(number))
+        if isinstance(kind.prims, Triangles):
+            points = kind.prims.vertices
+            pictures = np.empty((len(points), 4))
+            in_bands(partial(find_pictures, points, camera, pictures, reach), len(points), threads)
+            find = partial(find_spans_of_faces, kind.prims.faces, pictures, window, spans, reach)
+        else:
+            find = partial(find_spans, kind.prims, camera, window, spans, reach)
+        in_bands(find, number, threads)
+        if longest > 1.0:  # t counts in lengths of d
+            spans.near[:] = np.minimum(spans.near, spans.near / longest)
         return _into_tiles(kind, base, window, spans)
 
     return [sort(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
 
 
-def _into_tiles(kind: Kind, base: int, window: Window, spans: np.ndarray) -> Sorted:
+def _into_tiles(kind: Kind, base: int, window: Window, spans: Spans) -> Sorted:
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
-    counts = np.zeros(across * down + 1, np.int64)
-    count_in_tiles(spans, across, counts)
+    bits = spans.near.view(np.int64)
+    last = last_depth(spans.pixels, bits)
+    counts = np.zeros(across * down * DRAWERS + 1, np.int64)
+    count_in_tiles(spans.pixels, bits, last, across, counts)
     ends = np.cumsum(counts)
-    runs = ends.tolist()
+    runs = ends[::DRAWERS].tolist()
     order = np.empty(runs[-1], np.int32)
-    sort_into_tiles(spans, across, ends, order)
+    sort_into_tiles(spans.pixels, bits, last, across, ends, order)
     return Sorted(kind, spans, (base, base + len(kind.ids)), runs, order)

@@ -12,17 +12,15 @@ import numpy as np
 
 from caster.aovs import BY_NAME
 from caster.casting import Culling, bases, by_trees, decide, ids_by_place
+from caster.fields import Camera
 from caster.film_casting import cast_tile, in_tiles, sorted_kinds
 from caster.kernels.gather import shoot_at
 from caster.kernels.nearest import new_rays
 from caster.kernels.paint import (
     find_normals,
     paint_albedo,
-    paint_depth,
-    paint_doubt,
-    paint_hits,
-    paint_normals,
     paint_numbers,
+    paint_seen,
     paint_surfaces,
 )
 from caster.kernels.screen import Window, cast_own_origins, cast_shared_origin
@@ -57,13 +55,14 @@ def paint_film(
     aovs: Sequence[str],
     culling: Culling,
     threads: int | None = None,
+    dtype: type[np.floating] = np.float64,
 ) -> Painted:
     """The AOVs, all of PAINTED, by the cullings "screen" (for cameras that keep straight lines straight) and "bvh"."""
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     reach = _farthest_origin(camera, window)
     hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
-    images = {name: _blank(name, window) for name in aovs}
-    painters: list[Painter] = [*_painters(scene, packed, reach, images), partial(_hits, hit, doubt)]
+    images = {name: _blank(name, window, dtype) for name in aovs if name != "hit"}
+    painters = _painters(scene, packed, reach, images, (hit, doubt))
     seek: Caster
     if culling == "screen":
         kinds = sorted_kinds(packed, camera, window, reach, threads)
@@ -87,7 +86,10 @@ def paint_film(
         view = _decided(scene, packed, window, camera, pixels, threads)
         hit.reshape(-1)[pixels] = view.hit
         for name, image in images.items():
-            image.reshape(doubt.size, *image.shape[2:])[pixels] = BY_NAME[name].evaluate(view)
+            with np.errstate(over="ignore", under="ignore"):
+                image.reshape(doubt.size, *image.shape[2:])[pixels] = BY_NAME[name].evaluate(view)
+    if "hit" in aovs:
+        images["hit"] = hit.astype(dtype)
     return Painted(images, hit, _worked_out(aovs), len(pixels))
 
 
@@ -97,12 +99,12 @@ def _worked_out(aovs: Sequence[str]) -> tuple[str, ...]:
     return ("normals",) if "normal" in aovs else ()
 
 
-def _blank(name: str, window: Window) -> np.ndarray:
-    """An image of nothing; depth and hit are written everywhere."""
+def _blank(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
+    """An image of nothing; depth is written everywhere."""
     shape = window.height, window.width
     if name in NUMBERS:
         return np.full(shape, -1, np.int32)
-    return np.zeros((*shape, CHANNELS[name])) if name in CHANNELS else np.empty(shape)
+    return np.zeros((*shape, CHANNELS[name]), dtype) if name in CHANNELS else np.empty(shape, dtype)
 
 
 def _farthest_origin(camera: Any, window: Window) -> float:
@@ -113,30 +115,28 @@ def _farthest_origin(camera: Any, window: Window) -> float:
     return float(np.abs(rays.o).max())
 
 
-def _hits(hit: np.ndarray, doubt: np.ndarray, tile: np.ndarray, box: Box) -> None:
-    paint_hits(tile, box, hit)
-    paint_doubt(tile, box, doubt)
-
-
-def _painters(scene: Scene, packed: Packed, reach: float, images: dict[str, np.ndarray]) -> list[Painter]:
-    """What paints the images, and nothing else."""
+def _painters(
+    scene: Scene, packed: Packed, reach: float, images: dict[str, np.ndarray], seen: tuple[np.ndarray, ...]
+) -> list[Painter]:
+    """What paints the images and `seen`, which are hit and doubt; and nothing else."""
     painters: list[Painter] = []
-    if "hit" in images:
-        painters.append(lambda tile, box: paint_hits(tile, box, images["hit"]))
-    if "depth" in images:
-        painters.append(lambda tile, box: paint_depth(tile, box, images["depth"]))
     kinds = [
         (kind.prims, (base, base + len(kind.ids)))
         for kind, base in zip(packed.kinds, bases(packed), strict=True)
     ]
+    normals = None
     if images.keys() & FROM_SURFACES:
         wanted = [images.get(name) for name in ("position", "normal", "shading_normal", "uv")]
         painters.extend(partial(_surfaces, *kind, wanted) for kind in kinds)
     elif "normal" in images:
+        normals = images["normal"]
+        if not isinstance(scene.camera, Camera):  # its d may be of any length: no normals for d of length 1
+            reach = np.inf
         painters.extend(partial(find_normals, *kind, reach) for kind in kinds)
-        painters.append(lambda tile, box: paint_normals(tile, box, images["normal"]))
     if packed.kinds and images.keys() & {*NUMBERS, "albedo"}:
         painters.extend(_number_painters(scene, packed, images))
+    depth = images.get("depth")
+    painters.append(lambda tile, box: paint_seen(tile, box, *seen, depth, normals))
     return painters
 
 

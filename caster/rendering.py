@@ -46,14 +46,16 @@ def render(
     *,
     threads: int | None = None,
     culling: Culling | None = None,
+    dtype: type[np.floating] = np.float64,
 ) -> Aovs:
     """Render the film, or its crop window.
 
-    aovs: names from `caster.aovs.AOVS`. Returns float64 images (ids int32); depth is inf and ids are -1 on a
+    aovs: names from `caster.aovs.AOVS`. Returns images of `dtype` (ids int32); depth is inf and ids are -1 on a
     miss, everything else 0. `culling` overrides the plan; no culling and no number of threads changes a bit.
+    All is worked out in float64; with dtype np.float32 numbers are rounded once at the end, those beyond it to inf.
     Raises SceneError for an AOV that does not exist.
     """
-    return render_film(scene, aovs, threads=threads, culling=culling).aovs
+    return render_film(scene, aovs, threads=threads, culling=culling, dtype=dtype).aovs
 
 
 @dataclass(frozen=True)
@@ -69,18 +71,23 @@ class Rendered:
 
 
 def render_film(
-    scene: Scene, aovs: Sequence[str], *, threads: int | None = None, culling: Culling | None = None
+    scene: Scene,
+    aovs: Sequence[str],
+    *,
+    threads: int | None = None,
+    culling: Culling | None = None,
+    dtype: type[np.floating] = np.float64,
 ) -> Rendered:
     """The same as `render`, with an account of it."""
     check_names(aovs)
     window, culling = film_window(scene), culling or plan(scene.camera.pack(1, 1)).culling
     if culling != "everything" and PAINTED.issuperset(aovs):
         packed = pack(scene)
-        painted = paint_film(scene, packed, window, aovs, culling, threads)
+        painted = paint_film(scene, packed, window, aovs, culling, threads, dtype)
         images = Aovs(painted.images, painted.hit)
         return Rendered(scene, packed, images, culling, painted.surfaces, painted.doubtful)
     view = look(scene, threads=threads, culling=culling)
-    images = evaluate(view, aovs, window)
+    images = evaluate(view, aovs, window, dtype)
     surfaces = ("position", "normals", "uv") if "surfaces" in vars(view) else ()
     return Rendered(scene, view.packed, images, culling, surfaces, None)
 
@@ -131,11 +138,16 @@ def look_along(
     return View(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
 
 
-def evaluate(view: View, aovs: Sequence[str], window: Window) -> Aovs:
+def evaluate(
+    view: View, aovs: Sequence[str], window: Window, dtype: type[np.floating] = np.float64
+) -> Aovs:
     """The AOVs of a view, as images of the window."""
     shape = (window.height, window.width)
     images = {}
     for name in aovs:
         flat = BY_NAME[name].evaluate(view)
+        if flat.dtype == np.float64:
+            with np.errstate(over="ignore", under="ignore"):
+                flat = flat.astype(dtype, copy=False)
         images[name] = flat.reshape(shape + flat.shape[1:])
     return Aovs(images, view.hit.reshape(shape))

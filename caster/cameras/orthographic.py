@@ -59,4 +59,4 @@ def _project(camera: Any, p: Any) -> Any:
     q = sub(p, camera.eye)
     x = 0.5 * (dot(q, camera.right) / camera.half[0] + 1.0) * camera.size[0]
     y = 0.5 * (1.0 - dot(q, camera.up) / camera.half[1]) * camera.size[1]
-    return x, y, 0.5 * camera.size[0] / camera.half[0], True
+    return x, y, 0.5 * camera.size[0] / camera.half[0], dot(q, camera.forward), True

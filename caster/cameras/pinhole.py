@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from caster.fields import Camera, FieldOfView, NonNegative, Number, Positive
 from caster.kernels.jit import implement
 from caster.kernels.protocol import Vec3, project, ray
-from caster.kernels.vec import add, dot, scaled, size, sub, unit
+from caster.kernels.vec import add, dot, scaled, size, sub
 
 # A point is projected only where its depth is more than this share of its distance (the sum of magnitudes): there the
 # rounding of its position moves the picture by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
@@ -77,9 +77,10 @@ class Pinhole(Camera):
 def _ray(camera: Any, x: float, y: float) -> Any:
     across = (2.0 * (x / camera.size[0] + camera.shift[0]) - 1.0) * camera.half[0]
     above = (1.0 - 2.0 * (y / camera.size[1] + camera.shift[1])) * camera.half[1]
+    # right, up and forward being unit vectors across each other, this is how long their sum is
     length = math.sqrt(across * across + above * above + 1.0)
     sideways = add(scaled(across, camera.right), scaled(above, camera.up))
-    d = unit(add(sideways, camera.forward))
+    d = scaled(1.0 / length, add(sideways, camera.forward))
     return camera.eye, d, camera.near * length, camera.far * length
 
 
@@ -88,9 +89,9 @@ def _project(camera: Any, p: Any) -> Any:
     q = sub(p, camera.eye)
     depth, distance = dot(q, camera.forward), size(q)
     if not depth > max(SHALLOWEST * distance, NEAREST):
-        return 0.0, 0.0, depth, False
+        return 0.0, 0.0, 0.0, depth, False
     closeness = 1.0 / depth
     wide, high = 0.5 * camera.size[0] / camera.half[0], 0.5 * camera.size[1] / camera.half[1]
     x = wide * (dot(q, camera.right) * closeness) + (0.5 - camera.shift[0]) * camera.size[0]
     y = (0.5 - camera.shift[1]) * camera.size[1] - high * (dot(q, camera.up) * closeness)
-    return x, y, max(wide, high) * closeness * (1.0 + distance * closeness), True
+    return x, y, max(wide, high) * closeness * (1.0 + distance * closeness), depth, True

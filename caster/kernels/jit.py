@@ -86,6 +86,51 @@ def inlined(function: Function) -> Function:
     return compiled
 
 
+LANES = 8 if COMPILED else 1
+"""So many float64 AVX-512 takes at once. Uncompiled, taking several together would be in vain."""
+
+
+def _any_reaches() -> Callable[..., bool]:
+    def one(a: Any, i: Any, j: Any, limit: float) -> bool:
+        return bool(a[i] + a[j] >= limit)
+
+    if not COMPILED:
+        return one
+    from llvmlite import ir  # what Numba itself writes in
+    from numba.core import types
+
+    def vector(typing: Any, a: Any, i: Any, j: Any, limit: Any) -> Any:
+        """As one comparison of vectors: LLVM does not make one of a short loop by itself."""
+        if not isinstance(a, types.Array):
+            return None
+
+        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            array = context.make_array(a)(context, builder, arguments[0])
+            lanes = ir.VectorType(ir.DoubleType(), LANES)
+
+            def load(at: Any) -> Any:
+                pointer = builder.gep(array.data, [at])
+                return builder.load(builder.bitcast(pointer, lanes.as_pointer()), align=8)
+
+            total = builder.fadd(load(arguments[1]), load(arguments[2]))
+            one_lane = builder.insert_element(
+                ir.Constant(lanes, ir.Undefined), arguments[3], ir.IntType(32)(0)
+            )
+            zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+            limits = builder.shuffle_vector(one_lane, ir.Constant(lanes, ir.Undefined), zeros)
+            which = builder.bitcast(builder.fcmp_ordered(">=", total, limits), ir.IntType(LANES))
+            return builder.icmp_unsigned("!=", which, ir.IntType(LANES)(0))
+
+        return types.boolean(a, types.uint64, types.uint64, types.float64), build
+
+    made: Callable[..., bool] = NUMBA.extending.intrinsic(vector)
+    return made
+
+
+any_reaches = _any_reaches()
+"""any_reaches(a, i, j, limit): whether a[i + n] + a[j + n] >= limit for one of n = 0..LANES - 1."""
+
+
 class Generic:
     """A function whose body is chosen by the class of its first argument, a NamedTuple of arrays."""
 

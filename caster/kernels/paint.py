@@ -11,36 +11,34 @@ from caster.kernels.tile import DOUBT, DX, DY, DZ, NX, NY, NZ, OX, OY, OZ, PLACE
 
 
 @jit
-def paint_hits(tile: Any, box: Any, hit: Any) -> None:
-    """Whether anything was hit."""
+def paint_seen(tile: Any, box: Any, hit: Any, doubt: Any, depth: Any, normal: Any) -> None:
+    """Whether anything was hit, whether that has to be found exactly, depth and normals; None: not asked for.
+
+    Doubt is all false before. Depth is t times the length of d, inf on a miss; normals are 0 there, elsewhere those
+    that have been found.
+    """
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
-        for x in range(x1 - x0):
-            hit[y, x0 + x] = tile[PLACE + lane((y - y0) * WIDTH + x)] >= 0.0
-
-
-@jit
-def paint_doubt(tile: Any, box: Any, doubt: Any) -> None:
-    """Whether the answer has to be found exactly; doubt is all false before."""
-    x0, y0, x1, y1 = box
-    for y in range(y0, y1):
+        first, count = lane((y - y0) * WIDTH), lane(x1 - x0)
         any_doubt = 0.0
-        for x in range(x1 - x0):
-            any_doubt += tile[DOUBT + lane((y - y0) * WIDTH + x)]
+        for x in range(count):
+            hit[y, lane(x0) + x] = tile[PLACE + first + x] >= 0.0
+            any_doubt += tile[DOUBT + first + x]
         if any_doubt > 0.0:
-            for x in range(x1 - x0):
-                doubt[y, x0 + x] = tile[DOUBT + lane((y - y0) * WIDTH + x)] != 0.0
-
-
-@jit
-def paint_depth(tile: Any, box: Any, depth: Any) -> None:
-    """t times the length of d, inf on a miss."""
-    x0, y0, x1, y1 = box
-    for y in range(y0, y1):
-        for x in range(x1 - x0):
-            i = lane((y - y0) * WIDTH + x)
-            a, b, c = tile[DX + i], tile[DY + i], tile[DZ + i]
-            depth[y, x0 + x] = tile[T + i] * math.sqrt(a * a + b * b + c * c)
+            for x in range(count):
+                doubt[y, lane(x0) + x] = tile[DOUBT + first + x] != 0.0
+        if depth is not None:
+            for x in range(count):
+                i = first + x
+                a, b, c = tile[DX + i], tile[DY + i], tile[DZ + i]
+                depth[y, lane(x0) + x] = tile[T + i] * math.sqrt(a * a + b * b + c * c)
+        if normal is not None:
+            for x in range(count):
+                i = first + x
+                there = tile[PLACE + i] >= 0.0
+                normal[y, lane(x0) + x, 0] = tile[NX + i] if there else 0.0
+                normal[y, lane(x0) + x, 1] = tile[NY + i] if there else 0.0
+                normal[y, lane(x0) + x, 2] = tile[NZ + i] if there else 0.0
 
 
 @jit
@@ -96,19 +94,6 @@ def find_run(prims: Any, k: int, face: Any, tile: Any, start: Any, stop: Any) ->
     for i in range(start, stop):
         o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
         tile[NX + i], tile[NY + i], tile[NZ + i] = normal(prims, k, o, d, tile[T + i])
-
-
-@jit
-def paint_normals(tile: Any, box: Any, image: Any) -> None:
-    """The normals that have been found; 0 on a miss."""
-    x0, y0, x1, y1 = box
-    for y in range(y0, y1):
-        for x in range(x1 - x0):
-            i = lane((y - y0) * WIDTH + x)
-            hit = tile[PLACE + i] >= 0.0
-            image[y, x0 + x, 0] = tile[NX + i] if hit else 0.0
-            image[y, x0 + x, 1] = tile[NY + i] if hit else 0.0
-            image[y, x0 + x, 2] = tile[NZ + i] if hit else 0.0
 
 
 @jit

@@ -76,7 +76,7 @@ def facing(prims: Any, k: int, reach: float) -> Any:
 
 @generic_inlined
 def plain_normal(prims: Any, face: Any, o: Vec3, d: Vec3, t: float) -> Any:
-    """The same bits as `normal`, without a branch."""
+    """The same bits as `normal`, without a branch, for a d of length 1 (vec.ABOUT_ONE)."""
 
 
 @generic
@@ -96,13 +96,16 @@ def hull_point(prims: Any, k: int, j: int) -> Any:
 
 @generic_inlined
 def ray(camera: Any, x: float, y: float) -> Any:
-    """(o, d, t_min, t_max) of the ray through film position (x, y), in pixels; t_max < 0 says: no ray."""
+    """(o, d, t_min, t_max) of the ray through film position (x, y), in pixels; t_max < 0 says: no ray.
+
+    d is of length 1 (vec.ABOUT_ONE).
+    """
 
 
 @generic_inlined
 def project(camera: Any, p: Vec3) -> Any:
-    """(x, y, pixels, valid): where p falls on the film; a unit step of p moves it by at most so many pixels.
+    """(x, y, pixels, depth, valid): where p falls on the film; a unit step of p moves it by at most so many pixels.
 
-    Not valid where straight edges would not stay straight; pixels is then how far p is in front of the camera, or, if
-    negative, behind it. A camera without a body for this goes through the tree.
+    depth: how far p is in front of where the rays start, or, if negative, behind; t is no less. Not valid where
+    straight edges would not stay straight. A camera without a body for this goes through the tree.
     """

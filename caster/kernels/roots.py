@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from caster.kernels.exact_root import times_power
 from caster.kernels.jit import inlined, jit
 from caster.kernels.protocol import Vec3
-from caster.kernels.vec import TINY, U, along, answer, dot, row_sizes, size, sure_within, unit
+from caster.kernels.vec import TINY, U, along, answer, direction, dot, row_sizes, size, sure_within, unit
 
 # The bounds are of second order in the error of d over d's length, which has to be below 1/32 for them to hold.
 STEADY = 2.0**-10
@@ -120,7 +120,7 @@ def chord(ball: Any, d: Vec3, d_off: float) -> Chord:
 @jit
 def way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     """The unit vector from the centre of |p| = r to where f + t d meets it."""
-    largest, along_d = max(abs(f[0]), abs(f[1]), abs(f[2])), unit(d)
+    largest, along_d = max(abs(f[0]), abs(f[1]), abs(f[2])), direction(d)
     reach = t * dot(d, along_d)
     if not (r > SMALL and max(r, largest) < LARGE):
         e = min(-math.frexp(r)[1], ROOM - math.frexp(largest)[1])  # so that all squares are numbers
@@ -132,8 +132,14 @@ def way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
 @inlined
 def plain_way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     """The same bits, for r from SMALL to LARGE and an f below LARGE."""
-    along_d = unit(d)
+    along_d = direction(d)
     return off_the_approach(f, along_d, t * dot(d, along_d), r)
+
+
+@inlined
+def straight_way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
+    """The same bits once more, for a d that is its own `direction`."""
+    return off_the_approach(f, d, t * dot(d, d), r)
 
 
 @inlined

@@ -7,7 +7,9 @@ convex hull lies in the box around the pictures of its points.
 import math
 from typing import Any, NamedTuple
 
-from caster.kernels.jit import inlined, jit
+import numpy as np
+
+from caster.kernels.jit import any_reaches, inlined, jit
 from caster.kernels.protocol import hull_point, hull_size, intersect, numbers, prepare, project
 from caster.kernels.tile import (
     DX,
@@ -15,14 +17,16 @@ from caster.kernels.tile import (
     DZ,
     HEIGHT,
     LANES,
+    OFF,
     OX,
     OY,
     OZ,
+    SIZE,
     T_MAX,
     T_MIN,
     WIDTH,
     Box,
-    cast_lanes,
+    T,
     keep_first,
     lane,
 )
@@ -42,24 +46,53 @@ class Window(NamedTuple):
     height: int
 
 
+class Spans(NamedTuple):
+    """Where the primitives of a kind may be seen."""
+
+    pixels: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
+    near: np.ndarray  # (n,) float64: no ray meets it at a smaller t
+
+
+Picture = tuple[float, float, float, float]
+"""(x, y, how far around it to look, in pixels, inf where it has no picture; depth)"""
+
+# Nothing of a primitive is nearer than the least depth of its points, by more than the `slack` that its box is widened
+# by: 24 u times the largest coordinates (tree.REACH), where depth is off by some 12 u of them, and again as much for the
+# hits themselves. And d is of length 1 but for a few u.
+NEARER = 1.0 - 2.0**-40
+
+
 @inlined
-def film_box(
-    prims: Any, k: int, camera: Any, slack: float, margin: float
-) -> tuple[float, float, float, float]:
-    """(left, top, right, bottom) around the picture of primitive k; endless where a point has none; none behind."""
-    left, top, right, bottom = math.inf, math.inf, -math.inf, -math.inf
-    behind, corners = 0, hull_size(prims)
-    for j in range(corners):
-        x, y, pixels, valid = project(camera, hull_point(prims, k, j))
-        behind += not valid and pixels < -slack
-        reach = margin + slack * pixels if valid else math.inf
-        left, top = min(left, x - reach), min(top, y - reach)
-        right, bottom = max(right, x + reach), max(bottom, y + reach)
-    if 0 < behind == corners:
-        return math.inf, math.inf, -math.inf, -math.inf
-    if left > right:  # a kind without bounds
-        return -math.inf, -math.inf, math.inf, math.inf
-    return left, top, right, bottom
+def picture(camera: Any, p: Any, reach: tuple[float, float]) -> Picture:
+    """Of one point."""
+    x, y, pixels, depth, valid = project(camera, p)
+    return x, y, reach[1] + reach[0] * pixels if valid else math.inf, depth
+
+
+@inlined
+def endless() -> tuple[float, float, float, float, float]:
+    """(left, top, right, bottom, least depth) before any point has been seen."""
+    return math.inf, math.inf, -math.inf, -math.inf, math.inf
+
+
+@inlined
+def around(box: tuple[float, float, float, float, float], point: Picture) -> Any:
+    """A box and least depth that hold one more point."""
+    x, y, wide, depth = point
+    left, top, right, bottom, least = box
+    return min(left, x - wide), min(top, y - wide), max(right, x + wide), max(bottom, y + wide), min(least, depth)
+
+
+@inlined
+def keep_span(spans: Any, k: int, box: Any, deepest: float, slack: float, window: Any) -> None:
+    """Turn the box of primitive k, whose points are no deeper than `deepest`, into pixels."""
+    left, top, right, bottom, least = box
+    if deepest < -slack:  # all of it is behind
+        spans.pixels[k, 0], spans.pixels[k, 1], spans.pixels[k, 2], spans.pixels[k, 3] = 0, 0, 0, 0
+        return
+    spans.pixels[k, 0], spans.pixels[k, 2] = pixel_span(left, right, window.x0, window.width)
+    spans.pixels[k, 1], spans.pixels[k, 3] = pixel_span(top, bottom, window.y0, window.height)
+    spans.near[k] = (least - 2.0 * slack) * NEARER
 
 
 @inlined
@@ -74,69 +107,181 @@ def pixel_span(low: float, high: float, first: int, count: int) -> tuple[int, in
 def find_spans(
     prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
 ) -> None:
-    """spans[k] = (x_start, y_start, x_stop, y_stop) within the window, for primitives start..stop.
+    """The spans of primitives start..stop.
 
-    reach: how far beyond its points a primitive may be seen, in scene units and in pixels.
+    reach: how far beyond its points a primitive may be seen, in scene units (the slack) and in pixels.
     """
+    corners = hull_size(prims)
     for k in range(start, stop):
-        left, top, right, bottom = film_box(prims, k, camera, reach[0], reach[1])
-        spans[k, 0], spans[k, 2] = pixel_span(left, right, window.x0, window.width)
-        spans[k, 1], spans[k, 3] = pixel_span(top, bottom, window.y0, window.height)
+        box, deepest = endless(), -math.inf
+        for j in range(corners):
+            point = picture(camera, hull_point(prims, k, j), reach)
+            box, deepest = around(box, point), max(deepest, point[3])
+        if corners == 0:  # a kind without bounds
+            box, deepest = (-math.inf, -math.inf, math.inf, math.inf, -math.inf), math.inf
+        keep_span(spans, k, box, deepest, reach[0], window)
 
 
 @jit
-def count_in_tiles(spans: Any, across: int, counts: Any) -> None:
-    """Add to counts[n + 1] how many spans reach into tile n; tiles go row by row, `across` in a row."""
-    for k in range(len(spans)):
-        if spans[k, 0] < spans[k, 2] and spans[k, 1] < spans[k, 3]:
-            for y in range(spans[k, 1] // HEIGHT, (spans[k, 3] - 1) // HEIGHT + 1):
-                for x in range(spans[k, 0] // WIDTH, (spans[k, 2] - 1) // WIDTH + 1):
-                    counts[y * across + x + 1] += 1
+def find_pictures(points: Any, camera: Any, pictures: Any, reach: Any, start: int, stop: int) -> None:
+    """pictures (n, 4) of points start..stop, which several triangles share."""
+    for i in range(start, stop):
+        x, y, wide, depth = picture(camera, (points[i, 0], points[i, 1], points[i, 2]), reach)
+        pictures[i, 0], pictures[i, 1], pictures[i, 2], pictures[i, 3] = x, y, wide, depth
 
 
 @jit
-def sort_into_tiles(spans: Any, across: int, ends: Any, order: Any) -> None:
-    """Write primitives to order[ends[n]:], for each tile n that they reach into, moving ends[n] on."""
-    for k in range(len(spans)):
-        if spans[k, 0] < spans[k, 2] and spans[k, 1] < spans[k, 3]:
-            for y in range(spans[k, 1] // HEIGHT, (spans[k, 3] - 1) // HEIGHT + 1):
-                for x in range(spans[k, 0] // WIDTH, (spans[k, 2] - 1) // WIDTH + 1):
-                    n = y * across + x
+def find_spans_of_faces(
+    faces: Any, pictures: Any, window: Any, spans: Any, reach: Any, start: int, stop: int
+) -> None:
+    """The same as `find_spans`, for triangles between points whose pictures are known."""
+    for k in range(start, stop):
+        box, deepest = endless(), -math.inf
+        for j in range(3):
+            i = faces[k, j]
+            point = pictures[i, 0], pictures[i, 1], pictures[i, 2], pictures[i, 3]
+            box, deepest = around(box, point), max(deepest, point[3])
+        keep_span(spans, k, box, deepest, reach[0], window)
+
+
+@inlined
+def is_seen(pixels: Any, k: int) -> bool:
+    return (pixels[k, 0] < pixels[k, 2]) & (pixels[k, 1] < pixels[k, 3])
+
+
+# Within a tile, primitives are sorted into drawers by their least depth: by its exponent and 4 bits of the fraction. The
+# farthest 8 powers of two have drawers of their own; what is nearer, or behind, shares the first.
+DRAWERS, SHIFT = 128, 52 - 4
+
+
+@jit
+def last_depth(pixels: Any, bits: Any) -> int:
+    """The bits of the largest least depth of what is seen at all; bits: least depths as int64."""
+    last = 0
+    for k in range(len(bits)):
+        if is_seen(pixels, k):
+            last = max(last, bits[k])
+    return last
+
+
+@inlined
+def drawer(bits: int, last: int) -> int:
+    """Farther primitives are in later drawers."""
+    return max(DRAWERS - 1 - ((last >> SHIFT) - (bits >> SHIFT)), 0)
+
+
+@jit
+def count_in_tiles(pixels: Any, bits: Any, last: int, across: int, counts: Any) -> None:
+    """How many spans reach into each tile: counts[n * DRAWERS + drawer + 1]; tiles go row by row, `across` in a row."""
+    for k in range(len(bits)):
+        if is_seen(pixels, k):
+            into = drawer(bits[k], last) + 1
+            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
+                for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
+                    counts[(y * across + x) * DRAWERS + into] += 1
+
+
+@jit
+def sort_into_tiles(pixels: Any, bits: Any, last: int, across: int, ends: Any, order: Any) -> None:
+    """Write primitives to order[ends[n * DRAWERS + drawer]:], for each tile n they reach into, moving that end on."""
+    for k in range(len(bits)):
+        if is_seen(pixels, k):
+            into = drawer(bits[k], last)
+            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
+                for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
+                    n = (y * across + x) * DRAWERS + into
                     order[ends[n]] = k
                     ends[n] += 1
 
 
 @inlined
-def within_tile(spans: Any, k: int, box: Box) -> Box:
+def within_tile(pixels: Any, k: int, box: Box) -> Box:
     """The span of primitive k inside the tile of a box, counted from its corner; x_start and x_stop in whole LANES."""
-    x_start, y_start = max(spans[k, 0] - box[0], 0), max(spans[k, 1] - box[1], 0)
-    x_stop, y_stop = min(spans[k, 2], box[2]) - box[0], min(spans[k, 3], box[3]) - box[1]
+    x_start, y_start = max(pixels[k, 0] - box[0], 0), max(pixels[k, 1] - box[1], 0)
+    x_stop, y_stop = min(pixels[k, 2], box[2]) - box[0], min(pixels[k, 3], box[3]) - box[1]
     return x_start // LANES * LANES, y_start, -(-x_stop // LANES) * LANES, y_stop
+
+
+@inlined
+def may_show(tile: Any, first: Any, near: float) -> bool:
+    """Whether one of LANES rays has met nothing sure to be nearer."""
+    return any_reaches(tile, T + first, OFF + first, near)
+
+
+@inlined
+def may_show_in(tile: Any, span: Box, near: float) -> bool:
+    """The same for a span."""
+    x_start, y_start, x_stop, y_stop = span
+    for y in range(y_start, y_stop):
+        for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
+            if may_show(tile, first, near):
+                return True
+    return False
+
+
+@inlined
+def farthest(tile: Any, box: Box) -> float:
+    """How far a tile can be seen into anywhere."""
+    far = 0.0
+    for y in range(box[3] - box[1]):
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
+            far = max(far, tile[T + i] + tile[OFF + i])
+    return far
+
+
+# In spans of no more pixels, what is hidden is looked for once, not in each row again: few show in part.
+FEW = 256
 
 
 @jit
 def cast_shared_origin(prims: Any, order: Any, run: Any, spans: Any, base: int, box: Box, tile: Any) -> None:
     """Primitives order[run[0]:run[1]] of a kind whose places begin at `base`, for rays that start in one point."""
     o = tile[OX], tile[OY], tile[OZ]
+    far, tried = math.inf, 0
     for at in range(run[0], run[1]):
         k = order[at]
-        x_start, y_start, x_stop, y_stop = within_tile(spans, k, box)
+        near, span = spans.near[k], within_tile(spans.pixels, k, box)
+        if near > far or not may_show_in(tile, span, near):
+            continue
+        x_start, y_start, x_stop, y_stop = span
+        tries = (x_stop - x_start) * (y_stop - y_start)
+        small = tries <= FEW
         pre, place = prepare(prims, numbers(prims, k), o), float(base + k)
         for y in range(y_start, y_stop):
             for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
-                for i in range(first, first + lane(LANES)):
-                    d = tile[DX + i], tile[DY + i], tile[DZ + i]
-                    t, off = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
-                    keep_first(tile, i, place, t, off)
+                if small or may_show(tile, first, near):
+                    for i in range(first, first + lane(LANES)):
+                        d = tile[DX + i], tile[DY + i], tile[DZ + i]
+                        t, off = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
+                        keep_first(tile, i, place, t, off)
+        tried += tries
+        if tried > SIZE:  # worth a look at what all of this has covered
+            far, tried = farthest(tile, box), 0
 
 
 @jit
 def cast_own_origins(prims: Any, order: Any, run: Any, spans: Any, base: int, box: Box, tile: Any) -> None:
-    """The same for rays that start in different places (an orthographic camera)."""
+    """The same for rays of one direction that start in different places (an orthographic camera)."""
+    d = tile[DX], tile[DY], tile[DZ]
+    far, tried = math.inf, 0
     for at in range(run[0], run[1]):
         k = order[at]
-        x_start, y_start, x_stop, y_stop = within_tile(spans, k, box)
+        near, span = spans.near[k], within_tile(spans.pixels, k, box)
+        if near > far or not may_show_in(tile, span, near):
+            continue
+        x_start, y_start, x_stop, y_stop = span
+        tries = (x_stop - x_start) * (y_stop - y_start)
+        small = tries <= FEW
         prim, place = numbers(prims, k), float(base + k)
         for y in range(y_start, y_stop):
             for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
-                cast_lanes(prims, prim, place, tile, first)
+                if small or may_show(tile, first, near):
+                    for i in range(first, first + lane(LANES)):
+                        o = tile[OX + i], tile[OY + i], tile[OZ + i]
+                        t, off = intersect(
+                            prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i]
+                        )
+                        keep_first(tile, i, place, t, off)
+        tried += tries
+        if tried > SIZE:
+            far, tried = farthest(tile, box), 0

@@ -1,6 +1,6 @@
 """A tile of the film: its rays and what each meets first, in one flat array that stays in a core's cache.
 
-A field is SIZE numbers in a row, one a pixel, and `tile[T + i]` is t of pixel i. Since all fields lie in one array at
+A field is numbers in a row, one a pixel, and `tile[T + i]` is t of pixel i. Since all fields lie in one array at
 known distances, the compiler knows that a store into one changes no other, and handles several pixels at once.
 """
 
@@ -9,20 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from caster.kernels.jit import COMPILED, inlined, jit
+from caster.kernels.jit import COMPILED, LANES, inlined, jit
 from caster.kernels.protocol import intersect, prepare, ray
 
 WIDTH, HEIGHT = 128, 64  # pixels
 SIZE = WIDTH * HEIGHT
 
-# Spans are widened to so many pixels, as many float64 as AVX-512 takes at once; uncompiled that would be in vain.
-LANES = 8 if COMPILED else 1
-
 # An index without a sign needs no look at whether it counts from the end.
 lane = np.uint64 if COMPILED else int
 
+# From one field to the next: a cache line more than SIZE, or a pixel's twelve numbers, at distances of a power of two,
+# would all compete for one place in the cache.
+STRIDE = SIZE + 8
+
 FIELDS = 12
-T, OFF, PLACE, DOUBT, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (lane(SIZE * field) for field in range(FIELDS))
+T, OFF, PLACE, DOUBT, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (lane(STRIDE * field) for field in range(FIELDS))
 # T, OFF: the nearest so far, the true t within OFF; PLACE: number of the primitive, kind by kind, -1 for none;
 # DOUBT: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
 
@@ -30,14 +31,20 @@ T, OFF, PLACE, DOUBT, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (lane(SIZE * field)
 NX, NY, NZ = OFF, T_MIN, T_MAX
 
 # Behind the fields: how the rays of a bundle see boxes (kernels/bundle.py).
-VIEW = lane(SIZE * FIELDS)
+VIEW = lane(STRIDE * FIELDS)
 VIEW_SIZE = 9 * LANES
 
 Box = tuple[int, int, int, int]  # x0, y0, x1, y1: pixels of the window, x1 and y1 just outside
 
 
+CACHE_LINE = 64  # bytes
+
+
 def new_tile() -> np.ndarray:
-    return np.zeros(FIELDS * SIZE + VIEW_SIZE)
+    """Zeros, from the beginning of a cache line, so that LANES numbers never lie in two."""
+    room = np.zeros(FIELDS * STRIDE + VIEW_SIZE + CACHE_LINE // 8)
+    first = -room.ctypes.data % CACHE_LINE // 8
+    return room[first : first + FIELDS * STRIDE + VIEW_SIZE]
 
 
 @inlined

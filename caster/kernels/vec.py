@@ -98,6 +98,17 @@ def unit(a: Vec3) -> Vec3:
     return a[0] / length, a[1] / length, a[2] / length
 
 
+# The square of a camera's d is 1 within this: 10 u for an axis as it was given (transform.UNIT_ATOL), some 4 u for
+# axes that are not quite across each other, and 12 u for six roundings of its length.
+ABOUT_ONE = 32.0 * U
+
+
+@jit
+def direction(a: Vec3) -> Vec3:
+    """a at length 1 but for a few u: a itself where it is that already."""
+    return a if abs(dot(a, a) - 1.0) <= ABOUT_ONE else unit(a)
+
+
 @jit
 def about_one(a: Vec3) -> Vec3:
     """a times a power of two, which is exact: its largest component is in [1/2, 1), or it is zero."""

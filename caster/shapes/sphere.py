@@ -31,6 +31,7 @@ from caster.kernels.roots import (
     is_plain,
     is_plain_through,
     plain_way_out,
+    straight_way_out,
     way_out,
 )
 from caster.kernels.vec import (
@@ -133,7 +134,7 @@ def _facing(prims: Any, k: int, reach: float) -> Any:
 @implement(plain_normal, Spheres)
 def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     _, center, r = face
-    return plain_way_out(sub(o, center), d, t, r)
+    return straight_way_out(sub(o, center), d, t, r)
 
 
 @implement(surface, Spheres)

@@ -56,7 +56,8 @@ def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
 
     def narrow(prims, camera, window, spans, reach, start, stop):
         find_spans(prims, camera, window, spans, reach, start, stop)
-        spans[start:stop, 3] = (spans[start:stop, 1] + spans[start:stop, 3]) // 2
+        rows = spans.pixels[start:stop]
+        rows[:, 3] = (rows[:, 1] + rows[:, 3]) // 2
 
     monkeypatch.setattr(film_casting, "find_spans", narrow)
     with pytest.raises(AssertionError, match="screen: "):

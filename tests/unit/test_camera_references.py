@@ -9,6 +9,7 @@ import pytest
 from caster.cameras import CAMERAS, Ray
 from caster.fields import Camera
 from caster.kernels.nearest import Rays
+from caster.kernels.vec import ABOUT_ONE
 from caster.rendering import camera_rays
 from caster.scene import Film, Scene
 from mitsuba_ref import scene_checks
@@ -48,6 +49,19 @@ def test_our_rays_are_those_of_the_second_formula(camera):
         assert check.ok, check
         ratios.append(check.ratio)
     assert np.median(ratios) > 1e-3  # not vacuous: they do round differently
+
+
+@every_camera
+def test_directions_are_of_length_one(camera):
+    """As near as the kernels take for granted that do without dividing by it."""
+    rng = np.random.default_rng([131, TYPES.index(camera)])
+    off = 0.0
+    for _ in range(60):
+        rays = camera_rays(random_scene(camera, rng))
+        squares = (rays.d[rays.t_max >= 0.0] ** 2).sum(axis=1)
+        off = max(off, np.abs(squares - 1.0).max())
+    assert off <= ABOUT_ONE
+    assert camera == "orthographic" or off > 0.1 * ABOUT_ONE  # not vacuous
 
 
 Fault = Callable[[Scene], Any]
