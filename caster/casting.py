@@ -10,6 +10,7 @@ import numpy as np
 from caster.kernels.bundle import cast_all, cast_bundles
 from caster.kernels.bvh import cast_bvh
 from caster.kernels.everything import cast_everything
+from caster.kernels.jit import LANES
 from caster.kernels.nearest import (
     Counting,
     Folding,
@@ -23,7 +24,7 @@ from caster.kernels.nearest import (
     no_hits,
     precedes,
 )
-from caster.kernels.tile import LANES, SIZE, load_run, new_tile, put_none, store_run
+from caster.kernels.tile import SIZE, load_run, new_tile, put_none, store_blocked, store_run
 from caster.kernels.tree import LEAF_SIZE, STACK_SIZE
 from caster.packing import Kind, Packed
 from caster.threads import in_bands
@@ -42,22 +43,51 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     ids = ids_by_place(packed)
     cast = by_trees(packed)
 
-    def work(start: int, stop: int) -> None:
-        tile = new_tile()
-        for first in range(start, stop, SIZE):
-            count = min(SIZE, stop - first)
-            load_run(rays, first, first + count, tile, 0)
-            put_none(tile, count, -(-count // LANES) * LANES)
-            cast(count, tile)
-            store_run(tile, 0, ids, first, first + count, nearest, doubt)
+    def store(tile: np.ndarray, first: int, number: int) -> None:
+        store_run(tile, 0, ids, first, first + number, nearest, doubt)
 
-    in_bands(work, count, threads)
+    _in_tiles(cast, rays, store, threads)
     return decide_doubtful(packed, rays, nearest, doubt, threads)
 
 
-def by_trees(packed: Packed) -> Callable[[int, np.ndarray], None]:
-    """Cast the first so many rays of a tile."""
-    kinds = [_in_bundles(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
+def find_any(packed: Packed, rays: Rays, threads: int | None = None) -> np.ndarray:
+    """(n,) bool: whether rays meet anything at all. One that does is followed no further than the first sure hit."""
+    count = len(rays.t_min)
+    blocked, doubt = np.zeros(count, bool), np.zeros(count, bool)
+
+    def store(tile: np.ndarray, first: int, number: int) -> None:
+        store_blocked(tile, number, first, blocked, doubt)
+
+    _in_tiles(by_trees(packed, any_hit=True), rays, store, threads)
+    rows = np.flatnonzero(doubt)
+    if len(rows):
+        blocked[rows] = decide(packed, Rays(*(a[rows] for a in rays)), threads).prim >= 0
+    return blocked
+
+
+def _in_tiles(
+    cast: Callable[[int, np.ndarray], None],
+    rays: Rays,
+    store: Callable[[np.ndarray, int, int], None],
+    threads: int | None,
+) -> None:
+    """Cast rays, a tile of them at a time; store(tile, first, number) takes the answers to rays first.. ."""
+
+    def work(start: int, stop: int) -> None:
+        tile = new_tile()
+        for first in range(start, stop, SIZE):
+            number = min(SIZE, stop - first)
+            load_run(rays, first, first + number, tile, 0)
+            put_none(tile, number, -(-number // LANES) * LANES)
+            cast(number, tile)
+            store(tile, first, number)
+
+    in_bands(work, len(rays.t_min), threads)
+
+
+def by_trees(packed: Packed, any_hit: bool = False) -> Callable[[int, np.ndarray], None]:
+    """Cast the first so many rays of a tile; until they have met anything, if that will do."""
+    kinds = [_in_bundles(kind, base, any_hit) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
 
     def go(count: int, tile: np.ndarray) -> None:
         room = _room()
@@ -75,12 +105,12 @@ def _room() -> Room:
     return np.empty(STACK_SIZE, np.int32), np.empty(STACK_SIZE)
 
 
-def _in_bundles(kind: Kind, base: int) -> Callable[[int, np.ndarray, Room], None]:
+def _in_bundles(kind: Kind, base: int, any_hit: bool) -> Callable[[int, np.ndarray, Room], None]:
     """Cast so many rays of a tile at a kind."""
     if worth_a_tree(kind):
         tree = kind.tree
-        return lambda count, tile, room: cast_bundles(kind.prims, tree, base, count, tile, room)
-    return lambda count, tile, room: cast_all(kind.prims, len(kind.ids), base, count, tile)
+        return lambda count, tile, room: cast_bundles(kind.prims, tree, base, count, tile, room, any_hit)
+    return lambda count, tile, room: cast_all(kind.prims, len(kind.ids), base, count, tile, any_hit)
 
 
 def bases(packed: Packed) -> list[int]:

@@ -134,10 +134,6 @@ class Light(Description):
 
     type: str
 
-    def towards(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """For points p (n, 3): unit vectors to the light (n, 3), and the irradiance across them (n, 3)."""
+    def pack(self) -> Any:
+        """The light as its kernels read it."""
         raise NotImplementedError(f"a light of type {self.type} comes from no direction")
-
-    def shadow_rays(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """For points p (n, 3): directions d to the light (n, 3), and how far it is in lengths of d (n,)."""
-        raise NotImplementedError(f"a light of type {self.type} casts no shadow")

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def find_nearest_on_film(
         cast_tile(cast, kinds, number, box, tile)
         store_nearest(tile, ids, window.width, box, nearest, doubt)
 
-    in_tiles(work, window, threads)
+    in_tiles(work, window, threads, new_tile)
     return decide_doubtful(packed, rays, nearest, doubt, threads)
 
 
@@ -89,17 +89,20 @@ def boxes(window: Window) -> Iterator[Box]:
             yield x, y, min(x + WIDTH, window.width), min(y + HEIGHT, window.height)
 
 
+Own = TypeVar("Own")
+
+
 def in_tiles(
-    work: Callable[[int, Box, np.ndarray], None], window: Window, threads: int | None = None
+    work: Callable[[int, Box, Own], None], window: Window, threads: int | None, room: Callable[[], Own]
 ) -> None:
-    """Call work(number, box, tile) for each tile of the window; every thread has one array, for one tile at a time."""
+    """Call work(number, box, own) for each tile of the window; `room` makes what every thread has of its own."""
     every = list(enumerate(boxes(window)))
     left, workers = iter(every), min(thread_count(threads), len(every))
 
     def go() -> None:
-        tile = new_tile()
+        own = room()
         for number, box in left:  # one step of a list's iterator at a time: no two threads get the same
-            work(number, box, tile)
+            work(number, box, own)
 
     if workers == 1:
         go()

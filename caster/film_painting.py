@@ -14,28 +14,22 @@ from caster.aovs import BY_NAME
 from caster.casting import Culling, bases, by_trees, decide, ids_by_place
 from caster.fields import Camera
 from caster.film_casting import cast_tile, in_tiles, sorted_kinds
+from caster.film_shading import Room, Shading, direct_lights, material_tables
 from caster.kernels.gather import shoot_at
 from caster.kernels.nearest import new_rays
-from caster.kernels.paint import (
-    find_normals,
-    paint_albedo,
-    paint_numbers,
-    paint_seen,
-    paint_surfaces,
-)
+from caster.kernels.paint import find_normals, paint_albedo, paint_numbers, paint_seen
 from caster.kernels.screen import Window, cast_own_origins, cast_shared_origin
+from caster.kernels.shade import SH_N, UV, N, P, find_surfaces_in_tile, paint_fields
 from caster.kernels.tile import WIDTH, Box, shoot_rays
 from caster.packing import Packed
 from caster.scene import Scene
 from caster.view import View
 
-CHANNELS = {"position": 3, "normal": 3, "shading_normal": 3, "uv": 2, "albedo": 3}
+CHANNELS = {"position": 3, "normal": 3, "shading_normal": 3, "uv": 2, "albedo": 3, "diffuse": 3}
 NUMBERS = ("shape_id", "prim_id")
-FROM_SURFACES = {"position", "shading_normal", "uv"}
-PAINTED = {"hit", "depth", *CHANNELS, *NUMBERS}
+FROM_SURFACES = {"position": P, "shading_normal": SH_N, "uv": UV}
 
-Painter = Callable[[np.ndarray, Box], None]
-Caster = Callable[[int, Box, np.ndarray], None]  # number of the tile, its box, its numbers
+Painter = Callable[[Room, Box], None]
 
 
 @dataclass(frozen=True)
@@ -46,6 +40,7 @@ class Painted:
     hit: np.ndarray  # (h, w) bool
     surfaces: tuple[str, ...]  # what was worked out of each hit's surface
     doubtful: int  # pixels whose answer had to be found exactly
+    shadow_rays: int
 
 
 def paint_film(
@@ -57,30 +52,27 @@ def paint_film(
     threads: int | None = None,
     dtype: type[np.floating] = np.float64,
 ) -> Painted:
-    """The AOVs, all of PAINTED, by the cullings "screen" (for cameras that keep straight lines straight) and "bvh"."""
+    """The AOVs, by the cullings "screen" (for cameras that keep straight lines straight) and "bvh"."""
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     reach = _farthest_origin(camera, window)
     hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: _blank(name, window, dtype) for name in aovs if name != "hit"}
-    painters = _painters(scene, packed, reach, images, (hit, doubt))
-    seek: Caster
-    if culling == "screen":
-        kinds = sorted_kinds(packed, camera, window, reach, threads)
-        cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
-        seek = partial(cast_tile, cast, kinds)
-    else:
-        cast_rows = by_trees(packed)
+    shading = Shading(scene, packed, images["diffuse"]) if "diffuse" in images and packed.kinds else None
+    surfaces = _worked_out(scene, aovs)
+    painters = _painters(scene, packed, reach, images, surfaces)
+    if shading:
+        painters.append(shading)
+    depth, normals = images.get("depth"), images.get("normal") if surfaces == ("normals",) else None
+    seek = _seeker(scene, packed, camera, window, culling, reach, threads)
 
-        def seek(number: int, box: Box, tile: np.ndarray) -> None:
-            cast_rows((box[3] - box[1]) * WIDTH, tile)
-
-    def work(number: int, box: Box, tile: np.ndarray) -> None:
-        shoot_rays(camera, window, box, tile)
-        seek(number, box, tile)
+    def work(number: int, box: Box, room: Room) -> None:
+        shoot_rays(camera, window, box, room.tile)
+        seek(number, box, room.tile)
         for paint in painters:
-            paint(tile, box)
+            paint(room, box)
+        paint_seen(room.tile, box, hit, doubt, depth, normals)  # last: shading has doubts of its own
 
-    in_tiles(work, window, threads)
+    in_tiles(work, window, threads, Room)
     pixels = np.flatnonzero(doubt)
     if len(pixels):
         view = _decided(scene, packed, window, camera, pixels, threads)
@@ -90,12 +82,32 @@ def paint_film(
                 image.reshape(doubt.size, *image.shape[2:])[pixels] = BY_NAME[name].evaluate(view)
     if "hit" in aovs:
         images["hit"] = hit.astype(dtype)
-    return Painted(images, hit, _worked_out(aovs), len(pixels))
+    return Painted(images, hit, surfaces, len(pixels), shading.shadow_rays if shading else 0)
 
 
-def _worked_out(aovs: Sequence[str]) -> tuple[str, ...]:
-    if FROM_SURFACES.intersection(aovs):
-        return "position", "normals", "uv"
+def _seeker(
+    scene: Scene,
+    packed: Packed,
+    camera: Any,
+    window: Window,
+    culling: Culling,
+    reach: float,
+    threads: int | None,
+) -> Callable[[int, Box, np.ndarray], None]:
+    """What finds the hits of a tile, given its number, its box and its rays."""
+    if culling == "screen":
+        kinds = sorted_kinds(packed, camera, window, reach, threads)
+        return partial(
+            cast_tile, cast_shared_origin if scene.camera.shares_origin else cast_own_origins, kinds
+        )
+    cast_rows = by_trees(packed)
+    return lambda number, box, tile: cast_rows((box[3] - box[1]) * WIDTH, tile)
+
+
+def _worked_out(scene: Scene, aovs: Sequence[str]) -> tuple[str, ...]:
+    """What of a hit's surface the AOVs need."""
+    if FROM_SURFACES.keys() & set(aovs) or ("diffuse" in aovs and direct_lights(scene)):
+        return ("position", "normals", "uv") if "uv" in aovs else ("position", "normals")
     return ("normals",) if "normal" in aovs else ()
 
 
@@ -116,34 +128,35 @@ def _farthest_origin(camera: Any, window: Window) -> float:
 
 
 def _painters(
-    scene: Scene, packed: Packed, reach: float, images: dict[str, np.ndarray], seen: tuple[np.ndarray, ...]
+    scene: Scene, packed: Packed, reach: float, images: dict[str, np.ndarray], surfaces: tuple[str, ...]
 ) -> list[Painter]:
-    """What paints the images and `seen`, which are hit and doubt; and nothing else."""
+    """What finds surfaces or normals and paints the images, but for depth, diffuse and the normals found alone."""
     painters: list[Painter] = []
-    kinds = [
-        (kind.prims, (base, base + len(kind.ids)))
-        for kind, base in zip(packed.kinds, bases(packed), strict=True)
-    ]
-    normals = None
-    if images.keys() & FROM_SURFACES:
-        wanted = [images.get(name) for name in ("position", "normal", "shading_normal", "uv")]
-        painters.extend(partial(_surfaces, *kind, wanted) for kind in kinds)
-    elif "normal" in images:
-        normals = images["normal"]
-        if not isinstance(scene.camera, Camera):  # its d may be of any length: no normals for d of length 1
-            reach = np.inf
-        painters.extend(partial(find_normals, *kind, reach) for kind in kinds)
+    for kind, base in zip(packed.kinds, bases(packed), strict=True):
+        places = base, base + len(kind.ids)
+        if "position" in surfaces:
+            painters.append(_surface_finder(kind.prims, places, "uv" in surfaces))
+        elif surfaces:
+            # normals without a branch are for d of length 1, which a camera that looks nowhere may not have
+            far = reach if isinstance(scene.camera, Camera) else np.inf
+            painters.append(_normal_finder(kind.prims, places, far))
+    fields = {**FROM_SURFACES, "normal": N} if "position" in surfaces else {}
+    painters.extend(_field_painter(field, images[name]) for name, field in fields.items() if name in images)
     if packed.kinds and images.keys() & {*NUMBERS, "albedo"}:
         painters.extend(_number_painters(scene, packed, images))
-    depth = images.get("depth")
-    painters.append(lambda tile, box: paint_seen(tile, box, *seen, depth, normals))
     return painters
 
 
-def _surfaces(
-    prims: Any, places: tuple[int, int], wanted: list[np.ndarray | None], tile: np.ndarray, box: Box
-) -> None:
-    paint_surfaces(prims, places, tile, box, *wanted)
+def _surface_finder(prims: Any, places: tuple[int, int], wants_uv: bool) -> Painter:
+    return lambda room, box: find_surfaces_in_tile(prims, places, room.tile, box, room.shade, wants_uv)
+
+
+def _normal_finder(prims: Any, places: tuple[int, int], reach: float) -> Painter:
+    return lambda room, box: find_normals(prims, places, reach, room.tile, box)
+
+
+def _field_painter(field: Any, image: np.ndarray) -> Painter:
+    return lambda room, box: paint_fields(room.tile, box, room.shade, field, image)
 
 
 def _number_painters(scene: Scene, packed: Packed, images: dict[str, np.ndarray]) -> list[Painter]:
@@ -151,13 +164,13 @@ def _number_painters(scene: Scene, packed: Packed, images: dict[str, np.ndarray]
     shapes = packed.shape_of(ids)
     painters: list[Painter] = []
     if "shape_id" in images:
-        painters.append(lambda tile, box: paint_numbers(tile, box, shapes, images["shape_id"]))
+        painters.append(lambda room, box: paint_numbers(room.tile, box, shapes, images["shape_id"]))
     if "prim_id" in images:
         numbers = (ids - packed.first[shapes]).astype(np.int32)
-        painters.append(lambda tile, box: paint_numbers(tile, box, numbers, images["prim_id"]))
+        painters.append(lambda room, box: paint_numbers(room.tile, box, numbers, images["prim_id"]))
     if "albedo" in images:
-        table = np.array([scene.material_of(shape).reflectance for shape in scene.shapes])
-        painters.append(lambda tile, box: paint_albedo(tile, box, shapes, table, images["albedo"]))
+        table = material_tables(scene)[0]
+        painters.append(lambda room, box: paint_albedo(room.tile, box, shapes, table, images["albedo"]))
     return painters
 
 

@@ -2,10 +2,9 @@
 
 from typing import Literal
 
-import numpy as np
-
 from caster import fields
 from caster.fields import RGB, UnitVec3, Vec3
+from caster.kernels.light import DirectionalLight, PointLight
 
 
 class Point(fields.Light):
@@ -15,17 +14,8 @@ class Point(fields.Light):
     position: Vec3
     intensity: RGB
 
-    def towards(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Unit vectors to the light, and intensity over squared distance; none of it in the light itself."""
-        d, _ = self.shadow_rays(p)
-        square = d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2]
-        apart = square > 0.0
-        safe = np.where(apart, square, 1.0)[:, None]
-        return d / np.sqrt(safe), np.where(apart[:, None], np.array(self.intensity) / safe, 0.0)
-
-    def shadow_rays(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Directions that reach the light at t = 1."""
-        return np.array(self.position) - p, np.ones(len(p))
+    def pack(self) -> PointLight:
+        return PointLight(self.position, self.intensity)
 
 
 class Directional(fields.Light):
@@ -35,16 +25,9 @@ class Directional(fields.Light):
     direction: UnitVec3
     irradiance: RGB
 
-    def towards(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same everywhere: against the direction of travel."""
-        return self._backwards(p), np.tile(np.array(self.irradiance), (len(p), 1))
-
-    def shadow_rays(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The light is infinitely far."""
-        return self._backwards(p), np.full(len(p), np.inf)
-
-    def _backwards(self, p: np.ndarray) -> np.ndarray:
-        return np.tile(0.0 - np.array(self.direction), (len(p), 1))
+    def pack(self) -> DirectionalLight:
+        x, y, z = self.direction
+        return DirectionalLight((0.0 - x, 0.0 - y, 0.0 - z), self.irradiance)
 
 
 class Ambient(fields.Light):

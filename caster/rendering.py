@@ -9,7 +9,7 @@ from caster.aovs import BY_NAME
 from caster.casting import Culling, find_nearest
 from caster.fields import SceneError, suggestion
 from caster.film_casting import find_nearest_on_film
-from caster.film_painting import PAINTED, paint_film
+from caster.film_painting import paint_film
 from caster.kernels.gather import shoot
 from caster.kernels.nearest import Rays, new_rays
 from caster.kernels.screen import Window
@@ -68,6 +68,7 @@ class Rendered:
     culling: Culling
     surfaces: tuple[str, ...]  # what was worked out of each hit's surface
     doubtful: int | None  # pixels found exactly since float64 could not tell; None: not counted
+    shadow_rays: int | None
 
 
 def render_film(
@@ -81,15 +82,17 @@ def render_film(
     """The same as `render`, with an account of it."""
     check_names(aovs)
     window, culling = film_window(scene), culling or plan(scene.camera.pack(1, 1)).culling
-    if culling != "everything" and PAINTED.issuperset(aovs):
+    if culling != "everything":
         packed = pack(scene)
         painted = paint_film(scene, packed, window, aovs, culling, threads, dtype)
         images = Aovs(painted.images, painted.hit)
-        return Rendered(scene, packed, images, culling, painted.surfaces, painted.doubtful)
+        return Rendered(
+            scene, packed, images, culling, painted.surfaces, painted.doubtful, painted.shadow_rays
+        )
     view = look(scene, threads=threads, culling=culling)
     images = evaluate(view, aovs, window, dtype)
     surfaces = ("position", "normals", "uv") if "surfaces" in vars(view) else ()
-    return Rendered(scene, view.packed, images, culling, surfaces, None)
+    return Rendered(scene, view.packed, images, culling, surfaces, None, None)
 
 
 def check_names(aovs: Sequence[str]) -> None:
@@ -138,9 +141,7 @@ def look_along(
     return View(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
 
 
-def evaluate(
-    view: View, aovs: Sequence[str], window: Window, dtype: type[np.floating] = np.float64
-) -> Aovs:
+def evaluate(view: View, aovs: Sequence[str], window: Window, dtype: type[np.floating] = np.float64) -> Aovs:
     """The AOVs of a view, as images of the window."""
     shape = (window.height, window.width)
     images = {}

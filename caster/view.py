@@ -5,16 +5,13 @@ from functools import cached_property
 
 import numpy as np
 
-from caster.casting import find_nearest
+from caster.casting import find_any
 from caster.kernels.gather import Surfaces, find_surfaces, no_surfaces
-from caster.kernels.nearest import Nearest, Rays
+from caster.kernels.light import find_arriving, find_shadow_rays
+from caster.kernels.nearest import Nearest, Rays, new_rays
 from caster.lights import Light
 from caster.packing import Packed
 from caster.scene import Scene
-
-# A computed hit lies within 16 u (|o| + t + |p|) of the surface (kernels/roots.py, triangles.py); shadow rays start
-# four times as far out, along the normal, so that no surface shadows itself. u = 2^-53.
-SHADOW_OFFSET = 4 * 16.0 * 2.0**-53
 
 
 @dataclass(frozen=True)
@@ -72,29 +69,25 @@ class View:
         table = np.array([self.scene.material_of(shape).two_sided for shape in self.scene.shapes], bool)
         return table[self.shape_id] & self.hit if len(table) else self.hit
 
+    def arriving(self, light: Light) -> tuple[np.ndarray, np.ndarray]:
+        """(hits that the light reaches, (m,); irradiance there, (m, 3))."""
+        seen, flux = np.zeros(len(self.hit), bool), np.zeros((len(self.hit), 3))
+        find_arriving(light.pack(), self.surfaces, self.rays, self.hit, self.two_sided, seen, flux)
+        where = np.flatnonzero(seen)
+        where = where[self.lit(light, where)]
+        return where, flux[where]
+
     def lit(self, light: Light, where: np.ndarray) -> np.ndarray:
         """Whether nothing stands between the hits `where` and the light; True in a scene without shadows."""
         if not self.scene.shading.shadows:
             return np.ones(len(where), bool)
-        return find_nearest(self.packed, self.shadow_rays(light, where), threads=self.threads).prim < 0
+        return ~find_any(self.packed, self.shadow_rays(light, where), self.threads)
 
     def shadow_rays(self, light: Light, where: np.ndarray) -> Rays:
-        """From the hits `where` to the light: off the surface, to the side the light is on.
-
-        What lies nearer than the offset does not count: a hit in the crease of two faces may be a rounding
-        behind the other one.
-        """
-        p, n = self.surfaces.p[where], self.surfaces.n[where]
-        side = np.sign(np.sum(n * light.towards(p)[0], axis=1))
-        size = np.abs(self.rays.o[where]).max(axis=1, initial=0.0)
-        size += self.nearest.t[where] * length(self.rays.d[where])
-        size += np.abs(p).max(axis=1, initial=0.0)
-        offset = SHADOW_OFFSET * size
-        o = np.ascontiguousarray(p + (side * offset)[:, None] * n)
-        d, reach = light.shadow_rays(o)
-        away = length(d)
-        near = np.divide(offset, away, out=np.zeros(len(where)), where=away > 0.0)
-        return Rays(o, np.ascontiguousarray(d), near, reach)
+        """From the hits `where` to the light."""
+        out = new_rays(len(where))
+        find_shadow_rays(light.pack(), self.surfaces, self.rays, self.nearest.t, where, out)
+        return out
 
 
 def length(v: np.ndarray) -> np.ndarray:

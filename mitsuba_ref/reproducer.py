@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.cameras.ray import Ray
+from caster.kernels.light import way_to
 from caster.packing import Packed, pack
 from caster.placing import as_float32
 from caster.scene import Film, Scene
@@ -86,8 +87,9 @@ def involved(judge: Judge, row: int, lit: bool = False) -> set[int]:
     if lit and judge.pair.prim[row] >= 0:
         for light in judge.scene.lights:
             if light.type != "ambient":
-                way, reach = light.shadow_rays(judge.point[row : row + 1])
-                found |= set(judge.theirs.possible_hits(judge.point[row : row + 1], way, reach).prim.tolist())
+                way, reach = way_to(light.pack(), tuple(judge.point[row]))
+                o, d, t_max = judge.point[row : row + 1], np.array([way]), np.array([reach])
+                found |= set(judge.theirs.possible_hits(o, d, t_max).prim.tolist())
     return found - {-1}
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from caster.kernels.bvh import FAR_PADDING, inverse_of, pad_of, traverse
-from caster.kernels.jit import inlined, jit
+from caster.kernels.jit import LANES, inlined, jit
 from caster.kernels.nearest import Folding
 from caster.kernels.protocol import numbers
 from caster.kernels.tile import (
@@ -11,7 +11,6 @@ from caster.kernels.tile import (
     DX,
     DY,
     DZ,
-    LANES,
     OFF,
     OX,
     OY,
@@ -90,9 +89,9 @@ def is_coherent(tree: Any, tile: Any, first: Any) -> bool:
 
 
 @jit
-def cast_alone(prims: Any, tree: Any, base: int, tile: Any, first: Any, room: Any) -> None:
+def cast_alone(prims: Any, tree: Any, base: int, tile: Any, first: Any, room: Any, any_hit: bool) -> None:
     """The rays of a bundle one by one."""
-    mode = Folding(tree.order)  # whose numbers are not read
+    mode = Folding(tree.order, any_hit)  # whose numbers are not read
     for i in range(first, first + MANY):
         o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
         held = tile[T + i], tile[OFF + i], -1, False
@@ -104,12 +103,15 @@ def cast_alone(prims: Any, tree: Any, base: int, tile: Any, first: Any, room: An
 
 
 @jit
-def cast_bundles(prims: Any, tree: Any, base: int, count: int, tile: Any, room: Any) -> None:
-    """The first `count` rays of a tile against a kind whose places begin at `base`."""
+def cast_bundles(prims: Any, tree: Any, base: int, count: int, tile: Any, room: Any, any_hit: bool) -> None:
+    """The first `count` rays of a tile against a kind whose places begin at `base`.
+
+    any_hit: whether to stop at anything that is hit for sure.
+    """
     stack = room[0]
     for first in range(lane(0), lane(count), MANY):
         if not is_coherent(tree, tile, first):
-            cast_alone(prims, tree, base, tile, first, room)
+            cast_alone(prims, tree, base, tile, first, room, any_hit)
             continue
         view_bundle(tree, tile, first)
         forward = tile[IX] > 0.0, tile[IY] > 0.0, tile[IZ] > 0.0
@@ -131,13 +133,13 @@ def cast_bundles(prims: Any, tree: Any, base: int, count: int, tile: Any, room: 
                 continue
             for at in range(start, start + number):
                 k = tree.order[at]
-                cast_lanes(prims, numbers(prims, k), float(base + k), tile, first)
+                cast_lanes(prims, numbers(prims, k), float(base + k), tile, first, any_hit)
 
 
 @jit
-def cast_all(prims: Any, number: int, base: int, count: int, tile: Any) -> None:
+def cast_all(prims: Any, number: int, base: int, count: int, tile: Any, any_hit: bool) -> None:
     """The same for a kind without a tree: all of its primitives."""
     for k in range(number):
         prim, place = numbers(prims, k), float(base + k)
         for first in range(lane(0), lane(count), MANY):
-            cast_lanes(prims, prim, place, tile, first)
+            cast_lanes(prims, prim, place, tile, first, any_hit)

@@ -50,7 +50,7 @@ def find_surfaces(prims: Any, ks: Any, where: Any, rays: Any, t: Any, out: Any) 
     """The surface of primitive ks[j] on ray where[j], for every j."""
     for j in range(len(where)):
         i = where[j]
-        p, n, sh_n, u, v = surface(prims, ks[j], row(rays.o, i), row(rays.d, i), t[i])
+        p, n, sh_n, u, v = surface(prims, ks[j], row(rays.o, i), row(rays.d, i), t[i], True)
         for c in range(3):
             out.p[i, c], out.n[i, c], out.sh_n[i, c] = p[c], n[c], sh_n[c]
         out.uv[i, 0], out.uv[i, 1] = u, v

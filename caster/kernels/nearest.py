@@ -50,6 +50,7 @@ class Folding(NamedTuple):
     """What the loops over primitives do with hits: fold them as far as float64 can tell, and note doubts."""
 
     ids: np.ndarray  # (k,) int32, numbers in the scene of the primitives that are being cast at
+    any_hit: bool = False  # whether it is enough to know that there is something
 
 
 class Counting(NamedTuple):
@@ -78,10 +79,21 @@ def _recall(mode: Any, record: Any, i: int) -> Best:
 
 @implement(nearer, Folding)
 def _nearer(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
-    t, off = hit
+    t, off = at_once(hit[0], hit[1], mode.any_hit)
     ahead, margin = best[0] - t if t < math.inf else -math.inf, best[1] + off
     doubt = best[3] | (abs(ahead) <= margin)
     return (t, off, k, doubt) if ahead > margin else (best[0], best[1], best[2], doubt)
+
+
+# Where any hit will do, one that is sure is taken to lie before everything else: that ends the search.
+BEFORE_ALL = -1.0
+
+
+@inlined
+def at_once(t: float, off: float, any_hit: bool) -> tuple[float, float]:
+    """What `intersect` said, or, if any hit will do and this is sure to be one, a hit before all others."""
+    sure = any_hit & (t < math.inf) & (off < math.inf)
+    return BEFORE_ALL if sure else t, 0.0 if sure else off
 
 
 @implement(nearer, Counting)

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from caster.kernels.jit import inlined, jit
-from caster.kernels.protocol import facing, normal, plain_normal, surface
+from caster.kernels.protocol import facing, normal, plain_normal
 from caster.kernels.tile import DOUBT, DX, DY, DZ, NX, NY, NZ, OX, OY, OZ, PLACE, WIDTH, T, lane
 
 # Images are (height, width) or (height, width, c) arrays of the whole window; box says where the tile lies.
@@ -94,28 +94,3 @@ def find_run(prims: Any, k: int, face: Any, tile: Any, start: Any, stop: Any) ->
     for i in range(start, stop):
         o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
         tile[NX + i], tile[NY + i], tile[NZ + i] = normal(prims, k, o, d, tile[T + i])
-
-
-@jit
-def paint_surfaces(prims: Any, places: Any, tile: Any, box: Any, p: Any, n: Any, sh_n: Any, uv: Any) -> None:
-    """The same for all that `surface` says; None for an image that was not asked for."""
-    x0, y0, x1, y1 = box
-    for y in range(y0, y1):
-        for x in range(x1 - x0):
-            i = lane((y - y0) * WIDTH + x)
-            place = int(tile[PLACE + i])
-            if places[0] <= place < places[1]:
-                o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
-                at, across, shading, s, r = surface(prims, place - places[0], o, d, tile[T + i])
-                if p is not None:
-                    p[y, x0 + x, 0], p[y, x0 + x, 1], p[y, x0 + x, 2] = at[0], at[1], at[2]
-                if n is not None:
-                    n[y, x0 + x, 0], n[y, x0 + x, 1], n[y, x0 + x, 2] = across[0], across[1], across[2]
-                if sh_n is not None:
-                    sh_n[y, x0 + x, 0], sh_n[y, x0 + x, 1], sh_n[y, x0 + x, 2] = (
-                        shading[0],
-                        shading[1],
-                        shading[2],
-                    )
-                if uv is not None:
-                    uv[y, x0 + x, 0], uv[y, x0 + x, 1] = s, r

@@ -80,8 +80,11 @@ def plain_normal(prims: Any, face: Any, o: Vec3, d: Vec3, t: float) -> Any:
 
 
 @generic
-def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
-    """(p, n, sh_n, u, v) where the ray meets primitive k at t; n and sh_n are unit vectors."""
+def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
+    """(p, n, sh_n, u, v) where the ray meets primitive k at t; n and sh_n are unit vectors.
+
+    u and v may be anything where they are not wanted: that saves what they take.
+    """
 
 
 @generic_inlined

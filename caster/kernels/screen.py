@@ -9,14 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.kernels.jit import any_reaches, inlined, jit
+from caster.kernels.jit import LANES, any_reaches, inlined, jit
 from caster.kernels.protocol import hull_point, hull_size, intersect, numbers, prepare, project
 from caster.kernels.tile import (
     DX,
     DY,
     DZ,
     HEIGHT,
-    LANES,
     OFF,
     OX,
     OY,
@@ -57,8 +56,8 @@ Picture = tuple[float, float, float, float]
 """(x, y, how far around it to look, in pixels, inf where it has no picture; depth)"""
 
 # Nothing of a primitive is nearer than the least depth of its points, by more than the `slack` that its box is widened
-# by: 24 u times the largest coordinates (tree.REACH), where depth is off by some 12 u of them, and again as much for the
-# hits themselves. And d is of length 1 but for a few u.
+# by: 24 u times the largest coordinates (tree.REACH), where depth is off by some 12 u of them; and again as much for
+# the hits themselves. And d is of length 1 but for a few u.
 NEARER = 1.0 - 2.0**-40
 
 
@@ -80,7 +79,13 @@ def around(box: tuple[float, float, float, float, float], point: Picture) -> Any
     """A box and least depth that hold one more point."""
     x, y, wide, depth = point
     left, top, right, bottom, least = box
-    return min(left, x - wide), min(top, y - wide), max(right, x + wide), max(bottom, y + wide), min(least, depth)
+    return (
+        min(left, x - wide),
+        min(top, y - wide),
+        max(right, x + wide),
+        max(bottom, y + wide),
+        min(least, depth),
+    )
 
 
 @inlined
@@ -149,8 +154,8 @@ def is_seen(pixels: Any, k: int) -> bool:
     return (pixels[k, 0] < pixels[k, 2]) & (pixels[k, 1] < pixels[k, 3])
 
 
-# Within a tile, primitives are sorted into drawers by their least depth: by its exponent and 4 bits of the fraction. The
-# farthest 8 powers of two have drawers of their own; what is nearer, or behind, shares the first.
+# Within a tile, primitives are sorted into drawers by their least depth: by its exponent and 4 bits of the fraction.
+# The farthest 8 powers of two have drawers of their own; what is nearer, or behind, shares the first.
 DRAWERS, SHIFT = 128, 52 - 4
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from caster.kernels.jit import COMPILED, LANES, inlined, jit
+from caster.kernels.nearest import at_once
 from caster.kernels.protocol import intersect, prepare, ray
 
 WIDTH, HEIGHT = 128, 64  # pixels
@@ -69,12 +70,13 @@ def put_ray(tile: Any, i: Any, aim: Any) -> None:
 
 
 @inlined
-def cast_lanes(prims: Any, prim: Any, place: float, tile: Any, first: Any) -> None:
+def cast_lanes(prims: Any, prim: Any, place: float, tile: Any, first: Any, any_hit: bool) -> None:
     """LANES rays from `first` on, wherever they start, against a primitive given by its `numbers`."""
     for i in range(first, first + lane(LANES)):
         o = tile[OX + i], tile[OY + i], tile[OZ + i]
         d = tile[DX + i], tile[DY + i], tile[DZ + i]
         t, off = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
+        t, off = at_once(t, off, any_hit)
         keep_first(tile, i, place, t, off)
 
 
@@ -123,6 +125,15 @@ def store_run(tile: Any, at: int, ids: Any, start: int, stop: int, nearest: Any,
         place = int(tile[PLACE + i])
         nearest.t[n], nearest.off[n], doubt[n] = tile[T + i], tile[OFF + i], tile[DOUBT + i] != 0.0
         nearest.prim[n] = ids[place] if place >= 0 else -1
+
+
+@jit
+def store_blocked(tile: Any, count: int, first: int, blocked: Any, doubt: Any) -> None:
+    """Whether the first so many rays of a tile have met anything, into the record of rays first.. ."""
+    for n in range(count):
+        i = lane(n)
+        blocked[first + n] = tile[T + i] < math.inf
+        doubt[first + n] = (tile[DOUBT + i] != 0.0) & (tile[T + i] == math.inf)
 
 
 @jit

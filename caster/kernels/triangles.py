@@ -266,7 +266,7 @@ def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
 
 
 @implement(surface, Triangles)
-def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
+def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
     b0, b1, b2 = barycentrics(sub(a, o), sub(b, o), sub(c, o), d, t)
@@ -277,7 +277,7 @@ def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
         n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)
         sh_n = unit(add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2))))
     s, r = b1, b2
-    if prims.textured[k]:
+    if wants_uv and prims.textured[k]:
         s = b0 * prims.uv[i0, 0] + (b1 * prims.uv[i1, 0] + b2 * prims.uv[i2, 0])
         r = b0 * prims.uv[i0, 1] + (b1 * prims.uv[i1, 1] + b2 * prims.uv[i2, 1])
     return p, n, sh_n, s, r

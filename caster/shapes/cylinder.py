@@ -171,7 +171,7 @@ def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
 
 
 @implement(surface, Cylinders)
-def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
+def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     """u is the angle as a fraction of a turn, v the height along the axis from 0 to 1."""
     f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
     e = turned(prims.to_object, k, d)
@@ -179,7 +179,7 @@ def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
     z = f[2] + t * e[2]
     n = unit(turned_back(prims.to_object, k, (x, y, 0.0)))
     p = add(row(prims.center, k), turned(prims.to_world, k, (x, y, z)))
-    return p, n, n, angle_fraction(y, x), z
+    return p, n, n, angle_fraction(y, x) if wants_uv else 0.0, z
 
 
 @implement(hull_size, Cylinders)

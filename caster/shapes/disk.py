@@ -132,14 +132,14 @@ def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
 
 
 @implement(surface, Disks)
-def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
+def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     """u is the distance from the centre, v the angle as a fraction of a turn."""
     f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
     e = turned(prims.to_object, k, d)
     x, y = f[0] + t * e[0], f[1] + t * e[1]
     n = normal(prims, k, o, d, t)
     p = add(row(prims.center, k), turned(prims.to_world, k, (x, y, 0.0)))
-    return p, n, n, math.sqrt(x * x + y * y), angle_fraction(y, x)
+    return p, n, n, math.sqrt(x * x + y * y), angle_fraction(y, x) if wants_uv else 0.0
 
 
 @implement(hull_size, Disks)

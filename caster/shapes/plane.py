@@ -132,10 +132,12 @@ def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
 
 
 @implement(surface, Planes)
-def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
+def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     """uv are distances from `point` along two axes of the plane, in scene units."""
     n = normal(prims, k, o, d, t)
     p = along(o, t, d)
+    if not wants_uv:
+        return p, n, n, 0.0, 0.0
     side = (1.0, 0.0, 0.0) if abs(n[0]) < 0.5 else (0.0, 1.0, 0.0)
     right = unit(cross(side, n))
     q = sub(p, row(prims.point, k))

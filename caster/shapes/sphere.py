@@ -8,7 +8,7 @@ import numpy as np
 from caster.fields import Positive, Shape, Vec3
 from caster.kernels.exact_quadric import exact_ball, exact_sphere, placed
 from caster.kernels.exact_root import Root
-from caster.kernels.jit import implement
+from caster.kernels.jit import implement, jit
 from caster.kernels.protocol import (
     facing,
     hull_point,
@@ -88,6 +88,12 @@ class Sphere(Shape):
         return Spheres(rounded(center[None]), rounded(np.array([scale * self.radius])), rounded(turn[None]))
 
 
+@jit
+def around(q: Any) -> tuple[float, float]:
+    """uv of a point of the unit ball: turns around z, and the angle from +z over pi."""
+    return angle_fraction(q[1], q[0]), math.acos(min(max(q[2], -1.0), 1.0)) / math.pi
+
+
 @implement(numbers, Spheres)
 def _numbers(prims: Any, k: int) -> Any:
     return row(prims.center, k), prims.radius[k]
@@ -138,12 +144,11 @@ def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
 
 
 @implement(surface, Spheres)
-def _surface(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
+def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center, r = row(prims.center, k), prims.radius[k]
     n = normal(prims, k, o, d, t)
-    q = turned(prims.turn, k, n)
-    v = math.acos(min(max(q[2], -1.0), 1.0)) / math.pi
-    return along(center, r, n), n, n, angle_fraction(q[1], q[0]), v
+    u, v = around(turned(prims.turn, k, n)) if wants_uv else (0.0, 0.0)
+    return along(center, r, n), n, n, u, v
 
 
 @implement(hull_size, Spheres)
@@ -215,13 +220,13 @@ def _plain_normal_ellipsoid(prims: Any, face: Any, o: Any, d: Any, t: float) -> 
 
 
 @implement(surface, Ellipsoids)
-def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
+def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center = row(prims.center, k)
     f = turned(prims.to_object, k, sub(o, center))
     q = way_out(f, turned(prims.to_object, k, d), t, 1.0)
     n = unit(turned_back(prims.to_object, k, q))
-    v = math.acos(min(max(q[2], -1.0), 1.0)) / math.pi
-    return add(center, turned(prims.to_world, k, q)), n, n, angle_fraction(q[1], q[0]), v
+    u, v = around(q) if wants_uv else (0.0, 0.0)
+    return add(center, turned(prims.to_world, k, q)), n, n, u, v
 
 
 @implement(hull_size, Ellipsoids)

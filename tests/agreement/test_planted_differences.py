@@ -67,8 +67,8 @@ def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
 def test_a_ray_lost_by_the_tree_is_seen(monkeypatch):
     cast_bundles = casting.cast_bundles
 
-    def forgetful(prims, tree, base, count, tile, room):
-        cast_bundles(prims, tree, base, count // 2, tile, room)
+    def forgetful(prims, tree, base, count, tile, room, any_hit):
+        cast_bundles(prims, tree, base, count // 2, tile, room, any_hit)
 
     monkeypatch.setattr(casting, "cast_bundles", forgetful)
     with pytest.raises(AssertionError, match="bvh: "):

@@ -98,7 +98,7 @@ def in_the_picture(scene: Scene) -> int:
         assert bool(picture.hit.ravel()[i]) is answer.hit
         if answer.hit:
             assert answer.t.off(float(seen.t[i])) <= seen.off[i] * ROUNDED
-            # depth is t times a length that is 1 within 16 u (vec.ABOUT_ONE), which is rounded once more, and the product
+            # depth is t times a length that is 1 within 16 u (vec.ABOUT_ONE); that and the product are rounded
             assert abs(depth[i] - seen.t[i]) <= 18 * U * seen.t[i]
         else:
             assert depth[i] == math.inf
