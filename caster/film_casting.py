@@ -38,6 +38,7 @@ class Sorted:
     kind: Kind
     spans: Spans
     places: tuple[int, int]  # of its primitives, counted kind by kind
+    seen: int  # primitives that are looked for at all
     runs: list[int]  # tile n has primitives order[runs[n]:runs[n + 1]]
     order: np.ndarray  # int32, primitive numbers within the kind, roughly from front to back
 
@@ -153,11 +154,11 @@ def sorted_kinds(
 def _into_tiles(kind: Kind, base: int, window: Window, spans: Spans) -> Sorted:
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
     bits = spans.near.view(np.int64)
-    last = last_depth(spans.pixels, bits)
+    seen, last = last_depth(spans.pixels, bits)
     counts = np.zeros(across * down * DRAWERS + 1, np.int64)
     count_in_tiles(spans.pixels, bits, last, across, counts)
     ends = np.cumsum(counts)
     runs = ends[::DRAWERS].tolist()
     order = np.empty(runs[-1], np.int32)
     sort_into_tiles(spans.pixels, bits, last, across, ends, order)
-    return Sorted(kind, spans, (base, base + len(kind.ids)), runs, order)
+    return Sorted(kind, spans, (base, base + len(kind.ids)), seen, runs, order)

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from caster.aovs import BY_NAME
-from caster.casting import Culling, bases, by_trees, decide, ids_by_place
+from caster.casting import bases, by_trees, decide, ids_by_place
 from caster.fields import Camera
 from caster.film_casting import cast_tile, in_tiles, sorted_kinds
-from caster.film_shading import Room, Shading, direct_lights, material_tables
+from caster.film_shading import Room, Shading, material_tables
 from caster.kernels.gather import shoot_at
 from caster.kernels.nearest import new_rays
 from caster.kernels.paint import find_normals, paint_albedo, paint_numbers, paint_seen
@@ -22,12 +22,13 @@ from caster.kernels.screen import Window, cast_own_origins, cast_shared_origin
 from caster.kernels.shade import SH_N, UV, N, P, find_surfaces_in_tile, paint_fields
 from caster.kernels.tile import WIDTH, Box, shoot_rays
 from caster.packing import Packed
+from caster.plan import Plan
 from caster.scene import Scene
 from caster.view import View
 
 CHANNELS = {"position": 3, "normal": 3, "shading_normal": 3, "uv": 2, "albedo": 3, "diffuse": 3}
 NUMBERS = ("shape_id", "prim_id")
-FROM_SURFACES = {"position": P, "shading_normal": SH_N, "uv": UV}
+FIELDS = {"position": P, "normal": N, "shading_normal": SH_N, "uv": UV}
 
 Painter = Callable[[Room, Box], None]
 
@@ -38,9 +39,11 @@ class Painted:
 
     images: dict[str, np.ndarray]
     hit: np.ndarray  # (h, w) bool
-    surfaces: tuple[str, ...]  # what was worked out of each hit's surface
     doubtful: int  # pixels whose answer had to be found exactly
     shadow_rays: int
+    on_film: (
+        tuple[int, ...] | None
+    )  # of each kind, the primitives that some pixel was tried for; None: no such list
 
 
 def paint_film(
@@ -48,22 +51,31 @@ def paint_film(
     packed: Packed,
     window: Window,
     aovs: Sequence[str],
-    culling: Culling,
+    plan: Plan,
     threads: int | None = None,
     dtype: type[np.floating] = np.float64,
 ) -> Painted:
-    """The AOVs, by the cullings "screen" (for cameras that keep straight lines straight) and "bvh"."""
+    """The AOVs as planned, by the cullings "screen" (for cameras that keep straight lines straight) or "bvh"."""
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     reach = _farthest_origin(camera, window)
     hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: _blank(name, window, dtype) for name in aovs if name != "hit"}
-    shading = Shading(scene, packed, images["diffuse"]) if "diffuse" in images and packed.kinds else None
-    surfaces = _worked_out(scene, aovs)
-    painters = _painters(scene, packed, reach, images, surfaces)
+    shading = (
+        Shading(scene, packed, plan, images["diffuse"]) if "diffuse" in images and packed.kinds else None
+    )
+    painters = _painters(scene, packed, reach, images, plan.surfaces)
     if shading:
         painters.append(shading)
-    depth, normals = images.get("depth"), images.get("normal") if surfaces == ("normals",) else None
-    seek = _seeker(scene, packed, camera, window, culling, reach, threads)
+    depth, normals = images.get("depth"), images.get("normal") if plan.surfaces == ("normals",) else None
+    kinds = sorted_kinds(packed, camera, window, reach, threads) if plan.culling == "screen" else []
+    if plan.culling == "screen":
+        cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
+        seek: Callable[[int, Box, np.ndarray], None] = partial(cast_tile, cast, kinds)
+    else:
+        cast_rows = by_trees(packed)
+
+        def seek(number: int, box: Box, tile: np.ndarray) -> None:
+            cast_rows((box[3] - box[1]) * WIDTH, tile)
 
     def work(number: int, box: Box, room: Room) -> None:
         shoot_rays(camera, window, box, room.tile)
@@ -82,33 +94,8 @@ def paint_film(
                 image.reshape(doubt.size, *image.shape[2:])[pixels] = BY_NAME[name].evaluate(view)
     if "hit" in aovs:
         images["hit"] = hit.astype(dtype)
-    return Painted(images, hit, surfaces, len(pixels), shading.shadow_rays if shading else 0)
-
-
-def _seeker(
-    scene: Scene,
-    packed: Packed,
-    camera: Any,
-    window: Window,
-    culling: Culling,
-    reach: float,
-    threads: int | None,
-) -> Callable[[int, Box, np.ndarray], None]:
-    """What finds the hits of a tile, given its number, its box and its rays."""
-    if culling == "screen":
-        kinds = sorted_kinds(packed, camera, window, reach, threads)
-        return partial(
-            cast_tile, cast_shared_origin if scene.camera.shares_origin else cast_own_origins, kinds
-        )
-    cast_rows = by_trees(packed)
-    return lambda number, box, tile: cast_rows((box[3] - box[1]) * WIDTH, tile)
-
-
-def _worked_out(scene: Scene, aovs: Sequence[str]) -> tuple[str, ...]:
-    """What of a hit's surface the AOVs need."""
-    if FROM_SURFACES.keys() & set(aovs) or ("diffuse" in aovs and direct_lights(scene)):
-        return ("position", "normals", "uv") if "uv" in aovs else ("position", "normals")
-    return ("normals",) if "normal" in aovs else ()
+    on_film = tuple(it.seen for it in kinds) if plan.culling == "screen" else None
+    return Painted(images, hit, len(pixels), shading.shadow_rays if shading else 0, on_film)
 
 
 def _blank(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
@@ -140,7 +127,7 @@ def _painters(
             # normals without a branch are for d of length 1, which a camera that looks nowhere may not have
             far = reach if isinstance(scene.camera, Camera) else np.inf
             painters.append(_normal_finder(kind.prims, places, far))
-    fields = {**FROM_SURFACES, "normal": N} if "position" in surfaces else {}
+    fields = FIELDS if "position" in surfaces else {}
     painters.extend(_field_painter(field, images[name]) for name, field in fields.items() if name in images)
     if packed.kinds and images.keys() & {*NUMBERS, "albedo"}:
         painters.extend(_number_painters(scene, packed, images))

@@ -8,8 +8,8 @@ import numpy as np
 from caster.casting import by_trees, ids_by_place
 from caster.kernels.shade import add_light, aim_at_light, find_materials, new_shade, paint_radiance
 from caster.kernels.tile import WIDTH, Box, new_tile
-from caster.lights import Light
 from caster.packing import Packed
+from caster.plan import Plan
 from caster.scene import Scene
 
 
@@ -29,20 +29,15 @@ class Room:
         return new_tile()
 
 
-def direct_lights(scene: Scene) -> list[Light]:
-    """Those that come from somewhere."""
-    return [light for light in scene.lights if light.type != "ambient"]
-
-
 class Shading:
     """Lambert's law for a scene; `shadow_rays` counts what was cast for it."""
 
-    def __init__(self, scene: Scene, packed: Packed, image: np.ndarray) -> None:
-        self.lights = [light.pack() for light in direct_lights(scene)]
+    def __init__(self, scene: Scene, packed: Packed, plan: Plan, image: np.ndarray) -> None:
+        self.lights = [light.pack() for light in scene.lights if light.type != "ambient"]
         self.ambient = np.array(
             [light.radiance for light in scene.lights if light.type == "ambient"]
         ).reshape(-1, 3)
-        self.cast = by_trees(packed, any_hit=True) if scene.shading.shadows and self.lights else None
+        self.cast = by_trees(packed, any_hit=True) if plan.shadows.runs else None
         self.shapes = packed.shape_of(ids_by_place(packed))
         self.tables = material_tables(scene)
         self.image = image

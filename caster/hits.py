@@ -10,7 +10,8 @@ from caster.casting import find_any, find_nearest
 from caster.fields import SceneError
 from caster.kernels.gather import Surfaces
 from caster.kernels.nearest import Rays
-from caster.packing import Packed, pack
+from caster.packing import pack
+from caster.packing import packed as packed
 from caster.placing import Rounding, as_given
 from caster.rendering import look_along
 from caster.scene import Scene
@@ -79,13 +80,6 @@ def trace(
     """
     rays = checked_rays(o, d, 0.0, np.inf)._replace(t_max=np.ascontiguousarray(t_max, np.float64))
     return look_along(scene, pack(scene, rounded), rays, np.asarray(start, np.float64))
-
-
-def packed(scene: Scene) -> Packed:
-    """The scene's arrays, made once."""
-    if "packed" not in scene.kept:
-        scene.kept["packed"] = pack(scene, as_given)
-    return scene.kept["packed"]
 
 
 def checked_rays(o: ArrayLike, d: ArrayLike, t_min: float, t_max: float) -> Rays:

@@ -97,6 +97,13 @@ def pack(scene: Scene, rounded: Rounding = as_given) -> Packed:
     return Packed(tuple(kinds), parts, first, kind_of, start)
 
 
+def packed(scene: Scene) -> Packed:
+    """The same of a scene as it is, made once."""
+    if "packed" not in scene.kept:
+        scene.kept["packed"] = pack(scene)
+    return scene.kept["packed"]
+
+
 def pack_shape(scene: Scene, i: int, rounded: Rounding) -> Any:
     """Arrays of one shape, all finite."""
     part: Any = None

@@ -9,13 +9,13 @@ from caster.aovs import BY_NAME
 from caster.casting import Culling, find_nearest
 from caster.fields import SceneError, suggestion
 from caster.film_casting import find_nearest_on_film
-from caster.film_painting import paint_film
+from caster.film_painting import Painted, paint_film
 from caster.kernels.gather import shoot
 from caster.kernels.nearest import Rays, new_rays
 from caster.kernels.screen import Window
-from caster.packing import Packed, pack
+from caster.packing import Packed, pack, packed
 from caster.placing import Rounding, as_given
-from caster.plan import plan
+from caster.plan import Plan, culling_for, plan
 from caster.scene import Scene
 from caster.threads import in_bands
 from caster.view import View
@@ -65,10 +65,8 @@ class Rendered:
     scene: Scene
     packed: Packed
     aovs: Aovs
-    culling: Culling
-    surfaces: tuple[str, ...]  # what was worked out of each hit's surface
-    doubtful: int | None  # pixels found exactly since float64 could not tell; None: not counted
-    shadow_rays: int | None
+    plan: Plan
+    painted: Painted | None  # None: without culling there is no count of what was done
 
 
 def render_film(
@@ -81,18 +79,13 @@ def render_film(
 ) -> Rendered:
     """The same as `render`, with an account of it."""
     check_names(aovs)
-    window, culling = film_window(scene), culling or plan(scene.camera.pack(1, 1)).culling
-    if culling != "everything":
-        packed = pack(scene)
-        painted = paint_film(scene, packed, window, aovs, culling, threads, dtype)
-        images = Aovs(painted.images, painted.hit)
-        return Rendered(
-            scene, packed, images, culling, painted.surfaces, painted.doubtful, painted.shadow_rays
-        )
+    window, planned = film_window(scene), plan(scene, aovs, culling)
+    if planned.culling != "everything":
+        arrays = packed(scene)
+        painted = paint_film(scene, arrays, window, aovs, planned, threads, dtype)
+        return Rendered(scene, arrays, Aovs(painted.images, painted.hit), planned, painted)
     view = look(scene, threads=threads, culling=culling)
-    images = evaluate(view, aovs, window, dtype)
-    surfaces = ("position", "normals", "uv") if "surfaces" in vars(view) else ()
-    return Rendered(scene, view.packed, images, culling, surfaces, None, None)
+    return Rendered(scene, view.packed, evaluate(view, aovs, window, dtype), planned, None)
 
 
 def check_names(aovs: Sequence[str]) -> None:
@@ -124,7 +117,7 @@ def look(
     """Cast the camera's rays."""
     packed, rays = pack(scene, rounded), camera_rays(scene, threads)
     camera = scene.camera.pack(scene.film.width, scene.film.height)
-    culling = culling or plan(camera).culling
+    culling = culling or culling_for(camera)[0]
     if culling == "screen":
         nearest = find_nearest_on_film(
             packed, rays, camera, film_window(scene), scene.camera.shares_origin, threads

@@ -37,7 +37,7 @@ class Lit(NamedTuple):
 def lit(scene: Scene, light: Any, hit: Hit, ku: float) -> Lit:
     """Radiance from `light`, with the error that errors of position and shading normal bring about."""
     reflectance, two_sided = _materials(scene, hit.shape)
-    to_light, reach = _way(light, hit.p)
+    to_light, reach = way(light, hit.p)
     distance = norm(to_light)
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = np.where(np.isinf(reach), 0.0, 2.0 * hit.at.p_error / distance)
@@ -68,7 +68,8 @@ def ambient(scene: Scene, shape: np.ndarray) -> np.ndarray:
     return _materials(scene, shape)[0] * total
 
 
-def _way(light: Any, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def way(light: Any, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """From points p (m, 3): directions to the light (m, 3), and how far it is in lengths of them (m,)."""
     if light.type == "point":
         return np.array(light.position) - p, np.ones(len(p))
     direction = np.array(light.direction)

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.cameras.ray import Ray
-from caster.kernels.light import way_to
 from caster.packing import Packed, pack
 from caster.placing import as_float32
 from caster.scene import Film, Scene
@@ -16,6 +15,7 @@ from caster.scene_export import ORDER
 from caster.toml_text import toml_of
 from caster.wording import SceneError
 from mitsuba_ref.judge import Judge
+from mitsuba_ref.lambert import way
 from mitsuba_ref.rebuilding import rebuilt, same_numbers
 
 TRAILING_ZEROS = re.compile(r"\.?0+(?=p)")  # of a hex float's digits behind the point, which there always is
@@ -87,9 +87,10 @@ def involved(judge: Judge, row: int, lit: bool = False) -> set[int]:
     if lit and judge.pair.prim[row] >= 0:
         for light in judge.scene.lights:
             if light.type != "ambient":
-                way, reach = way_to(light.pack(), tuple(judge.point[row]))
-                o, d, t_max = judge.point[row : row + 1], np.array([way]), np.array([reach])
-                found |= set(judge.theirs.possible_hits(o, d, t_max).prim.tolist())
+                to_light, reach = way(light, judge.point[row : row + 1])
+                found |= set(
+                    judge.theirs.possible_hits(judge.point[row : row + 1], to_light, reach).prim.tolist()
+                )
     return found - {-1}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--crop", nargs=4, type=int, metavar=CORNERS, help="these pixels only; X1 and Y1 are just outside")
     add("--threads", type=thread_count, metavar="N", help="default: as many as there are cores")
     add("--explain", action="store_true", help="say how it was computed, and what was skipped")
+    add("--json", action="store_true", help="say the same as JSON, with counts of the work done")
 
 
 def thread_count(text: str) -> int:
@@ -45,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     """Render, write, and say what was written. Raises SceneError, FileMissing, OutputError."""
     scene = cropped(load(args), args.crop)
     output = output_path(args)
-    from caster.explain import explain
+    from caster.explain import account, explain
     from caster.rendering import check_names, render_film
     from caster.whole_files import check_writable
 
@@ -56,6 +58,9 @@ def run(args: argparse.Namespace) -> int:
         rendered = render_film(scene, aovs, threads=args.threads)
     images = rendered.aovs
     write(output, scene, images, args.scene)
+    if args.json:
+        print(json.dumps({"output": output, **account(rendered, aovs)}, indent=2))
+        return OK
     if args.explain:
         print(explain(rendered, aovs))
     height, width = images.hit.shape

@@ -160,13 +160,13 @@ DRAWERS, SHIFT = 128, 52 - 4
 
 
 @jit
-def last_depth(pixels: Any, bits: Any) -> int:
-    """The bits of the largest least depth of what is seen at all; bits: least depths as int64."""
-    last = 0
+def last_depth(pixels: Any, bits: Any) -> tuple[int, int]:
+    """(how many are seen at all, the bits of the largest of their least depths); bits: least depths as int64."""
+    count, last = 0, 0
     for k in range(len(bits)):
         if is_seen(pixels, k):
-            last = max(last, bits[k])
-    return last
+            count, last = count + 1, max(last, bits[k])
+    return count, last
 
 
 @inlined

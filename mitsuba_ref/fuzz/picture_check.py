@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from caster.casting import Culling
-from caster.plan import plan
+from caster.plan import culling_for
 from caster.rendering import Aovs, camera_rays, render
 from mitsuba_ref.exact import OutsideDomain
 from mitsuba_ref.fuzz.aims import Shots
@@ -24,7 +24,7 @@ DEPTH_ULPS = 4.0
 def cullings_of(subject: Subject) -> tuple[Culling, ...]:
     """Those that the scene's camera allows."""
     film = subject.scene.film
-    planned = plan(subject.scene.camera.pack(film.width, film.height)).culling
+    planned = culling_for(subject.scene.camera.pack(film.width, film.height))[0]
     return ("everything", "bvh", "screen") if planned == "screen" else ("everything", "bvh")
 
 

@@ -1,6 +1,7 @@
 """`caster render`: what is written is what was computed, the same bytes every time, and whence it came."""
 
 import json
+import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -152,6 +153,7 @@ def test_explain_tells_the_plan_and_what_was_left_out(folder, capsys):
     told = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
     assert told["culling"].startswith("screen: ")
     assert told["surfaces"] == "skipped: no AOV asked for needs them"
+    assert told["trees"] == "skipped: no ray needs one"
     assert told["shadow"] == "rays  skipped: diffuse was not asked for"
     assert told["skipped"].split(", ") == [aov.NAME for aov in AOVS if aov.NAME != "depth"]
 
@@ -164,8 +166,10 @@ def test_explain_tells_of_trees_surfaces_and_shadows_where_there_are_any(folder,
     cube = next(kind for kind in packed(caster.load_scene("s.toml")).kinds if len(kind.ids) == 12)
     boxes = len(cube.tree.links)
     assert boxes >= 5 and "culling      bvh: " in said and f"triangles, 12: a tree of {boxes} boxes" in said
-    assert "hits: position, normals, uv" in said
-    assert "shadow rays  from each hit to the lights it faces (of 1), through trees of boxes" in said
+    assert "hits: position, normals\n" in said and "trees        1 grown: camera rays go through them" in said
+    assert re.search(
+        r"shadow rays  \d+ from each hit to the lights it faces, until anything is in the way", said
+    )
     (folder / "s.toml").write_text(bent + "[shading]\nshadows = false\n")
     render("--explain")
     assert "shadow rays  skipped: the scene switches shadows off" in capsys.readouterr().out

@@ -8,7 +8,7 @@ import pytest
 from caster import Film, Ray, Scene, SceneError, Sphere, cast, render
 from caster.cameras import CAMERAS, Pinhole
 from caster.fields import Camera
-from caster.plan import plan
+from caster.plan import culling_for
 from caster.rendering import camera_rays
 from caster.scene import scene_from_text
 
@@ -60,7 +60,7 @@ def test_it_sees_what_cast_sees():
         assert aovs.hit.all() and (aovs["shape_id"] == hits.shape_id[0]).all()
         assert (aovs["depth"] == hits.t[0] * np.linalg.norm(d)).all()
         assert (aovs["position"] == hits.surface.p[0]).all()
-    assert plan(scene.camera.pack(2, 2)).culling == "bvh"
+    assert culling_for(scene.camera.pack(2, 2))[0] == "bvh"
 
 
 @pytest.mark.parametrize(("t_max", "hit"), [(5.9999, False), (6.0, True), (None, True)])

@@ -1,0 +1,128 @@
+"""What a scene does not need is not done: told by counts of work, not by seconds."""
+
+import json
+
+import numpy as np
+import pytest
+
+from caster import Cube, Fisheye, Icosphere, Orthographic, Pinhole, Plane, Scene, Sphere
+from caster.__main__ import main
+from caster.aovs import BY_NAME
+from caster.explain import account
+from caster.lights import Ambient, Directional, Point
+from caster.rendering import look, render_film
+
+EYE = {"eye": (0.3, 0.4, 6.0), "look_at": (0.0, 0.0, 0.0)}
+LAMP = Point(position=(3, 4, 5), intensity=(9, 9, 9))
+
+
+def scene(camera=Pinhole, **more):
+    parts = {"shapes": [Sphere(), Icosphere(subdivisions=2, to_world=[{"translate": (2, 0, 0)}])]} | more
+    return Scene(film={"width": 40, "height": 30}, camera=camera(**EYE), **parts)
+
+
+def told(a_scene, *aovs, **how):
+    return account(render_film(a_scene, aovs, **how), aovs)
+
+
+def test_a_pinhole_without_shadows_grows_no_tree():
+    lit = scene(lights=[LAMP], shading={"shadows": False})
+    for what in (told(lit, "depth", "normal"), told(lit, "diffuse")):
+        assert what["trees"] == {"runs": False, "reason": "no ray needs one", "grown": 0}
+        assert all(kind["boxes"] == 0 for kind in what["primitives"])
+
+
+@pytest.mark.parametrize(
+    ("a_scene", "aov", "reason"),
+    [
+        (scene(Fisheye), "depth", "camera rays go through them"),
+        (scene(lights=[LAMP]), "diffuse", "shadow rays go through them"),
+    ],
+    ids=["fisheye", "shadows"],
+)
+def test_a_tree_is_grown_where_rays_go_through_it(a_scene, aov, reason):
+    what = told(a_scene, aov)
+    assert what["trees"] == {"runs": True, "reason": reason, "grown": 1}  # one ball is too few for a tree
+    assert [kind["boxes"] > 100 for kind in what["primitives"]] == [False, True]
+
+
+def test_shadow_rays_are_those_of_hits_that_face_the_light():
+    lamps = [LAMP, Directional(direction=(0, -1, 0), irradiance=(1, 1, 1))]
+    a_scene = scene(lights=[*lamps, Ambient(radiance=(1, 1, 1))])
+    view = look(a_scene)
+    facing = 0
+    for lamp in lamps:
+        p, n = view.surfaces.p[view.hit], view.surfaces.sh_n[view.hit]
+        to_light = np.array(lamp.position) - p if lamp.type == "point" else -np.array([lamp.direction])
+        facing += int(((n * to_light).sum(axis=1) > 0.0).sum())
+    what = told(a_scene, "diffuse")
+    assert what["shadow_rays"]["cast"] == facing > 200
+    assert what["shading"] == {
+        "runs": True,
+        "reason": "diffuse was asked for, and 2 lights come from somewhere",
+    }
+
+
+@pytest.mark.parametrize(
+    ("a_scene", "aovs", "reason"),
+    [
+        (scene(lights=[LAMP]), ("depth",), "diffuse was not asked for"),
+        (
+            scene(lights=[Ambient(radiance=(1, 1, 1))]),
+            ("diffuse",),
+            "no light of the scene comes from anywhere",
+        ),
+        (scene(lights=[LAMP], shading={"shadows": False}), ("diffuse",), "the scene switches shadows off"),
+    ],
+    ids=["not asked for", "ambient", "switched off"],
+)
+def test_no_shadow_ray_is_cast_without_need(a_scene, aovs, reason):
+    assert told(a_scene, *aovs)["shadow_rays"] == {"runs": False, "reason": reason, "cast": 0}
+
+
+@pytest.mark.parametrize(
+    ("aovs", "parts"),
+    [
+        (("hit", "depth", "shape_id", "prim_id", "albedo"), []),
+        (("normal", "depth"), ["normals"]),
+        (("normal", "position"), ["position", "normals"]),
+        (("shading_normal",), ["position", "normals"]),
+        (("uv",), ["position", "normals", "uv"]),
+        (("diffuse",), ["position", "normals"]),
+    ],
+)
+def test_of_a_surface_only_what_is_asked_for_is_worked_out(aovs, parts):
+    what = told(scene(lights=[LAMP]), *aovs)
+    assert what["surfaces"]["worked_out"] == parts
+    assert (what["surfaces"]["hits"] > 0) == bool(parts)
+
+
+@pytest.mark.parametrize("camera", [Pinhole, Orthographic])
+def test_what_lies_behind_or_beside_is_not_looked_for(camera):
+    places = [(0, 0, 0), (0, 0, 9), (99, 0, 0)]  # in view, behind the eye, far off the film
+    cubes = [Cube(to_world=[{"scale": 0.5}, {"translate": place}]) for place in places]
+    (kind,) = told(scene(camera, shapes=cubes), "depth")["primitives"]
+    assert (
+        kind["count"] == 36 and 4 <= kind["looked_for"] <= 12
+    )  # faces of the first cube; some show no pixel centre
+
+
+def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = '[film]\nwidth = 8\nheight = 6\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
+    (tmp_path / "s.toml").write_text(text + '[[shape]]\ntype = "sphere"\n')
+    assert main(["render", "s.toml", "--aov", "depth,normal", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (tmp_path / data["output"]).exists() and data["camera_rays"]["cast"] == 48
+    assert data["skipped_aovs"] == [name for name in BY_NAME if name not in ("depth", "normal")]
+    assert main(["render", "s.toml", "--aov", "depth,normal", "--explain"]) == 0
+    words = capsys.readouterr().out
+    assert f"culling      {data['culling']['name']}: {data['culling']['reason']}\n" in words
+    assert f"worked out for {data['surfaces']['hits']} hits: normals\n" in words
+    assert f"trees        skipped: {data['trees']['reason']}\n" in words
+
+
+def test_without_culling_nothing_is_counted():
+    what = told(scene(shapes=[Plane(offset=-2), Sphere()]), "depth", culling="everything")
+    assert what["decided_exactly"] is None and what["shadow_rays"]["cast"] is None
+    assert {kind["way"] for kind in what["primitives"]} == {"tried by every ray"}
