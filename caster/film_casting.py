@@ -9,7 +9,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from caster.casting import bases, decide_doubtful, ids_by_place
+from caster.kernels.jit import implements
 from caster.kernels.nearest import Nearest, Rays, no_hits
+from caster.kernels.protocol import project_ball
 from caster.kernels.screen import (
     DRAWERS,
     MARGIN,
@@ -20,6 +22,7 @@ from caster.kernels.screen import (
     count_in_tiles,
     find_pictures,
     find_spans,
+    find_spans_of_balls,
     find_spans_of_faces,
     last_depth,
     sort_into_tiles,
@@ -28,6 +31,7 @@ from caster.kernels.tile import HEIGHT, WIDTH, Box, load_rays, new_tile, store_n
 from caster.kernels.tree import REACH
 from caster.kernels.triangles import Triangles
 from caster.packing import Kind, Packed
+from caster.shapes.sphere import Spheres
 from caster.threads import finish, in_bands, thread_count
 
 
@@ -141,6 +145,8 @@ def sorted_kinds(
             pictures = np.empty((len(points), 4))
             in_bands(partial(find_pictures, points, camera, pictures, reach), len(points), threads)
             find = partial(find_spans_of_faces, kind.prims.faces, pictures, window, spans, reach)
+        elif isinstance(kind.prims, Spheres) and implements(project_ball, type(camera)):
+            find = partial(find_spans_of_balls, kind.prims, camera, window, spans, reach)
         else:
             find = partial(find_spans, kind.prims, camera, window, spans, reach)
         in_bands(find, number, threads)

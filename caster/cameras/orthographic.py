@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from caster.fields import Camera, NonNegative, Positive
 from caster.kernels.jit import implement
-from caster.kernels.protocol import Vec3, project, ray
+from caster.kernels.protocol import Vec3, project, project_ball, ray
 from caster.kernels.vec import add, dot, scaled, sub
 
 
@@ -60,3 +60,10 @@ def _project(camera: Any, p: Any) -> Any:
     x = 0.5 * (dot(q, camera.right) / camera.half[0] + 1.0) * camera.size[0]
     y = 0.5 * (1.0 - dot(q, camera.up) / camera.half[1]) * camera.size[1]
     return x, y, 0.5 * camera.size[0] / camera.half[0], dot(q, camera.forward), True
+
+
+@implement(project_ball, OrthographicRays)
+def _project_ball(camera: Any, center: Any, r: float) -> Any:
+    x, y, pixels, depth, _ = project(camera, center)
+    wide, tall = r * pixels, r * 0.5 * camera.size[1] / camera.half[1]
+    return x - wide, y - tall, x + wide, y + tall, depth - r, True

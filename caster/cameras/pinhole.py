@@ -6,9 +6,9 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 from pydantic import Field, model_validator
 
 from caster.fields import Camera, FieldOfView, NonNegative, Number, Positive
-from caster.kernels.jit import implement
-from caster.kernels.protocol import Vec3, project, ray
-from caster.kernels.vec import add, dot, scaled, size, sub
+from caster.kernels.jit import implement, inlined
+from caster.kernels.protocol import Vec3, project, project_ball, ray
+from caster.kernels.vec import U, add, dot, scaled, size, sub
 
 # A point is projected only where its depth is more than this share of its distance (the sum of magnitudes): there the
 # rounding of its position moves the picture by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
@@ -95,3 +95,30 @@ def _project(camera: Any, p: Any) -> Any:
     x = wide * (dot(q, camera.right) * closeness) + (0.5 - camera.shift[0]) * camera.size[0]
     y = (0.5 - camera.shift[1]) * camera.size[1] - high * (dot(q, camera.up) * closeness)
     return x, y, max(wide, high) * closeness * (1.0 + distance * closeness), depth, True
+
+
+@implement(project_ball, PinholeRays)
+def _project_ball(camera: Any, center: Any, r: float) -> Any:
+    q = sub(center, camera.eye)
+    x, y, depth = dot(q, camera.right), dot(q, camera.up), dot(q, camera.forward)
+    if not depth - r > max(SHALLOWEST * size(q), NEAREST):
+        return 0.0, 0.0, 0.0, 0.0, depth - r, False
+    low, high = tangents(x, depth, r)
+    down, up = tangents(y, depth, r)
+    wide, tall = 0.5 * camera.size[0] / camera.half[0], 0.5 * camera.size[1] / camera.half[1]
+    across, above = (0.5 - camera.shift[0]) * camera.size[0], (0.5 - camera.shift[1]) * camera.size[1]
+    return wide * low + across, above - tall * up, wide * high + across, above - tall * down, depth - r, True
+
+
+# In `tangents`, z^2 - r^2 as a product of two sums is off by 3 u, the root by 3 u, the sum of the two terms by 4 u of
+# their magnitudes: 12 u, and the quotient's rounding.
+TANGENT_ERROR = 16.0 * U
+
+
+@inlined
+def tangents(x: float, z: float, r: float) -> tuple[float, float]:
+    """The least and the largest x / z on a circle of radius r < z around (x, z), rounded outwards."""
+    power = (z - r) * (z + r)
+    middle, half = x * z, r * math.sqrt(x * x + power)
+    off = TANGENT_ERROR * (abs(middle) + half)
+    return (middle - half - off) / power, (middle + half + off) / power

@@ -112,3 +112,12 @@ def project(camera: Any, p: Vec3) -> Any:
     depth: how far p is in front of where the rays start, or, if negative, behind; t is no less. Not valid where
     straight edges would not stay straight. A camera without a body for this goes through the tree.
     """
+
+
+@generic_inlined
+def project_ball(camera: Any, center: Vec3, r: float) -> Any:
+    """(left, top, right, bottom, depth, valid): the box around the picture of a ball, and its least depth.
+
+    Tighter than that around pictures of points around it. Not valid for a ball that reaches behind the eye. A camera
+    may do without a body for this.
+    """

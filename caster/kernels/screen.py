@@ -10,7 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.kernels.jit import LANES, any_reaches, inlined, jit
-from caster.kernels.protocol import hull_point, hull_size, intersect, numbers, prepare, project
+from caster.kernels.protocol import (
+    hull_point,
+    hull_size,
+    intersect,
+    numbers,
+    prepare,
+    project,
+    project_ball,
+)
 from caster.kernels.tile import (
     DX,
     DY,
@@ -125,6 +133,20 @@ def find_spans(
         if corners == 0:  # a kind without bounds
             box, deepest = (-math.inf, -math.inf, math.inf, math.inf, -math.inf), math.inf
         keep_span(spans, k, box, deepest, reach[0], window)
+
+
+@jit
+def find_spans_of_balls(
+    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
+) -> None:
+    """The same for balls, which fill the boxes around them badly."""
+    slack, margin = reach
+    for k in range(start, stop):
+        r, center = prims.radius[k], (prims.center[k, 0], prims.center[k, 1], prims.center[k, 2])
+        left, top, right, bottom, least, valid = project_ball(camera, center, r + slack)
+        wide = margin if valid else math.inf
+        box = left - wide, top - wide, right + wide, bottom + wide, least
+        keep_span(spans, k, box, least + 2.0 * (r + slack), slack, window)
 
 
 @jit
