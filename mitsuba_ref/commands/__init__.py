@@ -2,7 +2,7 @@
 
 from types import ModuleType
 
-from mitsuba_ref.commands import compare, doctor, export, fuzz, render, stress, validate
+from mitsuba_ref.commands import bench, compare, doctor, export, fuzz, render, stress, validate
 from mitsuba_ref.commands import probe as probe
 
-COMMANDS: tuple[ModuleType, ...] = (validate, render, export, compare, probe, fuzz, stress, doctor)
+COMMANDS: tuple[ModuleType, ...] = (validate, render, export, compare, probe, fuzz, stress, bench, doctor)

@@ -1,0 +1,160 @@
+"""Who is timed: the registry of rows, and how each is started."""
+
+import importlib.util
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mitsuba_ref import variants
+from mitsuba_ref.bench.work import ANY, FILM, NEAREST, PLAIN, ROBUST, SHADING, Work
+
+OURS, MITSUBA, PEER, MACHINE = "ours", "mitsuba", "peer", "machine"
+RAYS = (NEAREST, ANY)
+EVERYBODY = (FILM, NEAREST, ANY)
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A row of the tables.
+
+    first: pixels a side that it is tried at first, for those who may be too slow for a whole picture; 0: none.
+    most: primitives of a scene beyond which it is not asked; 0: any number.
+    """
+
+    key: str
+    title: str
+    side: str
+    entry: str  # as in Work
+    asks: tuple[str, ...]
+    options: Mapping[str, Any] = field(default_factory=dict)
+    variant: str = ""  # of Mitsuba
+    package: str = ""  # that has to be installed
+    threads: int | None = None  # instead of those of the run
+    first: int = 0
+    most: int = 0
+    environment: Mapping[str, str] = field(default_factory=dict)
+
+    def missing(self) -> str:
+        """Why it cannot run on this machine; "" if it can, as far as is known."""
+        if self.variant and self.variant not in variants.usable().names:
+            return f"{self.variant} does not work here: {variants.usable().why}"
+        if self.package and importlib.util.find_spec(self.package) is None:
+            return f"{self.package} is not installed: pip install 'ray-reference[peers]'"
+        return ""
+
+    def work(self, folder: str, asks: str, threads: int) -> Work:
+        return Work(folder, asks, self.threads or threads, self.entry, dict(self.options))
+
+    def settings(self) -> dict[str, str]:
+        """Its environment variables."""
+        found = variants.settings(self.variant) if self.variant else {}
+        return found | dict(self.environment)
+
+
+def of_mitsuba(key: str, title: str, entry: str, asks: tuple[str, ...], **options: Any) -> Contestant:
+    return Contestant(key, title, MITSUBA, entry, asks, options, variant=variants.LLVM)
+
+
+def of_picture(key: str, title: str, mode: str) -> Contestant:
+    return of_mitsuba(key, title, PICTURE, (FILM,), mode=mode, variant=variants.LLVM)
+
+
+def of_shading(key: str, title: str, *aovs: str, shadows: bool = True) -> Contestant:
+    options = {"aovs": aovs, "shadows": shadows}
+    return Contestant(key, title, OURS, OWN, (SHADING,), options)
+
+
+RAW, PICTURE, OWN = "mitsuba_llvm:Raw", "mitsuba_aov:Picture", "ours:Ours"
+
+AOVS = ("depth", "normal", "diffuse")
+
+# The first that is asked about a scene is what the others are set against.
+CONTESTANTS = (
+    Contestant("ours", "ours", OURS, OWN, EVERYBODY),
+    Contestant("ours-bvh", "ours, by the tree", OURS, OWN, (FILM,), {"culling": "bvh"}),
+    Contestant("ours-1-thread", "ours, one thread", OURS, OWN, EVERYBODY, threads=1),
+    Contestant(
+        "ours-python",
+        "ours, plain Python",
+        OURS,
+        OWN,
+        EVERYBODY,
+        threads=1,
+        first=4,
+        most=1000,
+        environment={"CASTER_JIT": "0"},
+    ),
+    of_shading("shade-depth", "depth alone", "depth"),
+    of_shading("shade-normal", "depth and normal", "depth", "normal"),
+    of_shading(
+        "shade-unshadowed",
+        "depth, normal, diffuse without shadows",
+        "depth",
+        "normal",
+        "diffuse",
+        shadows=False,
+    ),
+    of_shading("shade-shadowed", "depth, normal, diffuse with shadows", "depth", "normal", "diffuse"),
+    of_mitsuba("raw-robust", "Mitsuba LLVM, robust, ray_intersect", RAW, EVERYBODY, mode=ROBUST),
+    of_mitsuba("raw-default", "Mitsuba LLVM, default, ray_intersect", RAW, EVERYBODY, mode=PLAIN),
+    of_mitsuba(
+        "raw-robust-incoherent",
+        "Mitsuba LLVM, robust, ray_intersect without `coherent`",
+        RAW,
+        EVERYBODY,
+        mode=ROBUST,
+        coherent=False,
+    ),
+    of_mitsuba(
+        "aov-robust",
+        "Mitsuba LLVM, robust, AOV integrator",
+        PICTURE,
+        (FILM,),
+        mode=ROBUST,
+        variant=variants.LLVM,
+    ),
+    of_mitsuba(
+        "aov-default",
+        "Mitsuba LLVM, default, AOV integrator",
+        PICTURE,
+        (FILM,),
+        mode=PLAIN,
+        variant=variants.LLVM,
+    ),
+    Contestant(
+        "scalar-aov",
+        "Mitsuba scalar, robust, AOV integrator",
+        MITSUBA,
+        PICTURE,
+        (FILM,),
+        {"mode": ROBUST, "variant": variants.SCALAR},
+        variant=variants.SCALAR,
+        first=32,
+    ),
+    Contestant(
+        "scalar-loop",
+        "Mitsuba scalar, robust, loop in Python",
+        MITSUBA,
+        "mitsuba_loop:Loop",
+        EVERYBODY,
+        {"mode": ROBUST},
+        variant=variants.SCALAR,
+        first=32,
+    ),
+    Contestant("open3d", "Open3D", PEER, "open3d_peer:Open3D", EVERYBODY, package="open3d"),
+    Contestant("embreex", "embreex", PEER, "embreex_peer:Embreex", EVERYBODY, package="embreex"),
+    Contestant("trimesh", "trimesh + embreex", PEER, "embreex_peer:Trimesh", EVERYBODY, package="trimesh"),
+    Contestant("copy", "copying the images", MACHINE, "copying:Copying", (FILM,)),
+)
+BY_KEY = {contestant.key: contestant for contestant in CONTESTANTS}
+
+
+def field_of(asks: str, *, peers: bool) -> list[Contestant]:
+    """Who is asked about such a scene."""
+    return [each for each in CONTESTANTS if asks in each.asks and (peers or each.side != PEER)]
+
+
+def processors() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,82 @@
+"""Embree through embreex, straight and as trimesh uses it; triangles, one thread."""
+
+from typing import Any
+
+import numpy as np
+from embreex import rtcore_scene
+from embreex.mesh_construction import TriangleMesh
+
+from mitsuba_ref.bench.work import ANY, SHADOW_END, CannotRun, Work, blocked, given_mesh, given_rays
+
+NO_HIT = -1
+
+
+class Embreex:
+    """`EmbreeScene.run` with all it gives."""
+
+    def __init__(self, work: Work) -> None:
+        self.work = work
+        self.vertices, self.faces = given_mesh(work.folder)
+        self.o, self.d = given_rays(work.folder)
+
+    def build(self, size: int) -> None:
+        self.scene = rtcore_scene.EmbreeScene()
+        TriangleMesh(self.scene, self.vertices, self.faces)
+        self.count = min(len(self.o), size * size)
+        self.answer(self.o[:1], self.d[:1])  # the tree grows with the first ray
+
+    def cast(self) -> int:
+        o, d = self.o[: self.count], self.d[: self.count]
+        if self.work.asks == ANY:
+            self._blocked(o, d)
+        else:
+            self.scene.run(o, d, output=True)
+        return self.count
+
+    def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        if self.work.asks == ANY:
+            return blocked(self._blocked(o, d) != NO_HIT)
+        found = self.scene.run(o, d, output=True)
+        return np.where(found["primID"] == NO_HIT, np.inf, found["tfar"].astype(np.float64))
+
+    def _blocked(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        ends = np.full(len(o), SHADOW_END, np.float32)
+        return self.scene.run(o, d, ends, query="OCCLUDED")
+
+
+class Trimesh:
+    """`intersects_location`, the first hit of each ray, and from it depth and normal."""
+
+    def __init__(self, work: Work) -> None:
+        import trimesh
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+        if work.asks == ANY:
+            raise CannotRun("no limit to rays")
+        vertices, self.faces = given_mesh(work.folder)
+        self.vertices = vertices.astype(np.float64)
+        o, d = given_rays(work.folder)
+        self.o, self.d = o.astype(np.float64), d.astype(np.float64)
+        self.make, self.intersector = trimesh.Trimesh, RayMeshIntersector
+
+    def build(self, size: int) -> None:
+        self.mesh = self.make(self.vertices, self.faces, process=False)
+        self.rays = self.intersector(self.mesh)
+        self.count = min(len(self.o), size * size)
+        self.normals = self.mesh.face_normals
+        self._cast(self.o[:1], self.d[:1])
+
+    def cast(self) -> int:
+        self._cast(self.o[: self.count], self.d[: self.count])
+        return self.count
+
+    def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        return self._cast(o.astype(np.float64), d.astype(np.float64))
+
+    def _cast(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        places, rays, faces = self.rays.intersects_location(o, d, multiple_hits=False)
+        t, n = np.full(len(o), np.inf), np.zeros((len(o), 3))
+        along: Any = d[rays]
+        t[rays] = ((places - o[rays]) * along).sum(axis=1) / (along * along).sum(axis=1)
+        n[rays] = self.normals[faces]
+        return t

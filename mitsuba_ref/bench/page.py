@@ -1,0 +1,191 @@
+"""docs/performance.md: every number in it comes from the run; what is written by hand is taken in from another file."""
+
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+from caster.whole_files import check_folder, write_bytes, write_text
+from mitsuba_ref.bench import plots, table, targets
+from mitsuba_ref.bench.result import Row, Run, SceneResult, Sweep
+from mitsuba_ref.stress.plot import MissingPlots
+
+PAGE, PICTURES, NOTES = "performance.md", "performance", "performance-notes.md"
+WIDTH = 120  # of lines of prose
+FEWEST = 7  # alternations that a report is to have
+
+HEAD = """# Run time against error
+
+<!-- written by `make bench`; change mitsuba_ref/bench/page.py, or performance-notes.md for what is said by hand -->
+
+The same scenes, in the same float32 numbers, by everybody: our caster, Mitsuba 3 and others that cast rays from Python.
+Each contestant has a process of its own; they take turns, so that what else the machine does hits all of them.
+"""
+
+READING = """## How to read it
+
+- **What is timed**: a picture of depth and normal, delivered as arrays in memory; or t and normal along rays that were
+  on hand, or whether anything lies on them. Ours does all of it in every picture, from placing the shapes on; Mitsuba,
+  Open3D and embreex have loaded the scene and built their tree before, and for `ray_intersect`, Open3D and embreex the
+  rays were made before, too. All that has to be compiled has been compiled.
+- **ours** is `caster.render` as planned: by the screen for pinhole and orthographic cameras, by the tree for others;
+  for rays that are handed over, `caster.cast` and `caster.occluded`. **by the tree** is the same picture through the
+  tree, which is then grown in every picture. **plain Python** runs the same source without Numba.
+- **rays** of one cast: pictures of those who would take longer than {longest:g} s are made smaller.
+- **build**: seconds from the numbers to where rays can be cast, the second time it is done in a process; Mitsuba reads
+  its own files, and for the others the numbers are in memory.
+- **ns/ray**, **Mray/s**: the median of all alternations; casts of less than {least:g} s are repeated within a turn, and
+  their median is the turn's. **x ours** is the median of the ratios of each alternation: above 1, ours is faster.
+- **t: ulps**: the largest error of t on {sample:,} rays of the picture, the same float32 rays for everybody, against
+  exact arithmetic (`mitsuba_ref/exact.py`), in float32 units in the last place of the exact t. **t: bounds**: in units
+  of the bound that is derived for each ray, that of float64 for ours and that of float32 for all others
+  ([method.md](method.md)). Ours is asked through `caster.cast`, float64; no culling changes a bit, and images of float32
+  add half a unit. Mitsuba's AOV integrator takes no rays from outside, so `ray_intersect` of the same scene is asked
+  for it, which is what it calls.
+- **wrong** on those rays, **wrong at edges** on as many that are aimed at edges and silhouettes: hits where there is
+  exactly nothing and misses where there is something; behind a `+`, hits farther off than their bound, mostly those of
+  another surface.
+- **MB**: the most memory that the process had (VmHWM), Python, all libraries and the rays included.
+- **copying the images**: arrays as large as ours' depth and normal, copied by as many threads.
+"""
+
+
+def write_report(run: Run, folder: Path) -> None:
+    """The page and its pictures. Raises OutputError; without Matplotlib there is the page without pictures."""
+    pictures = check_folder(folder / PICTURES)
+    drawn: set[str] = set()
+    try:
+        for name, content in plots.pictures(run).items():
+            write_bytes(pictures / f"{name}.{plots.FORMAT}", content)
+            drawn.add(name)
+    except MissingPlots:
+        pass
+    notes = folder / NOTES
+    by_hand = notes.read_text(encoding="utf-8") if notes.exists() else ""
+    write_text(folder / PAGE, "\n".join(lines(run, drawn, by_hand)) + "\n")
+
+
+def lines(run: Run, drawn: set[str], by_hand: str) -> Iterator[str]:
+    yield HEAD
+    yield from conditions(run)
+    yield from of_targets(run)
+    if by_hand:
+        yield by_hand.strip() + "\n"
+    yield from picture(drawn, "pareto", "Error against time, for each scene")
+    for scene in run.scenes:
+        yield from section(scene)
+    for sweep in run.sweeps:
+        yield from of_sweep(sweep, drawn)
+    yield from of_copying(run, drawn)
+    yield from footnote_on_coherence(run)
+    yield reading(run)
+
+
+def reading(run: Run) -> str:
+    from mitsuba_ref.bench.error import SAMPLE
+    from mitsuba_ref.bench.measuring import LEAST, LONGEST
+
+    return READING.format(least=LEAST, longest=LONGEST, sample=SAMPLE)
+
+
+def conditions(run: Run) -> Iterator[str]:
+    """The machine, and how often."""
+    it = run.settings
+    few = "" if it["alternations"] >= FEWEST else f", fewer than the {FEWEST} that a report is to have"
+    yield textwrap.fill(
+        f"{len(run.scenes)} scenes of {it['size']} x {it['size']} pixels or as many rays, {it['threads']} threads, "
+        f"medians of {it['alternations']} alternations{few}. Seed {it['seed']}.",
+        WIDTH,
+    )
+    missing = [name for name in run.asked if run.scene(name) is None]
+    if missing:
+        yield f"\nNot timed: {', '.join(missing)}."
+    yield "\n| machine | |\n|---|---|"
+    yield from (f"| {name} | {value} |" for name, value in run.machine.items())
+    yield ""
+
+
+def of_targets(run: Run) -> Iterator[str]:
+    yield "## Targets\n"
+    yield "Times as fast as the other, unless it says otherwise; the worst scene counts.\n"
+    yield "| beside | target | measured | where | |"
+    yield "|---|---:|---:|---|---|"
+    for it in targets.outcomes(run):
+        mark = {True: "reached", False: "**missed**", None: "not measured"}[it.ok]
+        sign = ">=" if it.least else "<="
+        yield f"| {it.what} | {sign} {it.target:g} | {table.number(it.reached, 2)} | {it.where} | {mark} |"
+    yield ""
+
+
+def section(scene: SceneResult) -> Iterator[str]:
+    yield f"## {scene.name}\n"
+    yield f"{scene.title[0].upper()}{scene.title[1:]}; {scene.primitives:,} primitives.\n"
+    yield table.as_markdown(scene)
+    yield ""
+
+
+def of_sweep(sweep: Sweep, drawn: set[str]) -> Iterator[str]:
+    """Milliseconds of a picture, a line for each contestant, and the slope."""
+    yield f"## Time against {sweep.name}\n"
+    yield from picture(drawn, sweep.name, f"Time against {sweep.name}")
+    every = sorted({x for one in sweep.series for x in one.x})
+    yield f"Milliseconds of a picture over the {sweep.quantity}; the slope is that of time ~ quantity^slope.\n"
+    yield "| | " + " | ".join(f"{x:,.0f}" for x in every) + " | slope |"
+    yield "|---|" + "---:|" * (len(every) + 1)
+    for one in sweep.series:
+        at = dict(zip(one.x, one.seconds, strict=True))
+        found = [table.number(1e3 * at[x] if x in at else None, 1) for x in every]
+        why = f" ({one.why})" if one.why else ""
+        yield f"| {one.title}{why} | {' | '.join(found)} | {table.number(one.slope, 2)} |"
+    yield ""
+
+
+def of_copying(run: Run, drawn: set[str]) -> Iterator[str]:
+    """How far ours is from the machine's bandwidth."""
+    found = [(scene, ours, copy) for scene in run.films for ours, copy in [both(scene)] if ours and copy]
+    if not found:
+        return
+    yield "## Distance to the machine's bandwidth\n"
+    yield textwrap.fill(
+        f"The images of depth and normal take {run.bytes_of_pixel} bytes a pixel. Copying arrays as large is what "
+        "delivering them costs at least; the share is that of copying in the time of ours.",
+        WIDTH,
+    )
+    yield ""
+    yield from picture(drawn, "copying", "Time of ours over that of copying its images")
+    yield "| scene | copying, GB/s | ours, GB/s | ours / copying | share |"
+    yield "|---|---:|---:|---:|---:|"
+    for scene, ours, copy in found:
+        ratio = scene.ratio("copy")
+        rates = [run.bytes_of_pixel / row.ns for row in (copy, ours) if row.ns]
+        times = table.number(1.0 / ratio if ratio else None, 1)
+        share = "-" if ratio is None else f"{100.0 * ratio:.1f} %"
+        yield f"| {scene.name} | {' | '.join(table.number(rate, 2) for rate in rates)} | {times} | {share} |"
+    yield ""
+
+
+def both(scene: SceneResult) -> tuple[Row | None, Row | None]:
+    """Rows of ours and of copying, where they ran."""
+    rows = [scene.row(key) for key in ("ours", "copy")]
+    ours, copy = (row if row and row.ran else None for row in rows)
+    return ours, copy
+
+
+def footnote_on_coherence(run: Run) -> Iterator[str]:
+    """What Mitsuba's hint is worth."""
+    found = [
+        (scene.name, ratio)
+        for scene in run.scenes
+        if (ratio := scene.ratio("raw-robust-incoherent", "raw-robust")) is not None
+    ]
+    if found:
+        told = ", ".join(f"{name} {ratio:.2f}" for name, ratio in found)
+        yield textwrap.fill(
+            f"Mitsuba's hint `coherent`: without it, `ray_intersect` takes so many times as long: {told}.",
+            WIDTH,
+        )
+        yield ""
+
+
+def picture(drawn: set[str], name: str, words: str) -> Iterator[str]:
+    if name in drawn:
+        yield f"![{words}]({PICTURES}/{name}.{plots.FORMAT})\n"

@@ -1,0 +1,131 @@
+"""Pictures of a run, as PNG; Matplotlib is imported when the first is drawn."""
+
+import io
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from mitsuba_ref.bench.result import Run, SceneResult, Series, Sweep
+from mitsuba_ref.stress.plot import check_available
+
+# Colours after Okabe and Ito (2008), which people of any colour vision tell apart; markers differ as well.
+STYLE: dict[str, tuple[str, str]] = {
+    "ours": ("#0072B2", "o"),
+    "ours-bvh": ("#0072B2", "s"),
+    "ours-1-thread": ("#0072B2", "v"),
+    "ours-python": ("#0072B2", "x"),
+    "raw-robust": ("#009E73", "o"),
+    "raw-default": ("#D55E00", "o"),
+    "raw-robust-incoherent": ("#009E73", "D"),
+    "aov-robust": ("#009E73", "^"),
+    "aov-default": ("#D55E00", "^"),
+    "scalar-aov": ("#E69F00", "^"),
+    "scalar-loop": ("#E69F00", "x"),
+    "open3d": ("#CC79A7", "P"),
+    "embreex": ("#000000", "*"),
+    "trimesh": ("#000000", "+"),
+    "copy": ("#888888", "_"),
+}
+LEAST = 1e-9  # float32 units in the last place: an error of nothing shows as this
+FORMAT = "png"
+COLUMNS = 3
+DPI = 110
+
+
+def pictures(run: Run) -> dict[str, bytes]:
+    """Every picture that the run has numbers for, by name. Raises MissingPlots."""
+    check_available()
+    found: dict[str, bytes] = {}
+    scored = [
+        scene for scene in run.scenes if any(row.score and row.score.ulps is not None for row in scene.rows)
+    ]
+    if scored:
+        found["pareto"] = drawn(partial(pareto, scored), 3.1 * math.ceil(len(scored) / COLUMNS) + 1.6)
+    for sweep in run.sweeps:
+        found[sweep.name] = drawn(partial(over, sweep), 4.6)
+    films = [scene for scene in run.films if scene.ratio("copy") is not None]
+    if films:
+        found["copying"] = drawn(partial(copying, films), 0.4 * len(films) + 1.6)
+    return found
+
+
+def drawn(draw: Callable[[Any], None], height: float) -> bytes:
+    """One figure; the same bytes for the same numbers and the same Matplotlib."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context({"font.size": 8.5, "font.family": "DejaVu Sans"}):
+        figure = Figure(figsize=(9.0, height), layout="constrained")
+        draw(figure)
+        out = io.BytesIO()
+        figure.savefig(out, format=FORMAT, dpi=DPI, metadata={"Software": None})
+    return out.getvalue()
+
+
+def pareto(scenes: Sequence[SceneResult], figure: Any) -> None:
+    """Largest error of t against time for a ray: lower left is better."""
+    axes = figure.subplots(math.ceil(len(scenes) / COLUMNS), COLUMNS, squeeze=False, sharey=True)
+    shown: dict[str, Any] = {}
+    for scene, ax in zip(scenes, axes.flat, strict=False):
+        for row in scene.rows:
+            if row.ran and row.score and row.score.ulps is not None:
+                color, marker = STYLE[row.key]
+                (mark,) = ax.plot(
+                    [row.ns],
+                    [max(row.score.ulps, LEAST)],
+                    marker,
+                    color=color,
+                    mfc="none",
+                    ms=7,
+                    label=row.title,
+                )
+                shown.setdefault(row.title, mark)
+        ax.set(xscale="log", yscale="log", title=scene.name)
+        light_grid(ax)
+    for ax in axes.flat[len(scenes) :]:
+        ax.set_visible(False)
+    figure.supxlabel("nanoseconds a ray", fontsize=9)
+    figure.supylabel("largest error of t on rays of the picture, float32 ulps", fontsize=9)
+    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
+
+
+def over(sweep: Sweep, figure: Any) -> None:
+    """Seconds of a picture against what grows, with the slope of the power law that fits best."""
+    ax = figure.subplots()
+    for one in sweep.series:
+        if one.x:
+            color, marker = STYLE[one.key]
+            ax.plot(one.x, one.seconds, marker=marker, color=color, mfc="none", label=labelled(one))
+    ax.set(xscale="log", yscale="log", xlabel=sweep.quantity, ylabel="seconds of a picture")
+    if sweep.name == "threads":
+        every = sorted({x for one in sweep.series for x in one.x})
+        ax.set_xticks(every, [f"{x:g}" for x in every])
+        ax.minorticks_off()
+    light_grid(ax)
+    ax.legend(frameon=False)
+
+
+def labelled(one: Series) -> str:
+    return one.title if one.slope is None else f"{one.title}: slope {one.slope:.2f}"
+
+
+def copying(scenes: Sequence[SceneResult], figure: Any) -> None:
+    """How many times as long as copying its images ours takes."""
+    ax = figure.subplots()
+    names = [scene.name for scene in scenes]
+    values = [1.0 / ratio for scene in scenes if (ratio := scene.ratio("copy"))]
+    ax.barh(names, values, color=STYLE["ours"][0], height=0.6)
+    for i, value in enumerate(values):
+        ax.text(value, i, f" {value:.1f}", va="center")
+    ax.axvline(1.0, color=STYLE["copy"][0], lw=1.5)
+    ax.invert_yaxis()
+    ax.set_xlabel("time of ours over the time of copying arrays as large as its images")
+    light_grid(ax)
+
+
+def light_grid(ax: Any) -> None:
+    ax.grid(True, color="#dddddd", lw=0.5)
+    ax.set_axisbelow(True)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)

@@ -1,0 +1,167 @@
+"""What is timed: scenes made here, so that no file can differ, and what is asked about each."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from caster.cameras import Fisheye, Orthographic, Pinhole
+from caster.lights import Ambient, Point
+from caster.materials import Diffuse
+from caster.scene import Scene
+from caster.shapes import Sphere
+from mitsuba_ref.bench import meshes
+from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING
+from mitsuba_ref.rays import share
+
+Rng = np.random.Generator
+Rays = tuple[np.ndarray, np.ndarray]  # o, d: (n, 3) float32 each
+
+
+@dataclass(frozen=True)
+class BenchScene:
+    """One scene of the benchmark.
+
+    asks: FILM a picture of depth and normal; NEAREST t and normal along rays that are handed over; ANY whether
+    something lies on them; SHADING a picture, by our caster alone.
+    """
+
+    name: str
+    title: str
+    make: Callable[[Path], Scene]  # writes its meshes into the folder
+    asks: str = FILM
+    rays: Callable[[Scene], Rays] | None = None  # None: the camera's
+
+
+def looking(*shapes: Any, **more: Any) -> Scene:
+    """A scene seen from the front, somewhat above; its film gets a size later."""
+    camera = Pinhole(eye=(0.0, -4.0, 1.5), look_at=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), fov=40.0)
+    return Scene(**({"camera": camera, "shapes": shapes} | more))
+
+
+def spheres(count: int) -> Scene:
+    """Balls in a cube, by chance; together they cover most of the view."""
+    rng = np.random.default_rng(count)
+    centers = as_float32(rng.uniform(-1.0, 1.0, (count, 3)))
+    radii = as_float32(rng.uniform(0.3, 1.0, count) * 0.8 * count ** (-1.0 / 3.0))
+    pairs = zip(centers.tolist(), radii.tolist(), strict=True)
+    return looking(*(Sphere(center=center, radius=radius) for center, radius in pairs))
+
+
+def as_float32(a: np.ndarray) -> np.ndarray:
+    return a.astype(np.float32).astype(np.float64)
+
+
+def one_sphere(folder: Path) -> Scene:
+    return looking(Sphere(center=(0.0, 0.0, 0.0), radius=1.0))
+
+
+def ring(folder: Path) -> Scene:
+    return looking(meshes.ring(folder, 264, 133))
+
+
+def hills(folder: Path) -> Scene:
+    return looking(meshes.hills(folder, 1_000_000))
+
+
+def layers(folder: Path) -> Scene:
+    camera = Pinhole(eye=(0.0, 0.0, 3.0), look_at=(0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0), fov=20.0)
+    return Scene(camera=camera, shapes=[meshes.layers(folder, 256)])
+
+
+def cornell(folder: Path) -> Scene:
+    camera = Pinhole(eye=(278.0, 273.0, -800.0), direction=(0.0, 0.0, 1.0), fov=39.307684)
+    return Scene(camera=camera, shapes=[meshes.cornell(folder)])
+
+
+def grazing(folder: Path) -> Scene:
+    camera = Pinhole(eye=(0.0, -20.0, 0.01), direction=(0.0, 1.0, 0.0), up=(0.0, 0.0, 1.0), fov=40.0)
+    return Scene(camera=camera, shapes=[meshes.square(folder, 1000.0)])
+
+
+def orthographic(folder: Path) -> Scene:
+    camera = Orthographic(eye=(0.0, -4.0, 1.5), look_at=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), width=3.0)
+    return looking(meshes.ring(folder, 264, 133), camera=camera)
+
+
+def fisheye(folder: Path) -> Scene:
+    camera = Fisheye(eye=(0.0, -1.0, 0.2), look_at=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), fov=180.0)
+    return looking(meshes.ring(folder, 264, 133), camera=camera)
+
+
+LIT: dict[str, Any] = {
+    "lights": [
+        Point(position=(2.0, -3.0, 3.0), intensity=(40.0, 40.0, 40.0)),
+        Ambient(radiance=(0.05, 0.05, 0.05)),
+    ],
+    "materials": {"grey": Diffuse(reflectance=(0.5, 0.5, 0.5))},
+}
+
+
+def lit_ring(folder: Path) -> Scene:
+    return looking(meshes.ring(folder, 264, 133, material="grey"), **LIT)
+
+
+def lit_spheres(folder: Path) -> Scene:
+    balls = tuple(ball.model_copy(update={"material": "grey"}) for ball in spheres(200).shapes)
+    return looking(*balls, **LIT)
+
+
+def incoherent(scene: Scene) -> Rays:
+    """From anywhere on a ball around everything to anywhere within: no two neighbours have anything in common."""
+    rng, count = np.random.default_rng(1), scene.film.width * scene.film.height
+    o = 3.0 * unit(rng.normal(size=(count, 3)))
+    return towards(o, rng.uniform(-1.0, 1.0, (count, 3)) * [1.4, 1.4, 0.4])
+
+
+def to_a_lamp(scene: Scene) -> Rays:
+    """From places about the surface to one lamp; t = 1 is the lamp, so that t_max = 1 asks about the way there."""
+    rng, count = np.random.default_rng(2), scene.film.width * scene.film.height
+    u, v = 2.0 * np.pi * rng.random((2, count))
+    tube = 1.0 + 0.41 * np.cos(v)
+    o = np.column_stack([tube * np.cos(u), tube * np.sin(u), 0.41 * np.sin(v)]).astype(np.float32)
+    return o, np.subtract(np.array([2.0, -3.0, 3.0]), o.astype(np.float64)).astype(np.float32)
+
+
+def towards(o: np.ndarray, p: np.ndarray) -> Rays:
+    start = o.astype(np.float32)
+    return start, unit(p - start.astype(np.float64)).astype(np.float32)
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    rows: np.ndarray = v / np.linalg.norm(v, axis=1, keepdims=True)
+    return rows
+
+
+def rays_of(scene: BenchScene, sized: Scene) -> Rays:
+    """What is handed to those who take rays, and in a scene of rays to everybody; one for each pixel."""
+    if scene.rays:
+        return scene.rays(sized)
+    shared = share(sized)
+    real = shared.t_max > 0.0  # a fisheye's picture has corners without rays
+    return shared.o[real], shared.d[real]
+
+
+SCENES = (
+    BenchScene("one-sphere", "one sphere", one_sphere),
+    BenchScene("spheres-200", "200 spheres", lambda folder: spheres(200)),
+    BenchScene("spheres-10k", "10,000 spheres", lambda folder: spheres(10_000)),
+    BenchScene("mesh-70k", "a closed mesh of 70,224 triangles", ring),
+    BenchScene("mesh-1m", "hills of 999,698 triangles", hills),
+    BenchScene("overdraw-256", "256 squares behind each other", layers),
+    BenchScene("cornell-box", "the Cornell box", cornell),
+    BenchScene("grazing-plane", "a square of two triangles, seen at half a thousandth of a radian", grazing),
+    BenchScene("orthographic", "the mesh of 70,224 triangles, parallel rays", orthographic),
+    BenchScene("fisheye", "the mesh of 70,224 triangles, a fisheye of 180 degrees", fisheye),
+    BenchScene(
+        "rays-coherent", "the camera's rays at the mesh of 70,224 triangles, handed over", ring, NEAREST
+    ),
+    BenchScene(
+        "rays-incoherent", "rays in any order at the mesh of 70,224 triangles", ring, NEAREST, incoherent
+    ),
+    BenchScene("rays-shadow", "whether anything lies between the mesh and a lamp", ring, ANY, to_a_lamp),
+    BenchScene("lit-mesh", "shading the mesh of 70,224 triangles by one point light", lit_ring, SHADING),
+    BenchScene("lit-spheres", "shading 200 spheres by one point light", lit_spheres, SHADING),
+)

@@ -1,0 +1,77 @@
+"""What a contestant is given: a folder with the scene in every form that one of them reads, and what is asked.
+
+Light to import: what a contestant's process loads beside the contestant counts as its memory.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+# What is asked: a picture of depth and normal; t and normal along rays that are handed over; whether anything lies on
+# them; a picture with shading, of our caster alone.
+FILM, NEAREST, ANY, SHADING = "film", "nearest", "any", "shading"
+
+SCENE, MESH, RAYS = "scene.pickle", "mesh.npz", "rays.npz"  # files of a folder
+ROBUST, PLAIN = "robust", "default"  # folders within: a scene for Mitsuba in Embree's two modes
+SHADOW_END = 1.0  # t_max of shadow rays: t = 1 is the lamp
+
+
+@dataclass(frozen=True)
+class Work:
+    """One contestant's job."""
+
+    folder: str
+    asks: str
+    threads: int  # how many processors it may use
+    entry: str  # "module:class" of the contestant, below mitsuba_ref.bench.entries
+    options: Mapping[str, Any] = field(default_factory=dict)  # its own
+
+    def to_json(self) -> str:
+        return json.dumps(asdict(self))
+
+
+class Entry(Protocol):
+    """A contestant, in a process of its own; its class is called with the Work.
+
+    Each method, and the class, raises CannotRun for what there is no way to do.
+    """
+
+    def build(self, size: int) -> None:
+        """From numbers to where rays can be cast, for a picture of size x size or as many rays; may be called again."""
+
+    def cast(self) -> int:
+        """Everything once, the results in memory as arrays; how many rays that was."""
+
+    def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        """(n,) float64 t along other rays (n, 3) float32, inf on a miss.
+
+        Shadow rays: 0 where they meet anything.
+        """
+
+
+class CannotRun(Exception):  # noqa: N818 - why a row is empty, not a mistake
+    """str() says what is missing."""
+
+
+def given_rays(folder: str) -> tuple[np.ndarray, np.ndarray]:
+    """o, d: (n, 3) float32."""
+    with np.load(Path(folder) / RAYS) as file:
+        return file["o"], file["d"]
+
+
+def given_mesh(folder: str) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 3) float32 corners and (m, 3) int32 faces. Raises CannotRun where the scene is more than triangles."""
+    path = Path(folder) / MESH
+    if not path.exists():
+        raise CannotRun("triangles only")
+    with np.load(path) as file:
+        return file["vertices"], file["faces"]
+
+
+def blocked(hit: np.ndarray) -> np.ndarray:
+    """Whether shadow rays meet anything, in the form of Entry.answer."""
+    return np.where(hit, 0.0, np.inf)

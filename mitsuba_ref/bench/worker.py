@@ -1,0 +1,85 @@
+"""A contestant's process: it stays, and does what a line of JSON asks, so that contestants can take turns.
+
+python -m mitsuba_ref.bench.worker REPLIES WORK      REPLIES: a pipe's number; WORK: Work as JSON
+"""
+
+import gc
+import json
+import os
+import resource
+import sys
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mitsuba_ref.bench.work import CannotRun, Entry, Work
+
+READY, CANNOT = "ready", "cannot"
+
+
+def main(replies: int, work: Work) -> None:
+    """Answer questions until stdin ends."""
+    confine(work.threads)
+    entry: Entry | None = None
+    for line in sys.stdin:
+        try:
+            if entry is None:
+                module, _, name = work.entry.partition(":")
+                entry = getattr(import_module(f"mitsuba_ref.bench.entries.{module}"), name)(work)
+            reply = {"status": READY} | done(entry, json.loads(line))
+        except (CannotRun, ImportError) as reason:
+            reply = {"status": CANNOT, "why": " ".join(str(reason).split())}
+        os.write(replies, (json.dumps(reply) + "\n").encode())
+
+
+def confine(processors: int) -> None:
+    """Use so many processors: before anybody starts threads, and whatever each calls its own option."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:processors]))
+
+
+def done(entry: Entry, asked: dict[str, Any]) -> dict[str, Any]:
+    """One question: build, cast, answer or memory."""
+    if asked["do"] == "build":
+        gc.collect()
+        start = time.perf_counter()
+        entry.build(asked["size"])
+        return {"seconds": time.perf_counter() - start}
+    if asked["do"] == "cast":
+        return cast(entry, asked["least"])
+    if asked["do"] == "answer":
+        with np.load(asked["rays"]) as rays:
+            np.save(asked["out"], entry.answer(rays["o"], rays["d"]))
+        return {}
+    return {"bytes": peak_memory()}
+
+
+def cast(entry: Entry, least: float) -> dict[str, Any]:
+    """The median of as many casts as fit into `least` seconds, one at least."""
+    seconds: list[float] = []
+    rays = 0
+    while not seconds or sum(seconds) < least:
+        start = time.perf_counter()
+        rays = entry.cast()
+        seconds.append(time.perf_counter() - start)
+    return {"seconds": float(np.median(seconds)), "casts": len(seconds), "rays": rays}
+
+
+def peak_memory() -> int:
+    """Most bytes that this process had in memory, all libraries and Python included.
+
+    Linux counts in ru_maxrss also what the process had that started this one, but not in VmHWM.
+    """
+    try:
+        status = Path("/proc/self/status").read_text()
+        return next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak if sys.platform == "darwin" else peak * 1024
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), Work(**json.loads(sys.argv[2])))
