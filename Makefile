@@ -44,6 +44,13 @@ lint: $(INSTALLED) ## style and types: ruff, mypy
 stress: $(INSTALLED) ## sweeps of numerical stability: writes docs/stress.md and its pictures, in a few minutes
 	@$(BIN)/mitsuba-ref stress --report docs $(ARGS)
 
+bench: $(INSTALLED) ## run time against error: writes docs/performance.md and its pictures; ARGS=--peers asks others, too
+	@$(BIN)/mitsuba-ref bench --report docs --json docs/performance/run.json $(ARGS)
+
+guard: $(INSTALLED) ## whether this tree renders slower than commit BASE did: fails beyond 1.25 times as long
+	@test -n "$(BASE)" || { echo 'which commit? make guard BASE=HEAD~1' >&2; exit 2; }
+	@$(BIN)/python benchmarks/revisions.py "$(BASE)" $(ARGS)
+
 clean: ## remove .venv and everything else that was made here; caches in the home folder stay
 	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name .git -prune -o -type d -name __pycache__ -prune -exec rm -rf {} +

@@ -5,7 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parents[1]
@@ -38,6 +38,10 @@ for line in sys.stdin:
 """
 
 
+class NoAnswer(Exception):  # noqa: N818 - what happened, whoever is to blame
+    """A caster that gave no time."""
+
+
 @contextmanager
 def worker(sources: Path) -> Iterator[subprocess.Popen[str]]:
     """A process that times scenes by the caster in `sources`."""
@@ -45,9 +49,12 @@ def worker(sources: Path) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-c", WORKER, str(sources)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
-        yield process
         assert process.stdin
-        process.stdin.close()
+        try:
+            yield process
+        finally:
+            with suppress(BrokenPipeError):  # it died with a question unread
+                process.stdin.close()
 
 
 DEPTH = ("depth",)
@@ -59,9 +66,10 @@ def seconds(
 ) -> float:
     """What one process takes for the AOVs of one scene, one thread; no culling: as planned."""
     assert process.stdin and process.stdout
-    process.stdin.write(json.dumps([scene, SIZE, culling, aovs]) + "\n")
-    process.stdin.flush()
+    with suppress(BrokenPipeError):  # no answer will come, which is told below
+        process.stdin.write(json.dumps([scene, SIZE, culling, aovs]) + "\n")
+        process.stdin.flush()
     answer = process.stdout.readline()
     if not answer:
-        raise SystemExit(f"{scene}: the caster ended without an answer; its words are above")
+        raise NoAnswer(f"{scene}: the caster ended without an answer; its words are above")
     return float(answer)

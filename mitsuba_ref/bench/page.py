@@ -38,9 +38,9 @@ READING = """## How to read it
 - **t: ulps**: the largest error of t on {sample:,} rays of the picture, the same float32 rays for everybody, against
   exact arithmetic (`mitsuba_ref/exact.py`), in float32 units in the last place of the exact t. **t: bounds**: in units
   of the bound that is derived for each ray, that of float64 for ours and that of float32 for all others
-  ([method.md](method.md)). Ours is asked through `caster.cast`, float64; no culling changes a bit, and images of float32
-  add half a unit. Mitsuba's AOV integrator takes no rays from outside, so `ray_intersect` of the same scene is asked
-  for it, which is what it calls.
+  ([method.md](method.md)). Ours is asked through `caster.cast`, float64; no culling changes a bit, and images of
+  float32 add half a unit. Mitsuba's AOV integrator takes no rays from outside, so `ray_intersect` of the same scene is
+  asked for it, which is what it calls.
 - **wrong** on those rays, **wrong at edges** on as many that are aimed at edges and silhouettes: hits where there is
   exactly nothing and misses where there is something; behind a `+`, hits farther off than their bound, mostly those of
   another surface.

@@ -17,6 +17,10 @@ FILM, NEAREST, ANY, SHADING = "film", "nearest", "any", "shading"
 
 SCENE, MESH, RAYS = "scene.pickle", "mesh.npz", "rays.npz"  # files of a folder
 ROBUST, PLAIN = "robust", "default"  # folders within: a scene for Mitsuba in Embree's two modes
+FIRST_RAY = (
+    np.zeros((1, 3), np.float32),
+    np.ones((1, 3), np.float32),
+)  # for those who grow their tree when one comes
 SHADOW_END = 1.0  # t_max of shadow rays: t = 1 is the lamp
 
 
@@ -43,6 +47,9 @@ class Entry(Protocol):
     def build(self, size: int) -> None:
         """From numbers to where rays can be cast, for a picture of size x size or as many rays; may be called again."""
 
+    def take_rays(self) -> None:
+        """Bring the rays of the folder, no more than size * size, into the form they are cast in. Not timed."""
+
     def cast(self) -> int:
         """Everything once, the results in memory as arrays; how many rays that was."""
 
@@ -57,10 +64,14 @@ class CannotRun(Exception):  # noqa: N818 - why a row is empty, not a mistake
     """str() says what is missing."""
 
 
-def given_rays(folder: str) -> tuple[np.ndarray, np.ndarray]:
-    """o, d: (n, 3) float32."""
+def given_rays(folder: str, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """o, d: (n, 3) float32; all of them, or size * size that are spread evenly."""
     with np.load(Path(folder) / RAYS) as file:
-        return file["o"], file["d"]
+        o, d = file["o"], file["d"]
+    if len(o) <= size * size:
+        return o, d
+    some = np.linspace(0, len(o) - 1, size * size).astype(int)
+    return o[some], d[some]
 
 
 def given_mesh(folder: str) -> tuple[np.ndarray, np.ndarray]:

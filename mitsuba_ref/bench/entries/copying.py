@@ -20,6 +20,9 @@ class Copying:
         self.source = np.ones(CHANNELS * self.count * BYTES, np.uint8)
         self.target = np.zeros_like(self.source)
 
+    def take_rays(self) -> None:
+        """There are none."""
+
     def cast(self) -> int:
         pairs = zip(*(np.array_split(a, self.threads) for a in (self.target, self.source)), strict=True)
         list(self.pool.map(lambda pair: np.copyto(*pair), pairs))

@@ -6,7 +6,16 @@ import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 
-from mitsuba_ref.bench.work import ANY, SHADOW_END, CannotRun, Work, blocked, given_mesh, given_rays
+from mitsuba_ref.bench.work import (
+    ANY,
+    FIRST_RAY,
+    SHADOW_END,
+    CannotRun,
+    Work,
+    blocked,
+    given_mesh,
+    given_rays,
+)
 
 NO_HIT = -1
 
@@ -17,21 +26,22 @@ class Embreex:
     def __init__(self, work: Work) -> None:
         self.work = work
         self.vertices, self.faces = given_mesh(work.folder)
-        self.o, self.d = given_rays(work.folder)
 
     def build(self, size: int) -> None:
         self.scene = rtcore_scene.EmbreeScene()
         TriangleMesh(self.scene, self.vertices, self.faces)
-        self.count = min(len(self.o), size * size)
-        self.answer(self.o[:1], self.d[:1])  # the tree grows with the first ray
+        self.answer(*FIRST_RAY)  # the tree grows with it
+        self.size = size
+
+    def take_rays(self) -> None:
+        self.o, self.d = given_rays(self.work.folder, self.size)
 
     def cast(self) -> int:
-        o, d = self.o[: self.count], self.d[: self.count]
         if self.work.asks == ANY:
-            self._blocked(o, d)
+            self._blocked(self.o, self.d)
         else:
-            self.scene.run(o, d, output=True)
-        return self.count
+            self.scene.run(self.o, self.d, output=True)
+        return len(self.o)
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         if self.work.asks == ANY:
@@ -55,20 +65,23 @@ class Trimesh:
             raise CannotRun("no limit to rays")
         vertices, self.faces = given_mesh(work.folder)
         self.vertices = vertices.astype(np.float64)
-        o, d = given_rays(work.folder)
-        self.o, self.d = o.astype(np.float64), d.astype(np.float64)
+        self.folder = work.folder
         self.make, self.intersector = trimesh.Trimesh, RayMeshIntersector
 
     def build(self, size: int) -> None:
         self.mesh = self.make(self.vertices, self.faces, process=False)
         self.rays = self.intersector(self.mesh)
-        self.count = min(len(self.o), size * size)
         self.normals = self.mesh.face_normals
-        self._cast(self.o[:1], self.d[:1])
+        self.answer(*FIRST_RAY)
+        self.size = size
+
+    def take_rays(self) -> None:
+        o, d = given_rays(self.folder, self.size)
+        self.o, self.d = o.astype(np.float64), d.astype(np.float64)
 
     def cast(self) -> int:
-        self._cast(self.o[: self.count], self.d[: self.count])
-        return self.count
+        self._cast(self.o, self.d)
+        return len(self.o)
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         return self._cast(o.astype(np.float64), d.astype(np.float64))

@@ -28,6 +28,9 @@ class Picture:
         self.integrator = mi.load_dict({"type": "aov", "aovs": AOVS})
         self.size = size
 
+    def take_rays(self) -> None:
+        """It makes its own."""
+
     def cast(self) -> int:
         image = mi.render(self.scene, integrator=self.integrator, spp=1)
         dr.eval(image)

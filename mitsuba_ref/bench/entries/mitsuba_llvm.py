@@ -23,9 +23,13 @@ class Raw:
 
     def build(self, size: int) -> None:
         self.scene = mi.load_file(str(self.xml), optimize=False)
-        o, d = given_rays(self.work.folder)
-        self.count = min(len(o), size * size)
-        self.rays = self._rays(o[: self.count], d[: self.count])
+        dr.sync_thread()
+        self.size = size
+
+    def take_rays(self) -> None:
+        o, d = given_rays(self.work.folder, self.size)
+        self.count = len(o)
+        self.rays = self._rays(o, d)
         dr.sync_thread()
 
     def cast(self) -> int:

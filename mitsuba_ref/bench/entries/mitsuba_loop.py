@@ -21,12 +21,13 @@ class Loop:
         self.xml = Path(work.folder) / work.options["mode"] / "scene.xml"
 
     def build(self, size: int) -> None:
-        """Of all rays, size * size that are spread evenly."""
         self.scene = mi.load_file(str(self.xml), optimize=False)
-        o, d = given_rays(self.work.folder)
-        some = np.linspace(0, len(o) - 1, min(len(o), size * size)).astype(int)
+        self.size = size
+
+    def take_rays(self) -> None:
+        o, d = given_rays(self.work.folder, self.size)
         end = SHADOW_END if self.work.asks == ANY else np.inf
-        pairs = zip(o[some].tolist(), d[some].tolist(), strict=True)
+        pairs = zip(o.tolist(), d.tolist(), strict=True)
         self.rays = [mi.Ray3f(a, b, end, 0.0, []) for a, b in pairs]
 
     def cast(self) -> int:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import open3d
 
-from mitsuba_ref.bench.work import ANY, SHADOW_END, Work, blocked, given_mesh, given_rays
+from mitsuba_ref.bench.work import ANY, FIRST_RAY, SHADOW_END, Work, blocked, given_mesh, given_rays
 
 tensor = open3d.core.Tensor
 
@@ -14,13 +14,15 @@ class Open3D:
     def __init__(self, work: Work) -> None:
         self.work = work
         self.vertices, self.faces = given_mesh(work.folder)
-        self.o, self.d = given_rays(work.folder)
 
     def build(self, size: int) -> None:
         self.scene = open3d.t.geometry.RaycastingScene(nthreads=self.work.threads)
         self.scene.add_triangles(tensor(self.vertices), tensor(self.faces.astype(np.uint32)))
-        self.rays = rays_of(self.o[: size * size], self.d[: size * size])
-        self._cast(rays_of(self.o[:1], self.d[:1]))  # the tree grows with the first ray
+        self._cast(rays_of(*FIRST_RAY))  # the tree grows with it
+        self.size = size
+
+    def take_rays(self) -> None:
+        self.rays = rays_of(*given_rays(self.work.folder, self.size))
 
     def cast(self) -> int:
         self._cast(self.rays)

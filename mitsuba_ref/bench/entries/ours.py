@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import caster
-from mitsuba_ref.bench.work import ANY, NEAREST, SCENE, SHADOW_END, Work, blocked, given_rays
+from mitsuba_ref.bench.work import ANY, FIRST_RAY, NEAREST, SCENE, SHADOW_END, Work, blocked, given_rays
 
 AOVS = ("depth", "normal")
 FEW = 8  # pixels a side: enough to make everything that is made before rays are cast
@@ -28,11 +28,14 @@ class Ours:
         shadows = caster.Shading(shadows=self.work.options.get("shadows", True))
         self.scene = scene.with_film(width=size, height=size).model_copy(update={"shading": shadows})
         if self.work.asks in (NEAREST, ANY):
-            o, d = given_rays(self.work.folder)
-            self.o, self.d = (a[: size * size].astype(np.float64) for a in (o, d))
-            self._shoot(self.o[:1], self.d[:1])
+            self._shoot(*FIRST_RAY)
         else:
             self._picture(self.scene.with_film(width=FEW, height=FEW))
+
+    def take_rays(self) -> None:
+        if self.work.asks in (NEAREST, ANY):
+            o, d = given_rays(self.work.folder, self.scene.film.width)
+            self.o, self.d = o.astype(np.float64), d.astype(np.float64)
 
     def cast(self) -> int:
         if self.work.asks in (NEAREST, ANY):
