@@ -45,6 +45,7 @@ stress: $(INSTALLED) ## sweeps of numerical stability: writes docs/stress.md and
 	@$(BIN)/mitsuba-ref stress --report docs $(ARGS)
 
 bench: $(INSTALLED) ## run time against error: writes docs/performance.md and its pictures; ARGS=--peers asks others, too
+	@mkdir -p docs/performance
 	@$(BIN)/mitsuba-ref bench --report docs --json docs/performance/run.json $(ARGS)
 
 guard: $(INSTALLED) ## whether this tree renders slower than commit BASE did: fails beyond 1.25 times as long

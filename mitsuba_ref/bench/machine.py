@@ -7,11 +7,12 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+from caster import __version__
 from mitsuba_ref.bench.contestants import processors
 from mitsuba_ref.child import HOME
 from mitsuba_ref.variants import usable
 
-PACKAGES = ("ray-reference", "numpy", "numba", "mitsuba", "drjit", "open3d", "trimesh", "embreex")
+PACKAGES = ("numpy", "numba", "mitsuba", "drjit", "open3d", "trimesh", "embreex")
 
 
 def machine() -> dict[str, str]:
@@ -23,6 +24,7 @@ def machine() -> dict[str, str]:
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "Python": platform.python_version(),
         "load before": load(),
+        "caster": __version__,
         "revision": revision(),
     }
     found |= {name: version(name) for name in PACKAGES}

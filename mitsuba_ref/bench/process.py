@@ -59,7 +59,11 @@ class Process:
         line = os.read(self.replies, 65536).decode()
         if not line:
             raise Gone(self._end())
-        reply: dict[str, Any] = json.loads(line)
+        try:
+            reply: dict[str, Any] = json.loads(line)
+        except ValueError:
+            self.close()
+            raise Gone(f"answered in no way that was expected: {line[:LAST_WORDS]!r}") from None
         if reply["status"] != READY:
             self.close()
             raise Gone(reply["why"])

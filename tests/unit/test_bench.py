@@ -1,0 +1,462 @@
+"""`mitsuba-ref bench` counts right, sees every planted fault, and tells all of it. No Mitsuba, and nothing is timed."""
+
+import ast
+import json
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import mitsuba_ref.bench.entries
+from caster.packing import pack
+from caster.placing import as_float32, as_given
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.bench import measuring, page, plots, scenes, sweeps, table, targets
+from mitsuba_ref.bench.contestants import BY_KEY, CONTESTANTS, Contestant, field_of
+from mitsuba_ref.bench.error import Score, Truth
+from mitsuba_ref.bench.measuring import Settings, time_scene
+from mitsuba_ref.bench.preparing import prepare
+from mitsuba_ref.bench.process import Gone, Process
+from mitsuba_ref.bench.result import (
+    Row,
+    Run,
+    SceneResult,
+    Series,
+    Sweep,
+    as_json,
+    fitted_slope,
+    from_json,
+    ratio,
+)
+from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING, Work
+from mitsuba_ref.bench.worker import peak_memory
+
+SCENES = {scene.name: scene for scene in scenes.SCENES}
+
+
+def row(key: str, seconds: tuple[float, ...], rays: int = 100, **more: object) -> Row:
+    return Row(key, BY_KEY[key].title, BY_KEY[key].side, rays, 10, 0.5, seconds, 2**20, **more)
+
+
+# --- arithmetic
+
+
+def test_medians_and_rates_are_of_one_ray():
+    one = row("ours", (3e-6, 1e-6, 2e-6))
+    assert one.ns == pytest.approx(20.0)  # 2 us for 100 rays
+    assert one.mrays == pytest.approx(50.0)
+    assert row("ours", ()).ns is None and not row("ours", ()).ran
+
+
+def test_a_ratio_is_of_the_same_moment():
+    """In the second alternation the machine did something else; half of the median of one is no ratio."""
+    ours, other = row("ours", (1.0, 9.0, 1.0, 9.0, 1.0)), row("open3d", (2.0, 18.0, 2.0, 18.0, 18.0))
+    assert ratio(other, ours) == 2.0
+    assert other.ns / ours.ns == 18.0
+
+
+def test_ratios_are_of_rays_and_not_of_pictures():
+    """A quarter of the pixels in the same time is four times as long."""
+    assert ratio(row("scalar-aov", (1.0,), rays=25), row("ours", (1.0,))) == 4.0
+
+
+def test_who_died_half_way_is_set_against_the_turns_it_took():
+    assert ratio(row("open3d", (2.0,)), row("ours", (1.0, 4.0, 4.0))) == 2.0
+    assert ratio(row("open3d", ()), row("ours", (1.0,))) is None
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5, 1.0, 2.0])
+def test_a_power_law_gives_its_slope(slope):
+    x = (1e3, 1e4, 1e5, 1e6)
+    assert fitted_slope(x, [3e-4 * a**slope for a in x]) == pytest.approx(slope, abs=1e-12)
+
+
+def test_no_slope_goes_through_one_point():
+    assert fitted_slope((), ()) is None and fitted_slope((5.0,), (1.0,)) is None
+
+
+def test_a_slow_picture_is_made_smaller_until_it_fits():
+    assert measuring.fitting(32, 0.0009, 1024) == 1024
+    assert measuring.fitting(32, measuring.LONGEST / 16.5, 1024) == 128
+    assert measuring.fitting(32, 60.0, 1024) == 32
+    assert measuring.fitting(32, 0.001, 16) == 16
+
+
+# --- who is wrong
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory) -> Truth:
+    return truth_of("cornell-box", tmp_path_factory.mktemp("cornell"))
+
+
+def truth_of(name: str, folder: Path) -> Truth:
+    scene = SCENES[name]
+    return Truth(prepare(scene, folder, 16), scene.asks, 0, sample=80)
+
+
+def test_the_exact_answer_is_not_wrong(truth):
+    score = truth.score(truth.t, ours=True)
+    assert (score.rays, score.edge_rays) == (80, 80)
+    assert score.masks == score.beyond == score.edge_masks == score.edge_beyond == 0
+    assert score.ulps < 1e-8  # half a unit of float64 is 2^-30 of one of float32
+    assert 0.0 < score.bounds < 1.0
+
+
+def test_one_unit_in_the_last_place_is_one_unit(truth):
+    off = np.nextafter(truth.t.astype(np.float32), np.float32(np.inf)).astype(np.float64)
+    assert 0.5 <= truth.score(off, ours=False).ulps <= 1.5
+    assert truth.score(off, ours=False).beyond == 0
+    assert (
+        truth.score(off, ours=True).beyond == truth.score(off, ours=True).rays
+    )  # which float64 has no excuse for
+
+
+def test_whoever_misses_an_edge_is_seen(truth):
+    t = truth.t.copy()
+    t[truth.pictured + int(np.argmax(truth.hit[truth.pictured :]))] = np.inf
+    score = truth.score(t, ours=True)
+    assert (score.masks, score.edge_masks) == (0, 1)
+
+
+def test_whoever_hits_nothing_is_seen(tmp_path):
+    truth = truth_of("one-sphere", tmp_path)
+    t = np.where(np.isinf(truth.t) & (np.arange(len(truth.t)) < truth.pictured), 1.0, truth.t)
+    assert truth.score(t, ours=True).masks == int((~truth.hit[: truth.pictured]).sum()) > 0
+
+
+def test_a_nan_is_no_hit_and_no_miss(truth):
+    t = truth.t.copy()
+    t[0] = np.nan
+    assert truth.hit[0]
+    assert (truth.score(t, ours=True).masks, truth.score(t, ours=True).beyond) == (0, 1)
+
+
+def test_another_surface_is_seen(truth):
+    t = truth.t.copy()
+    t[truth.pictured + 3] *= 1.5
+    assert truth.score(t, ours=False).edge_beyond == 1
+
+
+def test_shadow_rays_have_masks_alone(tmp_path):
+    truth = truth_of("rays-shadow", tmp_path)
+    t = np.where(truth.hit, 0.0, np.inf)
+    assert truth.score(t, ours=True) == Score(80, None, None, 0, 0, 80, 0, 0)
+    assert truth.score(np.full(len(t), np.inf), ours=True).masks == int(truth.hit[:80].sum()) > 0
+
+
+@pytest.mark.parametrize("name", ["cornell-box", "one-sphere"])
+def test_edges_and_silhouettes_are_aimed_at(name, tmp_path):
+    """A hundred-thousandth of the way beside, no more; rays of the picture are elsewhere."""
+    ready = prepare(SCENES[name], tmp_path, 16)
+    truth = Truth(ready, FILM, 0, sample=40)
+    o, d = truth.o.astype(np.float64), truth.d.astype(np.float64)
+    beside = np.array([distance_beside(ready.packed.parts[0], *line) for line in zip(o, d, strict=True)])
+    assert (beside[truth.pictured :] < 1e-5).all()
+    assert np.median(beside[: truth.pictured]) > 1e-3
+
+
+def distance_beside(part, o, d) -> float:
+    """Between the line and the nearest edge or silhouette, over how far away that is."""
+    if hasattr(part, "radius"):
+        away = part.center[0] - o
+        return abs(np.linalg.norm(np.cross(away, d)) - part.radius[0]) / np.linalg.norm(away)
+    ends = part.vertices[part.faces]
+    a, b = ends.reshape(-1, 3), np.roll(ends, -1, axis=1).reshape(-1, 3)
+    n = np.cross(b - a, d)
+    length = np.linalg.norm(n, axis=1)
+    apart = np.abs(((a - o) * n).sum(axis=1)) / length  # of two lines
+    s = (np.cross(o - a, d) * n).sum(axis=1) / length**2  # where on the edge
+    return float(np.min(np.where((s > -1e-3) & (s < 1.0 + 1e-3), apart, np.inf)) / np.linalg.norm(a[0] - o))
+
+
+# --- turns
+
+
+class Fake:
+    """A contestant in this process; `faults`: how many casts it takes until something happens."""
+
+    log: ClassVar[list[str]] = []
+
+    def __init__(self, key: str, dies_at: int | None = None) -> None:
+        self.key, self.left, self.closed = key, dies_at, False
+
+    def ask(self, patience: float, **question):
+        if question["do"] == "cast":
+            Fake.log.append(self.key)
+            if self.left is not None:
+                self.left -= 1
+                if self.left < 0:
+                    raise Gone("died: SIGSEGV")
+            return {"seconds": 2.0 if self.key == "open3d" else 1.0, "casts": 1, "rays": 256}
+        if question["do"] == "answer":
+            with np.load(question["rays"]) as rays:
+                np.save(question["out"], np.full(len(rays["o"]), np.inf))
+            return {}
+        return {"seconds": 0.25} if question["do"] == "build" else {"bytes": 4096}
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def timed(
+    keys: list[str], dying: dict[str, int], alternations: int = 3
+) -> tuple[SceneResult, dict[str, Fake]]:
+    Fake.log = []
+    fakes = {key: Fake(key, dying.get(key)) for key in keys}
+    asked = [replace(BY_KEY[key], variant="", package="", first=0) for key in keys]
+    settings = Settings(16, alternations)
+    start = lambda contestant, *rest: fakes[contestant.key]  # noqa: E731
+    return time_scene(SCENES["cornell-box"], asked, settings, start=start), fakes
+
+
+def test_contestants_take_turns_and_nobody_is_always_first():
+    keys = ["ours", "raw-robust", "open3d"]
+    found, fakes = timed(keys, {})
+    warm = len(keys) * (measuring.WARM_UPS + 1)
+    assert Fake.log[warm:] == [*keys, "raw-robust", "open3d", "ours", "open3d", "ours", "raw-robust"]
+    assert found.ratio("open3d") == 2.0 and found.ratio("ours") == 1.0
+    assert [one.memory for one in found.rows] == [4096] * 3
+    assert [one.build for one in found.rows] == [0.25] * 3
+    assert found.row("ours").score.masks > 0  # it says that all rays miss
+    assert all(fake.closed for fake in fakes.values())
+
+
+def test_whoever_dies_takes_nobody_along():
+    found, fakes = timed(
+        ["ours", "raw-robust", "open3d"], {"raw-robust": measuring.WARM_UPS + 2, "open3d": 0}
+    )
+    ours, raw, open3d = found.rows
+    assert len(ours.seconds) == 3 and ours.why == ""
+    assert len(raw.seconds) == 1 and raw.why == "died: SIGSEGV" and raw.score is None
+    assert open3d.seconds == () and open3d.why == "died: SIGSEGV"
+    assert "died: SIGSEGV" in table.as_text(found) and found.ratio("raw-robust") == 1.0
+    assert all(fake.closed for fake in fakes.values())
+
+
+def test_who_cannot_run_says_why(monkeypatch):
+    absent = Contestant("open3d", "nobody", "peer", "none:None", (FILM,), package="no_such_package_here")
+    crowd = replace(BY_KEY["ours-python"], most=3)
+    found = time_scene(SCENES["cornell-box"], [absent, crowd], Settings(16, 1), start=None)
+    assert found.rows[0].why == "no_such_package_here is not installed: pip install 'ray-reference[peers]'"
+    assert found.rows[1].why == "not asked about more than 3 primitives"
+
+
+# --- processes
+
+
+WORK = Work("/nowhere", FILM, 1, "ours:Ours")
+ENDS = {
+    "hangs": ("import time; time.sleep(60)", "no answer within 0.5 s"),
+    "dies": ("import os, sys; sys.stdin.readline(); print('last words'); sys.stdout.flush(); os.abort()",
+             "died: SIGABRT: last words"),
+    "leaves": ("import sys; sys.exit(3)", "died: exit code 3"),
+    "babbles": ("import os, sys; sys.stdin.readline(); os.write(int(sys.argv[1]), b'what?\\n'); sys.stdin.read()",
+                "answered in no way that was expected: 'what?\\n'"),
+    "cannot": ("import os, sys; sys.stdin.readline();"
+               "os.write(int(sys.argv[1]), b'{\"status\": \"cannot\", \"why\": \"no such sensor\"}\\n')",
+               "no such sensor"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_every_end_of_a_process_is_a_reason(name):
+    script, why = ENDS[name]
+    process = Process(WORK, command=(sys.executable, "-c", script))
+    with pytest.raises(Gone) as end:
+        process.ask(0.5 if name == "hangs" else 30.0, do="build", size=4)
+    assert str(end.value) == why
+    process.close()  # again does nothing
+    assert process.process.poll() is not None
+
+
+def test_a_worker_says_what_is_missing_and_lives_in_few_bytes():
+    process = Process(replace(WORK, entry="no_such_entry:Nobody"))
+    with pytest.raises(Gone, match=r"No module named .*no_such_entry"):
+        process.ask(30.0, do="build", size=4)
+    assert 2**20 < peak_memory() < 2**40
+
+
+def test_no_contestant_pays_for_another():
+    """What a worker loads before its entry is light: no caster, no compiler, no Mitsuba."""
+    heavy = {"numba", "mitsuba", "pydantic", "open3d"}
+    code = f"import sys, mitsuba_ref.bench.worker; print(*({heavy} & set(sys.modules)))"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == ""
+
+
+# --- registries
+
+
+def test_every_contestant_has_an_entry_that_can_do_all_that_is_asked():
+    folder = Path(mitsuba_ref.bench.entries.__file__).parent
+    for contestant in CONTESTANTS:
+        module, _, name = contestant.entry.partition(":")
+        tree = ast.parse((folder / f"{module}.py").read_text())
+        (found,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name)
+        methods = {node.name for node in found.body if isinstance(node, ast.FunctionDef)}
+        assert {"build", "take_rays", "cast", "answer"} <= methods, contestant.key
+        assert contestant.key in plots.STYLE or contestant.asks == (SHADING,), contestant.key
+
+
+def test_what_the_contract_names_is_there():
+    asked = {each.key for each in field_of(FILM, peers=True)}
+    assert {"ours", "ours-bvh", "ours-1-thread", "ours-python", "scalar-aov", "scalar-loop"} <= asked
+    assert {"raw-robust", "raw-default", "aov-robust", "aov-default", "open3d", "trimesh", "copy"} <= asked
+    assert not {"open3d", "embreex", "trimesh"} & {each.key for each in field_of(FILM, peers=False)}
+    assert {scene.asks for scene in scenes.SCENES} == {FILM, NEAREST, ANY, SHADING}
+    assert len(scenes.SCENES) >= 12
+    assert sweeps.TRIANGLES[-1] == 10_000_000 and (sweeps.PIXELS[0], sweeps.PIXELS[-1]) == (64, 4096)
+
+
+@pytest.mark.parametrize("name", [name for name in SCENES if name not in ("mesh-1m", "spheres-10k")])
+def test_everybody_is_given_the_very_same_numbers(name, tmp_path):
+    made = SCENES[name].make(tmp_path)
+    for given, rounded in zip(pack(made, as_given).parts, pack(made, as_float32).parts, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(given, rounded, strict=True))
+
+
+def test_threads_are_swept_up_to_all():
+    settings = Settings(threads=6)
+    assert [x for x, _, _ in sweeps.over_threads(settings)] == [1.0, 2.0, 4.0, 6.0]
+    assert [here.threads for _, _, here in sweeps.over_threads(settings)] == [1, 2, 4, 6]
+    assert [x for x, _, _ in sweeps.over_threads(Settings(threads=1))] == [1.0]
+
+
+# --- what is told
+
+SCORE = Score(2000, 5.25, 0.25, 0, 1, 2000, 3, 4)
+FIXED = Run(
+    settings={"size": 1024, "alternations": 3, "threads": 2, "seed": 0, "peers": True},
+    machine={"processor": "an abacus"},
+    asked=("one-sphere", "mesh-70k", "lit-mesh"),
+    scenes=(
+        SceneResult(
+            "mesh-70k",
+            "a closed mesh",
+            FILM,
+            70224,
+            (
+                row("ours", (1e-6, 1e-6, 2e-6), score=SCORE),
+                row("aov-robust", (6e-6, 6e-6, 12e-6), score=SCORE),
+                row("raw-robust", (1.2e-6, 1.2e-6, 2.4e-6)),
+                row("raw-robust-incoherent", (2.4e-6, 2.4e-6, 4.8e-6)),
+                Row("open3d", "Open3D", "peer", why="died: SIGSEGV"),
+                row("copy", (1e-7, 1e-7, 2e-7)),
+            ),
+        ),
+        SceneResult(
+            "lit-mesh",
+            "a lit mesh",
+            SHADING,
+            70224,
+            (row("shade-depth", (1.0,)), row("shade-unshadowed", (1.5,)), row("shade-shadowed", (4.5,))),
+        ),
+    ),
+    sweeps=(Sweep("triangles", "triangles of hills", (Series("ours", "ours", (1e3, 1e5), (1e-3, 1e-2)),)),),
+    bytes_of_pixel=16,
+)
+
+
+def test_json_brings_the_run_back_and_what_follows_from_it():
+    data = json.loads(json.dumps(as_json(FIXED), allow_nan=False))
+    assert from_json(data) == FIXED
+    told = {one["key"]: one for one in data["scenes"][0]["rows"]}
+    assert told["aov-robust"]["ratio"] == pytest.approx(6.0) and told["ours"]["ns"] == pytest.approx(10.0)
+    assert told["open3d"]["ratio"] is None
+    assert data["sweeps"][0]["series"][0]["slope"] == pytest.approx(0.5)
+
+
+def test_targets_are_reached_missed_or_not_measured():
+    found = list(targets.outcomes(FIXED))
+    marks = {it.what: it.ok for it in found}
+    assert marks["Mitsuba LLVM, robust, AOV integrator: each scene"] is True  # 6 >= 5
+    assert marks["Mitsuba LLVM, robust, AOV integrator: geometric mean"] is False  # 6 < 7
+    assert marks["Mitsuba LLVM, robust, `ray_intersect`: each scene but one sphere"] is False  # 1.2 < 1.5
+    assert marks["the same: one sphere"] is None and marks["Open3D: each scene of triangles"] is None
+    assert marks["ours: one shadowed light costs, beside one without shadows"] is False  # 3 > 2.5
+    assert marks["ours: depth alone, beside depth, normal and diffuse without shadows"] is True  # 1.5 >= 1.3
+    assert len(found) == 12
+
+
+def test_the_worst_scene_counts_and_the_mean_is_geometric():
+    """1 and 4 times as fast are twice as fast, and not two and a half."""
+    four = SceneResult("a", "", FILM, 1, (row("ours", (1.0,)), row("aov-robust", (4.0,))))
+    one = SceneResult("b", "", FILM, 1, (row("ours", (1.0,)), row("aov-robust", (1.0,))))
+    worst, mean, *_ = targets.outcomes(replace(FIXED, scenes=(four, one)))
+    assert (worst.reached, worst.where) == (1.0, "b")
+    assert mean.reached == pytest.approx(math.sqrt(4.0))
+
+
+def test_the_page_says_all_of_it(tmp_path):
+    (tmp_path / page.NOTES).write_text("## What bounds it\n\nWords by hand.\n")
+    page.write_report(FIXED, tmp_path)
+    text = (tmp_path / page.PAGE).read_text()
+    assert "medians of 3 alternations, fewer than the 7" in text
+    assert "Words by hand." in text and "an abacus" in text and "Not timed: one-sphere." in text
+    assert "| Open3D | died: SIGSEGV |" in text
+    assert (
+        "| Mitsuba LLVM, robust, AOV integrator | 10^2 | 500.0 | 60.00 | 16.7 | 6.00 | 5.25 | 0.25 | 0+1 | 3+4 | 1 |"
+        in text
+    )
+    assert "**missed**" in text and "reached" in text and "not measured" in text
+    assert "| ours | 1.0 | 10.0 | 0.50 |" in text  # the sweep, its slope
+    assert "| mesh-70k | 16.00 | 1.60 | 10.0 | 10.0 % |" in text  # 16 bytes in 1 ns are 16 GB/s
+    assert "mesh-70k 2.00" in text  # what `coherent` is worth
+    assert all(len(line) <= 120 or line.startswith(("|", "!", "<!--")) for line in text.splitlines())
+    drawn = {path.stem for path in (tmp_path / page.PICTURES).iterdir()}
+    assert drawn == {"pareto", "triangles", "copying"}
+    assert all(f"performance/{name}.png" in text for name in drawn)
+
+
+def test_without_matplotlib_there_is_the_page_alone(tmp_path, monkeypatch):
+    """Written twice: what was said by hand stays, and nothing is there twice."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    (tmp_path / page.NOTES).write_text("Words by hand.\n")
+    page.write_report(FIXED, tmp_path)
+    text = (tmp_path / page.PAGE).read_text()
+    assert "![" not in text and text.count("Words by hand.") == 1
+    page.write_report(FIXED, tmp_path)
+    assert (tmp_path / page.PAGE).read_text() == text
+
+
+def test_small_numbers_are_not_rounded_away():
+    assert [table.number(x, 2) for x in (None, 0.0, 1.234, 0.00123)] == ["-", "0.00", "1.23", "1.2e-03"]
+
+
+# --- the command
+
+
+def test_an_unknown_scene_is_named_with_what_may_be_meant(capsys):
+    assert main(["bench", "mesh-70"]) == 2
+    assert "scene 'mesh-70': unknown, did you mean 'mesh-70k'?" in capsys.readouterr().err
+
+
+def test_nothing_selected_is_said(capsys):
+    assert main(["bench", "-k", "no-such"]) == 5
+    assert "nothing selected" in capsys.readouterr().err
+
+
+def test_scenes_are_listed(capsys):
+    assert main(["bench", "-k", "rays", "--list"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
+        "rays-coherent", "rays-incoherent", "rays-shadow",
+    ]  # fmt: skip
+
+
+def test_a_run_is_told_again(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    (tmp_path / "run.json").write_text(json.dumps(as_json(FIXED)))
+    assert main(["bench", "--from", str(tmp_path / "run.json"), "--report", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert "mesh-70k: a closed mesh (70,224 primitives)" in out
+    assert "2 of 3 scenes, 8 rows, 1 without numbers; medians of 3 alternations" in out
+    assert (tmp_path / "performance.md").exists()
+    assert main(["bench", "--from", str(tmp_path / "missing.json")]) == 4
+    (tmp_path / "other.json").write_text("{}")
+    assert main(["bench", "--from", str(tmp_path / "other.json")]) == 2
