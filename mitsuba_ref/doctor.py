@@ -21,7 +21,13 @@ __all__ = ["Finding", "exit_code", "format", "format_json", "report", "usable"]
 # The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 WAY_OUT = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
-PLOTS = Part("matplotlib", "matplotlib", "3.9", "the pictures of `mitsuba-ref stress --report`", needed=False)
+PLOTS = Part("matplotlib", "matplotlib", "3.9", "the pictures of `stress --report` and `bench --report`", needed=False)
+RIVAL = "somebody else to be timed by `bench --peers`"
+PEERS = (
+    Part("open3d", "open3d", "0.19", RIVAL, needed=False),
+    Part("embreex", "embreex", "4.4", RIVAL, needed=False),
+    Part("trimesh", "trimesh", "4.6", RIVAL, needed=False),
+)
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox")
 PROBE_SECONDS = 60  # an import takes well under a second; a Mitsuba that hangs is a finding, too
 # door.describe() -> {"variants": [the variants that work here], "libllvm": the path in use, or None}
@@ -38,7 +44,7 @@ def judge_findings(probe: Sequence[str] = (sys.executable, "-c", PROBE)) -> list
     versions = [_pinned(name) for name in PINNED]
     missing = [finding.name for finding in versions if not finding.found]
     answer, problem = ({}, f"needs {' and '.join(missing)} first") if missing else _ask(probe)
-    return [*versions, _variants(answer, problem), _llvm(answer), _gpu(), find_part(PLOTS), browser()]
+    return [*versions, _variants(answer, problem), _llvm(answer), _gpu(), *map(find_part, (PLOTS, *PEERS)), browser()]
 
 
 def browser() -> Finding:

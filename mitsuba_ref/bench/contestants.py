@@ -71,7 +71,7 @@ AOVS = ("depth", "normal", "diffuse")
 
 # The first that is asked about a scene is what the others are set against.
 CONTESTANTS = (
-    Contestant("ours", "ours", OURS, OWN, EVERYBODY),
+    Contestant("ours", "ours, as planned", OURS, OWN, EVERYBODY),
     Contestant("ours-bvh", "ours, by the tree", OURS, OWN, (FILM,), {"culling": "bvh"}),
     Contestant("ours-1-thread", "ours, one thread", OURS, OWN, EVERYBODY, threads=1),
     Contestant(

@@ -21,7 +21,7 @@ from mitsuba_ref.bench.work import SHADING
 Progress = Callable[[str], None]
 
 LEAST = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
-LONGEST = 1.0  # seconds that a slow contestant's cast may take; its picture is made smaller until it fits
+LONGEST = 0.5  # seconds that a slow contestant's cast may take; its picture is made smaller until it fits
 WARM_UPS = 3  # casts before the first that counts, of which the first ones may compile
 PATIENCE = 300.0  # seconds that any single question may take, compilers included
 

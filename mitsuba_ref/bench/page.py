@@ -27,7 +27,7 @@ READING = """## How to read it
   on hand, or whether anything lies on them. Ours does all of it in every picture, from placing the shapes on; Mitsuba,
   Open3D and embreex have loaded the scene and built their tree before, and for `ray_intersect`, Open3D and embreex the
   rays were made before, too. All that has to be compiled has been compiled.
-- **ours** is `caster.render` as planned: by the screen for pinhole and orthographic cameras, by the tree for others;
+- **ours, as planned** is `caster.render`: by the screen for pinhole and orthographic cameras, by the tree for others;
   for rays that are handed over, `caster.cast` and `caster.occluded`. **by the tree** is the same picture through the
   tree, which is then grown in every picture. **plain Python** runs the same source without Numba.
 - **rays** of one cast: pictures of those who would take longer than {longest:g} s are made smaller.

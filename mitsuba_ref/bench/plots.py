@@ -2,10 +2,11 @@
 
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
 
+from mitsuba_ref.bench.contestants import BY_KEY
 from mitsuba_ref.bench.result import Run, SceneResult, Series, Sweep
 from mitsuba_ref.stress.plot import check_available
 
@@ -27,6 +28,7 @@ STYLE: dict[str, tuple[str, str]] = {
     "trimesh": ("#000000", "+"),
     "copy": ("#888888", "_"),
 }
+Point = tuple[float, float]  # nanoseconds a ray, float32 ulps
 LEAST = 1e-9  # float32 units in the last place: an error of nothing shows as this
 FORMAT = "png"
 COLUMNS = 3
@@ -37,9 +39,7 @@ def pictures(run: Run) -> dict[str, bytes]:
     """Every picture that the run has numbers for, by name. Raises MissingPlots."""
     check_available()
     found: dict[str, bytes] = {}
-    scored = [
-        scene for scene in run.scenes if any(row.score and row.score.ulps is not None for row in scene.rows)
-    ]
+    scored = [scene for scene in run.scenes if judged(scene)]
     if scored:
         found["pareto"] = drawn(partial(pareto, scored), 3.1 * math.ceil(len(scored) / COLUMNS) + 1.6)
     for sweep in run.sweeps:
@@ -64,30 +64,41 @@ def drawn(draw: Callable[[Any], None], height: float) -> bytes:
 
 
 def pareto(scenes: Sequence[SceneResult], figure: Any) -> None:
-    """Largest error of t against time for a ray: lower left is better."""
+    """Largest error of t against time for a ray, and a line through those whom nobody beats in both."""
     axes = figure.subplots(math.ceil(len(scenes) / COLUMNS), COLUMNS, squeeze=False, sharey=True)
     shown: dict[str, Any] = {}
     for scene, ax in zip(scenes, axes.flat, strict=False):
-        for row in scene.rows:
-            if row.ran and row.score and row.score.ulps is not None:
-                color, marker = STYLE[row.key]
-                (mark,) = ax.plot(
-                    [row.ns],
-                    [max(row.score.ulps, LEAST)],
-                    marker,
-                    color=color,
-                    mfc="none",
-                    ms=7,
-                    label=row.title,
-                )
-                shown.setdefault(row.title, mark)
-        ax.set(xscale="log", yscale="log", title=scene.name)
+        points = judged(scene)
+        ax.plot(*zip(*front(points.values()), strict=True), color="#999999", lw=1.0, drawstyle="steps-post")
+        for key, (x, y) in points.items():
+            color, marker = STYLE[key]
+            (mark,) = ax.plot([x], [y], marker, color=color, mfc="none", ms=7)
+            shown.setdefault(BY_KEY[key].title, mark)
+        ax.set(xscale="log", yscale="log", title=scene.name, xlabel="nanoseconds a ray")
+        whole_decades(ax)
         light_grid(ax)
     for ax in axes.flat[len(scenes) :]:
         ax.set_visible(False)
-    figure.supxlabel("nanoseconds a ray", fontsize=9)
     figure.supylabel("largest error of t on rays of the picture, float32 ulps", fontsize=9)
     figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
+
+
+def judged(scene: SceneResult) -> dict[str, Point]:
+    """Time and error of every row that has both, by key."""
+    return {
+        row.key: (row.ns, max(row.score.ulps, LEAST))
+        for row in scene.rows
+        if row.ns is not None and row.score is not None and row.score.ulps is not None
+    }
+
+
+def front(points: Iterable[Point]) -> list[Point]:
+    """The points that no other is both faster and more right than, fastest first (Pareto's front)."""
+    kept: list[Point] = []
+    for point in sorted(points):
+        if not kept or point[1] < kept[-1][1]:
+            kept.append(point)
+    return kept
 
 
 def over(sweep: Sweep, figure: Any) -> None:
@@ -120,8 +131,17 @@ def copying(scenes: Sequence[SceneResult], figure: Any) -> None:
         ax.text(value, i, f" {value:.1f}", va="center")
     ax.axvline(1.0, color=STYLE["copy"][0], lw=1.5)
     ax.invert_yaxis()
-    ax.set_xlabel("time of ours over the time of copying arrays as large as its images")
+    ax.set(xscale="log", xlabel="time of ours over the time of copying arrays as large as its images")
     light_grid(ax)
+
+
+def whole_decades(ax: Any) -> None:
+    """An x axis that begins and ends with a power of ten, and names no other numbers."""
+    low, high = (math.log10(end) for end in ax.get_xlim())
+    first, last = math.floor(low), math.ceil(high)
+    ax.set_xlim(10.0**first, 10.0**last)
+    ax.set_xticks([10.0**k for k in range(first, last + 1)])
+    ax.minorticks_off()
 
 
 def light_grid(ax: Any) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.wording import FileMissing, SceneError
 from mitsuba_ref.commands.stress import Progress, seed
 from mitsuba_ref.commands.validate import count
 
@@ -83,7 +84,9 @@ def run(args: argparse.Namespace) -> int:
     from mitsuba_ref.bench.measuring import Settings
     from mitsuba_ref.bench.running import Running
 
-    threads = min(args.threads or processors(), processors())
+    threads = args.threads or processors()
+    if threads > processors():
+        raise SceneError(f"--threads {threads}: this process may use {processors()}")
     settings = Settings(args.size, args.alternations, threads, args.seed, args.peers)
     work = Running(scenes, settings)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a cancelled job tidies up as after Ctrl-C
@@ -134,7 +137,6 @@ def show(scene: SceneResult, say: Progress, args: argparse.Namespace) -> None:
 
 def again(args: argparse.Namespace) -> int:
     """Tables and report of an earlier run."""
-    from caster.wording import FileMissing, SceneError
     from mitsuba_ref.bench.result import from_json
 
     try:

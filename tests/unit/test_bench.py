@@ -81,10 +81,10 @@ def test_no_slope_goes_through_one_point():
 
 
 def test_a_slow_picture_is_made_smaller_until_it_fits():
-    assert measuring.fitting(32, 0.0009, 1024) == 1024
+    assert measuring.fitting(32, measuring.LONGEST / 1025.0, 1024) == 1024
     assert measuring.fitting(32, measuring.LONGEST / 16.5, 1024) == 128
     assert measuring.fitting(32, 60.0, 1024) == 32
-    assert measuring.fitting(32, 0.001, 16) == 16
+    assert measuring.fitting(32, 1e-6, 16) == 16
 
 
 # --- who is wrong
@@ -393,6 +393,15 @@ def test_the_worst_scene_counts_and_the_mean_is_geometric():
     assert mean.reached == pytest.approx(math.sqrt(4.0))
 
 
+def test_the_front_is_of_those_nobody_beats_in_both():
+    """The third is slower than the second and no more right, the last slower and worse."""
+    assert plots.front([(9.0, 1.0), (1.0, 5.0), (3.0, 5.0), (2.0, 3.0), (10.0, 4.0)]) == [
+        (1, 5),
+        (2, 3),
+        (9, 1),
+    ]
+
+
 def test_the_page_says_all_of_it(tmp_path):
     (tmp_path / page.NOTES).write_text("## What bounds it\n\nWords by hand.\n")
     page.write_report(FIXED, tmp_path)
@@ -440,6 +449,11 @@ def test_an_unknown_scene_is_named_with_what_may_be_meant(capsys):
 def test_nothing_selected_is_said(capsys):
     assert main(["bench", "-k", "no-such"]) == 5
     assert "nothing selected" in capsys.readouterr().err
+
+
+def test_more_threads_than_there_are_processors_are_refused(capsys):
+    assert main(["bench", "one-sphere", "--threads", "4096"]) == 2
+    assert "--threads 4096: this process may use" in capsys.readouterr().err
 
 
 def test_scenes_are_listed(capsys):

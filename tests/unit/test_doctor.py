@@ -36,6 +36,12 @@ def test_the_judges_pins_are_the_projects():
     assert pins == PROJECT["optional-dependencies"]["reference"]
 
 
+def test_peers_are_looked_for_with_the_projects_least_versions_and_are_not_needed():
+    least = {f"{part.distribution}>={part.least}" for part in judge_doctor.PEERS}
+    assert least == set(PROJECT["optional-dependencies"]["peers"])
+    assert not any(part.needed for part in judge_doctor.PEERS)
+
+
 def test_matplotlib_is_looked_for_with_the_projects_least_version_and_is_not_needed():
     (least,) = PROJECT["optional-dependencies"]["plots"]
     assert f"{judge_doctor.PLOTS.distribution}>={judge_doctor.PLOTS.least}" == least

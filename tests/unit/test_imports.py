@@ -74,6 +74,12 @@ RULES = (
         except_in=("mitsuba_ref.door",),
     ),
     Rule(
+        "mitsuba_ref",
+        "a peer is imported by its entry alone, in a process of its own",
+        never=("open3d", "embreex", "trimesh"),
+        except_in=("mitsuba_ref.bench.entries.open3d_peer", "mitsuba_ref.bench.entries.embreex_peer"),
+    ),
+    Rule(
         "mitsuba_ref.exact",
         "an oracle shares no code with what it judges",
         only=(*STDLIB, "numpy", *ORACLE),
