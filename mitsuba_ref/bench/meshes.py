@@ -10,8 +10,6 @@ from caster.shapes import MeshFile
 from caster.whole_files import write_bytes
 from mitsuba_ref.ply import ply_bytes
 
-Rng = np.random.Generator
-
 
 def written(folder: Path, name: str, vertices: np.ndarray, faces: np.ndarray, **more: str) -> MeshFile:
     """A mesh as a PLY file, and the shape that reads it. vertices: (n, 3), rounded to float32 here; faces: (m, 3)."""

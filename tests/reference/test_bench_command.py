@@ -2,9 +2,14 @@
 
 import json
 
+import pytest
+
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import running
 from mitsuba_ref.bench.contestants import BY_KEY
+from mitsuba_ref.bench.measuring import Settings, time_scene
+from mitsuba_ref.bench.scenes import SCENES
+from mitsuba_ref.variants import usable
 
 ASKED = ("ours", "scalar-aov", "scalar-loop")
 SIDE = 64
@@ -34,3 +39,18 @@ def test_a_small_picture_is_timed_and_judged(tmp_path, monkeypatch, capsys):
     assert (
         "Mitsuba scalar, robust, AOV integrator" in out and "1 of 1 scenes, 3 rows, 0 without numbers" in out
     )
+
+
+@pytest.mark.parametrize(
+    "name, keys", [("cornell-box", ("raw-robust", "aov-robust")), ("rays-shadow", ("raw-robust-incoherent",))]
+)
+def test_mitsubas_llvm_variant_is_asked_for_what_is_timed(name, keys):
+    """A flag in the place of another one would be fast, and wrong about most rays."""
+    (scene,) = (scene for scene in SCENES if scene.name == name)
+    found = time_scene(scene, [BY_KEY[key] for key in keys], Settings(16, 1))
+    for row in found.rows:
+        if not usable().llvm:
+            assert row.why.startswith("llvm_ad_rgb does not work here"), row
+            continue
+        assert row.why == "" and row.rays == 256 and row.score.masks == row.score.beyond == 0, row
+        assert row.score.edge_masks < row.score.edge_rays // 10
