@@ -82,7 +82,7 @@ CONTESTANTS = (
         EVERYBODY,
         threads=1,
         first=4,
-        most=1000,
+        most=300,
         environment={"CASTER_JIT": "0"},
     ),
     of_shading("shade-depth", "depth alone", "depth"),
