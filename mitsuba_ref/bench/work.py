@@ -45,7 +45,7 @@ class Entry(Protocol):
     """
 
     def build(self, size: int) -> None:
-        """From numbers to where rays can be cast, for a picture of size x size or as many rays; may be called again."""
+        """From numbers to where rays can be cast, for a picture of size x size or as many rays; once."""
 
     def take_rays(self) -> None:
         """Bring the rays of the folder, no more than size * size, into the form they are cast in. Not timed."""

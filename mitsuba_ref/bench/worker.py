@@ -25,14 +25,23 @@ def main(replies: int, work: Work) -> None:
     confine(work.threads)
     entry: Entry | None = None
     for line in sys.stdin:
+        asked = json.loads(line)
         try:
-            if entry is None:
-                module, _, name = work.entry.partition(":")
-                entry = getattr(import_module(f"mitsuba_ref.bench.entries.{module}"), name)(work)
-            reply = {"status": READY} | done(entry, json.loads(line))
+            if asked["do"] == "build":
+                entry = None  # or there would be two at a time, and twice the memory
+                entry = made(work)
+            reply = {"status": READY} | done(entry or made(work), asked)
         except (CannotRun, ImportError) as reason:
             reply = {"status": CANNOT, "why": " ".join(str(reason).split())}
         os.write(replies, (json.dumps(reply) + "\n").encode())
+
+
+def made(work: Work) -> Entry:
+    """The contestant, with nothing built."""
+    gc.collect()
+    module, _, name = work.entry.partition(":")
+    entry: Entry = getattr(import_module(f"mitsuba_ref.bench.entries.{module}"), name)(work)
+    return entry
 
 
 def confine(processors: int) -> None:
@@ -44,7 +53,6 @@ def confine(processors: int) -> None:
 def done(entry: Entry, asked: dict[str, Any]) -> dict[str, Any]:
     """One question: build, cast, answer or memory."""
     if asked["do"] == "build":
-        gc.collect()
         start = time.perf_counter()
         entry.build(asked["size"])
         seconds = time.perf_counter() - start
