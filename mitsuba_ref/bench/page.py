@@ -6,7 +6,9 @@ from pathlib import Path
 
 from caster.whole_files import check_folder, write_bytes, write_text
 from mitsuba_ref.bench import plots, table, targets
+from mitsuba_ref.bench.contestants import BY_KEY
 from mitsuba_ref.bench.result import Row, Run, SceneResult, Sweep
+from mitsuba_ref.bench.work import SHADING
 from mitsuba_ref.stress.plot import MissingPlots
 
 PAGE, PICTURES, NOTES = "performance.md", "performance", "performance-notes.md"
@@ -71,6 +73,7 @@ def lines(run: Run, drawn: set[str], by_hand: str) -> Iterator[str]:
     yield from of_targets(run)
     if by_hand:
         yield by_hand.strip() + "\n"
+    yield from overview(run)
     yield from picture(drawn, "pareto", "Error against time, for each scene")
     for scene in run.scenes:
         yield from section(scene)
@@ -117,6 +120,35 @@ def of_targets(run: Run) -> Iterator[str]:
     yield ""
 
 
+OVERVIEW = (
+    "raw-robust",
+    "raw-robust-incoherent",
+    "raw-default",
+    "aov-robust",
+    "aov-default",
+    "scalar-aov",
+    "open3d",
+    "embreex",
+    "trimesh",
+)
+
+
+def overview(run: Run) -> Iterator[str]:
+    """How many times as fast as each of the others ours is, scene by scene."""
+    rows = {
+        scene.name: [scene.ratio(key) for key in OVERVIEW] for scene in run.scenes if scene.asks != SHADING
+    }
+    if not rows:
+        return
+    yield "## Times as fast as the others\n"
+    yield "Above 1 ours is faster; nothing where there is nothing to compare.\n"
+    yield "| | " + " | ".join(BY_KEY[key].title for key in OVERVIEW) + " |"
+    yield "|---|" + "---:|" * len(OVERVIEW)
+    for name, ratios in rows.items():
+        yield f"| [{name}](#{name}) | {' | '.join(table.number(ratio, 2) for ratio in ratios)} |"
+    yield ""
+
+
 def section(scene: SceneResult) -> Iterator[str]:
     yield f"## {scene.name}\n"
     yield f"{scene.title[0].upper()}{scene.title[1:]}; {scene.primitives:,} primitives.\n"
@@ -129,14 +161,19 @@ def of_sweep(sweep: Sweep, drawn: set[str]) -> Iterator[str]:
     yield f"## Time against {sweep.name}\n"
     yield from picture(drawn, sweep.name, f"Time against {sweep.name}")
     every = sorted({x for one in sweep.series for x in one.x})
-    yield f"Milliseconds of a picture over the {sweep.quantity}; the slope is that of time ~ quantity^slope.\n"
-    yield "| | " + " | ".join(f"{x:,.0f}" for x in every) + " | slope |"
-    yield "|---|" + "---:|" * (len(every) + 1)
+    yield textwrap.fill(
+        f"Milliseconds of a picture over the {sweep.quantity}. The slope is that of time ~ quantity^slope, fitted to "
+        "all of them, and between the last two.",
+        WIDTH,
+    )
+    yield "\n| | " + " | ".join(f"{x:,.0f}" for x in every) + " | slope | at the end |"
+    yield "|---|" + "---:|" * (len(every) + 2)
     for one in sweep.series:
         at = dict(zip(one.x, one.seconds, strict=True))
         found = [table.number(1e3 * at[x] if x in at else None, 1) for x in every]
         why = f" ({one.why})" if one.why else ""
-        yield f"| {one.title}{why} | {' | '.join(found)} | {table.number(one.slope, 2)} |"
+        slopes = [table.number(slope, 2) for slope in (one.slope, one.end_slope)]
+        yield f"| {one.title}{why} | {' | '.join([*found, *slopes])} |"
     yield ""
 
 

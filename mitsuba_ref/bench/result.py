@@ -91,6 +91,11 @@ class Series:
     def slope(self) -> float | None:
         return fitted_slope(self.x, self.seconds)
 
+    @property
+    def end_slope(self) -> float | None:
+        """Between the last two: what does not grow counts least there."""
+        return fitted_slope(self.x[-2:], self.seconds[-2:])
+
 
 @dataclass(frozen=True)
 class Sweep:
@@ -138,7 +143,7 @@ def as_json(run: Run) -> dict[str, Any]:
             words |= {"ns": row.ns, "mrays": row.mrays, "ratio": scene.ratio(row.key)}
     for sweep, told in zip(run.sweeps, data["sweeps"], strict=True):
         for series, words in zip(sweep.series, told["series"], strict=True):
-            words["slope"] = series.slope
+            words |= {"slope": series.slope, "end_slope": series.end_slope}
     return {"format": FORMAT} | data
 
 
@@ -163,5 +168,5 @@ def _row(data: Mapping[str, Any]) -> Row:
 
 
 def _series(data: Mapping[str, Any]) -> Series:
-    kept = {name: value for name, value in data.items() if name != "slope"}
+    kept = {name: value for name, value in data.items() if name not in ("slope", "end_slope")}
     return Series(**(kept | {name: tuple(kept[name]) for name in ("x", "seconds", "build")}))

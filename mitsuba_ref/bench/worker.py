@@ -27,10 +27,10 @@ def main(replies: int, work: Work) -> None:
     for line in sys.stdin:
         asked = json.loads(line)
         try:
-            if asked["do"] == "build":
+            if entry is None or asked["do"] == "build":
                 entry = None  # or there would be two at a time, and twice the memory
                 entry = made(work)
-            reply = {"status": READY} | done(entry or made(work), asked)
+            reply = {"status": READY} | done(entry, asked)
         except (CannotRun, ImportError) as reason:
             reply = {"status": CANNOT, "why": " ".join(str(reason).split())}
         os.write(replies, (json.dumps(reply) + "\n").encode())

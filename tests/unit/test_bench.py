@@ -358,7 +358,11 @@ FIXED = Run(
             (row("shade-depth", (1.0,)), row("shade-unshadowed", (1.5,)), row("shade-shadowed", (4.5,))),
         ),
     ),
-    sweeps=(Sweep("triangles", "triangles of hills", (Series("ours", "ours", (1e3, 1e5), (1e-3, 1e-2)),)),),
+    sweeps=(
+        Sweep(
+            "triangles", "triangles of hills", (Series("ours", "ours", (1e2, 1e3, 1e4), (1e-3, 2e-3, 2e-2)),)
+        ),
+    ),
     bytes_of_pixel=16,
 )
 
@@ -369,7 +373,10 @@ def test_json_brings_the_run_back_and_what_follows_from_it():
     told = {one["key"]: one for one in data["scenes"][0]["rows"]}
     assert told["aov-robust"]["ratio"] == pytest.approx(6.0) and told["ours"]["ns"] == pytest.approx(10.0)
     assert told["open3d"]["ratio"] is None
-    assert data["sweeps"][0]["series"][0]["slope"] == pytest.approx(0.5)
+    slopes = data["sweeps"][0]["series"][0]
+    assert slopes["slope"] == pytest.approx(math.log10(20.0) / 2.0) and slopes["end_slope"] == pytest.approx(
+        1.0
+    )
 
 
 def test_targets_are_reached_missed_or_not_measured():
@@ -414,7 +421,8 @@ def test_the_page_says_all_of_it(tmp_path):
         in text
     )
     assert "**missed**" in text and "reached" in text and "not measured" in text
-    assert "| ours | 1.0 | 10.0 | 0.50 |" in text  # the sweep, its slope
+    assert "| ours | 1.0 | 2.0 | 20.0 | 0.65 | 1.00 |" in text  # the sweep, its slopes
+    assert "| [mesh-70k](#mesh-70k) | 1.20 | 2.40 | - | 6.00 | - | - | - | - | - |" in text
     assert "| mesh-70k | 16.00 | 1.60 | 10.0 | 10.0 % |" in text  # 16 bytes in 1 ns are 16 GB/s
     assert "mesh-70k 2.00" in text  # what `coherent` is worth
     assert all(len(line) <= 120 or line.startswith(("|", "!", "<!--")) for line in text.splitlines())
