@@ -160,7 +160,9 @@ def sorted_kinds(
 def _into_tiles(kind: Kind, base: int, window: Window, spans: Spans) -> Sorted:
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
     bits = spans.near.view(np.int64)
-    seen, last = last_depth(spans.pixels, bits)
+    found = np.zeros(2, np.int64)
+    last_depth(spans.pixels, bits, found)
+    seen, last = found.tolist()
     counts = np.zeros(across * down * DRAWERS + 1, np.int64)
     count_in_tiles(spans.pixels, bits, last, across, counts)
     ends = np.cumsum(counts)

@@ -1,134 +1,183 @@
 """The only module that names a Numba decorator; without Numba every function is handed back unchanged.
 
-`CASTER_JIT=0` switches the compiler off, so that pdb steps through the very code that runs compiled.
+`CASTER_JIT=0` switches the compiler off, so that pdb steps through the very code that runs compiled. Numba itself is
+loaded when a kernel is first compiled: what has been compiled before runs without it (compiling/machine_code.py).
 """
 
-import atexit
-import contextlib
 import hashlib
+import importlib
 import inspect
 import os
-import shutil
-import tempfile
+import threading
 from collections.abc import Callable
+from functools import cache, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar
 
+from caster.kernels.compiling import machine_code
+from caster.kernels.compiling.arguments import OTHER, REAL, WHOLE, checked_call, forms, key_of, kinds_of
+from caster.kernels.compiling.kernel_cache import cache_folder, compiler_version
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-PACKAGE = Path(__file__).resolve().parents[1]
-KEPT_CACHES = 4  # one for each of a few checkouts that are worked on in turn
+COMPILED = os.environ.get("CASTER_JIT", "1") != "0" and compiler_version() != ""
+
+OPTIONS = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+}  # no fast-math, IEEE division, no GIL, kept on disk
+
+GIVES = {"none": "", "int64": WHOLE, "float64": REAL}  # what machine code can answer, by Numba's names
+
+_LOCK = threading.RLock()  # LLVM and the lists below are one thread's at a time
 
 
-def _compiler() -> Any:
-    if os.environ.get("CASTER_JIT", "1") == "0":
-        return None
-    try:
-        import numba
-        import numba.extending
-    except ImportError:
-        return None
+class Work:
+    """What this process did to have its kernels, by their names; `compiling` is called before one is compiled."""
+
+    def __init__(self) -> None:
+        self.compiled: list[str] = []
+        self.loaded: list[str] = []  # from the cache
+        self.compiling: Callable[[str], None] = lambda name: None
+
+
+WORK = Work()
+
+
+@cache
+def _numba() -> Any:
+    numba: Any = importlib.import_module("numba")
+    importlib.import_module("numba.extending")
+    if not os.environ.get("NUMBA_CACHE_DIR"):
+        numba.config.CACHE_DIR = str(cache_folder())
+    for entry in _GENERICS.values():
+        entry.overload(numba)
+    _overload_any_reaches(numba)
     return numba
 
 
-def source_hash(version: str) -> str:
-    """A name for this source and this compiler.
+class Kernel:
+    """A function and its machine code for each combination of classes that its arguments may have."""
 
-    Numba does not see an edit in a file that a cached kernel calls into, and a stale kernel is a wrong
-    answer: the cache folder changes its name with every source file of the package instead.
-    """
-    digest = hashlib.sha256(version.encode())
-    for path in sorted(PACKAGE.rglob("*.py")):
-        digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()[:16]
+    __name__: str
+    __qualname__: str
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        update_wrapper(self, function)
+        self.function, self.options = function, {**OPTIONS, **options}
+        self._calls: dict[str | None, Callable[..., Any]] = {}  # by `key_of` the arguments
+        self._latest: dict[type, Callable[..., Any]] = {}  # by the class of the first argument
+        self._dispatcher: Any = None
+
+    def __call__(self, *args: Any) -> Any:
+        call = self._latest.get(type(args[0]))
+        if call is not None:
+            answer = call(*args)
+            if answer is not OTHER:
+                return answer
+        return self._prepared(args)(*args)
+
+    def __reduce__(self) -> str:
+        return self.__qualname__
+
+    @property
+    def dispatcher(self) -> Any:
+        """Numba's own object for this function."""
+        with _LOCK:
+            if self._dispatcher is None:
+                self._dispatcher = _numba().njit(**self.options)(self.function)
+            return self._dispatcher
+
+    @property
+    def _numba_type_(self) -> Any:
+        """How Numba sees a kernel that is called in another one."""
+        return _numba().types.Dispatcher(self.dispatcher)
+
+    def _prepared(self, args: tuple[Any, ...]) -> Callable[..., Any]:
+        """What to call with such arguments: machine code from the cache or just compiled, else Numba."""
+        key = key_of(args) if machine_code.usable() else None
+        with _LOCK:
+            call = self._calls.get(key) if key is not None else None
+            if call is None:
+                code = None if key is None else self._found(key, args) or self._made(key, args)
+                if code is None:
+                    self._compiled(args)
+                call = self.dispatcher if code is None else checked_call(args, code.entry(), code.gives)
+                self._calls[key] = call
+        if call is not self._dispatcher:  # which tells no others apart
+            self._latest[type(args[0])] = call
+        return call
+
+    def _place(self, key: str) -> tuple[str, Path]:
+        """Name of the entry, and the file it is kept in."""
+        words = "\n".join([self.__module__, self.__qualname__, key, machine_code.machine()])
+        symbol = f"caster_{hashlib.sha256(words.encode()).hexdigest()[:32]}"
+        return symbol, cache_folder() / f"{self.__name__}-{symbol}.o"
+
+    def _found(self, key: str, args: tuple[Any, ...]) -> machine_code.Code | None:
+        code = machine_code.read(self._place(key)[1])
+        if code is not None:
+            WORK.loaded.append(_named(self.__name__, args))
+        return code
+
+    def _made(self, key: str, args: tuple[Any, ...]) -> machine_code.Code | None:
+        """Compiled, and kept; None if it needs Numba to run."""
+        result = self._compiled(args)
+        gives = GIVES.get(str(result.signature.return_type))
+        if gives is None:
+            return None
+        symbol, path = self._place(key)
+        function = result.fndesc.llvm_func_name
+        code = machine_code.from_numba(result.library, function, symbol, forms(args), gives)
+        if code is not None:
+            code.write(path)
+        return code
+
+    def _compiled(self, args: tuple[Any, ...]) -> Any:
+        """Numba's result for such arguments, counted once."""
+        numba, dispatcher = _numba(), self.dispatcher
+        types = tuple(numba.typeof(arg) for arg in args)
+        if types not in dispatcher.overloads:
+            name = _named(self.__name__, args)
+            WORK.compiling(name)
+            dispatcher.compile(types)
+            (WORK.loaded if dispatcher.stats.cache_hits.get(types) else WORK.compiled).append(name)
+        return dispatcher.overloads[types]
 
 
-def _cache_folder(version: str) -> Path:
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    folder = Path(home) / "caster" / "kernels" / source_hash(version)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder)
-    except OSError:  # a home that cannot be written: compile anew in every process
-        folder = Path(tempfile.mkdtemp(prefix="caster-kernels-"))
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-        return folder
-    _drop_old_caches(folder.parent)
-    return folder
-
-
-def _drop_old_caches(parent: Path) -> None:
-    with contextlib.suppress(OSError):  # another process drops the same ones
-        folders = sorted(parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
-        for old in folders[KEPT_CACHES:]:
-            shutil.rmtree(old, ignore_errors=True)
-
-
-NUMBA = _compiler()
-COMPILED = NUMBA is not None
-if COMPILED and not os.environ.get("NUMBA_CACHE_DIR"):
-    NUMBA.config.CACHE_DIR = str(_cache_folder(NUMBA.__version__))
+def _named(name: str, args: tuple[Any, ...]) -> str:
+    kinds = ", ".join(kinds_of(args))
+    return f"{name}({kinds})" if kinds else name
 
 
 def jit(function: Function) -> Function:
     """Compile a kernel: no fast-math, IEEE division, no GIL, cached on disk."""
-    if not COMPILED:
-        return function
-    compiled: Function = NUMBA.njit(cache=True, nogil=True, error_model="numpy")(function)
-    return compiled
+    return Kernel(function, {}) if COMPILED else function  # type: ignore[return-value]  # called like the function
 
 
 def inlined(function: Function) -> Function:
     """The same for a function that is too large for LLVM to put it in the place of its call unasked."""
-    if not COMPILED:
-        return function
-    compiled: Function = NUMBA.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function)
-    return compiled
+    return Kernel(function, {"forceinline": True}) if COMPILED else function  # type: ignore[return-value]  # likewise
 
 
 LANES = 8 if COMPILED else 1
 """So many float64 AVX-512 takes at once. Uncompiled, taking several together would be in vain."""
 
 
-def _any_reaches() -> Callable[..., bool]:
-    def one(a: Any, i: Any, j: Any, limit: float) -> bool:
-        return bool(a[i] + a[j] >= limit)
-
-    if not COMPILED:
-        return one
-    from llvmlite import ir  # what Numba itself writes in
-    from numba.core import types
-
-    def vector(typing: Any, a: Any, i: Any, j: Any, limit: Any) -> Any:
-        """As one comparison of vectors: LLVM does not make one of a short loop by itself."""
-        if not isinstance(a, types.Array):
-            return None
-
-        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            array = context.make_array(a)(context, builder, arguments[0])
-            lanes = ir.VectorType(ir.DoubleType(), LANES)
-
-            def load(at: Any) -> Any:
-                pointer = builder.gep(array.data, [at])
-                return builder.load(builder.bitcast(pointer, lanes.as_pointer()), align=8)
-
-            total = builder.fadd(load(arguments[1]), load(arguments[2]))
-            one_lane = builder.insert_element(
-                ir.Constant(lanes, ir.Undefined), arguments[3], ir.IntType(32)(0)
-            )
-            zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-            limits = builder.shuffle_vector(one_lane, ir.Constant(lanes, ir.Undefined), zeros)
-            which = builder.bitcast(builder.fcmp_ordered(">=", total, limits), ir.IntType(LANES))
-            return builder.icmp_unsigned("!=", which, ir.IntType(LANES)(0))
-
-        return types.boolean(a, types.uint64, types.uint64, types.float64), build
-
-    made: Callable[..., bool] = NUMBA.extending.intrinsic(vector)
-    return made
+def any_reaches(a: Any, i: Any, j: Any, limit: float) -> bool:
+    """Whether a[i + n] + a[j + n] >= limit for one n of 0..LANES - 1; i, j: uint64 in kernels."""
+    return any(a[i + n] + a[j + n] >= limit for n in range(LANES))
 
 
-any_reaches = _any_reaches()
-"""any_reaches(a, i, j, limit): whether a[i + n] + a[j + n] >= limit for one of n = 0..LANES - 1."""
+def _overload_any_reaches(numba: Any) -> None:
+    lanes = importlib.import_module("caster.kernels.compiling.lanes")
+    at_once = numba.extending.intrinsic(lanes.any_reaches(LANES, numba.types))
+
+    def choose(a: Any, i: Any, j: Any, limit: Any) -> Any:
+        return lambda a, i, j, limit: at_once(a, i, j, limit)
+
+    numba.extending.overload(any_reaches, jit_options={"forceinline": True})(choose)
 
 
 class Generic:
@@ -137,23 +186,32 @@ class Generic:
     def __init__(self, stub: Callable[..., Any], options: dict[str, Any]):
         self.bodies: dict[type, Callable[..., Any]] = {}
         self.__name__, self.__doc__ = stub.__name__, stub.__doc__
-        self.call = self._dispatcher(stub, options)
+        self.stub, self.options = stub, options
+        self.call = self._dispatch()
 
-    def _dispatcher(self, stub: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
+    def _dispatch(self) -> Callable[..., Any]:
         bodies = self.bodies
 
         def dispatch(*args: Any) -> Any:
             return bodies[type(args[0])](*args)
 
-        def choose(*args: Any) -> Any:
-            return bodies.get(getattr(args[0], "instance_class", None))  # type: ignore[arg-type]  # a Numba type
-
-        for function in (dispatch, choose):
-            function.__name__, function.__doc__ = stub.__name__, stub.__doc__
-            function.__signature__ = inspect.signature(stub)  # type: ignore[attr-defined]  # Numba reads it
-        if COMPILED:
-            NUMBA.extending.overload(dispatch, jit_options=options, strict=False)(choose)
+        self._dress(dispatch)
         return dispatch
+
+    def overload(self, numba: Any) -> None:
+        """Tell Numba how to choose the body."""
+        bodies = self.bodies
+
+        def choose(*args: Any) -> Any:
+            body = bodies.get(getattr(args[0], "instance_class", None))  # type: ignore[arg-type]  # a Numba type
+            return body.dispatcher if isinstance(body, Kernel) else body
+
+        self._dress(choose)
+        numba.extending.overload(self.call, jit_options=self.options, strict=False)(choose)
+
+    def _dress(self, function: Any) -> None:
+        function.__name__, function.__doc__ = self.stub.__name__, self.stub.__doc__
+        function.__signature__ = inspect.signature(self.stub)  # Numba reads it
 
 
 _GENERICS: dict[Callable[..., Any], Generic] = {}

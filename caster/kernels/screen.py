@@ -182,13 +182,13 @@ DRAWERS, SHIFT = 128, 52 - 4
 
 
 @jit
-def last_depth(pixels: Any, bits: Any) -> tuple[int, int]:
-    """(how many are seen at all, the bits of the largest of their least depths); bits: least depths as int64."""
+def last_depth(pixels: Any, bits: Any, found: Any) -> None:
+    """found: how many are seen at all, and the bits of the largest of their least depths; bits: least depths as int64."""
     count, last = 0, 0
     for k in range(len(bits)):
         if is_seen(pixels, k):
             count, last = count + 1, max(last, bits[k])
-    return count, last
+    found[0], found[1] = count, last
 
 
 @inlined

@@ -11,6 +11,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 JIT = "caster/kernels/jit.py"
+LOADER = "caster.kernels.compiling.machine_code"
+COMPILING = tuple(
+    f"caster.kernels.compiling{part}" for part in ("", ".arguments", ".kernel_cache", ".machine_code")
+)
 STDLIB = frozenset(sys.stdlib_module_names)
 TYPING = ("typing", "collections.abc")  # words for the type checker; nothing of them runs per ray
 
@@ -53,9 +57,19 @@ RULES = (
         "caster.kernels",
         "a kernel imports math, numpy and kernels",
         only=("math", "numpy", *TYPING, "caster.kernels"),
-        except_in=("caster.kernels.jit",),
+        except_in=("caster.kernels.jit", *COMPILING),
     ),
-    Rule("caster.kernels.jit", "jit.py imports the standard library and numba", only=(*STDLIB, "numba")),
+    Rule(
+        "caster.kernels.jit",
+        "jit.py imports the standard library, numba and what it is made of",
+        only=(*STDLIB, "numba", "caster.kernels.compiling"),
+    ),
+    Rule("caster", f"only {LOADER} imports llvmlite", never=("llvmlite",), except_in=(LOADER,)),
+    Rule(
+        "caster.kernels.compiling",
+        "what jit.py is made of imports the standard library, numpy and llvmlite",
+        only=(*STDLIB, "numpy", "llvmlite", "caster.kernels.compiling"),
+    ),
     *(
         Rule(
             f"caster.{kind}",
@@ -190,6 +204,12 @@ def test_the_walk_reads_the_whole_tree():
         ("caster/kernels/bvh.py", "import os", "a kernel imports"),
         ("caster/kernels/bvh.py", "from ..scene import Scene", "a kernel imports"),
         ("caster/kernels/jit.py", "from caster.scene import Scene", "jit.py imports"),
+        ("caster/rendering.py", "import llvmlite.binding", "only " + LOADER),
+        (
+            "caster/kernels/compiling/arguments.py",
+            "from caster.kernels.vec import dot",
+            "what jit.py is made of",
+        ),
         ("caster/shapes/disk.py", "from caster.shapes.sphere import Sphere", "not its siblings"),
         ("caster/shapes/disk.py", "from .sphere import Sphere", "not its siblings"),
         ("caster/cameras/fisheye.py", "import caster.shapes", "not its siblings"),

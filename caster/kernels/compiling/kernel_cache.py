@@ -1,0 +1,74 @@
+"""Where compiled kernels are kept: a folder that changes its name with every source file of the package."""
+
+import atexit
+import contextlib
+import hashlib
+import os
+import shutil
+import tempfile
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[2]
+KEPT_CACHES = 4  # one for each of a few checkouts that are worked on in turn
+COMPILERS = ("numba", "llvmlite")
+
+
+def compiler_version() -> str:
+    """What says which compiler is installed, without loading it; "" where there is none."""
+    specs = [find_spec(name) for name in COMPILERS]
+    folders = [Path(spec.origin).parent for spec in specs if spec is not None and spec.origin]
+    if len(folders) < len(COMPILERS):
+        return ""
+    return "".join((folder / "_version.py").read_text() for folder in folders)
+
+
+def source_hash(version: str) -> str:
+    """A name for this source and this compiler.
+
+    Numba does not see an edit in a file that a cached kernel calls into, and a stale kernel is a wrong
+    answer: the cache folder changes its name with every source file of the package instead.
+    """
+    digest = hashlib.sha256(version.encode())
+    for path in sorted(PACKAGE.rglob("*.py")):
+        digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+@cache
+def cache_folder() -> Path:
+    """The folder for this source; NUMBA_CACHE_DIR says where it is to lie, else XDG_CACHE_HOME."""
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    parent = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(home) / "caster" / "kernels")
+    folder = parent / source_hash(compiler_version())
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+    except OSError:  # a home that cannot be written: compile anew in every process
+        folder = Path(tempfile.mkdtemp(prefix="caster-kernels-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        return folder
+    if not os.environ.get("NUMBA_CACHE_DIR"):
+        _drop_old_caches(folder.parent)
+    return folder
+
+
+def _drop_old_caches(parent: Path) -> None:
+    with contextlib.suppress(OSError):  # another process drops the same ones
+        folders = sorted(parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+        for old in folders[KEPT_CACHES:]:
+            shutil.rmtree(old, ignore_errors=True)
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file that other processes see whole or not at all; a full disk is no error, only no cache."""
+    with contextlib.suppress(OSError):
+        handle, name = tempfile.mkstemp(dir=path.parent)
+        try:
+            with open(handle, "wb") as file:
+                file.write(data)
+            os.replace(name, path)
+        except OSError:
+            os.unlink(name)
+            raise
