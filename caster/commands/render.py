@@ -48,13 +48,14 @@ def run(args: argparse.Namespace) -> int:
     scene = cropped(load(args), args.crop)
     output = output_path(args)
     from caster.explain import account, explain
+    from caster.progress import announced
     from caster.rendering import check_names, render_film
     from caster.whole_files import check_writable
 
     aovs = tuple(dict.fromkeys((DEFAULT if args.aov is None else args.aov).split(",")))
     check_names(aovs)
     check_writable(output)  # before a render that may take long
-    with blamed_on(args.scene):
+    with blamed_on(args.scene), announced(scene):
         rendered = render_film(scene, aovs, threads=args.threads)
     images = rendered.aovs
     write(output, scene, images, args.scene)

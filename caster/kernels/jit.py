@@ -4,12 +4,13 @@
 loaded when a kernel is first compiled: what has been compiled before runs without it (compiling/machine_code.py).
 """
 
+import contextlib
 import hashlib
 import importlib
 import inspect
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar
@@ -49,6 +50,7 @@ WORK = Work()
 def _numba() -> Any:
     numba: Any = importlib.import_module("numba")
     importlib.import_module("numba.extending")
+    importlib.import_module("numba.core.event")
     if not os.environ.get("NUMBA_CACHE_DIR"):
         numba.config.CACHE_DIR = str(cache_folder())
     for entry in _GENERICS.values():
@@ -140,10 +142,29 @@ class Kernel:
         types = tuple(numba.typeof(arg) for arg in args)
         if types not in dispatcher.overloads:
             name = _named(self.__name__, args)
-            WORK.compiling(name)
-            dispatcher.compile(types)
+            with _heard(numba, name):
+                dispatcher.compile(types)
             (WORK.loaded if dispatcher.stats.cache_hits.get(types) else WORK.compiled).append(name)
         return dispatcher.overloads[types]
+
+
+@contextlib.contextmanager
+def _heard(numba: Any, name: str) -> Iterator[None]:
+    """Say that a kernel is being compiled, once Numba has not found it in its own cache."""
+    told = False
+
+    class Listener(numba.core.event.Listener):  # type: ignore[misc]  # Numba has no types
+        def on_start(self, event: Any) -> None:
+            nonlocal told
+            if not told:
+                told = True
+                WORK.compiling(name)
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with numba.core.event.install_listener("numba:compile", Listener()):
+        yield
 
 
 def _named(name: str, args: tuple[Any, ...]) -> str:

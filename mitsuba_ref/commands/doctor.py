@@ -5,7 +5,7 @@ import argparse
 from caster.commands import doctor as of_caster
 
 HELP = of_caster.HELP
-add_arguments = of_caster.add_arguments
+add_arguments = of_caster.add_json
 
 
 def run(args: argparse.Namespace) -> int:

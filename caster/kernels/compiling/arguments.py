@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-# Of an array's flags, what Numba compiles a kernel of its own for: order in C or Fortran, aligned, writable.
-FLAGS = 0x1 | 0x2 | 0x100 | 0x400
+# Of an array's flags, what Numba compiles a kernel of its own for. An array that is in both orders is in C's.
+C_ORDER, FORTRAN_ORDER, ALIGNED, WRITABLE = 0x1, 0x2, 0x100, 0x400
 
 ARRAY, WHOLE, REAL, NOTHING = "a", "i", "d", "n"
 Form = tuple[str, int, int]  # one of these; dimensions and bytes of an element, of an array
@@ -25,6 +25,11 @@ OTHER = object()
 DONE = (0, -2)
 
 
+def telling(flags: int) -> int:
+    """Which flags tell arrays apart that have these."""
+    return ALIGNED | WRITABLE | C_ORDER | (0 if flags & C_ORDER else FORTRAN_ORDER)
+
+
 def key_of(args: tuple[Any, ...]) -> str | None:
     """What decides which machine code is right, the same in every process; None: there is none for such arguments."""
     words: list[str] = []
@@ -35,7 +40,8 @@ def _describe(args: tuple[Any, ...], words: list[str]) -> bool:
     for arg in args:
         kind = type(arg)
         if kind is np.ndarray:
-            words.append(f"{arg.dtype.str}/{arg.ndim}/{arg.flags.num & FLAGS}")
+            flags = arg.flags.num
+            words.append(f"{arg.dtype.str}/{arg.ndim}/{flags & telling(flags)}")
         elif kind in SCALARS or arg is None:
             words.append(NOTHING if arg is None else SCALARS[kind])
         elif isinstance(arg, tuple):
@@ -104,7 +110,8 @@ def _unfold(
         known[f"d_{name}"] = arg.dtype
         tests.append(f"type({this}) is k_{name} and {name}.ndim == {arg.ndim}")
         tests.append(f"({name}.dtype is d_{name} or {name}.dtype == d_{name})")
-        tests.append(f"{name}.flags.num & {FLAGS} == {arg.flags.num & FLAGS}")
+        mask = telling(arg.flags.num)
+        tests.append(f"{name}.flags.num & {mask} == {arg.flags.num & mask}")
         flat.append(f"id({name})")
 
 

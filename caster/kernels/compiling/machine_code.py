@@ -19,38 +19,10 @@ import numpy as np
 
 from caster.kernels.compiling.arguments import ARRAY, NOTHING, REAL, WHOLE, C, Form
 from caster.kernels.compiling.kernel_cache import write_whole
+from caster.kernels.compiling.runtime import FROM_C, RUNTIME
 
 # Where a NumPy array object (PyArrayObject_fields, part of its stable binary interface) keeps them.
 DATA, SHAPE, STRIDES = 16, 32, 40
-
-# Functions of the C library that object code may ask for; anything else would be Numba's own.
-MATHEMATICS = "acos asin atan atan2 ceil cos exp fabs floor fma fmod frexp hypot ldexp log pow rint round sin sqrt tan trunc"
-FROM_C = {*MATHEMATICS.split(" "), "memcpy", "memmove", "memset"}
-
-# Three functions of Numba's own that need nothing else of it. The first is reached for arrays that Numba has allocated,
-# which there are none of unless another function of its memory is asked for, too.
-FROM_NUMBA = {
-    "NRT_MemInfo_call_dtor": "define void @NRT_MemInfo_call_dtor(ptr %it) {\n ret void\n}\n",
-    "numba_ldexp": """define double @numba_ldexp(double %x, i32 %exponent) {
-        %y = call double @ldexp(double %x, i32 %exponent)
-        ret double %y
-        }
-        declare double @ldexp(double, i32)
-        """,
-    "numba_frexp": """define double @numba_frexp(double %x, ptr %exponent) {
-        %y = call double @frexp(double %x, ptr %exponent)
-        %off = fsub double %x, %x
-        %finite = fcmp oeq double %off, 0.0
-        br i1 %finite, label %done, label %special
-        special:
-        store i32 0, ptr %exponent
-        br label %done
-        done:
-        ret double %y
-        }
-        declare double @frexp(double, ptr)
-        """,
-}
 
 LLVM = {WHOLE: "i64", REAL: "double", ARRAY: "i64"}
 
@@ -148,8 +120,8 @@ def from_numba(library: Any, function: str, symbol: str, taken: list[Form], give
         return None
     entry = _entry(module, function, symbol, taken, gives)
     module.link_in(llvm.parse_assembly(entry))
-    for name in [f.name for f in module.functions if f.is_declaration and f.name in FROM_NUMBA]:
-        module.link_in(llvm.parse_assembly(_head(module) + FROM_NUMBA[name]))
+    for name in [f.name for f in module.functions if f.is_declaration and f.name in RUNTIME]:
+        module.link_in(llvm.parse_assembly(_head(module) + RUNTIME[name]))
     _keep_only(module, symbol, library._codegen._tm)
     module.verify()
     if any(f.is_declaration and not _known(f.name) for f in module.functions):

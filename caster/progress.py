@@ -1,0 +1,63 @@
+"""What users are told while kernels are compiled."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+from caster.kernels.jit import WORK
+from caster.scene import Scene
+
+HOW_LONG = "once, some 5 to 30 s"
+
+
+@contextmanager
+def announced(scene: Scene) -> Iterator[None]:
+    """One line on standard error before the first kernel is compiled; none if all of them are there."""
+
+    def say(name: str) -> None:
+        WORK.compiling = _silent
+        kinds = ", ".join(dict.fromkeys(_kind(thing) for thing in (*scene.shapes, scene.camera)))
+        text = f"compiling the kernels for {kinds}: {HOW_LONG}; `caster doctor --warm` does it ahead"
+        print(text, file=sys.stderr, flush=True)
+
+    WORK.compiling = say
+    try:
+        yield
+    finally:
+        WORK.compiling = _silent
+
+
+def _kind(thing: Any) -> str:
+    return str(thing.type)
+
+
+def _silent(name: str) -> None:
+    pass
+
+
+class Progress:
+    """Which scene is begun, and how many kernels have been compiled: one line on a terminal, else a line a scene."""
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self.stream = stream or sys.stderr
+        self.live = self.stream.isatty()
+        self.scene, self.count = "", 0
+
+    def begin(self, scene: str) -> None:
+        self.scene = scene
+        self._show(scene if self.live else f"kernels for {scene}\n")
+
+    def compiling(self, kernel: str) -> None:
+        self.count += 1
+        if self.live:
+            self._show(f"{self.scene}: compiling {kernel} ({self.count})")
+
+    def end(self) -> None:
+        if self.live:
+            self._show("")
+
+    def _show(self, text: str) -> None:
+        start = "\r\x1b[K" if self.live else ""
+        self.stream.write(start + text)
+        self.stream.flush()

@@ -1,0 +1,96 @@
+"""Compile ahead what `caster render` may need: small films of every kind of primitive, through every camera."""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+
+from caster.aovs import AOVS
+from caster.cameras import CAMERAS
+from caster.casting import Culling, decide
+from caster.kernels.jit import WORK
+from caster.kernels.nearest import Rays, exact_hit, precedes
+from caster.kernels.tree import LEAF_SIZE
+from caster.lights import Point
+from caster.packing import Packed, pack
+from caster.plan import plan
+from caster.rendering import DEFAULT_AOVS, render_film
+from caster.scene import Scene
+from caster.shapes import SHAPES
+
+# Each alone, the ones that come unasked, and all at once: what else is asked for shares most kernels with these.
+AOV_SETS: tuple[tuple[str, ...], ...] = (
+    *((aov.NAME,) for aov in AOVS),
+    ("depth", "normal"),
+    DEFAULT_AOVS,
+    tuple(aov.NAME for aov in AOVS),
+)
+
+SIDE = 4  # pixels; kernels do not depend on it
+
+
+class Warmed(NamedTuple):
+    """How many kernels there were to compile, and how many were found in the cache."""
+
+    compiled: int
+    loaded: int
+
+
+def warm(scenes: Iterable[tuple[str, Scene]], tell: Callable[[str], None]) -> Warmed:
+    """Have all kernels that the scenes may need. tell: called with the name of a scene that is begun."""
+    before = Warmed(len(WORK.compiled), len(WORK.loaded))
+    for name, scene in scenes:
+        tell(name)
+        _warm_one(scene)
+    return Warmed(len(WORK.compiled) - before.compiled, len(WORK.loaded) - before.loaded)
+
+
+def _warm_one(scene: Scene) -> None:
+    small = scene.with_film(width=SIDE, height=SIDE, crop=None)
+    planned = plan(small.camera.pack(SIDE, SIDE)).culling
+    for culling in get_args(Culling):
+        if culling != "screen" or planned == "screen":
+            for aovs in AOV_SETS:
+                render_film(small, aovs, threads=1, culling=culling)
+    _warm_decisions(pack(small))
+
+
+def _warm_decisions(packed: Packed) -> None:
+    """What rays need whose first hit float64 cannot tell."""
+    rays = Rays(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), np.full(1, np.inf))
+    for trees in (True, False):
+        decide(packed, rays, 1, trees=trees)
+    for kind in packed.kinds:
+        hit = exact_hit(kind.prims, 0, rays, 0)
+        precedes(hit, 0, hit, 1)
+
+
+# What a description needs to be one.
+LEAST: dict[str, dict[str, Any]] = {
+    "plane": {"offset": 0.0},
+    "triangle": {"vertices": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))},
+    "ray": {"origin": (0.0, 0.0, 9.0), "direction": (0.0, 0.0, -1.0)},
+}
+FROM_FILES = "mesh"  # triangles, as others are
+STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes
+VIEW = {"eye": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0), "up": (0.0, 1.0, 0.0)}
+
+
+def every_scene() -> Iterator[tuple[str, Scene]]:
+    """All kinds of primitives, seen by each camera."""
+    shapes = _shapes()
+    for camera in CAMERAS:
+        kind = camera.model_fields["type"].default
+        light = Point(position=(0.0, 0.0, 9.0), intensity=(1.0, 1.0, 1.0))
+        yield kind, Scene(camera=camera(**LEAST.get(kind, VIEW)), shapes=shapes, lights=[light])
+
+
+def _shapes() -> list[Any]:
+    """Each registered shape, as it is and stretched, often enough that its kind gets a tree."""
+    found: list[Any] = []
+    for shape in SHAPES:
+        kind = shape.model_fields["type"].default
+        if kind != FROM_FILES:
+            for placed in ({}, {"to_world": [STRETCHED]}):
+                found += [shape(**LEAST.get(kind, {}), **placed)] * (LEAF_SIZE + 1)
+    return found
