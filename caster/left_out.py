@@ -13,6 +13,10 @@ from caster.scene import Scene
 # Products that underflow are off by 2^-1074, far less than TINY.
 CROSS_ERROR, TINY = 5.0 * 2.0**-53, 2.0**-1000
 
+BAND = (
+    1 << 16
+)  # faces looked at together: what is found of each takes some 300 bytes, and there may be millions
+
 
 class LeftOut(NamedTuple):
     """Numbers of faces of one shape; each face counts once, in the first that fits."""
@@ -42,10 +46,18 @@ def _of_shape(shape: Any, rounded: Rounding) -> LeftOut:
         return LeftOut(0, 0, 0)
     mesh = shape.mesh()
     vertices = placed_vertices(mesh, shape.matrix, rounded)
-    finite = np.isfinite(vertices).all(axis=1)[mesh.faces].all(axis=1)
-    usable = is_usable(vertices)[mesh.faces].all(axis=1)
-    flat = _count_without_area(vertices[mesh.faces[usable]])
-    return LeftOut(int((~finite).sum()), int((finite & ~usable).sum()), flat)
+    finite, usable = np.isfinite(vertices).all(axis=1), is_usable(vertices)
+    total = np.zeros(3, np.int64)
+    for start in range(0, len(mesh.faces), BAND):
+        total += _of_faces(mesh.faces[start : start + BAND], vertices, finite, usable)
+    return LeftOut(*total.tolist())
+
+
+def _of_faces(faces: np.ndarray, vertices: np.ndarray, finite: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """The numbers of a LeftOut. finite, usable: (v,) bool, of the vertices."""
+    sound, good = finite[faces].all(axis=1), usable[faces].all(axis=1)
+    flat = _count_without_area(vertices[faces[good]])
+    return np.array([(~sound).sum(), (sound & ~good).sum(), flat])
 
 
 def _count_without_area(corners: np.ndarray) -> int:

@@ -30,9 +30,8 @@ class Kind:
     def bounded(self) -> bool:
         return bool(hull_size(self.prims) > 0)
 
-    @cached_property
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
-        """(low, high) corners, (n, 3) each."""
+        """(low, high) corners, (n, 3) each; they are not kept, as that may be many millions."""
         low, high = np.empty((len(self.ids), 3)), np.empty((len(self.ids), 3))
         find_boxes(self.prims, low, high, 0, len(self.ids))
         return low, high
@@ -40,8 +39,8 @@ class Kind:
     @cached_property
     def extent(self) -> float:
         """Largest |coordinate| of any box."""
-        low, high = self.boxes
-        return float(max(np.abs(low).max(), np.abs(high).max()))
+        low, high = self.boxes()
+        return float(max(-low.min(), low.max(), -high.min(), high.max()))
 
     @property
     def has_tree(self) -> bool:
@@ -50,7 +49,7 @@ class Kind:
 
     @cached_property
     def tree(self) -> Tree:
-        return grown_tree(*self.boxes, thread_count())
+        return grown_tree(*self.boxes(), thread_count())
 
 
 @dataclass(frozen=True)
@@ -122,6 +121,8 @@ def count(part: Any) -> int:
 
 def joined(parts: Sequence[Any]) -> Any:
     """One array tuple out of several of the same kind; faces keep pointing at their own vertices."""
+    if len(parts) == 1:  # its own arrays, unless kernels for others would have to be compiled for them
+        return type(parts[0])(*(np.require(array, None, ("C", "A", "W")) for array in parts[0]))
     if isinstance(parts[0], Triangles):
         shift = np.concatenate([[0], np.cumsum([len(part.vertices) for part in parts])])
         parts = [part._replace(faces=part.faces + shift[i]) for i, part in enumerate(parts)]

@@ -13,6 +13,8 @@ from caster.procedural.parameters import check_length, check_whole
 MAX_RESOLUTION = 4096  # 33,554,432 faces
 MAX_WAVES = 64
 
+BAND = 1 << 16  # vertices made together: the steps in between take some 200 bytes each
+
 # Waves across the square: fewer than one looks flat, and more than a dozen need a fine grid.
 FEWEST_ACROSS, MOST_ACROSS = 1.0, 12.0
 
@@ -25,11 +27,24 @@ def heightfield(size: float, resolution: int, amplitude: float, waves: int, seed
     Normals are the exact surface's; uv runs from (0, 0) to (1, 1). Raises SceneError for anything else.
     """
     _check(size, resolution, amplitude, waves, seed)
-    steps = np.arange(resolution + 1) / resolution
-    u, v = (axis.ravel() for axis in np.meshgrid(steps, steps))
+    drawn = _draw(size, amplitude, waves, seed)
+    side = resolution + 1
+    mesh = Mesh(np.empty((side**2, 3)), _faces(resolution), np.empty((side**2, 3)), np.empty((side**2, 2)))
+    rows = max(1, BAND // side)
+    for first in range(0, side, rows):
+        _fill(mesh, drawn, size, resolution, np.arange(first, min(first + rows, side), dtype=np.int32))
+    return mesh
+
+
+def _fill(mesh: Mesh, waves: list["_Wave"], size: float, resolution: int, rows: Ints) -> None:
+    """Vertices, normals and uv of some rows along y."""
+    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(resolution + 1) / resolution, rows / resolution))
     x, y = (u - 0.5) * size, (v - 0.5) * size
-    z, normals = _surface(x, y, _draw(size, amplitude, waves, seed))
-    return Mesh(np.stack([x, y, z], axis=1), _faces(resolution), normals, np.stack([u, v], axis=1))
+    z, normals = _surface(x, y, waves)
+    band = slice(rows[0] * (resolution + 1), (rows[-1] + 1) * (resolution + 1))
+    mesh.vertices[band] = np.stack([x, y, z], axis=1)
+    if mesh.normals is not None and mesh.uv is not None:
+        mesh.normals[band], mesh.uv[band] = normals, np.stack([u, v], axis=1)
 
 
 class _Wave(NamedTuple):
@@ -75,8 +90,12 @@ def _surface(x: Floats, y: Floats, waves: list[_Wave]) -> tuple[Floats, Floats]:
 
 
 def _faces(resolution: int) -> Ints:
-    number = np.arange((resolution + 1) ** 2).reshape(resolution + 1, resolution + 1)  # rows along y
+    number = np.arange((resolution + 1) ** 2, dtype=np.int32).reshape(
+        resolution + 1, resolution + 1
+    )  # rows along y
     here, right = number[:-1, :-1], number[:-1, 1:]
     above, opposite = number[1:, :-1], number[1:, 1:]
-    quads = np.stack([here, right, opposite, here, opposite, above], axis=2)
-    return quads.reshape(-1, 3).astype(np.int32)
+    quads = np.empty((resolution, resolution, 6), np.int32)
+    for corner, numbers in enumerate((here, right, opposite, here, opposite, above)):
+        quads[:, :, corner] = numbers
+    return quads.reshape(-1, 3)

@@ -1,0 +1,58 @@
+"""Memory that a large mesh takes on its way to the kernels: bytes a triangle, whatever the machine."""
+
+import tracemalloc
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from caster import Pinhole, Scene
+from caster.left_out import left_out
+from caster.packing import pack
+from caster.shapes import Heightfield
+
+RESOLUTION = 500
+TRIANGLES = 2 * RESOLUTION**2
+
+# A triangle of a heightfield is 12 bytes of indices and half a vertex of 64 bytes (position, normal, uv): 44. While it
+# is packed there are the mesh and its copy in world space, and 2 bytes of flags: 90. With what bands, masks of one byte
+# and one array of temporary positions (12) take, 110; 10 million triangles then stay below 4 GB, boxes, tree, images
+# and all (48 + 33 + 24 + 16 bytes a triangle on top, and what is kept of the 110 is 50).
+MESH, PACKING, LOOKING = 70.0, 110.0, 110.0
+
+
+def peak_of(work: Callable[[], object]) -> float:
+    """Bytes a triangle at the worst moment."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1] / TRIANGLES
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    field = Heightfield(resolution=RESOLUTION)
+    return Scene(camera=Pinhole(eye=(0, -2, 1), look_at=(0, 0, 0), up=(0, 0, 1)), shapes=[field])
+
+
+def test_a_landscape_is_made_packed_and_looked_through_in_little_memory(scene):
+    assert peak_of(scene.shapes[0].mesh) < MESH
+    assert peak_of(lambda: pack(scene)) < PACKING
+    assert peak_of(lambda: left_out(scene)) < LOOKING
+
+
+def test_one_array_of_all_corners_would_be_seen(scene):
+    """The check can fail: corners of all faces at once are 72 bytes a triangle more."""
+
+    def careless() -> object:
+        mesh = scene.shapes[0].mesh()
+        return mesh.vertices[mesh.faces]
+
+    assert peak_of(careless) > LOOKING
+
+
+def test_a_shape_that_is_alone_in_its_kind_is_not_copied(scene):
+    packed = pack(scene)
+    assert all(np.shares_memory(a, b) for a, b in zip(packed.parts[0], packed.kinds[0].prims, strict=True))
