@@ -9,7 +9,8 @@ import numpy as np
 
 from caster.fields import SceneError
 from caster.mesh import Floats, Mesh, show
-from caster.mesh_files.obj_corners import Corner, join_corners, quoted, read_corner
+from caster.mesh_files.obj_corners import Corner, join_corners, join_table, quoted, read_corner
+from caster.mesh_files.plain_text import read_plain_obj
 
 # Statements that draw no triangle. A word that is not OBJ at all is an error: it may be a face, misspelt.
 WITHOUT_TRIANGLES = frozenset(
@@ -25,6 +26,14 @@ def parse_obj(data: bytes, where: str) -> Mesh:
     combination in use, ordered by (v, vt, vn). Corners without vn, in a file that has some, get generated
     normals; corners without vt get uv (0, 0). v of uv becomes 1 - v, as Mitsuba does it.
     """
+    plain = read_plain_obj(data)
+    if plain is not None:
+        return join_table(*plain.rows, plain.corners, plain.sizes)
+    return parse_any_obj(data, where)
+
+
+def parse_any_obj(data: bytes, where: str) -> Mesh:
+    """The same, statement by statement."""
     obj = _Obj(where)
     for line, words in _statements(data):
         obj.add(line, words)

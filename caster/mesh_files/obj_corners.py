@@ -57,6 +57,30 @@ def join_corners(
     )
 
 
+def join_table(
+    positions: Floats, uv: Floats, normals: Floats, corners: NDArray[np.int64], sizes: NDArray[np.int64]
+) -> Mesh:
+    """The same, of corners (words, 3) of v, vt, vn each."""
+    triangles = np.arange(len(corners)).reshape(-1, 3) if np.all(sizes == 3) else fans(sizes)
+    by_position = corners[triangles, 0].astype(np.int32)
+    if np.all(corners[:, 1:] < 0):
+        return Mesh(positions, by_position)
+    # One whole number for each combination, in the order of (v, vt, vn): where it fits, sorting is much faster.
+    bases = len(positions), len(uv) + 1, len(normals) + 1
+    if bases[0] * bases[1] * bases[2] < 2**62:
+        number = (corners[:, 0] * bases[1] + corners[:, 1] + 1) * bases[2] + corners[:, 2] + 1
+        _, first, vertex = np.unique(number, return_index=True, return_inverse=True)
+        used = corners[first]
+    else:
+        used, vertex = np.unique(corners, axis=0, return_inverse=True)
+    return Mesh(
+        positions[used[:, 0]],
+        vertex.ravel()[triangles].astype(np.int32),
+        _normals_of(used, normals, positions, by_position),
+        _uv_of(used, uv),
+    )
+
+
 def _normals_of(
     used: NDArray[np.int64], normals: Floats, positions: Floats, faces: NDArray[np.int32]
 ) -> Floats | None:

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.fields import SceneError
+from caster.kernels.jit import COMPILED
+from caster.mesh_files.plain_text import read_plain_lists, read_plain_rows
 from caster.mesh_files.ply_header import Element, Header, Property
 from caster.mesh_files.ply_table import Column, Columns, Lists, Table
 
@@ -16,6 +18,34 @@ class _Line(NamedTuple):
 
 def read_ascii(data: bytes, header: Header, where: str) -> dict[str, Table]:
     """The tables of all elements. Raises SceneError with `where`:line."""
+    return _read_plain(data, header) or read_any_ascii(data, header, where)
+
+
+def _read_plain(data: bytes, header: Header) -> dict[str, Table] | None:
+    """The same of rows of numbers, and of rows that are one list of whole numbers, a line each without a gap."""
+    if not COMPILED:
+        return None
+    at, line, tables = header.end, header.end_line, {}
+    for element in header.elements:
+        lines = range(line, line + element.rows)
+        found = _plain_columns(data, at, element)
+        if found is None:
+            return None
+        tables[element.name], at, line = Table(found[0], lines), found[1], line + element.rows
+    return tables if not data[at:].strip() else None
+
+
+def _plain_columns(data: bytes, at: int, element: Element) -> tuple[Columns, int] | None:
+    properties = element.properties
+    if not any(p.count_type for p in properties):
+        rows = read_plain_rows(data, at, element.rows, len(properties))
+        return None if rows is None else ({p.name: rows[0][:, k] for k, p in enumerate(properties)}, rows[1])
+    lists = read_plain_lists(data, at, element.rows) if len(properties) == 1 else None
+    return None if lists is None else ({properties[0].name: Lists(lists[0], lists[1])}, lists[2])
+
+
+def read_any_ascii(data: bytes, header: Header, where: str) -> dict[str, Table]:
+    """The same, line by line."""
     numbered = enumerate(data[header.end :].splitlines(), header.end_line)
     lines = [_Line(number, words) for number, text in numbered if (words := text.split())]
     start = 0
