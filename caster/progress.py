@@ -11,14 +11,19 @@ from caster.scene import Scene
 HOW_LONG = "once, some 5 to 30 s"
 
 
+def kinds_in(scene: Scene) -> str:
+    """sphere, mesh, pinhole"""
+    things: list[Any] = [*scene.shapes, scene.camera]
+    return ", ".join(dict.fromkeys(thing.type for thing in things))
+
+
 @contextmanager
-def announced(scene: Scene) -> Iterator[None]:
-    """One line on standard error before the first kernel is compiled; none if all of them are there."""
+def announced(what: str) -> Iterator[None]:
+    """One line on standard error before the first kernel for this is compiled; none if all of them are there."""
 
     def say(name: str) -> None:
         WORK.compiling = _silent
-        kinds = ", ".join(dict.fromkeys(_kind(thing) for thing in (*scene.shapes, scene.camera)))
-        text = f"compiling the kernels for {kinds}: {HOW_LONG}; `caster doctor --warm` does it ahead"
+        text = f"compiling the kernels for {what}: {HOW_LONG}; `caster doctor --warm` does it ahead"
         print(text, file=sys.stderr, flush=True)
 
     WORK.compiling = say
@@ -26,10 +31,6 @@ def announced(scene: Scene) -> Iterator[None]:
         yield
     finally:
         WORK.compiling = _silent
-
-
-def _kind(thing: Any) -> str:
-    return str(thing.type)
 
 
 def _silent(name: str) -> None:

@@ -12,6 +12,8 @@ from caster.kernels.jit import WORK
 from caster.kernels.nearest import Rays, exact_hit, precedes
 from caster.kernels.tree import LEAF_SIZE
 from caster.lights import Point
+from caster.mesh_files.obj import parse_obj
+from caster.mesh_files.ply import parse_ply
 from caster.packing import Packed, pack
 from caster.plan import plan
 from caster.rendering import DEFAULT_AOVS, render_film
@@ -24,6 +26,13 @@ AOV_SETS: tuple[tuple[str, ...], ...] = (
     ("depth", "normal"),
     DEFAULT_AOVS,
     tuple(aov.NAME for aov in AOVS),
+)
+
+# Files of one triangle.
+OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+PLY = (
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
 )
 
 SIDE = 4  # pixels; kernels do not depend on it
@@ -39,6 +48,9 @@ class Warmed(NamedTuple):
 def warm(scenes: Iterable[tuple[str, Scene]], tell: Callable[[str], None]) -> Warmed:
     """Have all kernels that the scenes may need. tell: called with the name of a scene that is begun."""
     before = Warmed(len(WORK.compiled), len(WORK.loaded))
+    tell("mesh files")
+    parse_obj(OBJ, "OBJ")
+    parse_ply(PLY, "PLY")
     for name, scene in scenes:
         tell(name)
         _warm_one(scene)

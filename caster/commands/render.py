@@ -45,17 +45,19 @@ def thread_count(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Render, write, and say what was written. Raises SceneError, FileMissing, OutputError."""
-    scene = cropped(load(args), args.crop)
+    from caster.progress import announced, kinds_in
+
+    with announced("mesh files"):
+        scene = cropped(load(args), args.crop)
     output = output_path(args)
     from caster.explain import account, explain
-    from caster.progress import announced
     from caster.rendering import check_names, render_film
     from caster.whole_files import check_writable
 
     aovs = tuple(dict.fromkeys((DEFAULT if args.aov is None else args.aov).split(",")))
     check_names(aovs)
     check_writable(output)  # before a render that may take long
-    with blamed_on(args.scene), announced(scene):
+    with blamed_on(args.scene), announced(kinds_in(scene)):
         rendered = render_film(scene, aovs, threads=args.threads)
     images = rendered.aovs
     write(output, scene, images, args.scene)
