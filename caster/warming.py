@@ -11,11 +11,11 @@ from caster.casting import Culling, decide
 from caster.kernels.jit import WORK
 from caster.kernels.nearest import Rays, exact_hit, precedes
 from caster.kernels.tree import LEAF_SIZE
-from caster.lights import Point
+from caster.lights import Directional, Point
 from caster.mesh_files.obj import parse_obj
 from caster.mesh_files.ply import parse_ply
 from caster.packing import Packed, pack
-from caster.plan import plan
+from caster.plan import culling_for
 from caster.rendering import DEFAULT_AOVS, render_film
 from caster.scene import Scene
 from caster.shapes import SHAPES
@@ -59,7 +59,7 @@ def warm(scenes: Iterable[tuple[str, Scene]], tell: Callable[[str], None]) -> Wa
 
 def _warm_one(scene: Scene) -> None:
     small = scene.with_film(width=SIDE, height=SIDE, crop=None)
-    planned = plan(small.camera.pack(SIDE, SIDE)).culling
+    planned = culling_for(small.camera.pack(SIDE, SIDE))[0]
     for culling in get_args(Culling):
         if culling != "screen" or planned == "screen":
             for aovs in AOV_SETS:
@@ -85,6 +85,11 @@ LEAST: dict[str, dict[str, Any]] = {
 }
 FROM_FILES = "mesh"  # triangles, as others are
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes
+WHITE = (1.0, 1.0, 1.0)
+LAMPS = (
+    Point(position=(0.0, 0.0, 9.0), intensity=WHITE),
+    Directional(direction=(0.0, 0.0, -1.0), irradiance=WHITE),
+)
 VIEW = {"eye": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0), "up": (0.0, 1.0, 0.0)}
 
 
@@ -93,8 +98,7 @@ def every_scene() -> Iterator[tuple[str, Scene]]:
     shapes = _shapes()
     for camera in CAMERAS:
         kind = camera.model_fields["type"].default
-        light = Point(position=(0.0, 0.0, 9.0), intensity=(1.0, 1.0, 1.0))
-        yield kind, Scene(camera=camera(**LEAST.get(kind, VIEW)), shapes=shapes, lights=[light])
+        yield kind, Scene(camera=camera(**LEAST.get(kind, VIEW)), shapes=shapes, lights=LAMPS)
 
 
 def _shapes() -> list[Any]:

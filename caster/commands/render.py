@@ -50,7 +50,6 @@ def run(args: argparse.Namespace) -> int:
     with announced("mesh files"):
         scene = cropped(load(args), args.crop)
     output = output_path(args)
-    from caster.explain import account, explain
     from caster.rendering import check_names, render_film
     from caster.whole_files import check_writable
 
@@ -62,9 +61,13 @@ def run(args: argparse.Namespace) -> int:
     images = rendered.aovs
     write(output, scene, images, args.scene)
     if args.json:
+        from caster.explain import account
+
         print(json.dumps({"output": output, **account(rendered, aovs)}, indent=2))
         return OK
     if args.explain:
+        from caster.explain import explain
+
         print(explain(rendered, aovs))
     height, width = images.hit.shape
     print(f"{output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(aovs)}")

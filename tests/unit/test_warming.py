@@ -1,0 +1,71 @@
+"""`caster doctor --warm`: everything that can be registered is thought of, and what was done is told."""
+
+import io
+import json
+
+import pytest
+
+from caster import warming
+from caster.__main__ import main
+from caster.cameras import CAMERAS
+from caster.kernels import jit
+from caster.kernels.protocol import intersect
+from caster.packing import pack
+from caster.progress import Progress, announced
+
+SCENE = "scenes/one-sphere.toml"
+
+
+def test_every_kind_of_primitive_and_every_camera_is_warmed():
+    scenes = [scene for _, scene in warming.every_scene()]
+    assert [type(scene.camera) for scene in scenes] == list(CAMERAS)
+    kinds = {type(kind.prims) for kind in pack(scenes[0]).kinds}
+    assert kinds == set(jit._GENERICS[intersect].bodies)
+
+
+@pytest.fixture
+def little(monkeypatch):
+    """One AOV by one culling: the rest is as much again, many times."""
+    monkeypatch.setattr(warming, "AOV_SETS", (("depth",),))
+    monkeypatch.setattr(warming, "get_args", lambda culling: ("screen",))
+    monkeypatch.setattr(warming, "_warm_decisions", lambda packed: None)
+    monkeypatch.setattr(jit.WORK, "compiling", jit.WORK.compiling)
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason="without Numba nothing is compiled")
+def test_what_was_done_is_told(little, capsys):
+    assert main(["doctor", "--warm", SCENE]) == 0
+    told = capsys.readouterr()
+    assert told.out.startswith("kernels: ") and told.err.splitlines()[-1] == f"kernels for {SCENE}"
+    assert main(["doctor", "--warm", SCENE, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"compiled": 0, "loaded": 0}  # this process has them by now
+
+
+def test_a_scene_that_is_not_there_is_told_before_anything_is_compiled(capsys):
+    assert main(["doctor", "--warm", "nowhere.toml"]) == 4
+    assert "nowhere.toml" in capsys.readouterr().err
+
+
+def test_one_line_is_said_before_the_first_kernel_is_compiled(capsys, monkeypatch):
+    monkeypatch.setattr(jit.WORK, "compiling", jit.WORK.compiling)
+    with announced("sphere, pinhole"):
+        jit.WORK.compiling("one")
+        jit.WORK.compiling("another")
+    jit.WORK.compiling("later")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("compiling the kernels for sphere, pinhole: once") and "doctor --warm" in line
+
+
+def test_a_terminal_gets_one_line_and_a_file_one_for_each_scene():
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    for stream, expected in ((Terminal(), 0), (io.StringIO(), 2)):
+        progress = Progress(stream)
+        for scene in ("pinhole", "fisheye"):
+            progress.begin(scene)
+            progress.compiling("cast_shared_origin(Spheres)")
+        progress.end()
+        assert stream.getvalue().count("\n") == expected
+        assert "cast_shared_origin" in stream.getvalue() or not stream.isatty()
