@@ -21,7 +21,9 @@ __all__ = ["Finding", "exit_code", "format", "format_json", "report", "usable"]
 # The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 WAY_OUT = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
-PLOTS = Part("matplotlib", "matplotlib", "3.9", "the pictures of `stress --report` and `bench --report`", needed=False)
+PLOTS = Part(
+    "matplotlib", "matplotlib", "3.9", "the pictures of `stress --report` and `bench --report`", needed=False
+)
 RIVAL = "somebody else to be timed by `bench --peers`"
 PEERS = (
     Part("open3d", "open3d", "0.19", RIVAL, needed=False),
@@ -44,7 +46,14 @@ def judge_findings(probe: Sequence[str] = (sys.executable, "-c", PROBE)) -> list
     versions = [_pinned(name) for name in PINNED]
     missing = [finding.name for finding in versions if not finding.found]
     answer, problem = ({}, f"needs {' and '.join(missing)} first") if missing else _ask(probe)
-    return [*versions, _variants(answer, problem), _llvm(answer), _gpu(), *map(find_part, (PLOTS, *PEERS)), browser()]
+    return [
+        *versions,
+        _variants(answer, problem),
+        _llvm(answer),
+        _gpu(),
+        *map(find_part, (PLOTS, *PEERS)),
+        browser(),
+    ]
 
 
 def browser() -> Finding:

@@ -198,7 +198,7 @@ def _overload_any_reaches(numba: Any) -> None:
     def choose(a: Any, i: Any, j: Any, limit: Any) -> Any:
         return lambda a, i, j, limit: at_once(a, i, j, limit)
 
-    numba.extending.overload(any_reaches, jit_options={"forceinline": True})(choose)
+    numba.extending.overload(any_reaches, jit_options={"forceinline": True}, strict=False)(choose)
 
 
 class Generic:

@@ -183,7 +183,10 @@ DRAWERS, SHIFT = 128, 52 - 4
 
 @jit
 def last_depth(pixels: Any, bits: Any, found: Any) -> None:
-    """found: how many are seen at all, and the bits of the largest of their least depths; bits: least depths as int64."""
+    """found: how many are seen at all, and the bits of the largest of their least depths.
+
+    bits: least depths as int64.
+    """
     count, last = 0, 0
     for k in range(len(bits)):
         if is_seen(pixels, k):
