@@ -25,14 +25,14 @@ Each contestant has a process of its own; they take turns, so that what else the
 
 READING = """## How to read it
 
-- **What is timed**: a picture of depth and normal, delivered as arrays in memory; or t and normal along rays that were
-  on hand, or whether anything lies on them. Ours does all of it in every picture, from placing the shapes on; Mitsuba,
-  Open3D and embreex have loaded the scene and built their tree before, and for `ray_intersect`, Open3D and embreex the
-  rays were made before, too. All that has to be compiled has been compiled. Shadow rays go through `caster.occluded`,
-  Mitsuba's `ray_test`, and what others have in its place.
+- **What is timed**: a picture of depth and normal, delivered as float32 arrays in memory; or t and normal along rays
+  that were on hand, or whether anything lies on them. All have loaded the scene and built what they build before; ours
+  makes the rays and sorts the primitives onto the film in every picture, while for `ray_intersect`, Open3D and embreex
+  the rays were made before, too. All that has to be compiled has been compiled. Shadow rays go through
+  `caster.occluded`, Mitsuba's `ray_test`, and what others have in its place.
 - **ours, as planned** is `caster.render`: by the screen for pinhole and orthographic cameras, by the tree for others;
   for rays that are handed over, `caster.cast` with the surface it knows of each hit. **by the tree** is the same
-  picture through the tree, which is then grown in every picture. **plain Python** runs the same source without Numba.
+  picture through the tree. **plain Python** runs the same source without Numba.
 - **rays** of one cast: pictures of those who would take longer than {longest:g} s are made smaller.
 - **build**: seconds from the numbers to where rays can be cast, the second time it is done in a process; Mitsuba reads
   its own files, and for the others the numbers are in memory.

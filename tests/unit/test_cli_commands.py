@@ -170,10 +170,10 @@ def test_an_interrupted_render_leaves_nothing_and_ends_with_130(tmp_path):
         'direction = [0, 0, 1]\n[[shape]]\ntype = "teapot"\n'
     )
     source = (
-        "import sys, caster.rendering as r; from caster.__main__ import main\n"
-        "shoot = r.shoot\n"
+        "import sys, caster.film_painting as f; from caster.__main__ import main\n"
+        "shoot = f.shoot_rays\n"
         "def told(*a):\n    print('begun', flush=True)\n    return shoot(*a)\n"
-        "r.shoot = told\n"
+        "f.shoot_rays = told\n"
         "sys.exit(main(['render', 's.toml', '--threads', '1']))"
     )
     process = python("-c", source, cwd=tmp_path)
