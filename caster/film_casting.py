@@ -1,7 +1,6 @@
 """Rays of a film in, nearest hits out, tile by tile: each primitive against the pixels of its picture."""
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -32,7 +31,9 @@ from caster.kernels.tree import REACH
 from caster.kernels.triangles import Triangles
 from caster.packing import Kind, Packed
 from caster.shapes.sphere import Spheres
-from caster.threads import finish, in_bands, thread_count
+from caster.threads import in_bands, in_turns, thread_count
+
+MANY = 4096  # points or primitives: to look for fewer takes less time than a second thread takes to begin
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Sorted:
     spans: Spans
     places: tuple[int, int]  # of its primitives, counted kind by kind
     seen: int  # primitives that are looked for at all
-    runs: list[int]  # tile n has primitives order[runs[n]:runs[n + 1]]
+    runs: np.ndarray  # int64; tile n has primitives order[runs[n]:runs[n + 1]]
     order: np.ndarray  # int32, primitive numbers within the kind, roughly from front to back
 
 
@@ -82,7 +83,7 @@ def cast_tile(
 ) -> None:
     """Everything that may be seen in a tile."""
     for it in kinds:
-        run = it.runs[number], it.runs[number + 1]
+        run = int(it.runs[number]), int(it.runs[number + 1])
         if run[0] < run[1]:
             cast(it.kind.prims, it.order, run, it.spans, it.places[0], box, tile)
 
@@ -101,24 +102,12 @@ def in_tiles(
     work: Callable[[int, Box, Own], None], window: Window, threads: int | None, room: Callable[[], Own]
 ) -> None:
     """Call work(number, box, own) for each tile of the window; `room` makes what every thread has of its own."""
-    every = list(enumerate(boxes(window)))
-    left, workers = iter(every), min(thread_count(threads), len(every))
 
-    def go() -> None:
+    def begin() -> Callable[[tuple[int, Box]], None]:
         own = room()
-        for number, box in left:  # one step of a list's iterator at a time: no two threads get the same
-            work(number, box, own)
+        return lambda piece: work(*piece, own)
 
-    if workers == 1:
-        go()
-        return
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            finish(pool, [pool.submit(go) for _ in range(workers)])
-        except BaseException:
-            for _ in left:
-                pass
-            raise
+    in_turns(begin, list(enumerate(boxes(window))), thread_count(threads))
 
 
 def sorted_kinds(
@@ -143,13 +132,14 @@ def sorted_kinds(
         if isinstance(kind.prims, Triangles):
             points = kind.prims.vertices
             pictures = np.empty((len(points), 4))
-            in_bands(partial(find_pictures, points, camera, pictures, reach), len(points), threads)
+            find = partial(find_pictures, points, camera, pictures, reach)
+            in_bands(find, len(points), threads, least=MANY)
             find = partial(find_spans_of_faces, kind.prims.faces, pictures, window, spans, reach)
         elif isinstance(kind.prims, Spheres) and implements(project_ball, type(camera)):
             find = partial(find_spans_of_balls, kind.prims, camera, window, spans, reach)
         else:
             find = partial(find_spans, kind.prims, camera, window, spans, reach)
-        in_bands(find, number, threads)
+        in_bands(find, number, threads, least=MANY)
         if longest > 1.0:  # t counts in lengths of d
             spans.near[:] = np.minimum(spans.near, spans.near / longest)
         return _into_tiles(kind, base, window, spans)
@@ -166,7 +156,7 @@ def _into_tiles(kind: Kind, base: int, window: Window, spans: Spans) -> Sorted:
     counts = np.zeros(across * down * DRAWERS + 1, np.int64)
     count_in_tiles(spans.pixels, bits, last, across, counts)
     ends = np.cumsum(counts)
-    runs = ends[::DRAWERS].tolist()
+    runs = ends[::DRAWERS].copy()
     order = np.empty(runs[-1], np.int32)
     sort_into_tiles(spans.pixels, bits, last, across, ends, order)
     return Sorted(kind, spans, (base, base + len(kind.ids)), seen, runs, order)

@@ -6,6 +6,7 @@ The same bits as `rendering.evaluate` gives, which takes one step after the othe
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,17 +14,19 @@ import numpy as np
 from caster.aovs import BY_NAME
 from caster.casting import bases, by_trees, decide, ids_by_place
 from caster.fields import Camera
-from caster.film_casting import cast_tile, in_tiles, sorted_kinds
+from caster.film_casting import Sorted, cast_tile, in_tiles, sorted_kinds
 from caster.film_shading import Room, Shading, material_tables
+from caster.kernels.film import film_from_one_point, film_in_one_direction
 from caster.kernels.gather import shoot_at
 from caster.kernels.nearest import new_rays
 from caster.kernels.paint import find_normals, paint_albedo, paint_numbers, paint_seen
 from caster.kernels.screen import Window, cast_own_origins, cast_shared_origin
 from caster.kernels.shade import SH_N, UV, N, P, find_surfaces_in_tile, paint_fields
-from caster.kernels.tile import WIDTH, Box, shoot_rays
+from caster.kernels.tile import WIDTH, Box, new_tile, shoot_rays
 from caster.packing import Packed
 from caster.plan import Plan
 from caster.scene import Scene
+from caster.threads import in_turns, thread_count
 from caster.view import View
 
 CHANNELS = {"position": 3, "normal": 3, "shading_normal": 3, "uv": 2, "albedo": 3, "diffuse": 3}
@@ -66,7 +69,10 @@ def paint_film(
     painters = _painters(scene, packed, reach, images, plan.surfaces)
     if shading:
         painters.append(shading)
-    depth, normals = images.get("depth"), images.get("normal") if plan.surfaces == ("normals",) else None
+    none = np.empty((0, 0), dtype)
+    depth = images.get("depth", none)
+    normals = images["normal"] if plan.surfaces == ("normals",) else none[..., None]
+    seen = hit, doubt, depth, normals
     kinds = sorted_kinds(packed, camera, window, reach, threads) if plan.culling == "screen" else []
     if plan.culling == "screen":
         cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
@@ -82,9 +88,13 @@ def paint_film(
         seek(number, box, room.tile)
         for paint in painters:
             paint(room, box)
-        paint_seen(room.tile, box, hit, doubt, depth, normals)  # last: shading has doubts of its own
+        paint_seen(room.tile, box, *seen)  # last: shading has doubts of its own
 
-    in_tiles(work, window, threads, Room)
+    if len(kinds) == 1 and set(images) <= {"depth", "normal"} and not {"position", "uv"} & set(plan.surfaces):
+        far = reach if isinstance(scene.camera, Camera) else np.inf
+        _paint_at_once(kinds[0], camera, window, scene.camera.shares_origin, far, seen, threads)
+    else:
+        in_tiles(work, window, threads, Room)
     pixels = np.flatnonzero(doubt)
     if len(pixels):
         view = _decided(scene, packed, window, camera, pixels, threads)
@@ -96,6 +106,31 @@ def paint_film(
         images["hit"] = hit.astype(dtype)
     on_film = tuple(it.seen for it in kinds) if plan.culling == "screen" else None
     return Painted(images, hit, len(pixels), shading.shadow_rays if shading else 0, on_film)
+
+
+TURNS = 8  # for each thread: so few that steps of Python do not count, enough to share the work evenly
+
+
+def _paint_at_once(
+    it: Sorted,
+    camera: Any,
+    window: Window,
+    shares_origin: bool,
+    reach: float,
+    images: tuple[np.ndarray, ...],
+    threads: int | None,
+) -> None:
+    """Depth and normals of a scene of one kind; images: hit, doubt, depth, normals."""
+    film = film_from_one_point if shares_origin else film_in_one_direction
+    kind = it.kind.prims, it.order, it.runs, it.spans
+    workers, count = thread_count(threads), len(it.runs) - 1
+    edges = np.linspace(0, count, min(count, workers * TURNS) + 1).astype(int).tolist()
+
+    def begin() -> Callable[[tuple[int, int]], None]:
+        tile = new_tile()
+        return lambda tiles: film(camera, window, kind, reach, tiles, tile, images)
+
+    in_turns(begin, list(pairwise(edges)), workers)
 
 
 def _blank(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:

@@ -1,20 +1,20 @@
 """Casting one's own rays."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from caster.casting import find_any, find_nearest
 from caster.fields import SceneError
-from caster.kernels.gather import Surfaces
+from caster.kernels.gather import EXTREME, Surfaces, survey
 from caster.kernels.nearest import Rays
 from caster.packing import pack
 from caster.packing import packed as packed
 from caster.placing import Rounding, as_given
 from caster.rendering import look_along
 from caster.scene import Scene
+from caster.threads import in_bands
 from caster.view import View
 
 SMALLEST_NORMAL = 2.0**-1022
@@ -22,15 +22,29 @@ SMALLEST_NORMAL = 2.0**-1022
 
 @dataclass(frozen=True)
 class Hits:
-    """What each ray meets first. `surface` (p, n, sh_n, uv) is worked out when it is asked for."""
+    """What each ray meets first; all but t is worked out when it is asked for."""
 
     t: np.ndarray  # (n,) float64, inf on a miss
-    shape_id: np.ndarray  # (n,) int32, -1 on a miss
-    prim_id: np.ndarray  # (n,) int32 within the shape, -1 on a miss
     view: View
 
-    @cached_property
+    @property
+    def shape_id(self) -> np.ndarray:
+        """(n,) int32, -1 on a miss."""
+        return self.view.shape_id
+
+    @property
+    def prim_id(self) -> np.ndarray:
+        """(n,) int32 within the shape, -1 on a miss."""
+        return self.view.prim_id
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(n, 3) geometric normals, 0 on a miss: the n of `surface` without the rest."""
+        return self.view.normals
+
+    @property
     def surface(self) -> Surfaces:
+        """p, n, sh_n and uv."""
         return self.view.surfaces
 
 
@@ -42,7 +56,10 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: float = 0.0, t_max:
     Raises SceneError if a ray is not finite or has no direction, naming the first such ray.
     Source: docs/method.md, "Exact decisions"; slabs padded after Ize (2013).
     """
-    given = checked_rays(o, d, t_min, t_max)
+    given, plain = surveyed_rays(o, d, t_min, t_max)
+    if plain:
+        view = look_along(scene, packed(scene), given, np.zeros(len(given.t_min)))
+        return Hits(view.nearest.t, view)
     rays, exponent = _scaled(given)
     view = look_along(scene, packed(scene), rays, np.zeros(len(rays.t_min)))
     with np.errstate(over="ignore", under="ignore"):
@@ -50,7 +67,7 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: float = 0.0, t_max:
     short = np.flatnonzero((exponent < 0) & (view.nearest.t < SMALLEST_NORMAL))
     if len(short):  # a denormal t has lost digits, and in lengths of a shorter d it is larger
         t[short] = find_nearest(view.packed, Rays(*(a[short] for a in given))).t
-    return Hits(t, view.shape_id, view.prim_id, view)
+    return Hits(t, view)
 
 
 def occluded(
@@ -60,7 +77,8 @@ def occluded(
 
     Found sooner than what `cast` finds: any hit will do.
     """
-    return find_any(packed(scene), _scaled(checked_rays(o, d, t_min, t_max))[0])
+    given, plain = surveyed_rays(o, d, t_min, t_max)
+    return find_any(packed(scene), given if plain else _scaled(given)[0])
 
 
 def trace(
@@ -84,19 +102,26 @@ def trace(
 
 def checked_rays(o: ArrayLike, d: ArrayLike, t_min: float, t_max: float) -> Rays:
     """(n, 3) float64 rays, or a SceneError that names the first bad one."""
+    return surveyed_rays(o, d, t_min, t_max)[0]
+
+
+def surveyed_rays(o: ArrayLike, d: ArrayLike, t_min: float, t_max: float) -> tuple[Rays, bool]:
+    """The same, and whether all their lengths are far from what float64 cannot square."""
     origins, directions = _rows(o, "o"), _rows(d, "d")
     if len(origins) != len(directions):
         raise SceneError(f"rays: o and d must have equal lengths, got {len(origins)} and {len(directions)}")
     if not t_min >= 0.0 or np.isnan(t_max):
         raise SceneError(f"rays: need t_min >= 0 and a t_max, got t_min {t_min} and t_max {t_max}")
-    bad = ~np.isfinite(origins).all(axis=1) | ~np.isfinite(directions).all(axis=1) | ~directions.any(axis=1)
-    if bad.any():
-        i = int(np.flatnonzero(bad)[0])
+    found: list[int] = []
+    in_bands(lambda start, stop: found.append(survey(origins, directions, start, stop)), len(origins))
+    if bad := [i for i in found if i >= 0]:
+        i = min(bad)
         raise SceneError(
             f"rays[{i}]: o and d must be finite and d not zero, got o {origins[i]} and d {directions[i]}"
         )
     n = len(origins)
-    return Rays(origins, directions, np.full(n, float(t_min)), np.full(n, float(t_max)))
+    rays = Rays(origins, directions, np.full(n, float(t_min)), np.full(n, float(t_max)))
+    return rays, EXTREME not in found
 
 
 def _scaled(rays: Rays) -> tuple[Rays, np.ndarray]:

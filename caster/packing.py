@@ -64,6 +64,8 @@ class Packed:
 
     def shape_of(self, prim: np.ndarray) -> np.ndarray:
         """Shape index of each primitive number, -1 for -1; int32."""
+        if len(self.parts) == 1:
+            return np.where(prim < 0, np.int32(-1), np.int32(0))
         return (np.searchsorted(self.first, prim, side="right") - 1).astype(np.int32)
 
     def place_of(self, prim: int) -> tuple[Kind, int]:

@@ -89,7 +89,9 @@ class Scene(Description):
         film = self.film.resized(
             self.film.width if width is None else width, self.film.height if height is None else height
         )
-        return self.model_copy(update={"film": film if crop is None else film.cropped(crop)})
+        copy = self.model_copy(update={"film": film if crop is None else film.cropped(crop)})
+        copy._kept = self._kept  # the shapes, packed: they do not know of the film
+        return copy
 
     def canonical_json(self) -> str:
         """The scene with all defaults, keys sorted, numbers exact: equal scenes, equal text. It loads again.

@@ -1,17 +1,20 @@
 """What AOVs are computed from: rays, their nearest hits and, where something asks, surfaces and shadows."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
 from caster.casting import find_any
-from caster.kernels.gather import Surfaces, find_surfaces, no_surfaces
+from caster.kernels.gather import Surfaces, find_normals_at, find_surfaces, no_surfaces
 from caster.kernels.light import find_arriving, find_shadow_rays
 from caster.kernels.nearest import Nearest, Rays, new_rays
 from caster.lights import Light
 from caster.packing import Packed
 from caster.scene import Scene
+from caster.threads import in_bands
 
 
 @dataclass(frozen=True)
@@ -44,16 +47,31 @@ class View:
     def surfaces(self) -> Surfaces:
         """Position, normals and uv of every hit."""
         out = no_surfaces(len(self.hit))
-        packed = self.packed
-        for place, kind in enumerate(packed.kinds):
-            where = np.flatnonzero(self.hit & (packed.kind_of[self.shape_id] == place))
-            shape = self.shape_of_hits(where)
-            ks = self.nearest.prim[where] - packed.first[shape] + packed.start[shape]
-            find_surfaces(kind.prims, ks, where, self.rays, self.nearest.t, out)
+        for prims, where, ks in self._hits_by_kind():
+            find = partial(find_surfaces, prims, ks, where, self.rays, self.nearest.t, out)
+            in_bands(find, len(where), self.threads)
         return out
 
-    def shape_of_hits(self, where: np.ndarray) -> np.ndarray:
-        return self.shape_id[where]
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """(n, 3) geometric normals of the hits alone, 0 on a miss; those of `surfaces`."""
+        out = np.zeros((len(self.hit), 3))
+        for prims, where, ks in self._hits_by_kind():
+            find = partial(find_normals_at, prims, ks, where, self.rays, self.nearest.t, out)
+            in_bands(find, len(where), self.threads)
+        return out
+
+    def _hits_by_kind(self) -> Iterator[tuple[Any, np.ndarray, np.ndarray]]:
+        """(primitives, rays that hit them, which of them each ray hits) for each kind."""
+        packed, prim = self.packed, self.nearest.prim
+        if len(packed.parts) == 1:
+            where = np.flatnonzero(self.hit)
+            yield packed.kinds[0].prims, where, prim[where].astype(np.int64)
+            return
+        for place, kind in enumerate(packed.kinds):
+            where = np.flatnonzero(self.hit & (packed.kind_of[self.shape_id] == place))
+            shape = self.shape_id[where]
+            yield kind.prims, where, prim[where] - packed.first[shape] + packed.start[shape]
 
     @cached_property
     def reflectance(self) -> np.ndarray:

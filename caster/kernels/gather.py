@@ -1,12 +1,13 @@
 """Rays out of a camera, and surfaces out of hits: each computed once, for what turned out to be visible."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.kernels.jit import jit
-from caster.kernels.protocol import ray, surface
-from caster.kernels.vec import row
+from caster.kernels.protocol import Vec3, normal, ray, surface
+from caster.kernels.vec import largest, row
 
 
 class Surfaces(NamedTuple):
@@ -45,10 +46,47 @@ def shoot_at(camera: Any, window: Any, rays: Any, pixels: Any) -> None:
         rays.t_min[j], rays.t_max[j] = t_min, t_max
 
 
+# What `survey` says of rays that are all in order, if it is not the number of one that is not.
+PLAIN, EXTREME = -1, -2
+
+# Directions between these have squares, and powers of two in them change no bit of t but its exponent.
+SHORT, LONG = 2.0**-32, 2.0**32
+
+
 @jit
-def find_surfaces(prims: Any, ks: Any, where: Any, rays: Any, t: Any, out: Any) -> None:
-    """The surface of primitive ks[j] on ray where[j], for every j."""
-    for j in range(len(where)):
+def all_finite(v: Vec3) -> bool:
+    return math.isfinite(v[0]) and math.isfinite(v[1]) and math.isfinite(v[2])
+
+
+@jit
+def survey(o: Any, d: Any, start: int, stop: int) -> int:
+    """The first of rays start..stop that is not finite or has no direction; else whether all their d are PLAIN."""
+    plain = True
+    for i in range(start, stop):
+        length = largest(row(d, i))
+        if not (length > 0.0 and all_finite(row(o, i)) and all_finite(row(d, i))):
+            return i
+        plain &= SHORT < length < LONG
+    return PLAIN if plain else EXTREME
+
+
+@jit
+def find_normals_at(
+    prims: Any, ks: Any, where: Any, rays: Any, t: Any, out: Any, start: int, stop: int
+) -> None:
+    """The geometric normal of primitive ks[j] on ray where[j], for j from start to stop."""
+    for j in range(start, stop):
+        i = where[j]
+        n = normal(prims, ks[j], row(rays.o, i), row(rays.d, i), t[i])
+        out[i, 0], out[i, 1], out[i, 2] = n[0], n[1], n[2]
+
+
+@jit
+def find_surfaces(
+    prims: Any, ks: Any, where: Any, rays: Any, t: Any, out: Any, start: int, stop: int
+) -> None:
+    """The surface of primitive ks[j] on ray where[j], for j from start to stop."""
+    for j in range(start, stop):
         i = where[j]
         p, n, sh_n, u, v = surface(prims, ks[j], row(rays.o, i), row(rays.d, i), t[i], True)
         for c in range(3):

@@ -12,7 +12,7 @@ from caster.kernels.tile import DOUBT, DX, DY, DZ, NX, NY, NZ, OX, OY, OZ, PLACE
 
 @jit
 def paint_seen(tile: Any, box: Any, hit: Any, doubt: Any, depth: Any, normal: Any) -> None:
-    """Whether anything was hit, whether that has to be found exactly, depth and normals; None: not asked for.
+    """Whether anything was hit, whether that has to be found exactly, depth and normals; without size: not asked for.
 
     Doubt is all false before. Depth is t times the length of d, inf on a miss; normals are 0 there, elsewhere those
     that have been found.
@@ -27,12 +27,12 @@ def paint_seen(tile: Any, box: Any, hit: Any, doubt: Any, depth: Any, normal: An
         if any_doubt > 0.0:
             for x in range(count):
                 doubt[y, lane(x0) + x] = tile[DOUBT + first + x] != 0.0
-        if depth is not None:
+        if depth.size > 0:
             for x in range(count):
                 i = first + x
                 a, b, c = tile[DX + i], tile[DY + i], tile[DZ + i]
                 depth[y, lane(x0) + x] = tile[T + i] * math.sqrt(a * a + b * b + c * c)
-        if normal is not None:
+        if normal.size > 0:
             for x in range(count):
                 i = first + x
                 there = tile[PLACE + i] >= 0.0

@@ -12,7 +12,7 @@ from random_fields import own_fields
 from random_scenes import random_scene
 from same_bits import assert_same_bits
 
-from caster import casting, film_casting
+from caster import casting, film_casting, threads
 from caster.cameras import Panorama, Pinhole
 from caster.fields import Camera, Shape
 from caster.hits import packed
@@ -91,12 +91,12 @@ def test_boxes_too_small_are_seen():
 
 
 def test_a_band_that_threads_skip_is_seen(monkeypatch):
-    in_bands = casting.in_bands
+    in_turns = threads.in_turns
 
-    def skipping(work, count, threads=None):
-        in_bands(work, count if threads == 1 else count - 5, threads)
+    def skipping(begin, pieces, workers):
+        in_turns(begin, pieces if workers == 1 else pieces[:-1], workers)
 
-    monkeypatch.setattr(casting, "in_bands", skipping)
+    monkeypatch.setattr(film_casting, "in_turns", skipping)
     with pytest.raises(AssertionError, match="2 threads: "):
         test_threads.count_hits_where_threads_agree(a_scene(Panorama))
 

@@ -193,7 +193,7 @@ FAULTS = (
         "ties",
         4,
         "missed phantom prim t",
-        (CASTING, "    if len(rows):\n", "    if len(rows) < 0:\n"),
+        (CASTING, "    if len(rows):\n        exact", "    if len(rows) < 0:\n        exact"),
     ),
     fault(
         "ties to the higher number",

@@ -1,9 +1,7 @@
 """Our caster, through its public names."""
 
-import inspect
 import pickle
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -51,7 +49,11 @@ class Ours:
 
     def _picture(self, scene: caster.Scene) -> None:
         caster.render(
-            scene, self.aovs, threads=self.work.threads, culling=self.work.options.get("culling"), **SINGLE
+            scene,
+            self.aovs,
+            threads=self.work.threads,
+            culling=self.work.options.get("culling"),
+            dtype=np.float32,
         )
 
     def _shoot(self, o: np.ndarray, d: np.ndarray) -> None:
@@ -59,11 +61,7 @@ class Ours:
             caster.occluded(self.scene, o, d, SHADOW_END)
         else:
             hits = caster.cast(self.scene, o, d)
-            hits.surface  # noqa: B018 - the normals are worked out when it is asked for
+            hits.normal  # noqa: B018 - they are worked out when they are asked for
 
 
-# Images of float32, as EXR stores them and everybody else gives them, where there is a choice.
-SINGLE: dict[str, Any] = (
-    {"dtype": np.float32} if "dtype" in inspect.signature(caster.render).parameters else {}
-)
-BYTES = 4 if SINGLE else 8  # of a number in our images
+BYTES = 4  # of a number in our images: float32, as EXR stores them and everybody else gives them
