@@ -128,13 +128,15 @@ def sorted_kinds(
     def sort(kind: Kind, base: int) -> Sorted:
         slack = REACH * (origin + kind.extent) if kind.bounded else 0.0
         reach, number = (slack, MARGIN + off_centre), len(kind.ids)
-        spans = Spans(np.empty((number, 4), np.int32), np.empty(number))
-        if isinstance(kind.prims, Triangles):
-            points = kind.prims.vertices
-            pictures = np.empty((len(points), 4))
-            find = partial(find_pictures, points, camera, pictures, reach)
+        triangles = isinstance(kind.prims, Triangles)
+        points = kind.prims.vertices if triangles else np.empty((0, 3))
+        faces = kind.prims.faces if triangles else np.empty((0, 3), np.int32)
+        pixels, pictures = np.empty((number, 4), np.int32), np.empty((len(points), 4))
+        spans = Spans(pixels, np.empty(number), faces, pictures)
+        if triangles:
+            find = partial(find_pictures, points, camera, window, pictures, reach)
             in_bands(find, len(points), threads, least=MANY)
-            find = partial(find_spans_of_faces, kind.prims.faces, pictures, window, spans, reach)
+            find = partial(find_spans_of_faces, window, spans, reach)
         elif isinstance(kind.prims, Spheres) and implements(project_ball, type(camera)):
             find = partial(find_spans_of_balls, kind.prims, camera, window, spans, reach)
         else:

@@ -19,7 +19,7 @@ from caster.film_shading import Room, Shading, material_tables
 from caster.kernels.film import film_from_one_point, film_in_one_direction
 from caster.kernels.gather import shoot_at
 from caster.kernels.nearest import new_rays
-from caster.kernels.paint import find_normals, paint_albedo, paint_numbers, paint_seen
+from caster.kernels.paint import paint_albedo, paint_normals, paint_numbers, paint_seen
 from caster.kernels.screen import Window, cast_own_origins, cast_shared_origin
 from caster.kernels.shade import SH_N, UV, N, P, find_surfaces_in_tile, paint_fields
 from caster.kernels.tile import WIDTH, Box, new_tile, shoot_rays
@@ -72,7 +72,6 @@ def paint_film(
     none = np.empty((0, 0), dtype)
     depth = images.get("depth", none)
     normals = images["normal"] if plan.surfaces == ("normals",) else none[..., None]
-    seen = hit, doubt, depth, normals
     kinds = sorted_kinds(packed, camera, window, reach, threads) if plan.culling == "screen" else []
     if plan.culling == "screen":
         cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
@@ -88,10 +87,11 @@ def paint_film(
         seek(number, box, room.tile)
         for paint in painters:
             paint(room, box)
-        paint_seen(room.tile, box, *seen)  # last: shading has doubts of its own
+        paint_seen(room.tile, box, hit, doubt, depth)  # last: shading has doubts of its own
 
     if len(kinds) == 1 and set(images) <= {"depth", "normal"} and not {"position", "uv"} & set(plan.surfaces):
         far = reach if isinstance(scene.camera, Camera) else np.inf
+        seen = hit, doubt, depth, normals
         _paint_at_once(kinds[0], camera, window, scene.camera.shares_origin, far, seen, threads)
     else:
         in_tiles(work, window, threads, Room)
@@ -161,7 +161,7 @@ def _painters(
         elif surfaces:
             # normals without a branch are for d of length 1, which a camera that looks nowhere may not have
             far = reach if isinstance(scene.camera, Camera) else np.inf
-            painters.append(_normal_finder(kind.prims, places, far))
+            painters.append(_normal_painter(kind.prims, places, far, images["normal"]))
     fields = FIELDS if "position" in surfaces else {}
     painters.extend(_field_painter(field, images[name]) for name, field in fields.items() if name in images)
     if packed.kinds and images.keys() & {*NUMBERS, "albedo"}:
@@ -173,8 +173,8 @@ def _surface_finder(prims: Any, places: tuple[int, int], wants_uv: bool) -> Pain
     return lambda room, box: find_surfaces_in_tile(prims, places, room.tile, box, room.shade, wants_uv)
 
 
-def _normal_finder(prims: Any, places: tuple[int, int], reach: float) -> Painter:
-    return lambda room, box: find_normals(prims, places, reach, room.tile, box)
+def _normal_painter(prims: Any, places: tuple[int, int], reach: float, image: np.ndarray) -> Painter:
+    return lambda room, box: paint_normals(prims, places, reach, room.tile, box, image)
 
 
 def _field_painter(field: Any, image: np.ndarray) -> Painter:

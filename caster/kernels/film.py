@@ -6,7 +6,7 @@ Steps of Python are taken by one thread at a time, and waiting for one's turn co
 from typing import Any
 
 from caster.kernels.jit import inlined, jit
-from caster.kernels.paint import find_normals, paint_seen
+from caster.kernels.paint import paint_normals, paint_seen
 from caster.kernels.screen import cast_own_origins, cast_shared_origin
 from caster.kernels.tile import HEIGHT, WIDTH, Box, shoot_rays
 
@@ -25,7 +25,8 @@ def film_from_one_point(
 ) -> None:
     """Tiles tiles[0]..tiles[1] of a film whose rays start in one point.
 
-    kind: (prims, order, runs, spans) of film_casting.Sorted; images: hit, doubt, depth, normal for `paint_seen`.
+    kind: (prims, order, runs, spans) of film_casting.Sorted; images: hit, doubt, depth and normal, without size where
+    they were not asked for.
     """
     prims, order, runs, spans = kind
     for number in range(tiles[0], tiles[1]):
@@ -52,5 +53,5 @@ def film_in_one_direction(
 def _paint(prims: Any, spans: Any, reach: float, tile: Any, box: Box, images: Any) -> None:
     hit, doubt, depth, normal = images
     if normal.size > 0:
-        find_normals(prims, (0, len(spans.near)), reach, tile, box)
-    paint_seen(tile, box, hit, doubt, depth, normal)
+        paint_normals(prims, (0, len(spans.near)), reach, tile, box, normal)
+    paint_seen(tile, box, hit, doubt, depth)

@@ -11,11 +11,10 @@ from caster.kernels.tile import DOUBT, DX, DY, DZ, NX, NY, NZ, OX, OY, OZ, PLACE
 
 
 @jit
-def paint_seen(tile: Any, box: Any, hit: Any, doubt: Any, depth: Any, normal: Any) -> None:
-    """Whether anything was hit, whether that has to be found exactly, depth and normals; without size: not asked for.
+def paint_seen(tile: Any, box: Any, hit: Any, doubt: Any, depth: Any) -> None:
+    """Whether anything was hit, whether that has to be found exactly, and depth; without size: not asked for.
 
-    Doubt is all false before. Depth is t times the length of d, inf on a miss; normals are 0 there, elsewhere those
-    that have been found.
+    Doubt is all false before. Depth is t times the length of d, inf on a miss.
     """
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
@@ -32,13 +31,6 @@ def paint_seen(tile: Any, box: Any, hit: Any, doubt: Any, depth: Any, normal: An
                 i = first + x
                 a, b, c = tile[DX + i], tile[DY + i], tile[DZ + i]
                 depth[y, lane(x0) + x] = tile[T + i] * math.sqrt(a * a + b * b + c * c)
-        if normal.size > 0:
-            for x in range(count):
-                i = first + x
-                there = tile[PLACE + i] >= 0.0
-                normal[y, lane(x0) + x, 0] = tile[NX + i] if there else 0.0
-                normal[y, lane(x0) + x, 1] = tile[NY + i] if there else 0.0
-                normal[y, lane(x0) + x, 2] = tile[NZ + i] if there else 0.0
 
 
 @jit
@@ -64,33 +56,53 @@ def paint_albedo(tile: Any, box: Any, shapes: Any, table: Any, image: Any) -> No
                     image[y, x0 + x, c] = table[shapes[place], c]
 
 
+FLAT = 2  # numbers of what `facing` says of a primitive whose normal is the same all over
+
+
 @jit
-def find_normals(prims: Any, places: Any, reach: float, tile: Any, box: Any) -> None:
+def paint_normals(prims: Any, places: Any, reach: float, tile: Any, box: Any, image: Any) -> None:
     """Geometric normals of the hits on one kind, whose places are places[0] to places[1]; run by run of pixels.
 
-    Into the fields NX, NY, NZ. reach: the largest |coordinate| of an origin.
+    The first kind paints the misses, too: 0. reach: the largest |coordinate| of an origin.
     """
     x0, y0, x1, y1 = box
-    for y in range(y1 - y0):
-        i, stop = lane(y * WIDTH), lane(y * WIDTH + x1 - x0)
-        while i < stop:
-            place, end = tile[PLACE + i], i + lane(1)
-            while end < stop and tile[PLACE + end] == place:
-                end += lane(1)
+    for y in range(y0, y1):
+        first = lane((y - y0) * WIDTH)
+        x, stop = 0, x1 - x0
+        while x < stop:
+            place, end = tile[PLACE + first + lane(x)], x + 1
+            while end < stop and tile[PLACE + first + lane(end)] == place:
+                end += 1
             if places[0] <= place < places[1]:
                 k = int(place) - places[0]
-                find_run(prims, k, facing(prims, k, reach), tile, i, end)
-            i = end
+                paint_run(prims, k, facing(prims, k, reach), tile, first, image, (y, x0, x, end))
+            elif place < 0.0 and places[0] == 0:
+                for i in range(x0 + x, x0 + end):
+                    image[y, i, 0], image[y, i, 1], image[y, i, 2] = 0.0, 0.0, 0.0
+            x = end
 
 
 @inlined
-def find_run(prims: Any, k: int, face: Any, tile: Any, start: Any, stop: Any) -> None:
-    """The normals of pixels in a row that show one primitive."""
-    if face[0]:
-        for i in range(start, stop):
+def paint_run(prims: Any, k: int, face: Any, tile: Any, first: Any, image: Any, run: Any) -> None:
+    """The normals of pixels in a row that show one primitive; run: row, left end of the tile, start and stop there."""
+    y, x0, start, stop = run
+    if len(face) == FLAT:
+        n = face[1]
+        for x in range(x0 + start, x0 + stop):
+            image[y, x, 0], image[y, x, 1], image[y, x, 2] = n[0], n[1], n[2]
+        return
+    if face[0]:  # apart from the image, so that several are done at once
+        for i in range(first + lane(start), first + lane(stop)):
             o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
             tile[NX + i], tile[NY + i], tile[NZ + i] = plain_normal(prims, face, o, d, tile[T + i])
-        return
-    for i in range(start, stop):
-        o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
-        tile[NX + i], tile[NY + i], tile[NZ + i] = normal(prims, k, o, d, tile[T + i])
+    else:
+        for i in range(first + lane(start), first + lane(stop)):
+            o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
+            tile[NX + i], tile[NY + i], tile[NZ + i] = normal(prims, k, o, d, tile[T + i])
+    for x in range(start, stop):
+        i = first + lane(x)
+        image[y, x0 + x, 0], image[y, x0 + x, 1], image[y, x0 + x, 2] = (
+            tile[NX + i],
+            tile[NY + i],
+            tile[NZ + i],
+        )

@@ -70,6 +70,7 @@ def normal(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
 def facing(prims: Any, k: int, reach: float) -> Any:
     """(plain, ...): what `plain_normal` wants to know of primitive k, and whether it will do for it.
 
+    (True, n) where the normal is n all over; nothing else has two members.
     reach: the largest |coordinate| of an origin.
     """
 

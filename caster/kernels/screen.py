@@ -58,6 +58,10 @@ class Spans(NamedTuple):
 
     pixels: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
     near: np.ndarray  # (n,) float64: no ray meets it at a smaller t
+    faces: (
+        np.ndarray
+    )  # (n, 3) int32: of triangles, their corners' places in `pictures`; of other kinds (0, 3)
+    pictures: np.ndarray  # (m, 4) float64, a Picture each, in pixels of the window
 
 
 Picture = tuple[float, float, float, float]
@@ -97,14 +101,22 @@ def around(box: tuple[float, float, float, float, float], point: Picture) -> Any
 
 
 @inlined
+def corner(spans: Any, k: int, j: int) -> Picture:
+    """The picture of a triangle's corner."""
+    i = spans.faces[k, j]
+    return spans.pictures[i, 0], spans.pictures[i, 1], spans.pictures[i, 2], spans.pictures[i, 3]
+
+
+@inlined
 def keep_span(spans: Any, k: int, box: Any, deepest: float, slack: float, window: Any) -> None:
     """Turn the box of primitive k, whose points are no deeper than `deepest`, into pixels."""
     left, top, right, bottom, least = box
     if deepest < -slack:  # all of it is behind
         spans.pixels[k, 0], spans.pixels[k, 1], spans.pixels[k, 2], spans.pixels[k, 3] = 0, 0, 0, 0
         return
-    spans.pixels[k, 0], spans.pixels[k, 2] = pixel_span(left, right, window.x0, window.width)
-    spans.pixels[k, 1], spans.pixels[k, 3] = pixel_span(top, bottom, window.y0, window.height)
+    x0, y0, width, height = window
+    spans.pixels[k, 0], spans.pixels[k, 2] = pixel_span(left, right, x0, width)
+    spans.pixels[k, 1], spans.pixels[k, 3] = pixel_span(top, bottom, y0, height)
     spans.near[k] = (least - 2.0 * slack) * NEARER
 
 
@@ -150,25 +162,25 @@ def find_spans_of_balls(
 
 
 @jit
-def find_pictures(points: Any, camera: Any, pictures: Any, reach: Any, start: int, stop: int) -> None:
+def find_pictures(
+    points: Any, camera: Any, window: Any, pictures: Any, reach: Any, start: int, stop: int
+) -> None:
     """pictures (n, 4) of points start..stop, which several triangles share."""
     for i in range(start, stop):
         x, y, wide, depth = picture(camera, (points[i, 0], points[i, 1], points[i, 2]), reach)
-        pictures[i, 0], pictures[i, 1], pictures[i, 2], pictures[i, 3] = x, y, wide, depth
+        pictures[i, 0], pictures[i, 1] = x - window.x0, y - window.y0
+        pictures[i, 2], pictures[i, 3] = wide, depth
 
 
 @jit
-def find_spans_of_faces(
-    faces: Any, pictures: Any, window: Any, spans: Any, reach: Any, start: int, stop: int
-) -> None:
+def find_spans_of_faces(window: Any, spans: Any, reach: Any, start: int, stop: int) -> None:
     """The same as `find_spans`, for triangles between points whose pictures are known."""
     for k in range(start, stop):
         box, deepest = endless(), -math.inf
         for j in range(3):
-            i = faces[k, j]
-            point = pictures[i, 0], pictures[i, 1], pictures[i, 2], pictures[i, 3]
+            point = corner(spans, k, j)
             box, deepest = around(box, point), max(deepest, point[3])
-        keep_span(spans, k, box, deepest, reach[0], window)
+        keep_span(spans, k, box, deepest, reach[0], (0, 0, window.width, window.height))
 
 
 @inlined
@@ -232,6 +244,32 @@ def within_tile(pixels: Any, k: int, box: Box) -> Box:
     return x_start // LANES * LANES, y_start, -(-x_stop // LANES) * LANES, y_stop
 
 
+# Triangles that cover so many pixels across in a tile are looked for row by row, where they are: half of the box around
+# a triangle is not in it, and to find a row's part takes as long as three or four bundles of lanes.
+WIDE = 64
+
+
+@jit
+def in_row(spans: Any, k: int, box: Box, span: Box, y: int) -> tuple[int, int]:
+    """Of the span of triangle k in a tile, what row y of the tile needs; in whole LANES."""
+    row, low, high = box[1] + y + 0.5, math.inf, -math.inf
+    for j in range(3):
+        xa, ya, wide, _ = corner(spans, k, j)
+        xb, yb, wide_b, _ = corner(spans, k, (j + 1) % 3)
+        wide = max(wide, wide_b)
+        if not wide < math.inf:
+            return span[0], span[2]
+        top, bottom = min(ya, yb), max(ya, yb)
+        if top - wide <= row <= bottom + wide:
+            if bottom - top > wide:  # the part of the edge that is no farther than `wide` above or below
+                slope = (xb - xa) / (yb - ya)
+                xb = xa + (min(max(row + wide, top), bottom) - ya) * slope
+                xa = xa + (min(max(row - wide, top), bottom) - ya) * slope
+            low, high = min(low, min(xa, xb) - wide), max(high, max(xa, xb) + wide)
+    start, stop = pixel_span(low, high, box[0], box[2] - box[0])
+    return max(start // LANES * LANES, span[0]), min(-(-stop // LANES) * LANES, span[2])
+
+
 @inlined
 def may_show(tile: Any, first: Any, near: float) -> bool:
     """Whether one of LANES rays has met nothing sure to be nearer."""
@@ -277,8 +315,10 @@ def cast_shared_origin(prims: Any, order: Any, run: Any, spans: Any, base: int, 
         tries = (x_stop - x_start) * (y_stop - y_start)
         small = tries <= FEW
         pre, place = prepare(prims, numbers(prims, k), o), float(base + k)
+        by_row = len(spans.faces) > 0 and x_stop - x_start >= WIDE
         for y in range(y_start, y_stop):
-            for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
+            start, stop = in_row(spans, k, box, span, y) if by_row else (x_start, x_stop)
+            for first in range(lane(y * WIDTH + start), lane(y * WIDTH + max(start, stop)), lane(LANES)):
                 if small or may_show(tile, first, near):
                     for i in range(first, first + lane(LANES)):
                         d = tile[DX + i], tile[DY + i], tile[DZ + i]
@@ -303,8 +343,10 @@ def cast_own_origins(prims: Any, order: Any, run: Any, spans: Any, base: int, bo
         tries = (x_stop - x_start) * (y_stop - y_start)
         small = tries <= FEW
         prim, place = numbers(prims, k), float(base + k)
+        by_row = len(spans.faces) > 0 and x_stop - x_start >= WIDE
         for y in range(y_start, y_stop):
-            for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
+            start, stop = in_row(spans, k, box, span, y) if by_row else (x_start, x_stop)
+            for first in range(lane(y * WIDTH + start), lane(y * WIDTH + max(start, stop)), lane(LANES)):
                 if small or may_show(tile, first, near):
                     for i in range(first, first + lane(LANES)):
                         o = tile[OX + i], tile[OY + i], tile[OZ + i]

@@ -27,8 +27,7 @@ WORK.compiling = lambda name: print("compiling", name)
 tile, hit = new_tile(), np.ones((2, 3), bool)
 put_none(tile, 0, 4)
 tile[PLACE + 1] = 5.0
-none = np.zeros((0, 0))
-paint_seen(tile, (0, 0, 3, 2), hit, np.zeros((2, 3), bool), none, none[..., None])
+paint_seen(tile, (0, 0, 3, 2), hit, np.zeros((2, 3), bool), np.zeros((0, 0)))
 assert hit.tolist()[0] == [False, True, False], hit
 assert cheapest(np.ones(16, np.int64), np.tile(np.arange(16.0)[:, None], (1, 6))) in range(16)
 print("compiled", len(WORK.compiled), "loaded", len(WORK.loaded), "numba" in sys.modules)
