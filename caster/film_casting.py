@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -144,21 +145,29 @@ def sorted_kinds(
         in_bands(find, number, threads, least=MANY)
         if longest > 1.0:  # t counts in lengths of d
             spans.near[:] = np.minimum(spans.near, spans.near / longest)
-        return _into_tiles(kind, base, window, spans)
+        return _into_tiles(kind, base, window, spans, threads)
 
     return [sort(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
 
 
-def _into_tiles(kind: Kind, base: int, window: Window, spans: Spans) -> Sorted:
+def _into_tiles(kind: Kind, base: int, window: Window, spans: Spans, threads: int | None) -> Sorted:
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
     bits = spans.near.view(np.int64)
     found = np.zeros(2, np.int64)
     last_depth(spans.pixels, bits, found)
     seen, last = found.tolist()
     counts = np.zeros(across * down * DRAWERS + 1, np.int64)
-    count_in_tiles(spans.pixels, bits, last, across, counts)
+    workers = min(thread_count(threads), down, max(1, seen // MANY))
+    edges = [
+        down * i // workers for i in range(workers + 1)
+    ]  # each thread goes through all primitives, for its rows
+
+    def in_rows(work: Callable[[int, int], None]) -> None:
+        in_turns(lambda: lambda rows: work(*rows), list(pairwise(edges)), workers)
+
+    in_rows(partial(count_in_tiles, spans.pixels, bits, last, across, counts))
     ends = np.cumsum(counts)
     runs = ends[::DRAWERS].copy()
     order = np.empty(runs[-1], np.int32)
-    sort_into_tiles(spans.pixels, bits, last, across, ends, order)
+    in_rows(partial(sort_into_tiles, spans.pixels, bits, last, across, ends, order))
     return Sorted(kind, spans, (base, base + len(kind.ids)), seen, runs, order)

@@ -213,23 +213,30 @@ def drawer(bits: int, last: int) -> int:
 
 
 @jit
-def count_in_tiles(pixels: Any, bits: Any, last: int, across: int, counts: Any) -> None:
-    """How many spans reach into each tile: counts[n * DRAWERS + drawer + 1]; tiles go row by row, `across` in a row."""
+def count_in_tiles(
+    pixels: Any, bits: Any, last: int, across: int, counts: Any, start: int, stop: int
+) -> None:
+    """How many spans reach into each tile: counts[n * DRAWERS + drawer + 1]; tiles go row by row, `across` in a row.
+
+    For rows start..stop of tiles.
+    """
     for k in range(len(bits)):
         if is_seen(pixels, k):
             into = drawer(bits[k], last) + 1
-            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
+            for y in range(max(pixels[k, 1] // HEIGHT, start), min((pixels[k, 3] - 1) // HEIGHT + 1, stop)):
                 for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
                     counts[(y * across + x) * DRAWERS + into] += 1
 
 
 @jit
-def sort_into_tiles(pixels: Any, bits: Any, last: int, across: int, ends: Any, order: Any) -> None:
+def sort_into_tiles(
+    pixels: Any, bits: Any, last: int, across: int, ends: Any, order: Any, start: int, stop: int
+) -> None:
     """Write primitives to order[ends[n * DRAWERS + drawer]:], for each tile n they reach into, moving that end on."""
     for k in range(len(bits)):
         if is_seen(pixels, k):
             into = drawer(bits[k], last)
-            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
+            for y in range(max(pixels[k, 1] // HEIGHT, start), min((pixels[k, 3] - 1) // HEIGHT + 1, stop)):
                 for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
                     n = (y * across + x) * DRAWERS + into
                     order[ends[n]] = k
