@@ -123,7 +123,7 @@ def sorted_kinds(
     """Where to look for each primitive.
 
     origin: the largest |coordinate| of a ray's origin; off_centre: how far from the centres of pixels rays may pass;
-    longest: no d is longer.
+    longest: no d is longer, but for a few u.
     """
 
     def sort(kind: Kind, base: int) -> Sorted:
@@ -133,7 +133,7 @@ def sorted_kinds(
         points = kind.prims.vertices if triangles else np.empty((0, 3))
         faces = kind.prims.faces if triangles else np.empty((0, 3), np.int32)
         pixels, pictures = np.empty((number, 4), np.int32), np.empty((len(points), 4))
-        spans = Spans(pixels, np.empty(number), faces, pictures)
+        spans = Spans(pixels, np.empty(number), faces, pictures, camera.forward, 1.0 / longest)
         if triangles:
             find = partial(find_pictures, points, camera, window, pictures, reach)
             in_bands(find, len(points), threads, least=MANY)
@@ -143,8 +143,6 @@ def sorted_kinds(
         else:
             find = partial(find_spans, kind.prims, camera, window, spans, reach)
         in_bands(find, number, threads, least=MANY)
-        if longest > 1.0:  # t counts in lengths of d
-            spans.near[:] = np.minimum(spans.near, spans.near / longest)
         return _into_tiles(kind, base, window, spans, threads)
 
     return [sort(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
@@ -165,9 +163,12 @@ def _into_tiles(kind: Kind, base: int, window: Window, spans: Spans, threads: in
     def in_rows(work: Callable[[int, int], None]) -> None:
         in_turns(lambda: lambda rows: work(*rows), list(pairwise(edges)), workers)
 
-    in_rows(partial(count_in_tiles, spans.pixels, bits, last, across, counts))
+    # Few enough to be sorted outright are, since large ones may hide many.
+    queue = np.argsort(spans.near, kind="stable") if len(bits) < MANY else np.arange(len(bits))
+    queue = queue.astype(np.int32)
+    in_rows(partial(count_in_tiles, spans.pixels, queue, bits, last, across, counts))
     ends = np.cumsum(counts)
     runs = ends[::DRAWERS].copy()
     order = np.empty(runs[-1], np.int32)
-    in_rows(partial(sort_into_tiles, spans.pixels, bits, last, across, ends, order))
+    in_rows(partial(sort_into_tiles, spans.pixels, queue, bits, last, across, ends, order))
     return Sorted(kind, spans, (base, base + len(kind.ids)), seen, runs, order)

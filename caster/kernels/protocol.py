@@ -110,7 +110,7 @@ def ray(camera: Any, x: float, y: float) -> Any:
 def project(camera: Any, p: Vec3) -> Any:
     """(x, y, pixels, depth, valid): where p falls on the film; a unit step of p moves it by at most so many pixels.
 
-    depth: how far p is in front of where the rays start, or, if negative, behind; t is no less. Not valid where
+    depth: how far p is in front of where the rays start, along camera.forward, or, if negative, behind. Not valid where
     straight edges would not stay straight. A camera without a body for this goes through the tree.
     """
 

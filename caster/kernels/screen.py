@@ -11,6 +11,7 @@ import numpy as np
 
 from caster.kernels.jit import LANES, any_reaches, inlined, jit
 from caster.kernels.protocol import (
+    Vec3,
     hull_point,
     hull_size,
     intersect,
@@ -31,6 +32,7 @@ from caster.kernels.tile import (
     SIZE,
     T_MAX,
     T_MIN,
+    VIEW,
     WIDTH,
     Box,
     T,
@@ -57,11 +59,13 @@ class Spans(NamedTuple):
     """Where the primitives of a kind may be seen."""
 
     pixels: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
-    near: np.ndarray  # (n,) float64: no ray meets it at a smaller t
+    near: np.ndarray  # (n,) float64: nothing of it has a smaller depth
     faces: (
         np.ndarray
     )  # (n, 3) int32: of triangles, their corners' places in `pictures`; of other kinds (0, 3)
     pictures: np.ndarray  # (m, 4) float64, a Picture each, in pixels of the window
+    forward: Vec3  # along which depth counts
+    least: float  # a depth times this is no more than t: 1 over the length of the longest d
 
 
 Picture = tuple[float, float, float, float]
@@ -69,7 +73,7 @@ Picture = tuple[float, float, float, float]
 
 # Nothing of a primitive is nearer than the least depth of its points, by more than the `slack` that its box is widened
 # by: 24 u times the largest coordinates (tree.REACH), where depth is off by some 12 u of them; and again as much for
-# the hits themselves. And d is of length 1 but for a few u.
+# the hits themselves. The factor is for the rounding of `reach_of`.
 NEARER = 1.0 - 2.0**-40
 
 
@@ -214,13 +218,13 @@ def drawer(bits: int, last: int) -> int:
 
 @jit
 def count_in_tiles(
-    pixels: Any, bits: Any, last: int, across: int, counts: Any, start: int, stop: int
+    pixels: Any, queue: Any, bits: Any, last: int, across: int, counts: Any, start: int, stop: int
 ) -> None:
     """How many spans reach into each tile: counts[n * DRAWERS + drawer + 1]; tiles go row by row, `across` in a row.
 
-    For rows start..stop of tiles.
+    For rows start..stop of tiles. queue: all primitives; those in one drawer stay in its order.
     """
-    for k in range(len(bits)):
+    for k in queue:
         if is_seen(pixels, k):
             into = drawer(bits[k], last) + 1
             for y in range(max(pixels[k, 1] // HEIGHT, start), min((pixels[k, 3] - 1) // HEIGHT + 1, stop)):
@@ -230,10 +234,10 @@ def count_in_tiles(
 
 @jit
 def sort_into_tiles(
-    pixels: Any, bits: Any, last: int, across: int, ends: Any, order: Any, start: int, stop: int
+    pixels: Any, queue: Any, bits: Any, last: int, across: int, ends: Any, order: Any, start: int, stop: int
 ) -> None:
     """Write primitives to order[ends[n * DRAWERS + drawer]:], for each tile n they reach into, moving that end on."""
-    for k in range(len(bits)):
+    for k in queue:
         if is_seen(pixels, k):
             into = drawer(bits[k], last)
             for y in range(max(pixels[k, 1] // HEIGHT, start), min((pixels[k, 3] - 1) // HEIGHT + 1, stop)):
@@ -294,13 +298,37 @@ def may_show_in(tile: Any, span: Box, near: float) -> bool:
     return False
 
 
-@inlined
-def farthest(tile: Any, box: Box) -> float:
-    """How far a tile can be seen into anywhere."""
-    far = 0.0
+@jit
+def reach_of(tile: Any, box: Box, forward: Any) -> float:
+    """By how much a depth is at least to be multiplied for a ray of the tile to be at it: t d . forward = depth."""
+    for j in range(lane(LANES)):
+        tile[VIEW + j] = 0.0
     for y in range(box[3] - box[1]):
-        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-            far = max(far, tile[T + i] + tile[OFF + i])
+        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
+            for j in range(lane(LANES)):  # some maxima side by side, so that several are compared at once
+                i = first + j
+                ahead = tile[DX + i] * forward[0] + tile[DY + i] * forward[1] + tile[DZ + i] * forward[2]
+                tile[VIEW + j] = max(tile[VIEW + j], ahead)
+    most = 0.0
+    for j in range(lane(LANES)):
+        most = max(most, tile[VIEW + j])
+    return 1.0 / most if most > 0.0 else 0.0
+
+
+@jit
+def farthest(tile: Any, box: Box) -> float:
+    """How far a tile can be seen into anywhere: inf if only at one pixel, which is soon found."""
+    for j in range(lane(LANES)):
+        tile[VIEW + j] = 0.0
+    for y in range(box[3] - box[1]):
+        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
+            if any_reaches(tile, T + first, OFF + first, math.inf):
+                return math.inf
+            for j in range(lane(LANES)):
+                tile[VIEW + j] = max(tile[VIEW + j], tile[T + first + j] + tile[OFF + first + j])
+    far = 0.0
+    for j in range(lane(LANES)):
+        far = max(far, tile[VIEW + j])
     return far
 
 
@@ -312,10 +340,10 @@ FEW = 256
 def cast_shared_origin(prims: Any, order: Any, run: Any, spans: Any, base: int, box: Box, tile: Any) -> None:
     """Primitives order[run[0]:run[1]] of a kind whose places begin at `base`, for rays that start in one point."""
     o = tile[OX], tile[OY], tile[OZ]
-    far, tried = math.inf, 0
+    far, tried, patience, stretch = math.inf, 0, SIZE, spans.least
     for at in range(run[0], run[1]):
         k = order[at]
-        near, span = spans.near[k], within_tile(spans.pixels, k, box)
+        near, span = max(spans.near[k], 0.0) * stretch, within_tile(spans.pixels, k, box)
         if near > far or not may_show_in(tile, span, near):
             continue
         x_start, y_start, x_stop, y_stop = span
@@ -332,18 +360,22 @@ def cast_shared_origin(prims: Any, order: Any, run: Any, spans: Any, base: int, 
                         t, off = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
                         keep_first(tile, i, place, t, off)
         tried += tries
-        if tried > SIZE:  # worth a look at what all of this has covered
+        if tried > patience:  # worth a look at what all of this has covered, and at the tile's own directions
             far, tried = farthest(tile, box), 0
+            if far < math.inf:
+                stretch = reach_of(tile, box, spans.forward)
+            else:
+                patience *= 2
 
 
 @jit
 def cast_own_origins(prims: Any, order: Any, run: Any, spans: Any, base: int, box: Box, tile: Any) -> None:
     """The same for rays of one direction that start in different places (an orthographic camera)."""
     d = tile[DX], tile[DY], tile[DZ]
-    far, tried = math.inf, 0
+    far, tried, patience, stretch = math.inf, 0, SIZE, spans.least
     for at in range(run[0], run[1]):
         k = order[at]
-        near, span = spans.near[k], within_tile(spans.pixels, k, box)
+        near, span = max(spans.near[k], 0.0) * stretch, within_tile(spans.pixels, k, box)
         if near > far or not may_show_in(tile, span, near):
             continue
         x_start, y_start, x_stop, y_stop = span
@@ -362,5 +394,9 @@ def cast_own_origins(prims: Any, order: Any, run: Any, spans: Any, base: int, bo
                         )
                         keep_first(tile, i, place, t, off)
         tried += tries
-        if tried > SIZE:
+        if tried > patience:
             far, tried = farthest(tile, box), 0
+            if far < math.inf:
+                stretch = reach_of(tile, box, spans.forward)
+            else:
+                patience *= 2
