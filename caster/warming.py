@@ -94,11 +94,16 @@ VIEW = {"eye": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0), "up": (0.0, 1.0, 0.0
 
 
 def every_scene() -> Iterator[tuple[str, Scene]]:
-    """All kinds of primitives, seen by each camera."""
+    """All kinds of primitives together, seen by each camera; and each alone, where such films are painted at once."""
     shapes = _shapes()
     for camera in CAMERAS:
         kind = camera.model_fields["type"].default
-        yield kind, Scene(camera=camera(**LEAST.get(kind, VIEW)), shapes=shapes, lights=LAMPS)
+        looking = camera(**LEAST.get(kind, VIEW))
+        yield kind, Scene(camera=looking, shapes=shapes, lights=LAMPS)
+        if culling_for(looking.pack(SIDE, SIDE))[0] == "screen":
+            alone = {type(pack(Scene(camera=looking, shapes=[shape])).parts[0]): shape for shape in shapes}
+            for prims, shape in alone.items():
+                yield f"{kind}, {prims.__name__.lower()}", Scene(camera=looking, shapes=[shape])
 
 
 def _shapes() -> list[Any]:

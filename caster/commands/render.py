@@ -62,8 +62,10 @@ def run(args: argparse.Namespace) -> int:
     write(output, scene, images, args.scene)
     if args.json:
         from caster.explain import account
+        from caster.kernels.jit import WORK
 
-        print(json.dumps({"output": output, **account(rendered, aovs)}, indent=2))
+        kernels = {"compiled": WORK.compiled, "loaded": WORK.loaded}
+        print(json.dumps({"output": output, **account(rendered, aovs), "kernels": kernels}, indent=2))
         return OK
     if args.explain:
         from caster.explain import explain

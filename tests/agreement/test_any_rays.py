@@ -8,7 +8,7 @@ from same_bits import assert_same_bits
 
 from caster.cameras import Pinhole
 from caster.casting import find_nearest
-from caster.hits import cast, checked_rays, packed
+from caster.hits import cast, checked_rays, occluded, packed
 from caster.kernels.triangles import Triangles
 from caster.packing import Kind, Packed
 from caster.scene import Scene
@@ -19,8 +19,10 @@ RAYS = 200  # of each family, for each shape, size and offset; `make nightly` ca
 
 
 def count_hits_where_tree_agrees(scene: Scene, o: np.ndarray, d: np.ndarray, what: str) -> int:
-    """How many rays hit; fails where `cast` differs from trying every primitive."""
+    """How many rays hit; fails where `cast` differs from trying every primitive, or what is told sooner from it."""
     hits = cast(scene, o, d)
+    sooner = {"blocked": occluded(scene, o, d), "normal": hits.normal}
+    assert_same_bits({"blocked": hits.shape_id >= 0, "normal": hits.surface.n}, sooner, what)
     slow = find_nearest(packed(scene), checked_rays(o, d, 0.0, np.inf), "everything")
     fast = {"t": hits.t, "prim": hits.view.nearest.prim}
     assert_same_bits({"t": slow.t, "prim": slow.prim}, fast, what)

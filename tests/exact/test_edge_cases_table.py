@@ -133,7 +133,7 @@ def test_a_bound_that_says_nothing_is_found(monkeypatch):
     ids=["turned round", "too long", "no number"],
 )
 def test_a_wrong_normal_is_found(monkeypatch, turn, says):
-    right = Hits.surface.func
+    right = Hits.surface.fget
     surface = property(lambda self: (s := right(self))._replace(n=turn(s.n)))
     monkeypatch.setattr(Hits, "surface", surface)
     wrong = judged(a_question()).wrong
@@ -141,7 +141,7 @@ def test_a_wrong_normal_is_found(monkeypatch, turn, says):
 
 
 def test_a_normal_a_little_off_is_found(monkeypatch):
-    right = Hits.surface.func
+    right = Hits.surface.fget
     nudge = np.array([1e-11, -1e-11, 1e-11])
     monkeypatch.setattr(
         Hits,

@@ -1,6 +1,10 @@
 """What a scene does not need is not done: told by counts of work, not by seconds."""
 
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +13,11 @@ from caster import Cube, Fisheye, Icosphere, Orthographic, Pinhole, Plane, Scene
 from caster.__main__ import main
 from caster.aovs import BY_NAME
 from caster.explain import account
+from caster.kernels.jit import COMPILED
 from caster.lights import Ambient, Directional, Point
 from caster.rendering import look, render_film
 
+ROOT = Path(__file__).resolve().parents[2]
 EYE = {"eye": (0.3, 0.4, 6.0), "look_at": (0.0, 0.0, 0.0)}
 LAMP = Point(position=(3, 4, 5), intensity=(9, 9, 9))
 
@@ -120,6 +126,44 @@ def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, cap
     assert f"culling      {data['culling']['name']}: {data['culling']['reason']}\n" in words
     assert f"worked out for {data['surfaces']['hits']} hits: normals\n" in words
     assert f"trees        skipped: {data['trees']['reason']}\n" in words
+
+
+LONELY = """[film]
+width = 8
+height = 6
+[camera]
+type = "pinhole"
+eye = [0, 0, 5]
+look_at = [0, 0, 0]
+[[shape]]
+type = "sphere"
+"""
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba there are no compiled kernels to count")
+def test_kernels_of_absent_shapes_and_of_what_is_not_asked_for_are_not_loaded(tmp_path):
+    (tmp_path / "s.toml").write_text(LONELY)
+    command = [sys.executable, "-m", "caster", "render", "s.toml", "--aov", "depth,normal", "--json"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    kernels = json.loads(run.stdout)["kernels"]
+    used = [*kernels["compiled"], *kernels["loaded"]]
+    assert any("Spheres" in name for name in used)
+    others = [
+        "Triangles",
+        "Ellipsoids",
+        "Cylinders",
+        "Disks",
+        "Planes",
+        "Tree",
+        "Light",
+        "Orthographic",
+        "Fisheye",
+    ]
+    assert not [name for name in used for other in others if other in name]
+    asked_of = {name.partition("(")[0] for name in used}
+    assert not asked_of & {"find_surfaces_in_tile", "aim_at_light", "find_materials"}
+    assert len(used) <= 8, used
 
 
 def test_without_culling_nothing_is_counted():

@@ -96,16 +96,22 @@ class Measured(NamedTuple):
 
 
 def measured(question: Question, packed: Packed, hits: Hits, rows: np.ndarray) -> Measured:
-    """`cast` shortens d by a power of two; the record of its hits counts in lengths of that."""
+    """`cast` may shorten d by a power of two; the record of its hits counts in lengths of that."""
     nearest, rays = hits.view.nearest, hits.view.rays
     found = conditions(packed, nearest.prim[rows], rays.o[rows], rays.d[rows], nearest.t[rows])
     # Where nothing is resolved, exact arithmetic has decided, and t is rounded a few times only.
     rounded = FLOAT_ERROR * np.abs(nearest.t[rows]) * ROUNDED
     limit = np.where(np.isfinite(found.size), found.off_limit(), rounded)
-    exponent = np.frexp(np.abs(question.d[rows]).max(axis=1))[1]
+    exponent = powers(question.d[rows]) - powers(rays.d[rows])
     every = (nearest.off[rows], T_ULPS * ULP * found.size, limit)
     with np.errstate(over="ignore", under="ignore"):  # as `cast` does it
         return Measured(*(np.ldexp(x, -exponent) for x in every))
+
+
+def powers(d: np.ndarray) -> np.ndarray:
+    """Of two, of each row's largest component."""
+    exponents: np.ndarray = np.frexp(np.abs(d).max(axis=1))[1]
+    return exponents
 
 
 def of_t(

@@ -1,0 +1,71 @@
+"""Pieces of work on several threads: each done once, errors told, nothing begun after one."""
+
+import threading
+
+import pytest
+
+from caster.threads import in_bands, in_turns, thread_count
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5])
+@pytest.mark.parametrize("count", [0, 1, 2, 97])
+def test_every_piece_is_done_once(workers, count):
+    done: list[int] = []
+    in_turns(lambda: done.append, list(range(count)), workers)
+    assert sorted(done) == list(range(count))
+
+
+@pytest.mark.parametrize("threads", [1, 2, 7])
+def test_bands_cover_everything(threads):
+    done: list[range] = []
+    in_bands(lambda start, stop: done.append(range(start, stop)), 1000, threads)
+    assert sorted(i for band in done for i in band) == list(range(1000))
+    in_bands(lambda start, stop: pytest.fail("nothing to do"), 0, threads)
+
+
+def test_too_little_for_a_second_thread_stays_on_this_one():
+    where = set()
+    in_bands(lambda start, stop: where.add(threading.get_ident()), 99, 4, least=50)
+    assert where == {threading.get_ident()}
+
+
+def test_an_error_is_raised_and_what_has_not_begun_is_not_begun():
+    begun: list[int] = []
+
+    def work(piece: int) -> None:
+        begun.append(piece)
+        if piece == 3:
+            raise ValueError("planted")
+
+    with pytest.raises(ValueError, match="planted"):
+        in_turns(lambda: work, list(range(10**6)), 1)
+    assert begun == [0, 1, 2, 3]
+
+
+def test_an_error_of_another_thread_is_raised():
+    mine, caught = threading.get_ident(), threading.Event()
+
+    def work(piece: int) -> None:
+        if threading.get_ident() != mine:
+            caught.set()
+            raise ValueError("planted elsewhere")
+        caught.wait(0.01)
+
+    with pytest.raises(ValueError, match="planted elsewhere"):
+        in_turns(lambda: work, list(range(1000)), 2)
+    assert caught.is_set()
+
+
+def test_work_within_work_ends():
+    """Threads that wait for threads that wait: whoever asks does what is left himself."""
+    done: list[int] = []
+
+    def outer(piece: int) -> None:
+        in_turns(lambda: done.append, list(range(10)), 2)
+
+    in_turns(lambda: outer, list(range(8)), 2)
+    assert len(done) == 80
+
+
+def test_as_many_as_asked_for():
+    assert thread_count(3) == 3 and thread_count() >= 1
