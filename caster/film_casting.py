@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,7 +23,6 @@ from caster.kernels.screen import (
     find_spans,
     find_spans_of_balls,
     find_spans_of_faces,
-    last_depth,
     sort_into_tiles,
 )
 from caster.kernels.tile import HEIGHT, WIDTH, Box, load_rays, new_tile, store_nearest
@@ -143,32 +141,41 @@ def sorted_kinds(
         else:
             find = partial(find_spans, kind.prims, camera, window, spans, reach)
         in_bands(find, number, threads, least=MANY)
-        return _into_tiles(kind, base, window, spans, threads)
+        # the eye is no farther from a point than sqrt(3) times the largest coordinates together
+        farthest = 2.0 * (origin + kind.extent) if kind.bounded else 1.0
+        return _into_tiles(kind, base, window, spans, farthest, threads)
 
     return [sort(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
 
 
-def _into_tiles(kind: Kind, base: int, window: Window, spans: Spans, threads: int | None) -> Sorted:
+def _into_tiles(
+    kind: Kind, base: int, window: Window, spans: Spans, farthest: float, threads: int | None
+) -> Sorted:
+    """farthest: no depth is larger. Several threads count and sort a part of the primitives each."""
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
-    bits = spans.near.view(np.int64)
-    found = np.zeros(2, np.int64)
-    last_depth(spans.pixels, bits, found)
-    seen, last = found.tolist()
-    counts = np.zeros(across * down * DRAWERS + 1, np.int64)
-    workers = min(thread_count(threads), down, max(1, seen // MANY))
-    edges = [
-        down * i // workers for i in range(workers + 1)
-    ]  # each thread goes through all primitives, for its rows
-
-    def in_rows(work: Callable[[int, int], None]) -> None:
-        in_turns(lambda: lambda rows: work(*rows), list(pairwise(edges)), workers)
-
+    bits, number = spans.near.view(np.int64), len(spans.near)
+    last = int(np.float64(farthest).view(np.int64))
     # Few enough to be sorted outright are, since large ones may hide many.
-    queue = np.argsort(spans.near, kind="stable") if len(bits) < MANY else np.arange(len(bits))
-    queue = queue.astype(np.int32)
-    in_rows(partial(count_in_tiles, spans.pixels, queue, bits, last, across, counts))
-    ends = np.cumsum(counts)
-    runs = ends[::DRAWERS].copy()
-    order = np.empty(runs[-1], np.int32)
-    in_rows(partial(sort_into_tiles, spans.pixels, queue, bits, last, across, ends, order))
-    return Sorted(kind, spans, (base, base + len(kind.ids)), seen, runs, order)
+    queue = np.argsort(spans.near, kind="stable") if number < MANY else np.empty(0)
+    about = spans.pixels, bits, last, queue.astype(np.int32), across
+    workers = max(1, min(thread_count(threads), number // MANY))
+    parts = [(i, number * i // workers, number * (i + 1) // workers) for i in range(workers)]
+    counts, seen = np.zeros((workers, across * down * DRAWERS), np.int64), [0] * workers
+
+    def count(part: tuple[int, int, int]) -> None:
+        i, start, stop = part
+        seen[i] = count_in_tiles(*about, counts[i], start, stop)
+
+    in_turns(lambda: count, parts, workers)
+    # in each drawer of each tile, what the first part has comes first: the same order for any number of threads
+    ends = np.cumsum(counts.T.reshape(-1)).reshape(-1, workers).T
+    starts = np.ascontiguousarray(ends - counts)
+    order = np.empty(ends[-1, -1], np.int32)
+
+    def sort(part: tuple[int, int, int]) -> None:
+        i, start, stop = part
+        sort_into_tiles(*about, starts[i], order, start, stop)
+
+    runs = np.append(starts[0, ::DRAWERS], len(order))
+    in_turns(lambda: sort, parts, workers)
+    return Sorted(kind, spans, (base, base + number), sum(seen), runs, order)

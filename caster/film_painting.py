@@ -49,6 +49,24 @@ class Painted:
     )  # of each kind, the primitives that some pixel was tried for; None: no such list
 
 
+@dataclass(frozen=True)
+class Canvas:
+    """A film in the making."""
+
+    scene: Scene
+    packed: Packed
+    camera: Any  # packed
+    window: Window
+    images: dict[str, np.ndarray]  # by AOV, but for hit
+    hit: np.ndarray  # (h, w) bool
+    doubt: np.ndarray  # (h, w) bool, pixels that have to be found exactly
+    threads: int | None
+
+    def image(self, name: str, channels: tuple[int, ...] = ()) -> np.ndarray:
+        """The image of an AOV; one without size if it was not asked for. channels: (3,) where it has three."""
+        return self.images[name] if name in self.images else np.empty((0, 0, *channels))
+
+
 def paint_film(
     scene: Scene,
     packed: Packed,
@@ -60,70 +78,32 @@ def paint_film(
 ) -> Painted:
     """The AOVs as planned, by the cullings "screen" (for cameras that keep straight lines straight) or "bvh"."""
     camera = scene.camera.pack(scene.film.width, scene.film.height)
-    reach = _farthest_origin(camera, window)
     hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: _blank(name, window, dtype) for name in aovs if name != "hit"}
-    shading = (
-        Shading(scene, packed, plan, images["diffuse"]) if "diffuse" in images and packed.kinds else None
-    )
-    painters = _painters(scene, packed, reach, images, plan.surfaces)
-    if shading:
-        painters.append(shading)
-    none = np.empty((0, 0), dtype)
-    depth = images.get("depth", none)
-    normals = images["normal"] if plan.surfaces == ("normals",) else none[..., None]
-    kinds = sorted_kinds(packed, camera, window, reach, threads) if plan.culling == "screen" else []
-    if plan.culling == "screen":
-        cast = cast_shared_origin if scene.camera.shares_origin else cast_own_origins
-        seek: Callable[[int, Box, np.ndarray], None] = partial(cast_tile, cast, kinds)
+    canvas = Canvas(scene, packed, camera, window, images, hit, doubt, threads)
+    reach, shadow_rays = _farthest_origin(camera, window), 0
+    kinds = sorted_kinds(packed, camera, window, reach, threads) if plan.culling == "screen" else None
+    if kinds and len(kinds) == 1 and images.keys() <= {"depth", "normal"}:
+        _paint_at_once(canvas, kinds[0], reach)
     else:
-        cast_rows = by_trees(packed)
-
-        def seek(number: int, box: Box, tile: np.ndarray) -> None:
-            cast_rows((box[3] - box[1]) * WIDTH, tile)
-
-    def work(number: int, box: Box, room: Room) -> None:
-        shoot_rays(camera, window, box, room.tile)
-        seek(number, box, room.tile)
-        for paint in painters:
-            paint(room, box)
-        paint_seen(room.tile, box, hit, doubt, depth)  # last: shading has doubts of its own
-
-    if len(kinds) == 1 and set(images) <= {"depth", "normal"} and not {"position", "uv"} & set(plan.surfaces):
-        far = reach if isinstance(scene.camera, Camera) else np.inf
-        seen = hit, doubt, depth, normals
-        _paint_at_once(kinds[0], camera, window, scene.camera.shares_origin, far, seen, threads)
-    else:
-        in_tiles(work, window, threads, Room)
-    pixels = np.flatnonzero(doubt)
-    if len(pixels):
-        view = _decided(scene, packed, window, camera, pixels, threads)
-        hit.reshape(-1)[pixels] = view.hit
-        for name, image in images.items():
-            with np.errstate(over="ignore", under="ignore"):
-                image.reshape(doubt.size, *image.shape[2:])[pixels] = BY_NAME[name].evaluate(view)
+        shadow_rays = _paint_by_steps(canvas, plan, kinds, reach)
+    doubtful = _decide_the_rest(canvas)
     if "hit" in aovs:
         images["hit"] = hit.astype(dtype)
-    on_film = tuple(it.seen for it in kinds) if plan.culling == "screen" else None
-    return Painted(images, hit, len(pixels), shading.shadow_rays if shading else 0, on_film)
+    on_film = None if kinds is None else tuple(it.seen for it in kinds)
+    return Painted(images, hit, doubtful, shadow_rays, on_film)
 
 
 TURNS = 8  # for each thread: so few that steps of Python do not count, enough to share the work evenly
 
 
-def _paint_at_once(
-    it: Sorted,
-    camera: Any,
-    window: Window,
-    shares_origin: bool,
-    reach: float,
-    images: tuple[np.ndarray, ...],
-    threads: int | None,
-) -> None:
-    """Depth and normals of a scene of one kind; images: hit, doubt, depth, normals."""
-    film = film_from_one_point if shares_origin else film_in_one_direction
+def _paint_at_once(canvas: Canvas, it: Sorted, reach: float) -> None:
+    """Depth and normals of a scene of one kind."""
+    camera, window = canvas.camera, canvas.window
+    film = film_from_one_point if canvas.scene.camera.shares_origin else film_in_one_direction
+    images = canvas.hit, canvas.doubt, canvas.image("depth"), canvas.image("normal", (3,))
     kind = it.kind.prims, it.order, it.runs, it.spans
-    workers, count = thread_count(threads), len(it.runs) - 1
+    workers, count = thread_count(canvas.threads), len(it.runs) - 1
     edges = np.linspace(0, count, min(count, workers * TURNS) + 1).astype(int).tolist()
 
     def begin() -> Callable[[tuple[int, int]], None]:
@@ -131,6 +111,52 @@ def _paint_at_once(
         return lambda tiles: film(camera, window, kind, reach, tiles, tile, images)
 
     in_turns(begin, list(pairwise(edges)), workers)
+
+
+def _paint_by_steps(canvas: Canvas, plan: Plan, kinds: list[Sorted] | None, reach: float) -> int:
+    """Anything else, one step after the other for each tile; how many shadow rays that took. kinds: None for trees."""
+    scene, packed, images = canvas.scene, canvas.packed, canvas.images
+    seek, depth = _seeker(canvas, kinds), canvas.image("depth")
+    painters = _painters(scene, packed, reach, images, plan.surfaces)
+    shading = (
+        Shading(scene, packed, plan, images["diffuse"]) if "diffuse" in images and packed.kinds else None
+    )
+    if shading:
+        painters.append(shading)
+
+    def work(number: int, box: Box, room: Room) -> None:
+        shoot_rays(canvas.camera, canvas.window, box, room.tile)
+        seek(number, box, room.tile)
+        for paint in painters:
+            paint(room, box)
+        paint_seen(room.tile, box, canvas.hit, canvas.doubt, depth)  # last: shading has doubts of its own
+
+    in_tiles(work, canvas.window, canvas.threads, Room)
+    return shading.shadow_rays if shading else 0
+
+
+def _seeker(canvas: Canvas, kinds: list[Sorted] | None) -> Callable[[int, Box, np.ndarray], None]:
+    """What finds the hits of a tile, given its number, its box and its rays."""
+    if kinds is not None:
+        cast = cast_shared_origin if canvas.scene.camera.shares_origin else cast_own_origins
+        return partial(cast_tile, cast, kinds)
+    cast_rows = by_trees(canvas.packed)
+    return lambda number, box, tile: cast_rows((box[3] - box[1]) * WIDTH, tile)
+
+
+def _decide_the_rest(canvas: Canvas) -> int:
+    """Paint the pixels that float64 could not tell, exactly; how many."""
+    pixels = np.flatnonzero(canvas.doubt)
+    if len(pixels):
+        rays = new_rays(len(pixels))
+        shoot_at(canvas.camera, canvas.window, rays, pixels)
+        nearest = decide(canvas.packed, rays, canvas.threads)
+        view = View(canvas.scene, canvas.packed, rays, nearest, np.zeros(len(pixels)), canvas.threads)
+        canvas.hit.reshape(-1)[pixels] = view.hit
+        for name, image in canvas.images.items():
+            with np.errstate(over="ignore", under="ignore"):
+                image.reshape(canvas.doubt.size, *image.shape[2:])[pixels] = BY_NAME[name].evaluate(view)
+    return len(pixels)
 
 
 def _blank(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
@@ -159,7 +185,7 @@ def _painters(
         if "position" in surfaces:
             painters.append(_surface_finder(kind.prims, places, "uv" in surfaces))
         elif surfaces:
-            # normals without a branch are for d of length 1, which a camera that looks nowhere may not have
+            # Normals without a branch are for d of length 1, which a camera that looks nowhere may not have.
             far = reach if isinstance(scene.camera, Camera) else np.inf
             painters.append(_normal_painter(kind.prims, places, far, images["normal"]))
     fields = FIELDS if "position" in surfaces else {}
@@ -194,12 +220,3 @@ def _number_painters(scene: Scene, packed: Packed, images: dict[str, np.ndarray]
         table = material_tables(scene)[0]
         painters.append(lambda room, box: paint_albedo(room.tile, box, shapes, table, images["albedo"]))
     return painters
-
-
-def _decided(
-    scene: Scene, packed: Packed, window: Window, camera: Any, pixels: np.ndarray, threads: int | None
-) -> View:
-    """What is seen in some pixels, found exactly where float64 cannot tell."""
-    rays = new_rays(len(pixels))
-    shoot_at(camera, window, rays, pixels)
-    return View(scene, packed, rays, decide(packed, rays, threads), np.zeros(len(pixels)), threads)

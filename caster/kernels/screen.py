@@ -197,50 +197,43 @@ def is_seen(pixels: Any, k: int) -> bool:
 DRAWERS, SHIFT = 128, 52 - 4
 
 
-@jit
-def last_depth(pixels: Any, bits: Any, found: Any) -> None:
-    """found: how many are seen at all, and the bits of the largest of their least depths.
-
-    bits: least depths as int64.
-    """
-    count, last = 0, 0
-    for k in range(len(bits)):
-        if is_seen(pixels, k):
-            count, last = count + 1, max(last, bits[k])
-    found[0], found[1] = count, last
-
-
 @inlined
 def drawer(bits: int, last: int) -> int:
-    """Farther primitives are in later drawers."""
-    return max(DRAWERS - 1 - ((last >> SHIFT) - (bits >> SHIFT)), 0)
+    """Farther primitives are in later drawers; bits, last: of depths, as int64, and of the largest that may be."""
+    return min(max(DRAWERS - 1 - ((last >> SHIFT) - (bits >> SHIFT)), 0), DRAWERS - 1)
 
 
 @jit
 def count_in_tiles(
-    pixels: Any, queue: Any, bits: Any, last: int, across: int, counts: Any, start: int, stop: int
-) -> None:
-    """How many spans reach into each tile: counts[n * DRAWERS + drawer + 1]; tiles go row by row, `across` in a row.
+    pixels: Any, bits: Any, last: int, queue: Any, across: int, counts: Any, start: int, stop: int
+) -> int:
+    """How many spans reach into each tile, of primitives queue[start:stop]: counts[n * DRAWERS + drawer].
 
-    For rows start..stop of tiles. queue: all primitives; those in one drawer stay in its order.
+    Tiles go row by row, `across` in a row. A queue without members stands for all primitives in their own order.
+    Returns how many primitives are looked for anywhere.
     """
-    for k in queue:
+    seen = 0
+    for place in range(start, stop):
+        k = queue[place] if len(queue) > 0 else place
         if is_seen(pixels, k):
-            into = drawer(bits[k], last) + 1
-            for y in range(max(pixels[k, 1] // HEIGHT, start), min((pixels[k, 3] - 1) // HEIGHT + 1, stop)):
+            seen += 1
+            into = drawer(bits[k], last)
+            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
                 for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
                     counts[(y * across + x) * DRAWERS + into] += 1
+    return seen
 
 
 @jit
 def sort_into_tiles(
-    pixels: Any, queue: Any, bits: Any, last: int, across: int, ends: Any, order: Any, start: int, stop: int
+    pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
 ) -> None:
-    """Write primitives to order[ends[n * DRAWERS + drawer]:], for each tile n they reach into, moving that end on."""
-    for k in queue:
+    """Write them to order[ends[n * DRAWERS + drawer]:], for each tile n they reach into, moving that end on."""
+    for place in range(start, stop):
+        k = queue[place] if len(queue) > 0 else place
         if is_seen(pixels, k):
             into = drawer(bits[k], last)
-            for y in range(max(pixels[k, 1] // HEIGHT, start), min((pixels[k, 3] - 1) // HEIGHT + 1, stop)):
+            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
                 for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
                     n = (y * across + x) * DRAWERS + into
                     order[ends[n]] = k
