@@ -101,7 +101,8 @@ def _project(camera: Any, p: Any) -> Any:
 def _project_ball(camera: Any, center: Any, r: float) -> Any:
     q = sub(center, camera.eye)
     x, y, depth = dot(q, camera.right), dot(q, camera.up), dot(q, camera.forward)
-    if not depth - r > max(SHALLOWEST * size(q), NEAREST):
+    shallow = not depth - r > max(SHALLOWEST * size(q), SMALLEST)
+    if shallow or not size(q) + r < LARGEST:
         return 0.0, 0.0, 0.0, 0.0, depth - r, False
     low, high = tangents(x, depth, r)
     down, up = tangents(y, depth, r)
@@ -109,6 +110,9 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
     across, above = (0.5 - camera.shift[0]) * camera.size[0], (0.5 - camera.shift[1]) * camera.size[1]
     return wide * low + across, above - tall * up, wide * high + across, above - tall * down, depth - r, True
 
+
+# Between these, the products of two lengths in `tangents` are numbers that have lost nothing.
+SMALLEST, LARGEST = 2.0**-400, 2.0**400
 
 # In `tangents`, z^2 - r^2 as a product of two sums is off by 3 u, the root by 3 u, the sum of the two terms by 4 u of
 # their magnitudes: 12 u, and the quotient's rounding.

@@ -121,7 +121,8 @@ def keep_span(spans: Any, k: int, box: Any, deepest: float, slack: float, window
     x0, y0, width, height = window
     spans.pixels[k, 0], spans.pixels[k, 2] = pixel_span(left, right, x0, width)
     spans.pixels[k, 1], spans.pixels[k, 3] = pixel_span(top, bottom, y0, height)
-    spans.near[k] = (least - 2.0 * slack) * NEARER
+    near = (least - 2.0 * slack) * NEARER
+    spans.near[k] = near if near > 0.0 else 0.0  # also where it is none: inf - inf
 
 
 @inlined

@@ -6,12 +6,13 @@ from random_scenes import VIEWS, name, random_scene
 from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
+from caster.cameras import Orthographic, Pinhole
 from caster.kernels.jit import implements
 from caster.kernels.protocol import project
 from caster.packing import pack
 from caster.rendering import render
 from caster.scene import Scene
-from caster.shapes import SHAPES
+from caster.shapes import SHAPES, Cube, Sphere
 
 SIZES = (1e-3, 1.0, 1e3)
 FARTHEST = 1e3  # how many of its sizes a scene stands away from the origin, at most
@@ -74,3 +75,21 @@ def test_the_screen_is_compared_for_some_cameras_and_not_for_others():
     compared = {name(cls): cullings_for(random_scene(rng, SHAPES[:1], cls, count=1)) for cls in VIEWS}
     assert compared["pinhole"] == compared["orthographic"] == ("screen", "bvh")
     assert compared["panorama"] == ("bvh",)
+
+
+@pytest.mark.parametrize("camera", [Pinhole, Orthographic], ids=name)
+@pytest.mark.parametrize("size", [1e-300, 1e-160, 1e100, 1e154, 1e200, 1e300])
+def test_sizes_that_have_no_squares_change_nothing(size, camera):
+    """Balls and triangles in front of each other, beside the middle and partly off the film."""
+    across = {"width": 4.0 * size} if camera is Orthographic else {}
+    for aside in (0.0, 0.5, 1.9, -1.9):
+        ball = Sphere(center=(aside * size, 0.0, 0.0), radius=0.5 * size)
+        far = Sphere(center=(0.0, 0.0, -size), radius=0.7 * size)
+        cube = Cube(to_world=[{"scale": 0.3 * size}, {"translate": (-aside * size, 0.1 * size, size)}])
+        looking = camera(eye=(0.0, 0.0, 5.0 * size), look_at=(0.0, 0.0, 0.0), **across)
+        for shapes in ([ball, far], [ball, far, cube]):
+            scene = Scene(film={"width": 24, "height": 18}, camera=looking, shapes=shapes)
+            every = render(scene, ("depth", "normal"), culling="everything")
+            assert_same_bits(every, render(scene, ("depth", "normal"), culling="screen"), "at once")
+            hits, _ = count_hits_where_cullings_agree(scene)
+            assert hits >= 20
