@@ -6,7 +6,15 @@ from functools import cached_property
 import numpy as np
 
 from caster.casting import by_trees, ids_by_place
-from caster.kernels.shade import add_light, aim_at_light, find_materials, new_shade, paint_radiance
+from caster.kernels.shade import (
+    RADIANCE,
+    add_ambient,
+    add_light,
+    aim_at_light,
+    find_materials,
+    new_shade,
+    paint_fields,
+)
 from caster.kernels.tile import WIDTH, Box, new_tile
 from caster.packing import Packed
 from caster.plan import Plan
@@ -58,7 +66,9 @@ class Shading:
                 self.cast((box[3] - box[1]) * WIDTH, room.beam)
             if count:
                 add_light(tile, box, shade, room.beam)
-        paint_radiance(tile, box, shade, self.ambient, self.image)
+        if len(self.ambient):
+            add_ambient(tile, box, shade, self.ambient)
+        paint_fields(tile, box, shade, RADIANCE, self.image)
 
 
 def material_tables(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

@@ -128,18 +128,16 @@ def add_light(tile: Any, box: Box, shade: Any, beam: Any) -> None:
 
 
 @jit
-def paint_radiance(tile: Any, box: Box, shade: Any, ambient: Any, image: Any) -> None:
-    """What all lights give; ambient: (k, 3) radiances. 0 on a miss."""
-    x0, y0, x1, y1 = box
-    for y in range(y0, y1):
-        for x in range(x1 - x0):
-            i = lane((y - y0) * WIDTH + x)
-            there = tile[PLACE + i] >= 0.0
-            for c in range(3):
-                evenly = 0.0
-                for k in range(len(ambient)):
-                    evenly += shade[ALBEDO + lane(c) * ONE + i] * ambient[k, c]
-                image[y, x0 + x, c] = shade[RADIANCE + lane(c) * ONE + i] + evenly if there else 0.0
+def add_ambient(tile: Any, box: Box, shade: Any, ambient: Any) -> None:
+    """RADIANCE of what comes evenly from everywhere; ambient: (k, 3) radiances."""
+    for y in range(box[3] - box[1]):
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
+            if tile[PLACE + i] >= 0.0:
+                for c in range(3):
+                    field, sum_ = lane(c) * ONE + i, 0.0
+                    for k in range(len(ambient)):
+                        sum_ += shade[ALBEDO + field] * ambient[k, c]
+                    shade[RADIANCE + field] += sum_
 
 
 @jit

@@ -133,6 +133,13 @@ def real(text: Any, at: int, powers: Any) -> Any:
 
 
 @jit
+def end_line(text: Any, at: int) -> int:
+    """Where the next line begins, if nothing but blanks is left of this one; else GAVE_UP."""
+    at = skip_blanks(text, at)
+    return next_line(text, at) if at_line_end(text, at) else GAVE_UP
+
+
+@jit
 def read_reals(text: Any, at: int, width: int, powers: Any, rows: Any, start: int, odd: Any) -> int:
     """Lines of `width` numbers into rows (n, width), n of them; return where the next line begins, or GAVE_UP.
 
@@ -149,10 +156,7 @@ def read_reals(text: Any, at: int, width: int, powers: Any, rows: Any, start: in
                 return GAVE_UP
             rows[k, c] = x
             at = end
-        at = skip_blanks(text, at)
-        if not at_line_end(text, at):
-            return GAVE_UP
-        at = next_line(text, at)
+        at = end_line(text, at)
         if at == GAVE_UP:
             return GAVE_UP
     return at
@@ -184,10 +188,7 @@ def read_lists(text: Any, at: int, sizes: Any, values: Any) -> int:
             if at == GAVE_UP:
                 return GAVE_UP
             used += 1
-        at = skip_blanks(text, at)
-        if not at_line_end(text, at):
-            return GAVE_UP
-        at = next_line(text, at)
+        at = end_line(text, at)
         if at == GAVE_UP:
             return GAVE_UP
     return at

@@ -13,6 +13,7 @@ from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.wording import FileMissing, SceneError
 from mitsuba_ref.commands.stress import Progress, seed
 from mitsuba_ref.commands.validate import count
+from mitsuba_ref.reporting import check_report
 
 if TYPE_CHECKING:
     from mitsuba_ref.bench.result import Run, SceneResult
@@ -77,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     if args.list:
         print("\n".join(f"{scene.name:18}{scene.title}" for scene in scenes))
         return OK
-    check_outputs(args)
+    check_report(args.json, args.report)
     if args.before:
         return again(args)
     from mitsuba_ref.bench.contestants import processors
@@ -100,21 +101,6 @@ def run(args: argparse.Namespace) -> int:
 def ran(scene: SceneResult) -> bool:
     """Whether each of our rows has numbers, or says why it is not asked."""
     return all(row.ran or row.why.startswith("not asked") for row in scene.rows if row.side == "ours")
-
-
-def check_outputs(args: argparse.Namespace) -> None:
-    """Raise OutputError now, and not after all the work; say what will be missing."""
-    from caster.whole_files import check_folder, check_writable
-    from mitsuba_ref.stress.plot import MissingPlots, check_available
-
-    if args.json and args.json != "-":
-        check_writable(args.json)
-    if args.report:
-        check_folder(args.report)
-        try:
-            check_available()
-        except MissingPlots as missing:
-            print(missing, file=sys.stderr)
 
 
 def work_through(work: Running, args: argparse.Namespace) -> None:

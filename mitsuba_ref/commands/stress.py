@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.commands.validate import count
+from mitsuba_ref.reporting import check_report
 
 if TYPE_CHECKING:
     from mitsuba_ref.stress.family import Family
@@ -62,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if args.list:
         print("\n".join(f"{family.name:22}{family.title}" for family in families))
         return OK
-    check_outputs(args)
+    check_report(args.json, args.report)
     done: list[Sweep] = []
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a cancelled job tidies up as after Ctrl-C
     try:
@@ -70,21 +71,6 @@ def run(args: argparse.Namespace) -> int:
     finally:  # what is done is kept, whatever ends the work
         report(done, families, args)
     return OK if all(sweep.ok for sweep in done) else DIFFERENCES
-
-
-def check_outputs(args: argparse.Namespace) -> None:
-    """Raise OutputError now, and not after all the work; say what will be missing."""
-    from caster.whole_files import check_folder, check_writable
-    from mitsuba_ref.stress.plot import MissingPlots, check_available
-
-    if args.json and args.json != "-":
-        check_writable(args.json)
-    if args.report:
-        check_folder(args.report)
-        try:
-            check_available()
-        except MissingPlots as missing:
-            print(missing, file=sys.stderr)
 
 
 def work_through(families: list[Family], args: argparse.Namespace, done: list[Sweep]) -> None:

@@ -632,8 +632,8 @@ FAULTS = (
         "one-sphere",
         "culling",
         SHADE,
-        "+ evenly if there else 0.0",
-        "+ (math.nan if (y, x, c) == (5, 6, 1) else evenly) if there else 0.0",
+        "(sum_[0] + r, sum_[1] + g, sum_[2] + b)",
+        "(sum_[0] + r, math.nan if i == 5 * WIDTH + 6 else sum_[1] + g, sum_[2] + b)",
     ),
     Fault(
         "a camera's rays cast without their near plane",
