@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import pytest
 
+from caster.kernels.compiling.kernel_cache import WITHOUT_KERNELS
+
 ROOT = Path(__file__).resolve().parents[2]
 JIT = "caster/kernels/jit.py"
 LOADER = "caster.kernels.compiling"
@@ -40,6 +42,12 @@ PLUGGED_IN = {
 ORACLE = ("caster.packing.Packed", "mitsuba_ref.exact_arithmetic", "mitsuba_ref.shapes.REFERENCES")
 
 
+# The names that make a kernel of a function; what was done for kernels may be asked by anybody.
+MAKE_KERNELS = tuple(
+    f"caster.kernels.jit.{name}" for name in ("generic", "generic_inlined", "implement", "inlined", "jit")
+)
+
+
 class Rule(NamedTuple):
     """Modules under `where` import nothing of `never`, and if there is an `only`, nothing else."""
 
@@ -64,6 +72,10 @@ RULES = (
         "caster.kernels.jit",
         "jit.py imports the standard library, numba and what it is made of",
         only=(*STDLIB, "numba", "caster.kernels.compiling"),
+    ),
+    *(
+        Rule(f"caster.{folder}", "what kept kernels are not named after has none", never=MAKE_KERNELS)
+        for folder in WITHOUT_KERNELS
     ),
     Rule("caster", f"only {LOADER} imports llvmlite", never=("llvmlite",), except_in=COMPILING),
     Rule(
@@ -206,6 +218,7 @@ def test_the_walk_reads_the_whole_tree():
         ("caster/kernels/bvh.py", "from ..scene import Scene", "a kernel imports"),
         ("caster/kernels/jit.py", "from caster.scene import Scene", "jit.py imports"),
         ("caster/rendering.py", "import llvmlite.binding", "only " + LOADER),
+        ("caster/commands/info.py", "from caster.kernels.jit import jit", "not named after"),
         (
             "caster/kernels/compiling/arguments.py",
             "from caster.kernels.vec import dot",
@@ -242,6 +255,7 @@ def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, sourc
         ("caster/kernels/bvh.py", "import math\nfrom typing import NamedTuple\nfrom .vec import dot"),
         ("caster/shapes/__init__.py", "from caster.shapes.sphere import Sphere"),
         ("caster/shapes/disk.py", "from caster.fields import Shape\nfrom caster.kernels.vec import dot"),
+        ("caster/commands/info.py", "from caster.kernels.jit import WORK"),
         ("mitsuba_ref/door.py", "import drjit\nimport mitsuba"),
         ("mitsuba_ref/xml.py", "from caster import Scene\nfrom caster.shapes.disk import Disk"),
         ("mitsuba_ref/exact.py", "import fractions\nfrom mitsuba_ref.exact_arithmetic.root import Root"),

@@ -13,6 +13,11 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[2]
 KEPT_CACHES = 4  # one for each of a few checkouts that are worked on in turn
 COMPILERS = ("numba", "llvmlite")
+WITHOUT_KERNELS = (
+    "classroom",
+    "commands",
+    "pictures",
+)  # folders that no kernel, and no argument of one, comes from
 
 
 def compiler_version() -> str:
@@ -28,10 +33,12 @@ def source_hash(version: str) -> str:
     """A name for this source and this compiler.
 
     Numba does not see an edit in a file that a cached kernel calls into, and a stale kernel is a wrong
-    answer: the cache folder changes its name with every source file of the package instead.
+    answer: the cache folder changes its name with every source file that could have to do with one instead.
     """
     digest = hashlib.sha256(version.encode())
     for path in sorted(PACKAGE.rglob("*.py")):
+        if path.relative_to(PACKAGE).parts[0] in WITHOUT_KERNELS:
+            continue
         digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
 
