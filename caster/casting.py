@@ -10,7 +10,7 @@ import numpy as np
 from caster.kernels.bundle import cast_all, cast_bundles
 from caster.kernels.bvh import cast_bvh
 from caster.kernels.everything import cast_everything
-from caster.kernels.jit import LANES
+from caster.kernels.lanes import CHILDREN, LANES
 from caster.kernels.nearest import (
     Counting,
     Folding,
@@ -97,12 +97,12 @@ def by_trees(packed: Packed, any_hit: bool = False) -> Callable[[int, np.ndarray
     return go
 
 
-Room = tuple[np.ndarray, np.ndarray]
+Room = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _room() -> Room:
-    """For the nodes that a ray has yet to look at, and where it enters them."""
-    return np.empty(STACK_SIZE, np.int32), np.empty(STACK_SIZE)
+    """For what a ray has yet to look at, where it enters that, and where it enters the boxes of a node."""
+    return np.zeros(STACK_SIZE, np.int32), np.empty(STACK_SIZE), np.empty(CHILDREN)
 
 
 def _in_bundles(kind: Kind, base: int, any_hit: bool) -> Callable[[int, np.ndarray, Room], None]:

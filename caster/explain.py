@@ -58,7 +58,7 @@ def _primitives(rendered: Rendered) -> list[dict[str, Any]]:
             "count": len(kind.ids),
             "looked_for": on_film[i] if on_film is not None else len(kind.ids),
             "way": _way(kind, rendered.plan.culling),
-            "boxes": len(kind.tree.links) if kind.has_tree else 0,
+            "nodes": len(kind.tree.links) if kind.has_tree else 0,
         }
         for i, kind in enumerate(rendered.packed.kinds)
     ]
@@ -71,7 +71,7 @@ def _way(kind: Kind, culling: str) -> str:
         return "tried by every ray, since they have no bounds"
     if culling == "screen":
         return "tried in the pixels around their pictures"
-    return f"a tree of {len(kind.tree.links)} boxes" if worth_a_tree(kind) else "too few for a tree"
+    return f"a tree of {len(kind.tree.links)} nodes" if worth_a_tree(kind) else "too few for a tree"
 
 
 def explain(rendered: Rendered, aovs: Sequence[str]) -> str:

@@ -204,7 +204,8 @@ def _normal_painter(prims: Any, places: tuple[int, int], reach: float, image: np
 
 
 def _field_painter(field: Any, image: np.ndarray) -> Painter:
-    return lambda room, box: paint_fields(room.tile, box, room.shade, field, image)
+    first = int(field)
+    return lambda room, box: paint_fields(room.tile, box, room.shade, first, image)
 
 
 def _number_painters(scene: Scene, packed: Packed, images: dict[str, np.ndarray]) -> list[Painter]:

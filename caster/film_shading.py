@@ -68,7 +68,7 @@ class Shading:
                 add_light(tile, box, shade, room.beam)
         if len(self.ambient):
             add_ambient(tile, box, shade, self.ambient)
-        paint_fields(tile, box, shade, RADIANCE, self.image)
+        paint_fields(tile, box, shade, int(RADIANCE), self.image)
 
 
 def material_tables(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

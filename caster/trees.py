@@ -1,21 +1,37 @@
-"""Growing trees of boxes, on as many threads as there are cores."""
+"""Growing trees of boxes, on as many threads as there are cores: nodes of two, and then nodes of many out of them."""
 
 import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from caster.kernels.tree import LARGEST_STEEP, LEAF_SIZE, REACH, STEEP, Tree, grow, shrink_boxes
+from caster.kernels.lanes import CHILDREN
+from caster.kernels.tree import (
+    FLAT,
+    LEAF_SIZE,
+    LEAST_FLAT,
+    MOST_PRIMITIVES,
+    REACH,
+    Tree,
+    grow,
+    shrink_boxes,
+    widen,
+)
 
 PARTS = 16  # a tree is begun by one thread, down to so many parts that grow on their own
 WORTH_PARTING = 20_000  # primitives; fewer take less time than parting them
 
-Nodes = tuple[np.ndarray, np.ndarray]  # boxes and links, as Tree has them
+Nodes = tuple[np.ndarray, np.ndarray]  # boxes and links
 
 
 def grown_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
-    """A tree over boxes low, high (n, 3), n > 0. The same for every number of threads."""
+    """A tree over boxes low, high (n, 3), n > 0. The same for every number of threads.
+
+    Raises OverflowError for more than MOST_PRIMITIVES.
+    """
     count = len(low)
+    if count > MOST_PRIMITIVES:
+        raise OverflowError(f"a tree holds {MOST_PRIMITIVES} primitives of a kind at most, got {count}")
     least, largest = low.min(axis=0), high.max(axis=0)
     x, y, z = (0.5 * least + 0.5 * largest).tolist()
     center, unit = (x, y, z), _unit(least, largest, np.array([x, y, z]))
@@ -25,8 +41,17 @@ def grown_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
         _grown(boxes, order, 0, count, LEAF_SIZE) if count < WORTH_PARTING else _parted(boxes, order, threads)
     )
     extent = float(max(np.abs(low).max(), np.abs(high).max()))
-    steep = min(STEEP / unit, LARGEST_STEEP) if unit > STEEP / LARGEST_STEEP else LARGEST_STEEP
-    return Tree(*nodes, order, center, unit, steep, extent, REACH)
+    flat = max(FLAT * unit, LEAST_FLAT)
+    return Tree(*_widened(*nodes), order, center, unit, flat, extent, REACH)
+
+
+def _widened(boxes: np.ndarray, links: np.ndarray) -> Nodes:
+    """The same in nodes of CHILDREN, of which there are no more than there were inner nodes of two."""
+    room = max(1, int(np.count_nonzero(links[:, 1] < 0)))
+    wide_boxes = np.empty((room, 6, CHILDREN), np.float32)
+    wide_links = np.empty((room, CHILDREN), np.int32)
+    nodes = widen(boxes, links, wide_boxes, wide_links)
+    return wide_boxes[:nodes].copy(), wide_links[:nodes].copy()
 
 
 def _unit(least: np.ndarray, largest: np.ndarray, center: np.ndarray) -> float:

@@ -53,7 +53,8 @@ def show(findings: Sequence[Finding], args: argparse.Namespace) -> int:
 def warm(paths: Sequence[str], as_json: bool) -> int:
     """Compile what is not in the cache yet, and say how much that was."""
     from caster import warming
-    from caster.kernels.jit import COMPILED, WORK
+    from caster.kernels.compiling.kernel_cache import COMPILED
+    from caster.kernels.jit import WORK
     from caster.progress import Progress
 
     if not COMPILED:

@@ -1,11 +1,13 @@
 """Culling 2 for many rays: neighbours in a tile go through a tree of boxes together, LANES at a time."""
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
-from caster.kernels.bvh import FAR_PADDING, inverse_of, pad_of, traverse
-from caster.kernels.jit import LANES, inlined, jit
+from caster.kernels.bvh import nearest_of, next_of, pad_of, traverse
+from caster.kernels.jit import inlined, jit
+from caster.kernels.lanes import LANES, enter_boxes_together, least_of, most_of, most_of_sums
 from caster.kernels.nearest import Folding
-from caster.kernels.protocol import numbers
+from caster.kernels.protocol import Vec3, numbers
 from caster.kernels.tile import (
     DOUBT,
     DX,
@@ -16,50 +18,40 @@ from caster.kernels.tile import (
     OY,
     OZ,
     PLACE,
+    STRIDE,
     T_MAX,
     T_MIN,
-    VIEW,
     T,
     cast_lanes,
     lane,
 )
+from caster.kernels.tree import NUMBERS
 
-# How the rays of a bundle see the boxes: 1/d times the tree's unit, and where the tree's centre is along each axis,
-# less and more the pad (kernels/bvh.py).
-(IX, IY, IZ, LX, LY, LZ, HX, HY, HZ) = (lane(int(VIEW) + LANES * field) for field in range(9))
 MANY = lane(LANES)
 
+Vec3Pair = tuple[Vec3, Vec3]
+
+
+class Views(NamedTuple):
+    """What boxes have to do with several rays. An axis along which some go forwards, some backwards tells nothing."""
+
+    near: tuple[int, int, int]  # rows of Tree.boxes[node]
+    far: tuple[int, int, int]
+    least: Vec3  # of 1/d
+    most: Vec3
+    enter: Vec3  # the tree's centre seen from that origin from which the near side is nearest, less the pad
+    leave: Vec3  # the far side is farthest, more the pad
+    unit: float
+
 
 @inlined
-def view_bundle(tree: Any, tile: Any, first: Any) -> None:
-    """Fill the bundle's view. Along an axis a box is met between the lesser and the larger of two numbers."""
-    for j in range(MANY):
-        i = first + j
-        o = tile[OX + i], tile[OY + i], tile[OZ + i]
-        x, y = inverse_of(tile[DX + i], tree.steep), inverse_of(tile[DY + i], tree.steep)
-        z = inverse_of(tile[DZ + i], tree.steep)
-        a, b, c = tree.center[0] - o[0], tree.center[1] - o[1], tree.center[2] - o[2]
-        pad = pad_of(tree, o)
-        tile[IX + j], tile[IY + j], tile[IZ + j] = tree.unit * x, tree.unit * y, tree.unit * z
-        tile[LX + j], tile[LY + j], tile[LZ + j] = (a - pad) * x, (b - pad) * y, (c - pad) * z
-        tile[HX + j], tile[HY + j], tile[HZ + j] = (a + pad) * x, (b + pad) * y, (c + pad) * z
-
-
-@inlined
-def entering(low: Any, high: Any, tile: Any, first: Any) -> int:
-    """How many rays of the bundle enter a box before what they have met."""
-    count = 0
-    for j in range(MANY):
-        i = first + j
-        a, b = low[0] * tile[IX + j] + tile[LX + j], high[0] * tile[IX + j] + tile[HX + j]
-        near, far = min(a, b), max(a, b)
-        a, b = low[1] * tile[IY + j] + tile[LY + j], high[1] * tile[IY + j] + tile[HY + j]
-        near, far = max(near, min(a, b)), min(far, max(a, b))
-        a, b = low[2] * tile[IZ + j] + tile[LZ + j], high[2] * tile[IZ + j] + tile[HZ + j]
-        near, far = max(near, min(a, b)), min(far, max(a, b))
-        limit = min(tile[T_MAX + i], tile[T + i] + tile[OFF + i])
-        count += 1 if max(near, tile[T_MIN + i]) <= min(far * FAR_PADDING, limit) else 0
-    return count
+def spread(tile: Any, field: Any, first: Any) -> Vec3Pair:
+    """The least x, y, z of a bundle's origins or directions, and the largest."""
+    x, y, z = field + first, field + lane(STRIDE) + first, field + lane(2 * STRIDE) + first
+    return (
+        (least_of(tile, x), least_of(tile, y), least_of(tile, z)),
+        (most_of(tile, x), most_of(tile, y), most_of(tile, z)),
+    )
 
 
 # Rays go together whose directions differ by no more than this share of the first one's, and whose origins by no more
@@ -68,24 +60,56 @@ TOGETHER = 0.25
 
 
 @inlined
-def is_coherent(tree: Any, tile: Any, first: Any) -> bool:
+def is_coherent(tree: Any, tile: Any, first: Any, origins: Vec3Pair, directions: Vec3Pair) -> bool:
     """Whether the rays of a bundle meet much the same boxes. It changes no bit."""
-    turn = TOGETHER * (abs(tile[DX + first]) + abs(tile[DY + first]) + abs(tile[DZ + first]))
-    step, apart = TOGETHER * tree.unit, 0
-    for i in range(first, first + MANY):
-        x, y, z = (
-            tile[DX + i] - tile[DX + first],
-            tile[DY + i] - tile[DY + first],
-            tile[DZ + i] - tile[DZ + first],
-        )
-        p, q, r = (
-            tile[OX + i] - tile[OX + first],
-            tile[OY + i] - tile[OY + first],
-            tile[OZ + i] - tile[OZ + first],
-        )
-        far = (abs(x) + abs(y) + abs(z) > turn) | (abs(p) + abs(q) + abs(r) > step)
-        apart += 1 if far & (tile[T_MAX + i] >= 0.0) else 0
-    return apart == 0
+    turn = abs(tile[DX + first]) + abs(tile[DY + first]) + abs(tile[DZ + first])
+    return (distance(origins) <= TOGETHER * tree.unit) & (distance(directions) <= TOGETHER * turn)
+
+
+@inlined
+def distance(ends: Vec3Pair) -> float:
+    low, high = ends
+    return (high[0] - low[0]) + (high[1] - low[1]) + (high[2] - low[2])
+
+
+@inlined
+def view_together(tree: Any, origins: Vec3Pair, directions: Vec3Pair) -> Views:
+    """How rays whose origins and directions lie between these see the boxes of a tree."""
+    pad = max(pad_of(tree, origins[0]), pad_of(tree, origins[1]))
+    x, y, z = (
+        along_axis(tree, origins, directions, pad, 0),
+        along_axis(tree, origins, directions, pad, 1),
+        along_axis(tree, origins, directions, pad, 2),
+    )
+    return Views(
+        (0 if x[4] else 3, 1 if y[4] else 4, 2 if z[4] else 5),
+        (3 if x[4] else 0, 4 if y[4] else 1, 5 if z[4] else 2),
+        (x[0], y[0], z[0]),
+        (x[1], y[1], z[1]),
+        (x[2], y[2], z[2]),
+        (x[3], y[3], z[3]),
+        tree.unit,
+    )
+
+
+@inlined
+def along_axis(
+    tree: Any, origins: Vec3Pair, directions: Vec3Pair, pad: float, axis: int
+) -> tuple[float, float, float, float, bool]:
+    """Of one axis: least, most, enter, leave, and whether the rays go forwards."""
+    low_d, high_d = directions[0][axis], directions[1][axis]
+    mixed, forwards = (low_d < 0.0) & (high_d > 0.0), low_d >= 0.0
+    low_d = max(low_d, tree.flat) if forwards else min(low_d, -tree.flat)
+    high_d = max(high_d, tree.flat) if forwards else min(high_d, -tree.flat)
+    low = tree.center[axis] - origins[1][axis] - pad
+    high = tree.center[axis] - origins[0][axis] + pad
+    return (
+        1.0 if mixed else 1.0 / high_d,
+        1.0 if mixed else 1.0 / low_d,
+        -math.inf if mixed else (low if forwards else high),
+        math.inf if mixed else (high if forwards else low),
+        forwards,
+    )
 
 
 @jit
@@ -108,32 +132,38 @@ def cast_bundles(prims: Any, tree: Any, base: int, count: int, tile: Any, room: 
 
     any_hit: whether to stop at anything that is hit for sure.
     """
-    stack = room[0]
     for first in range(lane(0), lane(count), MANY):
-        if not is_coherent(tree, tile, first):
+        origins, directions = spread(tile, OX, first), spread(tile, DX, first)
+        if is_coherent(tree, tile, first, origins, directions):
+            view = view_together(tree, origins, directions)
+            cast_together(prims, tree, base, tile, first, view, room, any_hit)
+        else:
             cast_alone(prims, tree, base, tile, first, room, any_hit)
-            continue
-        view_bundle(tree, tile, first)
-        forward = tile[IX] > 0.0, tile[IY] > 0.0, tile[IZ] > 0.0
-        top, stack[0] = 1, 0
-        while top > 0:
-            top -= 1
-            node = stack[top]
-            low = float(tree.boxes[node, 0]), float(tree.boxes[node, 1]), float(tree.boxes[node, 2])
-            high = float(tree.boxes[node, 3]), float(tree.boxes[node, 4]), float(tree.boxes[node, 5])
-            if entering(low, high, tile, first) == 0:
+
+
+@inlined
+def cast_together(
+    prims: Any, tree: Any, base: int, tile: Any, first: Any, view: Views, room: Any, any_hit: bool
+) -> None:
+    """The rays of a bundle all at once: `traverse` for boxes that any of them may enter."""
+    stack, entries, near = room
+    t_min, t_max = least_of(tile, T_MIN + first), most_of(tile, T_MAX + first)
+    limit = min(t_max, most_of_sums(tile, T + first, OFF + first))
+    inside, top, entries[0] = 0, 1, -math.inf
+    while top > 0:
+        if inside >= 0:
+            mask = enter_boxes_together(tree.boxes, inside, view, t_min, limit, near)
+            if mask != 0:
+                inside, top = nearest_of(tree.links, inside, mask, top, room)
                 continue
-            start, number = tree.links[node, 0], tree.links[node, 1]
-            if number < 0:
-                axis = -1 - number
-                onwards = forward[0] if axis == 0 else (forward[1] if axis == 1 else forward[2])
-                stack[top] = start if onwards else node + 1
-                stack[top + 1] = node + 1 if onwards else start
-                top += 2
-                continue
+        else:
+            start, number = ~inside // NUMBERS, ~inside % NUMBERS
             for at in range(start, start + number):
                 k = tree.order[at]
                 cast_lanes(prims, numbers(prims, k), float(base + k), tile, first, any_hit)
+            limit = min(t_max, most_of_sums(tile, T + first, OFF + first))
+        top = next_of(top, limit, room) - 1
+        inside = stack[top]
 
 
 @jit

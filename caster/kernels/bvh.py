@@ -3,25 +3,20 @@
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from caster.kernels.jit import inlined, jit
+from caster.kernels.lanes import enter_boxes, lowest_bit
 from caster.kernels.protocol import Vec3, intersect, nearer, note, numbers, passes, prepare, recall
+from caster.kernels.tree import NUMBERS
 
 # A box is met from (low + c) / d to (high + c) / d along an axis, c being its reference point seen from the origin,
 # less or more the pad, taken as low (1/d) + c (1/d). What the products round, u (|low| + |c|) in space, is in REACH;
-# 1/d and the sum are off by u each of the distance itself, so the far side is pushed out by 1 + 2 gamma_3 (Ize 2013),
-# gamma_3 = 3 u / (1 - 3 u), u = 2^-53.
-FAR_PADDING = 1.0 + 2.0 * (3.0 * 2.0**-53) / (1.0 - 3.0 * 2.0**-53)
-
-
-LATEST = float(np.finfo(np.float64).max)  # for boxes that are entered at a t beyond float64
+# what 1/d and the sum do is in FAR_PADDING.
 
 
 class View(NamedTuple):
     """What boxes have to do with a ray: near and far sides by the sign bit of d, so that -0.0 goes backwards."""
 
-    near: tuple[int, int, int]  # columns of Tree.boxes
+    near: tuple[int, int, int]  # rows of Tree.boxes[node]
     far: tuple[int, int, int]
     inverse: Vec3  # 1/d, times the tree's unit
     enter: Vec3  # the tree's centre over d, less the pad
@@ -29,9 +24,9 @@ class View(NamedTuple):
 
 
 @inlined
-def inverse_of(x: float, steep: float) -> float:
-    """1 / x, `steep` at most."""
-    return math.copysign(steep, x) if abs(x) <= 1.0 / steep else 1.0 / x
+def inverse_of(x: float, flat: float) -> float:
+    """1 / x, 1 / `flat` at most. Without a branch."""
+    return 1.0 / math.copysign(max(abs(x), flat), x)
 
 
 @inlined
@@ -43,7 +38,7 @@ def pad_of(tree: Any, o: Vec3) -> float:
 @inlined
 def view_along(tree: Any, o: Vec3, d: Vec3) -> View:
     """How a ray sees the boxes of a tree."""
-    x, y, z = inverse_of(d[0], tree.steep), inverse_of(d[1], tree.steep), inverse_of(d[2], tree.steep)
+    x, y, z = inverse_of(d[0], tree.flat), inverse_of(d[1], tree.flat), inverse_of(d[2], tree.flat)
     a, b, c = tree.center[0] - o[0], tree.center[1] - o[1], tree.center[2] - o[2]
     pad = pad_of(tree, o)
     near = 0 if x > 0.0 else 3, 1 if y > 0.0 else 4, 2 if z > 0.0 else 5
@@ -58,53 +53,60 @@ def view_along(tree: Any, o: Vec3, d: Vec3) -> View:
 
 
 @inlined
-def enters(boxes: Any, node: int, view: Any, t_min: float, t_max: float) -> float:
-    """Where the ray, widened by the pad, enters the box of a node between t_min and t_max; inf if it does not."""
-    x, y, z = view.inverse
-    a = float(boxes[node, view.near[0]]) * x + view.enter[0]
-    b = float(boxes[node, view.near[1]]) * y + view.enter[1]
-    c = float(boxes[node, view.near[2]]) * z + view.enter[2]
-    near = max(max(a, b), max(c, t_min))
-    a = float(boxes[node, view.far[0]]) * x + view.leave[0]
-    b = float(boxes[node, view.far[1]]) * y + view.leave[1]
-    c = float(boxes[node, view.far[2]]) * z + view.leave[2]
-    far = min(min(min(a, b), c) * FAR_PADDING, t_max)
-    return min(near, LATEST) if near <= far else math.inf
+def nearest_of(links: Any, node: int, mask: int, top: int, room: Any) -> tuple[int, int]:
+    """(what is in the box that is entered first, top), the other boxes of a mask that is not 0 put onto the stack."""
+    stack, entries, near = room
+    j = lowest_bit(mask)
+    mask &= mask - 1
+    first, at = links[node, j], near[j]
+    while mask != 0:
+        j = lowest_bit(mask)
+        mask &= mask - 1
+        other, then = links[node, j], near[j]
+        ahead = then < at
+        stack[top], entries[top] = first if ahead else other, at if ahead else then
+        first, at = other if ahead else first, then if ahead else at
+        top += 1
+    return first, top
+
+
+@inlined
+def next_of(top: int, limit: float, room: Any) -> int:
+    """The top of the stack without what is entered beyond the limit."""
+    entries = room[1]
+    while entries[top - 1] > limit:
+        top -= 1
+    return top
 
 
 @inlined
 def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, room: Any) -> Any:
-    """The best of ray i (o, d, t_min, t_max) once all of a kind has been looked at; the nearer of two boxes first.
+    """The best of ray i (o, d, t_min, t_max) once all of a kind has been looked at; the nearest of the boxes first.
 
-    A box at exactly the nearest t is opened, so no tie is lost.
+    A box at exactly the nearest t is opened, so no tie is lost. room: the stack, where its boxes are entered, and
+    where a node's are.
     """
-    stack, entries = room
+    stack, entries, near = room
     o, d, t_min, t_max = ray
     view = view_along(tree, o, d)
-    top, stack[0], entries[0] = 1, 0, -math.inf
+    limit = min(t_max, best[0] + best[1])
+    inside, top, entries[0] = 0, 1, -math.inf  # under all that waits lies what is always entered
     while top > 0:
-        top -= 1
-        limit = min(t_max, best[0] + best[1])
-        if entries[top] > limit:
-            continue
-        node = stack[top]
-        start, number = tree.links[node, 0], tree.links[node, 1]
-        if number < 0:
-            a, b = node + 1, start
-            enter_a = enters(tree.boxes, a, view, t_min, limit)
-            enter_b = enters(tree.boxes, b, view, t_min, limit)
-            swap = enter_b < enter_a
-            # pushed whether or not it is entered; if not, the next one takes its place
-            stack[top], entries[top] = a if swap else b, max(enter_a, enter_b)
-            top += max(enter_a, enter_b) < math.inf
-            stack[top], entries[top] = b if swap else a, min(enter_a, enter_b)
-            top += min(enter_a, enter_b) < math.inf
-            continue
-        for at in range(start, start + number):
-            k = tree.order[at]
-            pre = prepare(prims, numbers(prims, k), o)
-            if not passes(prims, pre, d):
-                best = nearer(mode, best, i, k, intersect(prims, pre, d, t_min, t_max))
+        if inside >= 0:
+            mask = enter_boxes(tree.boxes, inside, view, t_min, limit, near)
+            if mask != 0:
+                inside, top = nearest_of(tree.links, inside, mask, top, room)
+                continue
+        else:
+            start, number = ~inside // NUMBERS, ~inside % NUMBERS
+            for at in range(start, start + number):
+                k = tree.order[at]
+                pre = prepare(prims, numbers(prims, k), o)
+                if not passes(prims, pre, d):
+                    best = nearer(mode, best, i, k, intersect(prims, pre, d, t_min, t_max))
+            limit = min(t_max, best[0] + best[1])
+        top = next_of(top, limit, room) - 1
+        inside = stack[top]
     return best
 
 

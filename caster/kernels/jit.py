@@ -17,11 +17,22 @@ from typing import Any, TypeVar
 
 from caster.kernels.compiling import machine_code
 from caster.kernels.compiling.arguments import OTHER, REAL, WHOLE, checked_call, forms, key_of, kinds_of
-from caster.kernels.compiling.kernel_cache import cache_folder, compiler_version
+from caster.kernels.compiling.kernel_cache import COMPILED, cache_folder
+from caster.kernels.lanes import (
+    CHILDREN,
+    FAR_PADDING,
+    LANES,
+    LATEST,
+    any_reaches,
+    enter_boxes,
+    enter_boxes_together,
+    least_of,
+    lowest_bit,
+    most_of,
+    most_of_sums,
+)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-COMPILED = os.environ.get("CASTER_JIT", "1") != "0" and compiler_version() != ""
 
 OPTIONS = {
     "cache": True,
@@ -40,6 +51,9 @@ class Work:
     def __init__(self) -> None:
         self.compiled: list[str] = []
         self.loaded: list[str] = []  # from the cache
+        self.slowly: list[
+            str
+        ] = []  # of these, what only Numba can call: loading it takes long, and so does each call
         self.compiling: Callable[[str], None] = lambda name: None
 
 
@@ -55,7 +69,7 @@ def _numba() -> Any:
         numba.config.CACHE_DIR = str(cache_folder())
     for entry in _GENERICS.values():
         entry.overload(numba)
-    _overload_any_reaches(numba)
+    _overload_lanes(numba)
     return numba
 
 
@@ -105,6 +119,7 @@ class Kernel:
                 code = None if key is None else self._found(key, args) or self._made(key, args)
                 if code is None:
                     self._compiled(args)
+                    WORK.slowly.append(_named(self.__name__, args))
                 call = self.dispatcher if code is None else checked_call(args, code.entry(), code.gives)
                 self._calls[key] = call
         if call is not self._dispatcher:  # which tells no others apart
@@ -182,23 +197,36 @@ def inlined(function: Function) -> Function:
     return Kernel(function, {"forceinline": True}) if COMPILED else function  # type: ignore[return-value]  # likewise
 
 
-LANES = 8 if COMPILED else 1
-"""So many float64 AVX-512 takes at once. Uncompiled, taking several together would be in vain."""
-
-
-def any_reaches(a: Any, i: Any, j: Any, limit: float) -> bool:
-    """Whether a[i + n] + a[j + n] >= limit for one n of 0..LANES - 1; i, j: uint64 in kernels."""
-    return any(a[i + n] + a[j + n] >= limit for n in range(LANES))
-
-
-def _overload_any_reaches(numba: Any) -> None:
-    lanes = importlib.import_module("caster.kernels.compiling.lanes")
-    at_once = numba.extending.intrinsic(lanes.any_reaches(LANES, numba.types))
-
-    def choose(a: Any, i: Any, j: Any, limit: Any) -> Any:
-        return lambda a, i, j, limit: at_once(a, i, j, limit)
-
-    numba.extending.overload(any_reaches, jit_options={"forceinline": True}, strict=False)(choose)
+def _overload_lanes(numba: Any) -> None:
+    """What LLVM is to make of the functions of kernels/lanes.py."""
+    vectors, types = importlib.import_module("caster.kernels.compiling.vectors"), numba.types
+    reaches, least, most, sums, one, several, lowest = map(
+        numba.extending.intrinsic,
+        (
+            vectors.any_reaches(LANES, types),
+            vectors.least_of(LANES, types),
+            vectors.most_of(LANES, types),
+            vectors.most_of_sums(LANES, types),
+            vectors.enter_boxes(CHILDREN, types, FAR_PADDING, LATEST),
+            vectors.enter_boxes_together(CHILDREN, types, FAR_PADDING, LATEST),
+            vectors.lowest_bit(types),
+        ),
+    )
+    made = {
+        any_reaches: lambda a, i, j, limit: lambda a, i, j, limit: reaches(a, i, j, limit),
+        least_of: lambda a, i: lambda a, i: least(a, i),
+        most_of: lambda a, i: lambda a, i: most(a, i),
+        most_of_sums: lambda a, i, j: lambda a, i, j: sums(a, i, j),
+        enter_boxes: lambda boxes, node, view, t_min, t_max, near: (
+            lambda boxes, node, view, t_min, t_max, near: one(boxes, node, view, t_min, t_max, near)
+        ),
+        enter_boxes_together: lambda boxes, node, view, t_min, t_max, near: (
+            lambda boxes, node, view, t_min, t_max, near: several(boxes, node, view, t_min, t_max, near)
+        ),
+        lowest_bit: lambda mask: lambda mask: lowest(mask),
+    }
+    for stub, choose in made.items():
+        numba.extending.overload(stub, jit_options={"forceinline": True}, strict=False)(choose)
 
 
 class Generic:

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.kernels.jit import LANES, any_reaches, inlined, jit
+from caster.kernels.jit import inlined, jit
+from caster.kernels.lanes import LANES, any_reaches
 from caster.kernels.protocol import (
     Vec3,
     hull_point,

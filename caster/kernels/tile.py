@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from caster.kernels.jit import COMPILED, LANES, inlined, jit
+from caster.kernels.compiling.kernel_cache import COMPILED
+from caster.kernels.jit import inlined, jit
+from caster.kernels.lanes import LANES
 from caster.kernels.nearest import at_once
 from caster.kernels.protocol import intersect, prepare, ray
 

@@ -6,14 +6,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.kernels.jit import inlined, jit
+from caster.kernels.lanes import CHILDREN
 from caster.kernels.protocol import Vec3, hull_point, hull_size
 
 LEAF_SIZE = 4
 BINS = 16
 # Below this depth runs are halved. A large tree grows in two goes (caster/trees.py), so that with 2^31 primitives it is
-# less than 2 (40 + 31) deep; a traversal holds one node a level.
+# less than 2 (40 + 31) deep; a traversal holds all but one of a node's boxes a level.
 STEEPEST = 40
-STACK_SIZE = 160
+GROWING = 160  # nodes in two that wait for their turn
+STACK_SIZE = 144 * (CHILDREN - 1)
+
+NUMBERS = 8  # more than a leaf has
+MOST_PRIMITIVES = 2**31 // NUMBERS  # whose leaves fit into links
 
 # What is hit is hit exactly, but the points of a hull are sums of four numbers, off by 4 u of their magnitudes at most:
 # 16 u (|o| + extent) cover them. Up to 7 u more are lost where boxes and origins are seen from the tree's centre and
@@ -21,25 +26,27 @@ STACK_SIZE = 160
 REACH = 24.0 * 2.0**-53
 
 
-# What stands for 1/0, in units of a tree: so large that within t < 2^930 no ray gets across a pad by a step of d that
-# is 1 over it, and still a number times any box, since inf - inf is none. At most LARGEST_STEEP.
-STEEP, LARGEST_STEEP = 2.0**990, 2.0**1000
+# What stands for 0 in a direction, over units of a tree: so small that within t < 2^930 no ray gets across a pad by it,
+# and 1 over it still a number times any box, since inf - inf is none. At least LEAST_FLAT.
+FLAT, LEAST_FLAT = 2.0**-990, 2.0**-1000
 
 
 class Tree(NamedTuple):
-    """Nodes in depth-first order: the first child of an inner node follows it.
+    """Nodes of CHILDREN boxes each, or fewer; the first node is the root, whose own box is not kept.
 
     Boxes are rounded outwards to float32, seen from `center`, and in units of `unit`, so that a scene of any size, far
     from the origin or not, has the same tree.
     """
 
-    boxes: np.ndarray  # (nodes, 6) float32: low x, y, z, high x, y, z
-    # (nodes, 2) int32: (second child, -1 - axis of the split), or in a leaf (start in order, how many)
+    # (nodes, 6, CHILDREN) float32: low x, y, z, high x, y, z of each; where there is none, low above high
+    boxes: np.ndarray
+    # (nodes, CHILDREN) int32: what is in each box, the number of a node or ~(NUMBERS start + number) for
+    # order[start:start + number]
     links: np.ndarray
     order: np.ndarray  # (n,) int32, primitive numbers within the kind
     center: Vec3
     unit: float  # a power of two
-    steep: float  # what stands for 1/0
+    flat: float  # what stands for 0 in a direction: a power of two
     extent: float  # largest |coordinate| of any box, in scene units
     reach: float  # REACH
 
@@ -160,8 +167,12 @@ def cheapest(counts: Any, bounds: Any) -> int:
 
 @jit
 def grow(boxes: Any, order: Any, start: int, stop: int, enough: int, node_boxes: Any, links: Any) -> int:
-    """Fill the nodes over order[start:stop], down to runs of at most `enough`; return how many there are."""
-    stack = np.zeros((STACK_SIZE, 4), np.int64)  # start, stop, node whose second child this run is, depth
+    """Fill nodes of two over order[start:stop], down to runs of at most `enough`; return how many there are.
+
+    The first child of an inner node follows it. node_boxes: (room, 6); links: (room, 2), (second child, -1), or in a
+    leaf (start in order, how many).
+    """
+    stack = np.zeros((GROWING, 4), np.int64)  # start, stop, node whose second child this run is, depth
     counts, bounds = np.zeros(BINS, np.int64), np.zeros((BINS, 6))
     stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = start, stop, -1, 0
     top, nodes = 1, 0
@@ -179,9 +190,54 @@ def grow(boxes: Any, order: Any, start: int, stop: int, enough: int, node_boxes:
         middle = (first + last) // 2
         if depth < STEEPEST and spread[2] > spread[1] and spread[2] - spread[1] < math.inf:
             middle = split(boxes, order, (first, last), spread, counts, bounds)
-        links[node, 1] = -1 - spread[0]
+        links[node, 1] = -1
         for child in range(2):
             stack[top, 0], stack[top, 1] = (middle, last) if child == 0 else (first, middle)
             stack[top, 2], stack[top, 3] = node if child == 0 else -1, depth + 1
             top += 1
     return nodes
+
+
+NO_BOX = 2.0  # from there to -NO_BOX is outside of every tree, and never entered before it is left
+
+
+@jit
+def widen(boxes: Any, links: Any, wide_boxes: Any, wide_links: Any) -> int:
+    """Make nodes of CHILDREN out of nodes of two, the largest box opened first; return how many there are."""
+    origin, inside = np.zeros(len(wide_links), np.int64), np.zeros(CHILDREN, np.int64)
+    node, nodes = 0, 1
+    while node < nodes:
+        inside[0] = origin[node]
+        number = open_largest(boxes, links, inside)
+        wide_boxes[node, :3], wide_boxes[node, 3:] = NO_BOX, -NO_BOX
+        wide_links[node] = 0
+        for j in range(number):
+            child = inside[j]
+            for c in range(6):
+                wide_boxes[node, c, j] = boxes[child, c]
+            if links[child, 1] < 0:
+                origin[nodes] = child
+                wide_links[node, j] = nodes
+                nodes += 1
+            else:
+                wide_links[node, j] = ~(NUMBERS * links[child, 0] + links[child, 1])
+        node += 1
+    return nodes
+
+
+@jit
+def open_largest(boxes: Any, links: Any, inside: Any) -> int:
+    """Put the two children of inside[0] in its place, and so on with the largest, until CHILDREN are there."""
+    number, opened = 1, 0
+    while opened >= 0 and number < CHILDREN:
+        opened, largest = -1, -1.0
+        for j in range(number):
+            k = inside[j]
+            area = half_area(boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3], boxes[k, 4], boxes[k, 5])
+            if links[k, 1] < 0 and area > largest:
+                opened, largest = j, area
+        if opened >= 0:
+            k = inside[opened]
+            inside[opened], inside[number] = k + 1, links[k, 0]
+            number += 1
+    return number

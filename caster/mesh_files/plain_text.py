@@ -6,7 +6,7 @@ Both ways give the same bits (tests/unit/test_mesh_plain_text.py).
 import numpy as np
 from numpy.typing import NDArray
 
-from caster.kernels.jit import COMPILED
+from caster.kernels.compiling.kernel_cache import COMPILED
 from caster.kernels.obj_text import count_obj, read_obj
 from caster.kernels.text import GAVE_UP, NEWLINE, POWERS, read_lists, read_reals
 from caster.mesh import Floats

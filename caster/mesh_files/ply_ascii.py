@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.fields import SceneError
-from caster.kernels.jit import COMPILED
+from caster.kernels.compiling.kernel_cache import COMPILED
 from caster.mesh_files.plain_text import read_plain_lists, read_plain_rows
 from caster.mesh_files.ply_header import Element, Header, Property
 from caster.mesh_files.ply_table import Column, Columns, Lists, Table

@@ -10,7 +10,7 @@ from caster.aovs import BY_NAME
 from caster.cameras import Pinhole
 from caster.casting import find_nearest
 from caster.hits import checked_rays, packed
-from caster.kernels.jit import COMPILED
+from caster.kernels.compiling.kernel_cache import COMPILED
 from caster.rendering import render
 from caster.shapes import SHAPES
 

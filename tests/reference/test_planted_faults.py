@@ -600,8 +600,8 @@ FAULTS = (
         "coarse-silhouettes",
         "culling",
         BUNDLE,
-        "if entering(low, high, tile, first) == 0:",
-        "if entering(low, high, tile, first) == 0 or node == len(tree.links) - 1:",
+        "for at in range(start, start + number):",
+        "for at in range(start, start + (0 if start + number == len(tree.order) else number)):",
     ),
     Fault(
         "depth as z in render",

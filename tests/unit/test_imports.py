@@ -16,7 +16,7 @@ JIT = "caster/kernels/jit.py"
 LOADER = "caster.kernels.compiling"
 COMPILING = tuple(
     f"caster.kernels.compiling{part}"
-    for part in ("", ".arguments", ".kernel_cache", ".lanes", ".machine_code")
+    for part in ("", ".arguments", ".kernel_cache", ".machine_code", ".vectors")
 )
 STDLIB = frozenset(sys.stdlib_module_names)
 TYPING = ("typing", "collections.abc")  # words for the type checker; nothing of them runs per ray
@@ -71,7 +71,7 @@ RULES = (
     Rule(
         "caster.kernels.jit",
         "jit.py imports the standard library, numba and what it is made of",
-        only=(*STDLIB, "numba", "caster.kernels.compiling"),
+        only=(*STDLIB, "numba", "caster.kernels.compiling", "caster.kernels.lanes"),
     ),
     *(
         Rule(f"caster.{folder}", "what kept kernels are not named after has none", never=MAKE_KERNELS)

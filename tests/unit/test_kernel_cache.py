@@ -9,7 +9,7 @@ import pytest
 
 from caster.kernels.compiling import machine_code
 from caster.kernels.compiling.arguments import OTHER, checked_call, key_of
-from caster.kernels.jit import COMPILED
+from caster.kernels.compiling.kernel_cache import COMPILED
 
 ROOT = Path(__file__).resolve().parents[2]
 

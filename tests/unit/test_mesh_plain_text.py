@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from caster.kernels.jit import COMPILED
+from caster.kernels.compiling.kernel_cache import COMPILED
 from caster.kernels.text import POWERS, real
 from caster.mesh_files import obj as obj_files
 from caster.mesh_files.obj import parse_any_obj, parse_obj

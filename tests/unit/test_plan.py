@@ -13,7 +13,7 @@ from caster import Cube, Fisheye, Icosphere, Orthographic, Pinhole, Plane, Scene
 from caster.__main__ import main
 from caster.aovs import BY_NAME
 from caster.explain import account
-from caster.kernels.jit import COMPILED
+from caster.kernels.compiling.kernel_cache import COMPILED
 from caster.lights import Ambient, Directional, Point
 from caster.rendering import look, render_film
 
@@ -35,7 +35,7 @@ def test_a_pinhole_without_shadows_grows_no_tree():
     lit = scene(lights=[LAMP], shading={"shadows": False})
     for what in (told(lit, "depth", "normal"), told(lit, "diffuse")):
         assert what["trees"] == {"runs": False, "reason": "no ray needs one", "grown": 0}
-        assert all(kind["boxes"] == 0 for kind in what["primitives"])
+        assert all(kind["nodes"] == 0 for kind in what["primitives"])
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_a_pinhole_without_shadows_grows_no_tree():
 def test_a_tree_is_grown_where_rays_go_through_it(a_scene, aov, reason):
     what = told(a_scene, aov)
     assert what["trees"] == {"runs": True, "reason": reason, "grown": 1}  # one ball is too few for a tree
-    assert [kind["boxes"] > 100 for kind in what["primitives"]] == [False, True]
+    assert [kind["nodes"] > 10 for kind in what["primitives"]] == [False, True]
 
 
 def test_shadow_rays_are_those_of_hits_that_face_the_light():
@@ -170,3 +170,27 @@ def test_without_culling_nothing_is_counted():
     what = told(scene(shapes=[Plane(offset=-2), Sphere()]), "depth", culling="everything")
     assert what["decided_exactly"] is None and what["shadow_rays"]["cast"] is None
     assert {kind["way"] for kind in what["primitives"]} == {"tried by every ray"}
+
+
+EVERYTHING_ASKED = """
+import numpy as np, caster
+from caster.aovs import BY_NAME
+from caster.kernels.compiling import machine_code
+from caster.kernels.jit import WORK
+scene = caster.load_scene("scenes/every-shape.toml").with_film(width=48, height=32)
+bent = scene.model_copy(update={"camera": caster.Fisheye(eye=(0.0, 1.0, 6.0), look_at=(0.0, 0.0, 0.0))})
+for each in (scene, bent):
+    caster.render(each, tuple(BY_NAME))
+rays = np.random.default_rng(5).normal(size=(2, 500, 3))
+caster.cast(scene, *rays).surface, caster.cast(scene, *rays).normal, caster.occluded(scene, *rays)
+print(machine_code.usable(), WORK.slowly)
+"""
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+def test_no_kernel_of_a_render_or_a_cast_needs_numba_to_be_called():
+    """A flag among its arguments was enough once: Numba was loaded, and each call of a tile took 0.13 ms."""
+    done = subprocess.run([sys.executable, "-c", EVERYTHING_ASKED], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    usable, _, slowly = done.stdout.strip().partition(" ")
+    assert slowly == "[]" or usable == "False"

@@ -9,14 +9,26 @@ import numpy as np
 # Of an array's flags, what Numba compiles a kernel of its own for. An array that is in both orders is in C's.
 C_ORDER, FORTRAN_ORDER, ALIGNED, WRITABLE = 0x1, 0x2, 0x100, 0x400
 
-ARRAY, WHOLE, REAL, NOTHING = "a", "i", "d", "n"
+ARRAY, WHOLE, REAL, FLAG, NOTHING = "a", "i", "d", "b", "n"
 Form = tuple[str, int, int]  # one of these; dimensions and bytes of an element, of an array
 
 # Only these exactly: a class derived from one of them may be another type for Numba.
-SCALARS: dict[type, str] = {int: WHOLE, np.int64: WHOLE, float: REAL, np.float64: REAL}
-CLASSES = {form: tuple(kind for kind, its in SCALARS.items() if its == form) for form in (WHOLE, REAL)}
+SCALARS: dict[type, str] = {
+    int: WHOLE,
+    np.int64: WHOLE,
+    float: REAL,
+    np.float64: REAL,
+    bool: FLAG,
+    np.bool: FLAG,
+}
+CLASSES = {form: tuple(kind for kind, its in SCALARS.items() if its == form) for form in (WHOLE, REAL, FLAG)}
 
-C: dict[str, Any] = {ARRAY: ctypes.c_int64, WHOLE: ctypes.c_int64, REAL: ctypes.c_double}
+C: dict[str, Any] = {
+    ARRAY: ctypes.c_int64,
+    WHOLE: ctypes.c_int64,
+    REAL: ctypes.c_double,
+    FLAG: ctypes.c_uint8,
+}
 
 OTHER = object()
 """What a call says that was made for other classes of arguments."""

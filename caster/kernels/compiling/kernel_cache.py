@@ -29,6 +29,9 @@ def compiler_version() -> str:
     return "".join((folder / "_version.py").read_text() for folder in folders)
 
 
+COMPILED = os.environ.get("CASTER_JIT", "1") != "0" and compiler_version() != ""
+
+
 def source_hash(version: str) -> str:
     """A name for this source and this compiler.
 

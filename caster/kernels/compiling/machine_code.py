@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from caster.kernels.compiling.arguments import ARRAY, NOTHING, REAL, WHOLE, C, Form
+from caster.kernels.compiling.arguments import ARRAY, FLAG, NOTHING, REAL, WHOLE, C, Form
 from caster.kernels.compiling.kernel_cache import write_whole
 from caster.kernels.compiling.runtime import FROM_C, RUNTIME
 
 # Where a NumPy array object (PyArrayObject_fields, part of its stable binary interface) keeps them.
 DATA, SHAPE, STRIDES = 16, 32, 40
 
-LLVM = {WHOLE: "i64", REAL: "double", ARRAY: "i64"}
+LLVM = {WHOLE: "i64", REAL: "double", FLAG: "i8", ARRAY: "i64"}
 
 
 @cache
