@@ -11,13 +11,12 @@ from caster.casting import bases, decide_doubtful, ids_by_place
 from caster.kernels.jit import implements
 from caster.kernels.nearest import Nearest, Rays, no_hits
 from caster.kernels.protocol import project_ball
-from caster.kernels.screen import (
+from caster.kernels.screen import cast_own_origins, cast_shared_origin
+from caster.kernels.spans import (
     DRAWERS,
     MARGIN,
     Spans,
     Window,
-    cast_own_origins,
-    cast_shared_origin,
     count_in_tiles,
     find_pictures,
     find_spans,

@@ -20,8 +20,9 @@ from caster.kernels.film import film_from_one_point, film_in_one_direction
 from caster.kernels.gather import shoot_at
 from caster.kernels.nearest import new_rays
 from caster.kernels.paint import paint_albedo, paint_normals, paint_numbers, paint_seen
-from caster.kernels.screen import Window, cast_own_origins, cast_shared_origin
+from caster.kernels.screen import cast_own_origins, cast_shared_origin
 from caster.kernels.shade import SH_N, UV, N, P, find_surfaces_in_tile, paint_fields
+from caster.kernels.spans import Window
 from caster.kernels.tile import WIDTH, Box, new_tile, shoot_rays
 from caster.packing import Packed
 from caster.plan import Plan

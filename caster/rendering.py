@@ -12,7 +12,7 @@ from caster.film_casting import find_nearest_on_film
 from caster.film_painting import Painted, paint_film
 from caster.kernels.gather import shoot
 from caster.kernels.nearest import Rays, new_rays
-from caster.kernels.screen import Window
+from caster.kernels.spans import Window
 from caster.packing import Packed, pack, packed
 from caster.placing import Rounding, as_given
 from caster.plan import Plan, culling_for, plan

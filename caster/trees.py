@@ -17,6 +17,7 @@ from caster.kernels.tree import (
     shrink_boxes,
     widen,
 )
+from caster.wording import SceneError
 
 PARTS = 16  # a tree is begun by one thread, down to so many parts that grow on their own
 WORTH_PARTING = 20_000  # primitives; fewer take less time than parting them
@@ -27,11 +28,11 @@ Nodes = tuple[np.ndarray, np.ndarray]  # boxes and links
 def grown_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
     """A tree over boxes low, high (n, 3), n > 0. The same for every number of threads.
 
-    Raises OverflowError for more than MOST_PRIMITIVES.
+    Raises SceneError for more than MOST_PRIMITIVES.
     """
     count = len(low)
     if count > MOST_PRIMITIVES:
-        raise OverflowError(f"a tree holds {MOST_PRIMITIVES} primitives of a kind at most, got {count}")
+        raise SceneError(f"a tree holds {MOST_PRIMITIVES} primitives of a kind at most, got {count}")
     least, largest = low.min(axis=0), high.max(axis=0)
     x, y, z = (0.5 * least + 0.5 * largest).tolist()
     center, unit = (x, y, z), _unit(least, largest, np.array([x, y, z]))

@@ -10,9 +10,9 @@ from caster.cameras import Orthographic, Pinhole
 from caster.kernels.jit import implements
 from caster.kernels.protocol import project
 from caster.packing import pack
-from caster.rendering import render
+from caster.rendering import render, render_film
 from caster.scene import Scene
-from caster.shapes import SHAPES, Cube, Sphere
+from caster.shapes import SHAPES, Cube, Heightfield, Icosphere, Sphere
 
 SIZES = (1e-3, 1.0, 1e3)
 FARTHEST = 1e3  # how many of its sizes a scene stands away from the origin, at most
@@ -93,3 +93,31 @@ def test_sizes_that_have_no_squares_change_nothing(size, camera):
             assert_same_bits(every, render(scene, ("depth", "normal"), culling="screen"), "at once")
             hits, _ = count_hits_where_cullings_agree(scene)
             assert hits >= 20
+
+
+FILM = {"width": 32, "height": 24}
+
+
+@pytest.mark.parametrize(
+    ("shape", "camera"),
+    [
+        (Icosphere(subdivisions=5), Pinhole(eye=(0.0, 0.0, 4.0), look_at=(0.0, 0.0, 0.0), fov=40.0)),
+        # Every centre of a pixel is a corner of six triangles, or very near to one.
+        *(
+            (
+                Heightfield(
+                    size=2.0, resolution=64, amplitude=0.2, to_world=[{"translate": (aside, 0.0, 0.0)}]
+                ),
+                Orthographic(eye=(0.0, 0.0, 5.0), direction=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), width=2.0),
+            )
+            for aside in (0.0, 2.0**-50, -(2.0**-50), 1e-4, 2.0**-10 / 16.0)
+        ),
+    ],
+    ids=["ball", "at corners", "right of them", "left of them", "a little aside", "aside by the margin"],
+)
+def test_triangles_between_pixel_centres_are_dropped_and_no_others(shape, camera):
+    scene = Scene(film=FILM, camera=camera, shapes=[shape])
+    assert count_hits_where_cullings_agree(scene)[0] >= 200
+    rendered = render_film(scene, ("depth",), culling="screen")
+    tried, there = rendered.painted.on_film[0], len(rendered.packed.kinds[0].ids)
+    assert FILM["width"] < tried < 0.8 * there, f"{tried} of {there} triangles are tried"

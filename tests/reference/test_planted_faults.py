@@ -711,7 +711,7 @@ FAULTS = (
         "pictures of primitives too narrow",
         "triangles",
         "culling",
-        SCREEN,
+        "caster/kernels/spans.py",
         "MARGIN = 2.0**-10",
         "MARGIN = -2.0",
     ),

@@ -1,0 +1,240 @@
+"""Where primitives may be seen: a rectangle of pixels around each, and its least depth.
+
+For cameras that keep straight lines straight (a common origin, or a common direction): the picture of a
+convex hull lies in the box around the pictures of its points.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.kernels.jit import inlined, jit
+from caster.kernels.protocol import Vec3, hull_point, hull_size, project, project_ball
+from caster.kernels.tile import HEIGHT, WIDTH, Box
+
+# A rectangle reaches so much further than the projected points on each side, plus the distance at which the
+# intersection test may still count a hit (`slack`, in scene units). The margin has to outdo the rounding of the
+# projection alone: below 1e-9 of the film's size, where pinhole.SHALLOWEST holds, so 7e-5 of a pixel on the largest.
+MARGIN = 2.0**-10  # pixels
+
+
+class Window(NamedTuple):
+    """Which pixels of the film there are rays for, row by row."""
+
+    x0: int
+    y0: int
+    width: int
+    height: int
+
+
+class Spans(NamedTuple):
+    """Where the primitives of a kind may be seen."""
+
+    pixels: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
+    near: np.ndarray  # (n,) float64: nothing of it has a smaller depth
+    faces: (
+        np.ndarray
+    )  # (n, 3) int32: of triangles, their corners' places in `pictures`; of other kinds (0, 3)
+    pictures: np.ndarray  # (m, 4) float64, a Picture each, in pixels of the window
+    forward: Vec3  # along which depth counts
+    least: float  # a depth times this is no more than t: 1 over the length of the longest d
+
+
+Picture = tuple[float, float, float, float]
+"""(x, y, how far around it to look, in pixels, inf where it has no picture; depth)"""
+
+# Nothing of a primitive is nearer than the least depth of its points, by more than the `slack` that its box is widened
+# by: 24 u times the largest coordinates (tree.REACH), where depth is off by some 12 u of them; and again as much for
+# the hits themselves. The factor is for the rounding of `reach_of`.
+NEARER = 1.0 - 2.0**-40
+
+
+@inlined
+def picture(camera: Any, p: Any, reach: tuple[float, float]) -> Picture:
+    """Of one point."""
+    x, y, pixels, depth, valid = project(camera, p)
+    return x, y, reach[1] + reach[0] * pixels if valid else math.inf, depth
+
+
+@inlined
+def endless() -> tuple[float, float, float, float, float]:
+    """(left, top, right, bottom, least depth) before any point has been seen."""
+    return math.inf, math.inf, -math.inf, -math.inf, math.inf
+
+
+@inlined
+def around(box: tuple[float, float, float, float, float], point: Picture) -> Any:
+    """A box and least depth that hold one more point."""
+    x, y, wide, depth = point
+    left, top, right, bottom, least = box
+    return (
+        min(left, x - wide),
+        min(top, y - wide),
+        max(right, x + wide),
+        max(bottom, y + wide),
+        min(least, depth),
+    )
+
+
+@inlined
+def corner(spans: Any, k: int, j: int) -> Picture:
+    """The picture of a triangle's corner."""
+    i = spans.faces[k, j]
+    return spans.pictures[i, 0], spans.pictures[i, 1], spans.pictures[i, 2], spans.pictures[i, 3]
+
+
+@inlined
+def keep_span(spans: Any, k: int, box: Any, deepest: float, slack: float, window: Any) -> Box:
+    """Turn the box of primitive k, whose points are no deeper than `deepest`, into pixels."""
+    left, top, right, bottom, least = box
+    if deepest < -slack:  # all of it is behind
+        spans.pixels[k, 0], spans.pixels[k, 1], spans.pixels[k, 2], spans.pixels[k, 3] = 0, 0, 0, 0
+        return 0, 0, 0, 0
+    first_x, first_y, width, height = window
+    x0, x1 = pixel_span(left, right, first_x, width)
+    y0, y1 = pixel_span(top, bottom, first_y, height)
+    spans.pixels[k, 0], spans.pixels[k, 1], spans.pixels[k, 2], spans.pixels[k, 3] = x0, y0, x1, y1
+    near = (least - 2.0 * slack) * NEARER
+    spans.near[k] = near if near > 0.0 else 0.0  # also where it is none: inf - inf
+    return x0, y0, x1, y1
+
+
+@inlined
+def pixel_span(low: float, high: float, first: int, count: int) -> tuple[int, int]:
+    """Pixels first + start .. first + stop (exclusive) hold all whose centres lie in [low, high]."""
+    start = min(max(low - 0.5 - first, 0.0), float(count))
+    stop = min(max(high + 0.5 - first, 0.0), float(count))
+    return math.ceil(start), math.floor(stop)
+
+
+@jit
+def find_spans(
+    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
+) -> None:
+    """The spans of primitives start..stop.
+
+    reach: how far beyond its points a primitive may be seen, in scene units (the slack) and in pixels.
+    """
+    corners = hull_size(prims)
+    for k in range(start, stop):
+        box, deepest = endless(), -math.inf
+        for j in range(corners):
+            point = picture(camera, hull_point(prims, k, j), reach)
+            box, deepest = around(box, point), max(deepest, point[3])
+        if corners == 0:  # a kind without bounds
+            box, deepest = (-math.inf, -math.inf, math.inf, math.inf, -math.inf), math.inf
+        keep_span(spans, k, box, deepest, reach[0], window)
+
+
+@jit
+def find_spans_of_balls(
+    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
+) -> None:
+    """The same for balls, which fill the boxes around them badly."""
+    slack, margin = reach
+    for k in range(start, stop):
+        r, center = prims.radius[k], (prims.center[k, 0], prims.center[k, 1], prims.center[k, 2])
+        left, top, right, bottom, least, valid = project_ball(camera, center, r + slack)
+        wide = margin if valid else math.inf
+        box = left - wide, top - wide, right + wide, bottom + wide, least
+        keep_span(spans, k, box, least + 2.0 * (r + slack), slack, window)
+
+
+@jit
+def find_pictures(
+    points: Any, camera: Any, window: Any, pictures: Any, reach: Any, start: int, stop: int
+) -> None:
+    """pictures (n, 4) of points start..stop, which several triangles share."""
+    for i in range(start, stop):
+        x, y, wide, depth = picture(camera, (points[i, 0], points[i, 1], points[i, 2]), reach)
+        pictures[i, 0], pictures[i, 1] = x - window.x0, y - window.y0
+        pictures[i, 2], pictures[i, 3] = wide, depth
+
+
+# Triangles with a single pixel around them are mostly smaller than it, and three in five lie between the centres.
+
+
+@inlined
+def lies_between(a: Picture, b: Picture, c: Picture, x: int, y: int) -> bool:
+    """Whether a triangle is sure not to hold the centre of a pixel."""
+    p, q = x + 0.5, y + 0.5
+    return beyond(a, b, c, p, q) | beyond(b, c, a, p, q) | beyond(c, a, b, p, q)
+
+
+@inlined
+def beyond(a: Picture, b: Picture, c: Picture, x: float, y: float) -> bool:
+    """Whether a point is sure to lie on the other side of the line through a and b than c.
+
+    Sure of it for all corners that lie within `wide` of these along x and y, which covers the rounding here many times
+    (MARGIN). False where there is no picture: a `wide` of inf.
+    """
+    across, down = b[0] - a[0], b[1] - a[1]
+    third = across * (c[1] - a[1]) - down * (c[0] - a[0])
+    point = across * (y - a[1]) - down * (x - a[0])
+    far = (abs(across) + abs(down)) * max(max(a[2], b[2]), c[2])
+    return (point if third >= 0.0 else -point) < -far
+
+
+@jit
+def find_spans_of_faces(window: Any, spans: Any, reach: Any, start: int, stop: int) -> None:
+    """The same as `find_spans`, for triangles between points whose pictures are known."""
+    for k in range(start, stop):
+        a, b, c = corner(spans, k, 0), corner(spans, k, 1), corner(spans, k, 2)
+        box, deepest = around(around(around(endless(), a), b), c), max(max(a[3], b[3]), c[3])
+        x0, y0, x1, y1 = keep_span(spans, k, box, deepest, reach[0], (0, 0, window.width, window.height))
+        if (x1 - x0) * (y1 - y0) == 1:
+            spans.pixels[k, 2] = x0 if lies_between(a, b, c, x0, y0) else x1
+
+
+@inlined
+def is_seen(pixels: Any, k: int) -> bool:
+    return (pixels[k, 0] < pixels[k, 2]) & (pixels[k, 1] < pixels[k, 3])
+
+
+# Within a tile, primitives are sorted into drawers by their least depth: by its exponent and 4 bits of the fraction.
+# The farthest 8 powers of two have drawers of their own; what is nearer, or behind, shares the first.
+DRAWERS, SHIFT = 128, 52 - 4
+
+
+@inlined
+def drawer(bits: int, last: int) -> int:
+    """Farther primitives are in later drawers; bits, last: of depths, as int64, and of the largest that may be."""
+    return min(max(DRAWERS - 1 - ((last >> SHIFT) - (bits >> SHIFT)), 0), DRAWERS - 1)
+
+
+@jit
+def count_in_tiles(
+    pixels: Any, bits: Any, last: int, queue: Any, across: int, counts: Any, start: int, stop: int
+) -> int:
+    """How many spans reach into each tile, of primitives queue[start:stop]: counts[n * DRAWERS + drawer].
+
+    Tiles go row by row, `across` in a row. A queue without members stands for all primitives in their own order.
+    Returns how many primitives are looked for anywhere.
+    """
+    seen = 0
+    for place in range(start, stop):
+        k = queue[place] if len(queue) > 0 else place
+        if is_seen(pixels, k):
+            seen += 1
+            into = drawer(bits[k], last)
+            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
+                for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
+                    counts[(y * across + x) * DRAWERS + into] += 1
+    return seen
+
+
+@jit
+def sort_into_tiles(
+    pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
+) -> None:
+    """Write them to order[ends[n * DRAWERS + drawer]:], for each tile n they reach into, moving that end on."""
+    for place in range(start, stop):
+        k = queue[place] if len(queue) > 0 else place
+        if is_seen(pixels, k):
+            into = drawer(bits[k], last)
+            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
+                for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
+                    n = (y * across + x) * DRAWERS + into
+                    order[ends[n]] = k
+                    ends[n] += 1
