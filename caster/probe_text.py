@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from caster.margins import EDGE_ON, RADII, Margin
 from caster.probing import Candidate, Probe
 from caster.scene import Scene
+from caster.tried import Tried
 
 SHOWN = 8  # candidates on the terminal; --json has all
 
@@ -25,6 +27,8 @@ def as_data(found: Probe, path: str) -> dict[str, Any]:
         "hit": found.hit and _candidate(found.hit, found.scene) | _surface(found),
         "candidates": [_candidate(candidate, found.scene) for candidate in found.candidates],
         "tried": {"prims": found.prims, "shapes": len(found.scene.shapes), "missed": found.missed},
+        "near": [_tried(tried, found.scene) for tried in found.tried],
+        "pixel_size": found.pixel,
     }
 
 
@@ -36,7 +40,8 @@ def as_text(found: Probe, path: str) -> str:
         return (
             f"{head}\nno ray: the pixel lies outside the image circle of the {found.scene.camera.type} camera"
         )
-    return "\n".join([head, *_ray_lines(found), *_hit_lines(found), *_tried_lines(found)])
+    lines = [head, *_ray_lines(found), *_hit_lines(found), *_tried_lines(found), *near_lines(found)]
+    return "\n".join(lines)
 
 
 def _both(name: str, value: Any) -> dict[str, Any]:
@@ -46,10 +51,27 @@ def _both(name: str, value: Any) -> dict[str, Any]:
 
 
 def _candidate(candidate: Candidate, scene: Scene) -> dict[str, Any]:
-    shape = scene.shapes[candidate.shape_id]
-    name = scene.shape_names()[candidate.shape_id]
-    ids = {"shape_id": candidate.shape_id, "prim_id": candidate.prim_id}
-    return {"shape": name, "type": shape.type, **ids, **_both("t", candidate.t)}
+    return {**_ids(candidate.shape_id, candidate.prim_id, scene), **_both("t", candidate.t)}
+
+
+def _ids(shape_id: int, prim_id: int, scene: Scene) -> dict[str, Any]:
+    shape, name = scene.shapes[shape_id], scene.shape_names()[shape_id]
+    return {"shape": name, "type": shape.type, "shape_id": shape_id, "prim_id": prim_id}
+
+
+def _tried(tried: Tried, scene: Scene) -> dict[str, Any]:
+    """One primitive alone; t null: missed. span: t at which the ray enters and leaves the box, null: passes by."""
+    margins = [{"of": m.of, "unit": m.unit, **_both("inside", m.inside)} for m in tried.margins]
+    hit = math.isfinite(tried.t)
+    return {
+        **_ids(tried.shape_id, tried.prim_id, scene),
+        **(_both("t", tried.t) if hit else {"t": None}),
+        "decided_by": tried.decided_by,
+        "t_off": tried.off if hit and math.isfinite(tried.off) else None,
+        "margins": margins,
+        "box": tried.box and [corner.tolist() for corner in tried.box],
+        "span": tried.span and [t if math.isfinite(t) else None for t in tried.span],
+    }
 
 
 def _surface(found: Probe) -> dict[str, Any]:
@@ -84,7 +106,40 @@ def _tried_lines(found: Probe) -> Iterator[str]:
         yield f"       and {len(found.candidates) - SHOWN} shapes farther away (--json lists them)"
 
 
-def _name(candidate: Candidate, scene: Scene) -> str:
+def near_lines(found: Probe) -> Iterator[str]:
+    """Every primitive by itself, in two lines: t, and how far inside its outline and its box the ray passes."""
+    if not found.tried:
+        return
+    wide = f"; a pixel is {found.pixel:.3g} wide at the hit" if found.pixel else ""
+    yield f"near   {len(found.tried)} of {found.prims} primitives, each by itself; + is inside its outline{wide}"
+    for tried in found.tried[:SHOWN]:
+        where = f"t {tried.t!r:<24} {tried.t.hex():<24}" if math.isfinite(tried.t) else missed_words(tried)
+        doubt = "" if math.isfinite(tried.off) else " (by integers: float64 cannot tell)"
+        yield f"       {where:<51} {_name(tried, found.scene)}{doubt}"
+        yield f"         {', '.join([*map(margin_words, tried.margins), box_words(tried)])}"
+    if len(found.tried) > SHOWN:
+        yield f"       and {len(found.tried) - SHOWN} less near (--json lists them)"
+
+
+def missed_words(tried: Tried) -> str:
+    return "missed: not within the range of t, or its ends" if tried.out_of_range else "missed"
+
+
+def margin_words(margin: Margin) -> str:
+    """Such as `edge 0-1 +0.0125`."""
+    if margin.inside == 0.0:
+        return f"{margin.of} 0, exactly on it" if margin.of != EDGE_ON else "the ray runs along it"
+    return f"{margin.of} {margin.inside:+.6g}" + (" radii" if margin.unit == RADII else "")
+
+
+def box_words(tried: Tried) -> str:
+    """Where the ray is in the box of a primitive."""
+    if tried.box is None:
+        return "no bounds"
+    return "passes its box by" if tried.span is None else "in its box for t {:.6g} to {:.6g}".format(*tried.span)
+
+
+def _name(candidate: Candidate | Tried, scene: Scene) -> str:
     shape = scene.shapes[candidate.shape_id]
     label = f' "{shape.name}"' if shape.name else ""
     return f"shapes[{candidate.shape_id}] ({shape.type}{label}), prim {candidate.prim_id}"

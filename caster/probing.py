@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,9 @@ from caster.casting import find_nearest
 from caster.fields import SceneError
 from caster.kernels.nearest import Rays
 from caster.packing import Kind, Packed
-from caster.rendering import look
+from caster.rendering import camera_rays, look
 from caster.scene import Scene
+from caster.tried import Tried, try_each
 
 
 @dataclass(frozen=True)
@@ -38,11 +40,23 @@ class Probe:
     surface: dict[str, np.ndarray]  # p, n, sh_n (3,) and uv (2,); empty on a miss
     candidates: tuple[Candidate, ...]  # one for each shape that is hit, nearest first
     prims: int  # how many primitives were tried
+    packed: Packed
+    rays: Rays
 
     @property
     def missed(self) -> int:
         """How many shapes the ray does not meet."""
         return len(self.scene.shapes) - len(self.candidates)
+
+    @cached_property
+    def tried(self) -> tuple[Tried, ...]:
+        """Each primitive alone, hits by t and then misses by how nearly; of many, the near ones."""
+        return try_each(self.packed, self.rays)
+
+    @cached_property
+    def pixel(self) -> float | None:
+        """How wide a pixel is at the hit, scene units; None on a miss, or on a film of one pixel."""
+        return pixel_size(self.scene, self.x, self.y, self.hit.t) if self.hit else None
 
 
 def probe(scene: Scene, x: int, y: int) -> Probe:
@@ -61,7 +75,20 @@ def probe(scene: Scene, x: int, y: int) -> Probe:
     candidates = tuple(sorted(_each_alone(view.packed, rays), key=lambda c: (c.t, c.shape_id)))
     ends = float(rays.t_min[0]), float(rays.t_max[0])
     prims = int(view.packed.first[-1])
-    return Probe(scene, x, y, rays.o[0], rays.d[0], *ends, hit, surface, candidates, prims)
+    record = hit, surface, candidates, prims, view.packed, rays
+    return Probe(scene, x, y, rays.o[0], rays.d[0], *ends, *record)
+
+
+def pixel_size(scene: Scene, x: int, y: int, t: float) -> float | None:
+    """How far apart the rays of this pixel and of one beside it are at t; None where none is beside it."""
+    film = scene.film
+    ends = (x, x + 1) if x + 1 < film.width else (x - 1, x)
+    if ends[0] < 0:
+        return None
+    rays = camera_rays(scene.with_film(crop=(ends[0], y, ends[1] + 1, y + 1)))
+    if (rays.t_max < 0.0).any():
+        return None
+    return float(np.linalg.norm((rays.o[1] + t * rays.d[1]) - (rays.o[0] + t * rays.d[0])))
 
 
 def _each_alone(packed: Packed, rays: Rays) -> Iterator[Candidate]:

@@ -1,12 +1,15 @@
 """`caster probe`: the pixel it shows is the pixel that render computes."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import caster
 from caster.__main__ import main
+from caster.kernels.triangles import Triangles
+from caster.packing import pack
 from caster.probing import probe
 
 SCENE = """
@@ -30,6 +33,7 @@ name = "box"
 to_world = [{{ scale = 0.4 }}, {{ rotate = {{ axis = [1, 2, 3], degrees = 9 }} }},
     {{ translate = [0.7, 0.3, 1] }}]
 """
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
 AOVS = ("depth", "normal", "shading_normal", "position", "uv", "shape_id", "prim_id")
 SURFACE = {"normal": "n", "shading_normal": "sh_n", "position": "p", "uv": "uv"}
 
@@ -144,7 +148,7 @@ def test_far_candidates_are_counted_on_the_terminal_and_listed_in_json(folder, c
     (folder / "s.toml").write_text(camera + planes)
     assert main(["probe", "s.toml", "7", "3"]) == 0
     said = capsys.readouterr().out
-    assert said.count("(plane), prim 0\n") == 1 + 8 and "and 4 shapes farther away" in said
+    assert said.partition("\nnear ")[0].count("(plane), prim 0") == 1 + 8 and "and 4 shapes farther away" in said
     assert len(probed(capsys, 7, 3)["candidates"]) == 12
 
 
@@ -153,3 +157,102 @@ def test_a_size_moves_the_pixels(folder, capsys):
     assert probed(capsys, 22, 10, "--size", "36", "27")["film"] == [36, 27]
     wide, own = probed(capsys, 22, 10, "--size", "36", "27")["ray"]["d"], probed(capsys, 7, 3)["ray"]["d"]
     assert np.allclose(wide, own, rtol=0, atol=4 * 2.0**-53)
+
+
+# ---- every primitive by itself ----
+
+MESH = """
+[film]
+width = 12
+height = 9
+[camera]
+type = "pinhole"
+eye = [0.3, 0.4, 5]
+look_at = [0, 0, 0]
+[[shape]]
+type = "icosphere"
+name = "mesh"
+subdivisions = 1
+[[shape]]
+type = "disk"
+to_world = [{ translate = [0.5, 0, 1.5] }]
+[[shape]]
+type = "cylinder"
+p1 = [0.3, 2, 0]
+radius = 0.4
+[[shape]]
+type = "sphere"
+center = [-0.2, 0, -3]
+to_world = [{ scale = [1, 2, 1] }]
+"""
+
+
+def single(scene, shape_id, prim_id):
+    """The scene of one primitive, as the same numbers."""
+    shape = scene.shapes[shape_id]
+    part = pack(scene).parts[shape_id]
+    if not isinstance(part, Triangles):
+        return scene.model_copy(update={"shapes": [shape]})
+    corners = part.vertices[part.faces[prim_id]].tolist()
+    return scene.model_copy(update={"shapes": [caster.Triangle(vertices=corners)]})
+
+
+def test_each_primitive_answers_as_if_it_stood_alone(folder):
+    (folder / "s.toml").write_text(MESH)
+    scene = caster.load_scene("s.toml")
+    kinds = set()
+    for x, y in ((5, 4), (7, 3), (0, 0)):
+        found = probe(scene, x, y)
+        assert len(found.tried) == found.prims == 80 + 3
+        for tried in found.tried[:: 7 if x else 23]:
+            alone = caster.cast(single(scene, tried.shape_id, tried.prim_id), [found.o], [found.d])
+            assert tried.t == alone.t[0]
+            kinds.add((tried.shape_id, bool(np.isfinite(tried.t))))
+        hits = [tried for tried in found.tried if np.isfinite(tried.t)]
+        assert [tried.t for tried in hits] == sorted(tried.t for tried in hits)
+        assert (found.hit is None) == (not hits)
+        assert found.hit is None or (hits[0].shape_id, hits[0].prim_id) == (found.hit.shape_id, found.hit.prim_id)
+    assert len(kinds) >= 3
+
+
+def test_the_sign_of_a_margin_is_hit_or_miss_and_its_size_a_distance(folder):
+    (folder / "s.toml").write_text(MESH)
+    scene = caster.load_scene("s.toml")
+    signs = set()
+    for y, x in [*np.ndindex(9, 12)][::4]:
+        found = probe(scene, x, y)
+        for tried in found.tried:
+            inside = all(margin.inside > 0.0 for margin in tried.margins)
+            hit = bool(np.isfinite(tried.t))
+            assert inside == hit or (inside and tried.out_of_range)
+            assert tried.span is not None or not hit  # a ray that hits passes the box
+            signs.add((scene.shapes[tried.shape_id].type, hit))
+        triangle = found.tried[0]
+        if scene.shapes[triangle.shape_id].type == "icosphere":
+            corners = pack(scene).parts[0].vertices[pack(scene).parts[0].faces[triangle.prim_id]]
+            for i, margin in enumerate(triangle.margins):
+                side = corners[(i + 1) % 3] - corners[i]
+                across = np.cross(found.d, side)
+                distance = abs(across @ (corners[i] - found.o)) / np.linalg.norm(across)
+                assert abs(margin.inside) == pytest.approx(distance, rel=1e-9)  # by a float64 formula
+    assert {("icosphere", True), ("icosphere", False), ("disk", True), ("cylinder", True)} <= signs
+    assert ("sphere", True) in signs
+
+
+def test_a_ray_through_an_edge_has_a_margin_of_exactly_nothing(capsys):
+    scene = caster.load_scene(SCENES / "shared-edges-cube.toml").with_film(width=15, height=15)
+    on_edge, other = probe(scene, 7, 7).tried[:2]
+    assert [m.inside for m in on_edge.margins].count(0.0) == [m.inside for m in other.margins].count(0.0) == 1
+    assert on_edge.t == other.t == 1.0 and on_edge.decided_by == "integers"
+    assert main(["probe", str(SCENES / "shared-edges-cube.toml"), "7", "7", "--size", "15", "15"]) == 0
+    said = capsys.readouterr().out
+    assert "edge 2-0 0, exactly on it" in said and "the ray runs along it" in said and "integers" in said
+
+
+def test_of_many_primitives_the_near_ones_are_shown(folder, capsys):
+    (folder / "s.toml").write_text(MESH.replace("subdivisions = 1", "subdivisions = 4"))
+    found = probed(capsys, 5, 4)
+    assert found["tried"]["prims"] == 20 * 4**4 + 3 and len(found["near"]) == 256
+    assert found["near"][0].items() >= {k: v for k, v in found["hit"].items() if k in ("t", "prim_id")}.items()
+    hits = [each for each in found["near"] if each["t"] is not None]
+    assert len([each for each in hits if each["shape"] == "mesh"]) == 2  # a closed mesh: in and out
