@@ -75,8 +75,8 @@ def probe(scene: Scene, x: int, y: int) -> Probe:
     candidates = tuple(sorted(_each_alone(view.packed, rays), key=lambda c: (c.t, c.shape_id)))
     ends = float(rays.t_min[0]), float(rays.t_max[0])
     prims = int(view.packed.first[-1])
-    record = hit, surface, candidates, prims, view.packed, rays
-    return Probe(scene, x, y, rays.o[0], rays.d[0], *ends, *record)
+    o, d = rays.o[0], rays.d[0]
+    return Probe(scene, x, y, o, d, *ends, hit, surface, candidates, prims, view.packed, rays)
 
 
 def pixel_size(scene: Scene, x: int, y: int, t: float) -> float | None:

@@ -20,6 +20,7 @@ from mitsuba_ref.rays import SharedRays, share
 from mitsuba_ref.reasons import reason
 from mitsuba_ref.telling import TIES_SHOWN, asked, members
 from mitsuba_ref.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, number
+from mitsuba_ref.witnesses import Saying, lines, recorded, sayings
 
 SHOWN = 12  # primitives on the terminal; --json has all
 
@@ -52,6 +53,7 @@ class PixelVerdict:
     problem: str = ""
     why: str = ""
     case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
+    witnesses: tuple[Saying, ...] = ()  # ours, exact, and Mitsuba in each of its variants and modes
 
     @property
     def ok(self) -> bool:
@@ -59,7 +61,8 @@ class PixelVerdict:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; infinite numbers become text."""
-        plain: dict[str, Any] = _json_safe({**asdict(self), "ok": self.ok})
+        witnesses = [recorded(each) for each in self.witnesses]
+        plain: dict[str, Any] = _json_safe({**asdict(self), "witnesses": witnesses, "ok": self.ok})
         return plain
 
 
@@ -88,6 +91,7 @@ def examine(scene: Scene, x: int, y: int) -> tuple[PixelVerdict, Probed | Crash]
         problem = f"Mitsuba ended without an answer ({judge.exit}): {judge.words}"
         return PixelVerdict(x, y, UNDECIDED, _ray(share(scene)), {}, {}, {}, {}, (), {}, problem), judge
     pair, judgement = judge.pair, judge.judge()
+    exact = asked(judge, judgement, 0)
     found = PixelVerdict(
         x,
         y,
@@ -95,12 +99,13 @@ def examine(scene: Scene, x: int, y: int) -> tuple[PixelVerdict, Probed | Crash]
         _ray(pair.rays),
         _answer(scene, pair.ours, pair.t),
         _answer(scene, pair.reference, pair.witness.t),
-        _exact(judge, asked(judge, judgement, 0)),
+        _exact(judge, exact),
         _ratios(judgement),
         tuple(_possible(scene, judge)),
         pair.witness.answer.versions,
         why=reason(judge, judgement, 0),
         case=_case(judgement),
+        witnesses=sayings(judge, exact),
     )
     return found, Probed(judge, judgement)
 
@@ -167,6 +172,7 @@ def _lines(found: PixelVerdict, path: str) -> Iterator[str]:
     for name, value in found.ray.items():
         yield f"ray        {name:<16}{_both(value)}"
     yield from _exact_lines(found.exact)
+    yield from lines(found.witnesses)
     for name in found.ours:
         yield f"ours       {name:<16}{_both(found.ours[name])}"
         yield f"reference  {'':<16}{_both(found.reference[name])}"

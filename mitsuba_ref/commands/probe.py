@@ -12,6 +12,7 @@ from caster.commands.scene_arguments import add_pixel, add_scene, blamed_on, loa
 from caster.exits import DIFFERENCES, OK
 
 if TYPE_CHECKING:
+    from caster.scene import Scene
     from mitsuba_ref.jobs import Crash
     from mitsuba_ref.probing import Probed
 
@@ -25,6 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--save", metavar="FILE", help="write this ray and what it may hit as a scene of its own"
     )
+    parser.add_argument(
+        "--picture", metavar="PNG", help="draw the pixel's surroundings: classes, edges in it, and beside its ray"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -32,8 +36,10 @@ def run(args: argparse.Namespace) -> int:
     from caster.whole_files import check_writable
 
     scene = load(args)
-    if args.save:
-        check_writable(args.save)
+    for path in filter(None, (args.save, args.picture)):
+        check_writable(path)
+    if args.picture:
+        check_can_draw()
     from mitsuba_ref.probing import as_text, examine
 
     with blamed_on(args.scene):
@@ -41,6 +47,8 @@ def run(args: argparse.Namespace) -> int:
     print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, args.scene))
     if args.save:
         save(args, probed)
+    if args.picture:
+        draw(args, scene, probed)
     return OK if found.ok else DIFFERENCES
 
 
@@ -57,3 +65,28 @@ def save(args: argparse.Namespace, probed: Crash | Probed) -> None:
         same = store(Path(args.save), *probed, 0, source)
     alone = "shows the same" if same else "does NOT show the same by itself, as it says"
     print(f"{args.save}: written; it {alone}", file=sys.stderr)
+
+
+def check_can_draw() -> None:
+    """Raise SceneError before any work where there is nothing to draw with."""
+    from caster.wording import SceneError
+    from mitsuba_ref.stress.plot import MissingPlots, check_available
+
+    try:
+        check_available()
+    except MissingPlots as missing:
+        raise SceneError(f"--picture: {missing}") from None
+
+
+def draw(args: argparse.Namespace, scene: Scene, probed: Crash | Probed) -> None:
+    """Write the picture."""
+    from caster.whole_files import write_bytes
+    from mitsuba_ref.jobs import Crash
+    from mitsuba_ref.pixel_picture import picture
+
+    if isinstance(probed, Crash):
+        print(f"{args.picture}: not written: Mitsuba gave no answer to draw", file=sys.stderr)
+        return
+    with blamed_on(args.scene):
+        write_bytes(args.picture, picture(probed.judge, scene, args.x, args.y))
+    print(f"{args.picture}: written", file=sys.stderr)

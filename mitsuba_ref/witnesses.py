@@ -1,0 +1,141 @@
+"""Every witness of one ray: ours, exact arithmetic, and Mitsuba in each of its variants and modes."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from mitsuba_ref import variants
+from mitsuba_ref.exact import ExactAnswer
+from mitsuba_ref.export import export, shape_ids
+from mitsuba_ref.jobs import Answer, Crash, Job
+from mitsuba_ref.judge import Judge
+from mitsuba_ref.worker import ask_all
+
+MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_use_robust_intersections
+
+
+@dataclass(frozen=True)
+class Saying:
+    """What one witness says of the ray, held to exact arithmetic."""
+
+    who: str  # ours, exact, or a variant of Mitsuba with its mode
+    shape: str  # "miss" on a miss
+    prim: int  # within its shape, -1 on a miss
+    t: float
+    right: bool | None = None  # whether that is one of the surfaces that are hit exactly; None: nobody knows
+    off: float | None = None  # t less the exact one; None on a miss, or where another surface is hit
+    ulps: float | None = None  # the same, in units of the last place of the format it computes in
+    format: str = ""  # which that is
+    problem: str = ""  # why it says nothing
+
+
+def sayings(judge: Judge, answer: ExactAnswer | None) -> tuple[Saying, ...]:
+    """All witnesses of the ray of a window of one pixel."""
+    exact = () if answer is None else (_exact(judge, answer),)
+    given = judge.pair.witness.answer
+    ours = _place(judge, int(judge.pair.prim[0]))
+    theirs = dict(asked_otherwise(judge, given.versions["variant"]))
+    theirs[given.versions["variant"], "robust"] = given
+    rows = [_held(("ours", *ours, float(judge.pair.t[0])), judge, answer, np.float64), *exact]
+    for variant in variants.KNOWN:
+        for mode in MODES:
+            rows.append(_of_mitsuba(f"mitsuba {variant} {mode}", theirs[variant, mode], judge, answer))
+    return tuple(rows)
+
+
+def asked_otherwise(judge: Judge, variant: str) -> Iterator[tuple[tuple[str, str], Answer | Crash | str]]:
+    """Answers by (variant, mode), but for the one that the judge has; a child of its own for each variant."""
+    works = variants.usable()
+    for name in set(variants.KNOWN) - set(works.names):
+        yield from (((name, mode), f"does not work here: {works.why}") for mode in MODES)
+    wanted = {name: [m for m in MODES if (name, m) != (variant, "robust")] for name in works.names}
+    with TemporaryDirectory(prefix="mitsuba-ref-") as folder, ThreadPoolExecutor() as pool:
+        xml = {
+            mode: export(judge.scene, judge.model, robust=robust).write(Path(folder) / mode)
+            for mode, robust in MODES.items()
+        }
+        rays = judge.pair.rays
+        jobs = {
+            name: [Job(xml[mode], name, rays.o, rays.d, rays.t_max, lights=False) for mode in modes]
+            for name, modes in wanted.items()
+        }
+        for name, answers in zip(jobs, pool.map(ask_all, jobs.values()), strict=True):
+            yield from (((name, mode), found) for mode, found in zip(wanted[name], answers, strict=True))
+
+
+def _place(judge: Judge, prim: int) -> tuple[str, int]:
+    """(shape, number within it) of a primitive of the scene."""
+    if prim < 0:
+        return "miss", -1
+    packed, which = judge.model.packed, np.array([prim])
+    return judge.scene.shape_names()[int(packed.shape_of(which)[0])], int(packed.number_in_shape(which)[0])
+
+
+def _exact(judge: Judge, answer: ExactAnswer) -> Saying:
+    t = np.inf if answer.t is None else float(answer.t)
+    return Saying("exact", *_place(judge, answer.prim), t, right=True)
+
+
+def _of_mitsuba(who: str, found: Answer | Crash | str, judge: Judge, exact: ExactAnswer | None) -> Saying:
+    if isinstance(found, str):
+        return Saying(who, "", -1, np.nan, problem=found)
+    if isinstance(found, Crash):
+        return Saying(who, "", -1, np.nan, problem=f"no answer ({found.exit}): {found.headline}")
+    shape = int(found.shape[0])
+    if shape < 0:
+        return _held((who, "miss", -1, np.inf), judge, exact, np.float32)
+    place = shape_ids(judge.scene).index(found.names[shape])
+    first, last = (int(n) for n in judge.model.packed.first[place : place + 2])
+    prim = int(found.prim[0])
+    prim = prim if first + prim < last else 0  # a stand-in counts its triangles by itself
+    return _held((who, judge.scene.shape_names()[place], prim, float(found.t[0])), judge, exact, np.float32)
+
+
+def _held(said: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type) -> Saying:
+    """A saying beside the exact answer. kind: what it was computed in."""
+    name = np.dtype(kind).name
+    if exact is None:
+        return Saying(*said, format=name)
+    surfaces = {_place(judge, hit.prim) for hit in exact.ties} or {("miss", -1)}
+    right = said[1:3] in surfaces
+    if not right or exact.t is None or not np.isfinite(said[3]):
+        return Saying(*said, right=right, format=name)
+    off = exact.t.off(said[3]) * -exact.t.compare(said[3])
+    with np.errstate(over="ignore", under="ignore"):
+        ulp = float(np.spacing(np.abs(np.asarray(float(exact.t)).astype(kind))))
+    return Saying(*said, right=right, off=off, ulps=off / ulp if np.isfinite(ulp) else None, format=name)
+
+
+def lines(found: tuple[Saying, ...]) -> Iterator[str]:
+    """A table for a terminal."""
+    room = max(len(each.who) for each in found)
+    hit = max(len(_where(each)) for each in found)
+    for i, each in enumerate(found):
+        head = f"{'witness' if i == 0 else '':<11}{each.who:<{room}}"
+        if each.problem:
+            yield f"{head}  {each.problem}"
+            continue
+        verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
+        t = f"t {each.t!r} {each.t.hex()}" if np.isfinite(each.t) else ""
+        yield f"{head}  {verdict}  {_where(each):<{hit}}  {t}{_off_words(each)}".rstrip()
+
+
+def _where(each: Saying) -> str:
+    return f"{each.shape}, prim {each.prim}" if each.prim >= 0 else each.shape
+
+
+def _off_words(each: Saying) -> str:
+    if each.ulps is None:
+        return ""
+    return f", {each.ulps:+.3g} ulps of {each.format}" if each.ulps else f", exact in {each.format}"
+
+
+def recorded(each: Saying) -> dict[str, Any]:
+    """For JSON: null where there is no t."""
+    there = bool(np.isfinite(each.t))
+    return vars(each) | {"t": each.t if there else None, "t_hex": each.t.hex() if there else None}

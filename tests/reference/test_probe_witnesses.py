@@ -1,0 +1,149 @@
+"""`mitsuba-ref probe`: every witness of a ray, who is right and by how much, as text, as JSON and as a picture."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+
+import caster
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.pixel_picture import INSIDE, Patch, beside, draw_inside, outline
+from mitsuba_ref.rays import SharedRays, share
+
+# Along an edge of the mesh within a rounding, where Embree lets the ray slip through unless it is told to be robust.
+EDGE = """
+# A ray on the edge of two faces.
+[film]
+width = 1
+height = 1
+[camera]
+type = "ray"
+origin = [0, 0, 0]
+direction = ["0x1.73f45a0000000p-2", "-0x1.7922120000000p-2", "0x1.a40c1e0000000p-1"]
+[[shape]]
+type = "icosphere"
+name = "ball"
+subdivisions = 1
+"""
+
+
+@pytest.fixture(scope="module")
+def probed(tmp_path_factory):
+    """(JSON, text on stderr, PNG) of that ray."""
+    folder = tmp_path_factory.mktemp("probe")
+    (folder / "edge.toml").write_text(EDGE)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def said(probed):
+    import contextlib
+    import io
+
+    out, err = io.StringIO(), io.StringIO()
+    words = ["probe", str(probed / "edge.toml"), "0", "0", "--json", "--picture", str(probed / "p.png")]
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([*words, "--save", str(probed / "repro.toml")])
+    return code, json.loads(out.getvalue()), err.getvalue()
+
+
+def test_all_witnesses_speak_and_the_mode_that_leaks_is_named(said):
+    code, found, _ = said
+    rows = {row["who"]: row for row in found["witnesses"]}
+    assert [*rows][:2] == ["ours", "exact"] and len(rows) >= 4
+    assert code == 0 and found["verdict"] in ("agree", "tie")
+    assert rows["ours"]["right"] and rows["exact"]["right"] and rows["mitsuba scalar_rgb robust"]["right"]
+    leaks = rows["mitsuba scalar_rgb default"]
+    assert (leaks["right"], leaks["shape"], leaks["t"], leaks["ulps"]) == (False, "miss", None, None)
+
+
+def test_a_witness_is_off_by_so_many_units_of_its_own_last_place(said):
+    _, found, _ = said
+    exact = float.fromhex(found["exact"]["t_hex"])
+    for row in found["witnesses"]:
+        if row["right"] and row["who"] != "exact":
+            ulp = float(np.spacing(np.asarray(exact).astype(row["format"])))
+            # The exact t is not a float64: what is compared with here is off by half a unit of float64.
+            assert row["off"] == pytest.approx(float.fromhex(row["t_hex"]) - exact, abs=np.spacing(exact))
+            assert row["ulps"] == pytest.approx(row["off"] / ulp)
+            assert abs(row["ulps"]) < 16.0
+    formats = {row["who"].split()[0]: row["format"] for row in found["witnesses"] if row["who"] != "exact"}
+    assert formats == {"ours": "float64", "mitsuba": "float32"}
+
+
+def test_a_variant_that_does_not_work_is_a_row_that_says_why(said, monkeypatch):
+    from mitsuba_ref import variants, witnesses
+
+    only = variants.Variants(True, False, None, "no libLLVM found")
+    monkeypatch.setattr(variants, "usable", lambda: only)
+    monkeypatch.setattr(witnesses, "ask_all", lambda jobs: ["asked"] * len(jobs))
+    rows = dict(witnesses.asked_otherwise(_FakeJudge(), "scalar_rgb"))
+    assert rows["llvm_ad_rgb", "robust"] == rows["llvm_ad_rgb", "default"] == "does not work here: no libLLVM found"
+    assert rows["scalar_rgb", "default"] == "asked" and ("scalar_rgb", "robust") not in rows
+
+
+class _FakeJudge:
+    """As much of a judge as is needed to ask about it."""
+
+    def __init__(self):
+        from caster.packing import pack
+        from caster.placing import as_float32
+        from mitsuba_ref.model import model_of
+
+        self.scene = caster.Scene(camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere()])
+        self.scene = self.scene.with_film(width=1, height=1)
+        rays = share(self.scene)
+        self.model = model_of(self.scene, pack(self.scene, as_float32), rays)
+        self.pair = type("Pair", (), {"rays": rays})
+
+
+def test_the_picture_and_the_reproducer_are_written(said, probed):
+    words = said[2]
+    png = (probed / "p.png").read_bytes()
+    assert png.startswith(b"\x89PNG\r\n\x1a\n")
+    width, height = struct.unpack(">II", png[16:24])
+    assert width > 400 and height > 400
+    assert "p.png: written" in words and "repro.toml: written; it " in words
+    alone = caster.load_scene(probed / "repro.toml")
+    assert alone.film.width == 1 and len(alone.shapes) in (1, 2)
+
+
+def test_rays_beside_one_are_its_neighbours_in_float32():
+    d = np.array([[0.3, -0.2, -0.9]], np.float32)
+    rays = SharedRays(np.zeros((1, 3), np.float32), d, np.full(1, np.inf, np.float32), np.zeros(1))
+    square, step = beside(rays, np.array([1.0, 0.0, 0.0]))
+    assert step == np.spacing(np.float32(0.9)) and square.d.dtype == np.float32
+    middle = len(square.d) // 2
+    assert np.array_equal(square.d[middle], d[0])
+    apart = np.linalg.norm(square.d.astype(float) - d.astype(float), axis=1) / step
+    assert 15 < apart.max() < 19  # the corner of 12 steps each way
+    assert square.d[middle + 12, 0] > d[0, 0] > square.d[middle - 12, 0]  # x of the film to the right
+
+
+def test_a_pixel_on_an_edge_shows_both_faces_on_their_sides():
+    drawn = []
+
+    class Axes:
+        def imshow(self, image, extent, **_):
+            drawn.append((image, extent))
+
+        def __getattr__(self, name):
+            return lambda *_, **__: []
+
+    scene = caster.Scene(
+        film=caster.Film(width=1, height=1),
+        camera=caster.Orthographic(eye=(0, 0, 5), look_at=(0, 0, 0), width=2),
+        shapes=[caster.Rectangle()],
+    )
+    named = draw_inside(Axes(), scene, 0, 0)
+    ((image, extent),) = drawn
+    assert extent == (0, 1, 1, 0) and image.shape == (INSIDE, INSIDE, 3)
+    assert len(named) == 2 and all(name.startswith("shape-0, prim ") for name in named)
+    corners = [tuple(image[i, j]) for i, j in ((0, 0), (0, -1), (-1, 0), (-1, -1))]
+    assert len(set(corners)) == 2  # the diagonal of the rectangle parts two opposite corners
+    lines = []
+    patch = Patch(np.array([[0, 1], [0, 1]]), None)
+    outline(type("A", (), {"add_collection": lambda self, c: lines.append(c)})(), patch.prims, (0, 2, 2, 0))
+    segments = lines[0].get_segments()
+    assert sorted(tuple(map(tuple, s)) for s in segments) == [((1, 0), (1, 1)), ((1, 1), (1, 2))]
