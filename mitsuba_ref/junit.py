@@ -1,32 +1,80 @@
 """A verdict as JUnit XML, which continuous integration servers read."""
 
+from pathlib import PurePath
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from mitsuba_ref.table import failure
 from mitsuba_ref.verdict import CLASSES, SceneVerdict, Verdict
+from mitsuba_ref.xml import XmlElement
+
+NAME = "mitsuba-ref validate"
 
 
 def junit(verdict: Verdict) -> str:
-    """One test case a scene; a failing one holds what the terminal says of it. No answer at all is an error."""
+    """A test case for each scene; a failing one holds what the terminal says of it. No answer at all is an error, and
+    so is a scene that was asked for and not judged.
+    """
     failed = [scene for scene in verdict.scenes if not scene.ok]
-    errors = sum(bool(scene.problem) for scene in failed)
-    suite = Element("testsuite", name="mitsuba-ref validate", tests=str(len(verdict.scenes)))
-    suite.set("failures", str(len(failed) - errors))
-    suite.set("errors", str(errors))
-    suite.set("time", f"{sum(scene.seconds for scene in verdict.scenes):.3f}")
+    errors = sum(bool(scene.problem) for scene in failed) + len(verdict.not_judged)
+    counts = {
+        "tests": str(len(verdict.scenes) + len(verdict.not_judged)),
+        "failures": str(sum(not scene.problem for scene in failed)),
+        "errors": str(errors),
+        "skipped": "0",
+        "time": f"{sum(spent(scene) for scene in verdict.scenes):.3f}",
+    }
+    top = Element("testsuites", {"name": NAME, **counts})
+    suite = SubElement(top, "testsuite", {"name": NAME, **counts})
+    if verdict.shard:
+        properties = SubElement(suite, "properties")
+        SubElement(properties, "property", name="shard", value=verdict.shard)
     for scene in verdict.scenes:
-        case = SubElement(suite, "testcase", classname="scenes", name=scene.name, time=f"{scene.seconds:.3f}")
-        if not scene.ok:
-            text = failure(scene)
-            kind = "error" if scene.problem else "failure"
-            SubElement(case, kind, message=printable(text.splitlines()[0])).text = printable(text)
-        counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
-        SubElement(case, "system-out").text = printable(
-            f"hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
-            f"{_errors(scene)}{scene.versions}"
-        )
-    indent(suite)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(suite, encoding="unicode") + "\n"
+        add_case(suite, scene)
+    for name in verdict.not_judged:
+        case = SubElement(suite, "testcase", classname="scenes", name=printable(name), time="0.000")
+        words = f"{name}: not judged: the run ended before"
+        SubElement(case, "error", message=printable(words), type="not_judged").text = printable(words)
+    indent(top)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(top, encoding="unicode") + "\n"
+
+
+def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
+    """One scene. `file` is where GitLab and others look for the place of a test."""
+    about = {"classname": class_name(scene), "name": printable(scene.name), "time": f"{spent(scene):.3f}"}
+    if scene.path:
+        about["file"] = printable(scene.path)
+    case = SubElement(suite, "testcase", about)
+    if not scene.ok:
+        text = failure(scene)
+        kind = "error" if scene.problem else "failure"
+        found = SubElement(case, kind, message=printable(text.splitlines()[0]), type=what_fails(scene))
+        found.text = printable(text)
+    counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
+    kept = "kept from an earlier run, not judged now; " if scene.kept else ""
+    SubElement(case, "system-out").text = printable(
+        f"{kept}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
+        f"{_errors(scene)}{scene.versions}"
+    )
+
+
+def spent(scene: SceneVerdict) -> float:
+    """Seconds of this run."""
+    return 0.0 if scene.kept else scene.seconds
+
+
+def class_name(scene: SceneVerdict) -> str:
+    """The scene's folder with dots, by which servers group: scenes, or tests.renders."""
+    parts = [part for part in PurePath(scene.path).parent.parts if part not in ("/", ".", "..")]
+    return printable(".".join(part.replace(".", "-") for part in parts[-2:])) or "scenes"
+
+
+def what_fails(scene: SceneVerdict) -> str:
+    """In one word."""
+    if scene.problem:
+        return "no_answer"
+    if scene.failures:
+        return scene.failures[0].verdict
+    return "check" if not scene.checks_pass else "no_evidence"
 
 
 def _errors(scene: SceneVerdict) -> str:

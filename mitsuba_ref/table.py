@@ -48,13 +48,20 @@ def head(width: int) -> str:
 
 def row(scene: SceneVerdict, width: int) -> str:
     """PASS or FAIL, how many hit pixels in which class, how many exact arithmetic was asked about, the share of its
-    bound that the check uses which came nearest to it, seconds."""
+    bound that the check uses which came nearest to it, seconds, or that the row is kept from an earlier run."""
     mark = "PASS" if scene.ok else "FAIL"
     classes = "".join(f" {scene.counts[name]:>{room(name)}}" for name in CLASSES)
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
     left = f"{mark}  {scene.name:<{width}} {scene.hit_pixels:>6}{classes}"
-    return f"{left} {scene.adjudicated:>5} {worst:>5} {scene.seconds:5.1f}"
+    seconds = f"{'kept':>5}" if scene.kept else f"{scene.seconds:5.1f}"
+    return f"{left} {scene.adjudicated:>5} {worst:>5} {seconds}"
+
+
+def worst_words(scene: SceneVerdict) -> str:
+    """Which check came nearest to its bound among the pixels that agree, and how near."""
+    check, ratio = scene.worst
+    return f"{check} {ratio:.2f} of its bound" if check and scene.counts[AGREE] else "-"
 
 
 def room(name: str) -> int:
@@ -143,6 +150,7 @@ def summary(verdict: Verdict, seconds: float) -> str:
         *_error_lines(verdict),
         *_case_lines(verdict),
         *_stored_lines(verdict),
+        *_kept_lines(verdict),
     ]
     lines += [
         f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed
@@ -180,6 +188,18 @@ def _stored_lines(verdict: Verdict) -> Iterator[str]:
         left = sum(scene.not_stored for scene in verdict.scenes)
         more = f"; {left} more pixels are like them (mitsuba-ref probe SCENE X Y --save FILE)" if left else ""
         yield f"stored:     {stored} scenes of one ray each{more}"
+
+
+def _kept_lines(verdict: Verdict) -> Iterator[str]:
+    """A result of an earlier run is never shown as one of this run."""
+    kept = sum(scene.kept for scene in verdict.scenes)
+    if kept:
+        yield (
+            f"kept:       {kept} scenes were not judged now: an earlier run judged the same scene by the same code, "
+            "variant and options"
+        )
+    if verdict.shard:
+        yield f"shard:      {verdict.shard}, {verdict.asked} of {len(verdict.selected)} scenes"
 
 
 def _allowed(scene: SceneVerdict) -> str:

@@ -26,6 +26,7 @@ FAILING = (OURS_WRONG, UNDECIDED)
 UNLISTED = (
     "unlisted"  # the case of a pixel where the reference is wrong in no way that mitsuba_ref/cases.py lists
 )
+FORMAT = 2  # of verdict.json: raised when a name in it changes its meaning or goes away
 SHOWN = 10  # failures a scene lists; all are counted
 
 
@@ -73,6 +74,8 @@ class SceneVerdict:
     reproducers: tuple[str, ...] = ()  # files, one ray each
     statistics: Statistics | None = None  # of the errors of t and of the normal; None without an answer
     not_stored: int = 0  # pixels that would have been stored as well, but for their number
+    inputs: str = ""  # a hash of all that the verdict depends on, where somebody asked for it
+    kept: bool = False  # taken over from an earlier run of the same inputs, not judged now
 
     @property
     def ok(self) -> bool:
@@ -138,6 +141,8 @@ class SceneVerdict:
             "reference_seconds": round(self.reference_seconds, 3),
             "exact_seconds": round(self.exact_seconds, 3),
             "problem": self.problem,
+            "inputs": self.inputs,
+            "kept": self.kept,
         }
 
 
@@ -163,11 +168,20 @@ class Verdict:
 
     scenes: tuple[SceneVerdict, ...]
     asked: int = 1  # how many scenes were to be judged
+    names: tuple[str, ...] = ()  # theirs, as far as they are known
+    shard: str = ""  # such as "2/4": these are the scenes of one of several runs
+    selected: tuple[str, ...] = ()  # names of the scenes of all shards
 
     @property
     def ok(self) -> bool:
         """Every scene that was asked for is there and passes; no scene at all is no pass."""
         return len(self.scenes) == self.asked > 0 and all(scene.ok for scene in self.scenes)
+
+    @property
+    def not_judged(self) -> tuple[str, ...]:
+        """Names of the scenes that were to be judged, and were not."""
+        judged = {scene.name for scene in self.scenes}
+        return tuple(name for name in self.names if name not in judged)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -197,8 +211,12 @@ class Verdict:
     def to_dict(self) -> dict[str, Any]:
         """As verdict.json has it."""
         return {
+            "format": FORMAT,
             "ok": self.ok,
             "asked": self.asked,
+            "not_judged": list(self.not_judged),
+            "shard": self.shard,
+            "selected": list(self.selected),
             "counts": self.counts,
             "adjudicated": self.adjudicated,
             "cases": self.cases,

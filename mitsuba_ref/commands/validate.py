@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from caster.commands.scene_arguments import add_mesh_dirs, blamed_on
 from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.wording import SceneError
+from mitsuba_ref.ci import arguments as ci
 
 if TYPE_CHECKING:
     from mitsuba_ref.campaign import Entry
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--junit", metavar="FILE", help="write the verdict as JUnit XML")
     add("--maxfail", metavar="N", type=count, help="stop after so many scenes that fail")
     add_mesh_dirs(parser)
+    ci.add_arguments(parser)
 
 
 def count(text: str) -> int:
@@ -61,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
     finally:  # what is done is kept, whatever ends the work
         from mitsuba_ref.verdict import Verdict
 
-        verdict = Verdict(tuple(done), asked=len(entries))
+        names = tuple(entry.name for entry in entries)
+        verdict = Verdict(tuple(done), asked=len(entries), names=names)
         report(verdict, args, time.perf_counter() - start)
     return OK if verdict.ok else DIFFERENCES
 
@@ -103,6 +106,7 @@ def check_outputs(args: argparse.Namespace) -> None:
         check_folder(args.out)
     for path in filter(None, (args.json, args.junit)):
         check_writable(path)
+    ci.check_outputs(args)
 
 
 def work_through(entries: Sequence[Entry], args: argparse.Namespace, done: list[SceneVerdict]) -> None:
@@ -129,6 +133,7 @@ def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
         write_text(path, text)
     if args.junit:
         write_text(args.junit, junit(verdict))
+    ci.report(verdict, args, seconds)
     for scene in verdict.scenes:
         if not scene.ok:
             print(f"\n{table.failure(scene)}")

@@ -1,0 +1,1 @@
+"""What continuous integration needs of a run: summaries, shards, and results kept for later."""

@@ -1,0 +1,96 @@
+"""The Markdown summary: what comes first, what is folded, what is escaped, and how long it may be."""
+
+import html
+import re
+
+import pytest
+from made_verdicts import scene, verdict
+
+from caster.whole_files import OutputError
+from mitsuba_ref.ci.summary import LIMIT, append, markdown
+
+NASTY = ("a|b", "<img src=x onerror=alert(1)>", "`code`", "**bold**", "[link](http://x)", "_under_", "x\ny", "é€😀")
+
+
+def rows_of(text):
+    return [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| ---")]
+
+
+def test_the_verdict_comes_first_then_what_fails_with_its_replay_and_what_passes_is_folded():
+    text = markdown(verdict(scene("good"), scene("bad", ok=False)), 2.0)
+    assert text.startswith("## FAIL: 2 scenes: 1 pass, 1 fail\n")
+    bad = next(line for line in rows_of(text) if line.startswith("| bad "))
+    cells = [html.unescape(cell) for cell in bad.strip("| ").split(" | ")]
+    assert cells[:9] == ["bad", "100", "99", "0", "0", "0", "0", "1", "0"]
+    assert cells[9:] == ["(3, 4): depth 41x its bound", "<code>mitsuba-ref probe scenes/bad.toml 3 4</code>"]
+    assert text.index("| bad ") < text.index("<details><summary>bad</summary>") < text.index("| good ")
+    assert text.index("<details><summary>1 scenes pass</summary>") < text.index("| good ")
+    assert "exact:     ball, prim 0 (inside)" in html.unescape(text)
+    assert text.count("<details>") == text.count("</details>") == 2
+
+
+def test_all_that_pass_is_a_pass_and_nothing_at_all_is_none():
+    assert markdown(verdict(scene("good")), 1.0).startswith("## PASS: 1 scenes: 1 pass, 0 fail\n")
+    assert markdown(verdict(), 1.0).startswith("## FAIL: 0 scenes")
+
+
+def test_a_scene_that_was_not_judged_is_named():
+    text = markdown(verdict(scene("good"), names=("left|over",)), 1.0)
+    assert text.startswith("## FAIL: 2 scenes: 1 pass, 0 fail, 1 not judged\n")
+    assert "Not judged, 1 scenes:\n\n- left&#124;over\n" in text
+
+
+def test_a_kept_result_is_not_shown_as_one_of_this_run():
+    text = markdown(verdict(scene("old", kept=True), scene("new")), 1.0)
+    assert "| old (kept) |" in text and "| new |" in text
+    assert "Kept from an earlier run, not judged anew: 1 scenes." in text
+
+
+@pytest.mark.parametrize("ok", [True, False])
+@pytest.mark.parametrize("name", NASTY)
+def test_any_name_stays_in_its_cell_and_means_nothing(name, ok):
+    plain, text = (markdown(verdict(scene(each, ok=ok)), 1.0) for each in ("plain", name))
+    assert len(rows_of(text)) == len(rows_of(plain))
+    row = rows_of(text)[-1]
+    assert row.count(" | ") == rows_of(plain)[-1].count(" | ")
+    cell = row[2:].partition(" | ")[0]
+    assert not re.search(r"[|<>`*_\[\]\\]", cell)
+    assert html.unescape(cell) == name.replace("\n", "\ufffd")
+    tags = re.findall(r"</?(\w+)", text)
+    assert set(tags) <= {"code", "details", "summary", "pre"}
+
+
+def test_what_does_not_fit_is_left_out_and_counted():
+    many = verdict(*(scene(f"bad-{i}", ok=False) for i in range(40)), *(scene(f"good-{i}") for i in range(400)))
+    whole = markdown(many, 1.0)
+    assert "Left out" not in whole and len(whole) < LIMIT
+    for limit in (4096, 16384, 40000):
+        text = markdown(many, 1.0, limit)
+        assert 0 < len(text.encode()) <= limit
+        rows = sum(line.startswith("| bad-") for line in text.splitlines())
+        texts = len(re.findall(r"<summary>bad-", text))
+        good = sum(line.startswith("| good-") for line in text.splitlines())
+        said = text.rpartition("Left out, for the size that a summary may have: ")[2].strip()
+        for count, what in ((40 - rows, "failing scenes"), (40 - texts, "texts of failing scenes")):
+            assert (f"{count} {what}" in said) == (count > 0)
+        assert f"{400 - good} scenes that pass" in said and said.endswith("verdict.json has all.")
+
+
+def test_a_thousand_crashes_with_long_words_stay_below_githubs_limit():
+    crash = "Mitsuba ended without an answer (SIGABRT): " + "x" * 100_000
+    text = markdown(verdict(*(scene(f"crash-{i}", ok=False, problem=crash) for i in range(1000))), 1.0)
+    assert LIMIT // 2 < len(text.encode()) <= LIMIT and "Left out" in text
+    assert text.count("| crash-") == 1000  # the rows come before the texts
+
+
+def test_the_summary_is_added_to_what_is_there_and_the_whole_stays_below_the_limit(tmp_path):
+    file = tmp_path / "summary.md"
+    file.write_text("# Another step's words\n")
+    append(file, verdict(scene("good")), 1.0)
+    append(file, verdict(scene("bad", ok=False)), 1.0)
+    text = file.read_text()
+    assert text.startswith("# Another step's words\n## PASS") and "\n## FAIL" in text
+    append(file, verdict(*(scene(f"bad-{i}", ok=False) for i in range(90))), 1.0, limit=16384)
+    assert len(file.read_bytes()) <= 16384 and "Left out" in file.read_text()
+    with pytest.raises(OutputError, match="none"):
+        append(tmp_path / "none" / "summary.md", verdict(scene("good")), 1.0)
