@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from mitsuba_ref.bias import LARGEST_Z
 from mitsuba_ref.cases import NAMES
 from mitsuba_ref.meeting import K
+from mitsuba_ref.scene_check import SceneCheck
 from mitsuba_ref.verdict import (
     AGREE,
     CLASSES,
@@ -16,6 +17,7 @@ from mitsuba_ref.verdict import (
     TIE,
     UNDECIDED,
     UNLISTED,
+    Failure,
     SceneVerdict,
     Verdict,
 )
@@ -81,19 +83,42 @@ def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
         yield f"FAIL  {scene.name}  {_lack_of_evidence(scene)}"
     for check in scene.checks:
         if not check.ok:
-            yield f"FAIL  {scene.name}  {check.name}: {check.ratio:.3g}x its bound; {check.what}"
-            yield f"      replay:    {replay(scene)}"
+            yield check_failure(scene, check)
     if scene.failures:
         first = scene.failures[0]
         yield (
             f"FAIL  {scene.name}  {first.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
             f"worst {first.ratio:.3g}x its bound at ({first.x}, {first.y})"
         )
-        yield f"      ours:      {first.ours}"
-        yield f"      reference: {first.reference}"
-        yield f"      exact:     {first.exact}"
-        yield f"      why:       {first.reason}"
-        yield f"      replay:    {replay(scene, (first.x, first.y))}"
+        yield from _witness_lines(scene, first)
+
+
+def check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
+    """What is said of a check that is made once a scene, and fails."""
+    return "\n".join(
+        [
+            f"FAIL  {scene.name}  {check.name}: {check.ratio:.3g}x its bound; {check.what}",
+            f"      replay:    {replay(scene)}",
+        ]
+    )
+
+
+def pixel_failure(scene: SceneVerdict, check: str) -> str:
+    """What is said of the pixels that fail one check."""
+    worst = scene.worst_by[check]
+    head = (
+        f"FAIL  {scene.name}  {check}: {scene.failing_by[check]} of {scene.hit_pixels} hit pixels, "
+        f"worst {worst.ratio:.3g}x its bound at ({worst.x}, {worst.y})"
+    )
+    return "\n".join([head, *_witness_lines(scene, worst)])
+
+
+def _witness_lines(scene: SceneVerdict, worst: Failure) -> Iterator[str]:
+    yield f"      ours:      {worst.ours}"
+    yield f"      reference: {worst.reference}"
+    yield f"      exact:     {worst.exact}"
+    yield f"      why:       {worst.reason}"
+    yield f"      replay:    {replay(scene, (worst.x, worst.y))}"
 
 
 def _failing(scene: SceneVerdict) -> str:

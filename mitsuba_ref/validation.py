@@ -70,6 +70,7 @@ def validate_scene(
         stored = store_all(folder, name, judge, judgement, path or name)
     hit = pair.ours.hit.ravel() | pair.witness.hit
     errors = statistics(judge.model.packed, pair, judge.bounds)
+    by_check = _by_check(judgement)
     return SceneVerdict(
         name,
         path,
@@ -90,6 +91,8 @@ def validate_scene(
         statistics=errors,
         reproducers=stored.files,
         not_stored=stored.left_out,
+        failing_by={check: len(rows) for check, rows in by_check.items()},
+        worst_by={check: _failure(judge, judgement, int(rows[0]), check) for check, rows in by_check.items()},
     )
 
 
@@ -114,16 +117,32 @@ def _ratios(judgement: Judgement) -> dict[str, float]:
 
 def _failures(judge: Judge, judgement: Judgement) -> Sequence[Failure]:
     """The worst of the pixels that fail."""
-    unlisted = np.array([row for row, case in judgement.cases.items() if case is None], np.int64)
-    rows = np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
+    rows = _failing_rows(judgement)
     excess = np.array([judgement.excess(name)[rows] for name in judgement.names])
     order = np.argsort(-excess.max(axis=0), kind="stable")[:SHOWN]
     return [_failure(judge, judgement, int(row)) for row in rows[order]]
 
 
-def _failure(judge: Judge, judgement: Judgement, i: int) -> Failure:
+def _failing_rows(judgement: Judgement) -> np.ndarray:
+    unlisted = np.array([row for row, case in judgement.cases.items() if case is None], np.int64)
+    return np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
+
+
+def _by_check(judgement: Judgement) -> dict[str, np.ndarray]:
+    """Rows that fail, worst first, under every check that they fail; under `exact` where they fail none."""
+    rows = _failing_rows(judgement)
+    excess = {name: judgement.excess(name)[rows] for name in judgement.names}
+    beyond = {name: ~(share <= 1.0) for name, share in excess.items()}
+    beyond[EXACT] = beyond[EXACT] | ~np.any(list(beyond.values()), axis=0)
+    order = {name: np.argsort(-share, kind="stable") for name, share in excess.items()}
+    found = {name: rows[order[name]][beyond[name][order[name]]] for name in judgement.names}
+    return {name: failing for name, failing in found.items() if len(failing)}
+
+
+def _failure(judge: Judge, judgement: Judgement, i: int, check: str = "") -> Failure:
+    """What became of row i; check: the one to speak of, the one that finds most unless told."""
     x, y = pixel_of(judge.scene, i)
-    check = _offended(judgement, i)
+    check = check or _offended(judgement, i)
     exact = exact_words(judge.scene, judge.model.packed, asked(judge, judgement, i))
     ours, reference = (
         _words(judge.scene, aovs, check, i) for aovs in (judge.pair.ours, judge.pair.reference)

@@ -44,6 +44,10 @@ class Failure:
     exact: str
     reason: str
 
+    def to_dict(self) -> dict[str, Any]:
+        """As verdict.json has it."""
+        return {**vars(self), "ratio": number(self.ratio)}
+
 
 @dataclass(frozen=True)
 class SceneVerdict:
@@ -74,6 +78,8 @@ class SceneVerdict:
     reproducers: tuple[str, ...] = ()  # files, one ray each
     statistics: Statistics | None = None  # of the errors of t and of the normal; None without an answer
     not_stored: int = 0  # pixels that would have been stored as well, but for their number
+    failing_by: dict[str, int] = field(default_factory=dict)  # pixels that fail, by each check they fail
+    worst_by: dict[str, Failure] = field(default_factory=dict)  # the worst of them
     inputs: str = ""  # a hash of all that the verdict depends on, where somebody asked for it
     kept: bool = False  # taken over from an earlier run of the same inputs, not judged now
 
@@ -135,7 +141,9 @@ class SceneVerdict:
             "checks": [
                 {"name": c.name, "ok": c.ok, "ratio": number(c.ratio), "what": c.what} for c in self.checks
             ],
-            "failures": [{**vars(failure), "ratio": number(failure.ratio)} for failure in self.failures],
+            "failures": [failure.to_dict() for failure in self.failures],
+            "failing_by": self.failing_by,
+            "worst_by": {name: failure.to_dict() for name, failure in self.worst_by.items()},
             "versions": self.versions,
             "seconds": round(self.seconds, 3),
             "reference_seconds": round(self.reference_seconds, 3),

@@ -1,0 +1,91 @@
+"""verdict.json, read back: for reports of several runs together, and for what is kept of an earlier one."""
+
+import json
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from caster.wording import FileMissing
+from mitsuba_ref.bias import Bias, Statistics
+from mitsuba_ref.scene_check import SceneCheck
+from mitsuba_ref.verdict import FORMAT, Failure, SceneVerdict, Verdict
+
+BROKEN = (AttributeError, KeyError, TypeError, ValueError)  # what a record of another shape raises
+AS_THEY_ARE = {field.name for field in fields(SceneVerdict)} - {
+    "checks",
+    "failures",
+    "ratios",
+    "reproducers",
+    "size",
+    "statistics",
+    "worst_by",
+}
+
+
+class UnreadableVerdict(FileMissing):
+    """A file that is there, but is no verdict of this version."""
+
+
+def read_verdict(path: str | os.PathLike[str]) -> Verdict:
+    """What `validate --json` wrote. Raises FileMissing, or UnreadableVerdict with what is wrong with it."""
+    try:
+        record = json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FileMissing(f"{path}: expected what `mitsuba-ref validate --json` writes, found no file") from None
+    except OSError as error:
+        raise UnreadableVerdict(f"{path}: cannot read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise UnreadableVerdict(f"{path}: expected JSON, got something else: {error}") from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        found = record.get("format") if isinstance(record, dict) else type(record).__name__
+        raise UnreadableVerdict(
+            f"{path}: expected a verdict of format {FORMAT}, got {found!r}: judge these scenes again"
+        )
+    try:
+        return verdict_of(record)
+    except BROKEN as error:
+        raise UnreadableVerdict(f"{path}: not a whole verdict: {type(error).__name__}: {error}") from error
+
+
+def verdict_of(record: dict[str, Any]) -> Verdict:
+    """`Verdict.to_dict`, undone."""
+    scenes = tuple(scene_of(each) for each in record["scenes"])
+    names = (*(scene.name for scene in scenes), *record["not_judged"])
+    found = Verdict(scenes, record["asked"], names, record["shard"], tuple(record["selected"]))
+    if found.ok != record["ok"]:
+        raise ValueError(f"it says ok: {record['ok']}, its scenes say {found.ok}")
+    return found
+
+
+def scene_of(record: dict[str, Any]) -> SceneVerdict:
+    """`SceneVerdict.to_dict`, undone."""
+    plain: dict[str, Any] = {name: record[name] for name in AS_THEY_ARE}
+    found = SceneVerdict(
+        **plain,
+        checks=tuple(SceneCheck(each["name"], float(each["ratio"]), each["what"]) for each in record["checks"]),
+        failures=tuple(failure_of(each) for each in record["failures"]),
+        ratios={name: float(ratio) for name, ratio in record["ratios"].items()},
+        reproducers=tuple(record["reproducers"]),
+        size=tuple(record["size"]),
+        statistics=statistics_of(record["statistics"]),
+        worst_by={name: failure_of(each) for name, each in record["worst_by"].items()},
+    )
+    if found.ok != record["ok"]:
+        raise ValueError(f"{found.name} says ok: {record['ok']}, its numbers say {found.ok}")
+    return found
+
+
+def failure_of(record: dict[str, Any]) -> Failure:
+    return Failure(**(record | {"ratio": float(record["ratio"])}))
+
+
+def statistics_of(record: dict[str, Any] | None) -> Statistics | None:
+    if record is None:
+        return None
+    t, normal = record["k_t"], record["k_normal"]
+    biases = tuple(Bias(each["kind"], each["groups"], each["z"]) for each in record["biases"])
+    sizes = t["largest"], t["p99"], normal["largest"], normal["p99"], float(record["looseness"])
+    return Statistics(record["pixels"], *sizes, biases)
+
+

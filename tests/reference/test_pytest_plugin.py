@@ -1,0 +1,172 @@
+"""The pytest plug-in, run by pytest itself on small scenes: what is collected, judged how often, and shown."""
+
+import re
+import tomllib
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from mitsuba_ref.checks import CHECKS
+from mitsuba_ref.ci.pytest_items import PIXEL_CHECKS, SCENE_CHECKS, VERDICT
+from mitsuba_ref.jobs import Crash
+from mitsuba_ref.judge import EXACT
+
+pytest_plugins = "pytester"
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENE = """# A ball.
+[film]
+width = 60
+height = 50
+[camera]
+type = "pinhole"
+eye = [0.1, 0.2, 5.3]
+look_at = [0, 0, 0]
+{more}
+[[shape]]
+type = "sphere"
+name = "ball"
+radius = 1.3
+"""
+STRICT = "[check.depth]\nratio = 1e-6\n"
+NAMES = (VERDICT, *PIXEL_CHECKS, *SCENE_CHECKS)
+HEAVY = ("numba", "mitsuba", "drjit", "caster.kernels.jit")
+PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene", "mitsuba_ref.ci.pytest_items")
+
+
+@pytest.fixture
+def folder(pytester, monkeypatch):
+    """good and strict scenes; another file of the kind that is no scene. This plug-in is the only one."""
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    scenes = pytester.mkdir("scenes")
+    (scenes / "good.toml").write_text(SCENE.format(more=""))
+    (scenes / "strict.toml").write_text(SCENE.format(more=STRICT))
+    (scenes / "settings.toml").write_text("[tool]\nx = 1\n")
+    return pytester
+
+
+def run(folder, *words, inside=True):
+    words = ("-p", "mitsuba_ref.pytest_plugin", "-p", "no:cacheprovider", *words)
+    return folder.runpytest_inprocess(*words) if inside else folder.runpytest_subprocess(*words)
+
+
+def test_the_entry_point_is_this_plug_in():
+    named = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["pytest11"]
+    assert named == {"mitsuba-ref": "mitsuba_ref.pytest_plugin"}
+    assert import_module("mitsuba_ref.pytest_plugin").OPTION == "--mitsuba-ref"
+
+
+@pytest.mark.parametrize(("words", "never"), [((), PLAIN), (("--mitsuba-ref", "--collect-only", "-q"), HEAVY)])
+def test_nothing_heavy_is_loaded_without_the_option_nor_to_collect(folder, words, never):
+    folder.makeconftest(
+        f"""
+        import sys
+        def pytest_unconfigure():
+            print("loaded:", [name for name in {never!r} if name in sys.modules])
+        """
+    )
+    folder.makepyfile("def test_other(): pass")
+    found = run(folder, *words, inside=False)
+    assert "loaded: []" in found.stdout.str()
+    if words:
+        ids = [line for line in found.outlines if ".toml::" in line]
+        assert ids == [f"scenes/{scene}.toml::{name}" for scene in ("good", "strict") for name in NAMES]
+    else:
+        found.assert_outcomes(passed=1)
+
+
+def test_the_names_are_those_of_the_judge(judged):
+    import caster
+
+    assert (*(check.NAME for check in CHECKS), "diffuse", EXACT) == PIXEL_CHECKS
+    scene = caster.Scene(
+        film=caster.Film(width=4, height=4),
+        camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)),
+        shapes=[caster.Sphere()],
+    )
+    assert tuple(check.name for check in judged(scene).checks) == SCENE_CHECKS
+
+
+def test_a_scene_that_fails_one_check_fails_that_test_with_its_replay(folder):
+    folder.makeini("[pytest]\nmitsuba_ref_size = 20 16\n")
+    found = run(folder, "--mitsuba-ref", "scenes")
+    found.assert_outcomes(passed=2 * len(NAMES) - 2, failed=2)
+    text = found.stdout.str()
+    assert re.search(r"FAIL  strict  depth: \d+ of \d+ hit pixels, worst ", text)
+    assert text.count("replay:    mitsuba-ref probe scenes/strict.toml ") == 2 and " --size 20 16" in text
+    assert "FAILED scenes/strict.toml::depth - FAIL  strict  depth: " in text
+    assert "FAILED scenes/strict.toml::verdict" in text and "Traceback" not in text
+    assert "mitsuba-ref: films of 20 x 16" in text
+
+
+@pytest.fixture
+def crashing(monkeypatch):
+    """Mitsuba ends without an answer; gives how often it was asked."""
+    asked = []
+
+    def put(job, timeout, settings=None):
+        asked.append(job)
+        return Crash("abort", "last words", "SIGABRT", 0.1)
+
+    monkeypatch.setattr("mitsuba_ref.child.put", put)
+    return asked
+
+
+def test_a_crash_fails_every_test_and_is_asked_about_once(folder, crashing):
+    found = run(folder, "--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6")
+    found.assert_outcomes(failed=len(NAMES))
+    text = found.stdout.str()
+    assert "FAIL  good  Mitsuba ended without an answer (SIGABRT)" in text and "last words" in text
+    assert len(crashing) == 1
+
+
+def test_an_expression_selects_and_one_check_alone_does_not_pass_for_want_of_a_verdict(folder, crashing):
+    found = run(folder, "--mitsuba-ref", "scenes", "-k", "good and depth", "--mitsuba-ref-size", "8", "6")
+    found.assert_outcomes(failed=1, deselected=2 * len(NAMES) - 1)
+    assert len(crashing) == 1 and "so nothing was checked" in found.stdout.str()
+
+
+def test_a_scene_file_that_is_not_valid_is_told_with_its_place(folder, crashing):
+    Path("scenes/bad.toml").write_text(SCENE.format(more="foov = 3"))
+    found = run(folder, "--mitsuba-ref", "scenes/bad.toml")
+    found.assert_outcomes(failed=len(NAMES))
+    text = found.stdout.str()
+    assert "scenes/bad.toml:9:1: " in text and "foov is an unknown key" in text and "Traceback" not in text
+    assert "FAILED scenes/bad.toml::depth - scenes/bad.toml:9:1: " in text and not crashing
+
+
+@pytest.mark.parametrize("size", ["20", "20 x", "0 5"])
+def test_a_size_that_is_none_is_a_usage_error(folder, size):
+    folder.makeini(f"[pytest]\nmitsuba_ref_size = {size}\n")
+    found = run(folder, "--mitsuba-ref", "scenes")
+    assert found.ret == pytest.ExitCode.USAGE_ERROR
+    assert "mitsuba_ref_size: expected " in found.stderr.str()
+
+
+MADE_UP = """
+import os, sys
+sys.path.insert(0, {tests!r})
+import made_verdicts
+def fake(entries, workers):
+    (entry,) = entries
+    with open({log!r}, "a") as file:
+        file.write(entry.name + chr(10))
+    yield made_verdicts.scene(entry.name, ok=entry.name != "strict")
+def pytest_configure():
+    import mitsuba_ref.campaign
+    mitsuba_ref.campaign.run = fake
+"""
+
+
+@pytest.mark.parametrize("dist", ["load", "loadgroup"])
+def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path, dist):
+    """The judge is made up here: what counts is how often it is asked, while workers share the tests of a scene."""
+    log = tmp_path / "judged"
+    folder.makeconftest(MADE_UP.format(tests=str(ROOT / "tests/unit"), log=str(log)))
+    words = ("-p", "xdist.plugin", "-n", "2", "--dist", dist, "--mitsuba-ref", "scenes")
+    found = run(folder, *words, inside=False)
+    found.assert_outcomes(failed=1, passed=2 * len(NAMES) - 1)
+    assert sorted(log.read_text().split()) == ["good", "strict"]
+    assert "FAIL  strict  depth: 1 ours wrong" in found.stdout.str()
