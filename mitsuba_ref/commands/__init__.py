@@ -2,7 +2,30 @@
 
 from types import ModuleType
 
-from mitsuba_ref.commands import bench, compare, doctor, export, fuzz, render, stress, validate
+from mitsuba_ref.commands import (
+    approve,
+    bench,
+    check,
+    compare,
+    doctor,
+    export,
+    fuzz,
+    render,
+    stress,
+    validate,
+)
 from mitsuba_ref.commands import probe as probe
 
-COMMANDS: tuple[ModuleType, ...] = (validate, render, export, compare, probe, fuzz, stress, bench, doctor)
+COMMANDS: tuple[ModuleType, ...] = (
+    validate,
+    render,
+    approve,
+    check,
+    export,
+    compare,
+    probe,
+    fuzz,
+    stress,
+    bench,
+    doctor,
+)

@@ -1,0 +1,271 @@
+"""Reference EXRs under control: approved when somebody has seen what is new, and refused when they say nothing more."""
+
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from forked_runs import ask_once
+
+from caster.exr import read_exr, write_exr
+from mitsuba_ref import child
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.baselines.changes import changes
+from mitsuba_ref.baselines.reference_file import AOVS, CLASS, stored
+
+BALL = """# A ball.
+[film]
+width = 12
+height = 10
+[camera]
+type = "pinhole"
+eye = [0.1, 0.2, 5.3]
+look_at = [0, 0, 0]
+[[light]]
+type = "point"
+position = [2, 3, 4]
+intensity = [20, 20, 20]
+[[shape]]
+type = "sphere"
+name = "ball"
+radius = 1.3
+"""
+MESH = BALL.partition("[[shape]]")[0] + '[[shape]]\ntype = "mesh"\nfile = "tile.obj"\n'
+TILE = "v -1 -1 0\nv 1 -1 {z}\nv 0 1 0\nf 1 2 3\n"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def remembered(tmp_path_factory):
+    """Mitsuba is asked once about the same rays through the same scene."""
+    put = child.put
+    ask_once(tmp_path_factory.mktemp("answers"))
+    yield
+    child.put = put
+
+
+@pytest.fixture(scope="module")
+def approved(tmp_path_factory):
+    """A folder with scenes/ball.toml, scenes/mesh.toml and approved refs/; tests take copies."""
+    folder = tmp_path_factory.mktemp("approved")
+    (folder / "scenes").mkdir()
+    (folder / "scenes/ball.toml").write_text(BALL)
+    (folder / "scenes/mesh.toml").write_text(MESH)
+    (folder / "scenes/tile.obj").write_text(TILE.format(z=0))
+    words = ["approve", str(folder / "scenes"), "--references", str(folder / "refs"), "--yes"]
+    assert main(words) == 0
+    return folder
+
+
+@pytest.fixture
+def here(approved, tmp_path, monkeypatch):
+    import shutil
+
+    shutil.copytree(approved, tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    return tmp_path / "copy"
+
+
+def said(capsys, *words):
+    """(exit code, stdout, stderr) of `mitsuba-ref` with these words, about refs/."""
+    capsys.readouterr()
+    code = main([*words, "--references", "refs"])
+    found = capsys.readouterr()
+    return code, found.out, found.err
+
+
+def replaced(here, name, **planes):
+    """A reference with other pixels, as honestly approved."""
+    path = here / f"refs/{name}.exr"
+    before = stored(path)
+    replace(before, channels=before.channels | planes).write(path)
+    return before
+
+
+# ---- approve ----
+
+
+def test_a_reference_says_where_it_comes_from_and_names_no_folder(here):
+    found = stored(here / "refs/ball.exr")
+    assert {"A", "depth.Z", "normal.X", "shading_normal.Z", "position.Y", "R", "id.shape", CLASS} <= set(found.channels)
+    about = found.about
+    assert about["caster/reference/mitsuba"] == "3.9.1" and about["caster/reference/variant"] == "scalar_rgb"
+    assert about["caster/reference/command"] == "mitsuba-ref approve ball.toml" and about["caster/scene"] == "ball.toml"
+    assert {"caster/scene_sha256", "caster/version", "caster/reference/drjit"} <= set(about) and "uv" not in AOVS
+    assert not any(str(here) in words or "/usr/" in words for words in about.values())
+
+
+def test_approving_twice_changes_no_byte_and_writes_no_file(here, capsys):
+    files = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in here.glob("refs/*.exr")}
+    for mode in ("changed", "all"):
+        code, out, _ = said(capsys, "approve", "scenes", "--yes", "--update", mode)
+        assert code == 0 and "2 scenes: 0 references to write" in out
+        assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in files} == files
+    (here / "refs/ball.exr").unlink()
+    assert said(capsys, "approve", "scenes", "-k", "ball", "--yes")[0] == 0
+    assert (here / "refs/ball.exr").read_bytes() == files[here / "refs/ball.exr"][0]
+
+
+def test_what_is_missing_is_written_only_when_approved(here, capsys, monkeypatch):
+    (here / "refs/ball.exr").unlink()
+    code, out, err = said(capsys, "approve", "scenes", "--update", "missing")
+    assert code == 1 and "missing  -> ball  " in out and "kept        mesh" in out
+    assert "add --yes" in err and not (here / "refs/ball.exr").exists()
+    for answer, written in (("n\n", False), ("\n", False), ("y\n", True)):
+        terminal = io.StringIO(answer)
+        terminal.isatty = lambda: True
+        monkeypatch.setattr("sys.stdin", terminal)
+        code, _, err = said(capsys, "approve", "scenes", "--update", "missing")
+        assert (code == 0, (here / "refs/ball.exr").exists()) == (written, written)
+        assert "write 1 references? [y/N]" in err
+
+
+def test_a_change_is_shown_by_channel_before_it_is_written(here, capsys):
+    before = stored(here / "refs/ball.exr")
+    depth, hit = (before.channels[name].copy() for name in ("depth.Z", "A"))
+    y, x = np.argwhere(hit != 0)[7]
+    depth[y, x] += 0.25
+    hit[y, x] = 0
+    replaced(here, "ball", **{"depth.Z": depth, "A": hit})
+    code, out, _ = said(capsys, "approve", "scenes", "--update", "missing")
+    assert code == 0 and "0 references to write" in out  # what is there is not looked at
+    code, out, _ = said(capsys, "approve", "scenes")
+    assert code == 1 and "changed  -> ball" in out and "same        mesh" in out
+    assert "hit mask: 0 pixels no longer hit, 1 newly hit" in out
+    assert f"depth.Z: 1 pixels differ, by at most 0.25, at ({x}, {y})" in out
+    assert said(capsys, "approve", "scenes", "--yes")[0] == 0
+    assert not changes(stored(here / "refs/ball.exr"), before)
+
+
+def test_only_all_renews_what_differs_in_versions_alone(here, capsys):
+    before = stored(here / "refs/ball.exr")
+    replace(before, about=before.about | {"caster/reference/mitsuba": "3.9.0"}).write(here / "refs/ball.exr")
+    code, out, _ = said(capsys, "approve", "scenes")
+    assert code == 0 and "mitsuba: 3.9.0 -> 3.9.1" in out and "0 references to write" in out
+    assert said(capsys, "approve", "scenes", "--update", "all", "--yes")[0] == 0
+    assert stored(here / "refs/ball.exr").about["caster/reference/mitsuba"] == "3.9.1"
+
+
+def test_files_without_a_scene_are_named_and_left(here, capsys):
+    (here / "scenes/ball.toml").unlink()
+    code, out, _ = said(capsys, "approve", "scenes")
+    assert code == 0 and "note     ball.exr: no scene of this selection" in out and (here / "refs/ball.exr").exists()
+
+
+def test_a_crash_of_mitsuba_writes_nothing_and_fails(here, capsys, monkeypatch):
+    from mitsuba_ref.jobs import Crash
+
+    crash = Crash("abort", "LLVM ERROR: no", "SIGABRT", 0.1)
+    monkeypatch.setattr("mitsuba_ref.child.put", lambda *_: crash)
+    files = {path: path.read_bytes() for path in here.glob("refs/*.exr")}
+    code, out, _ = said(capsys, "approve", "scenes", "--yes")
+    assert code == 1 and "failed      ball  Mitsuba ended without an answer (SIGABRT): LLVM ERROR: no" in out
+    assert {path: path.read_bytes() for path in files} == files
+
+
+# ---- check ----
+
+
+def test_ours_passes_against_its_references_without_mitsuba(here, capsys, monkeypatch):
+    monkeypatch.setattr("mitsuba_ref.child.put", None)
+    code, out, _ = said(capsys, "check", "scenes")
+    assert code == 0 and "PASS  ball  " in out and "PASS  mesh  " in out and "2 scenes: 2 pass, 0 fail" in out
+    code, out, _ = said(capsys, "check", "scenes", "--json")
+    record = json.loads(out)
+    assert record["ok"] and [scene["name"] for scene in record["scenes"]] == ["ball", "mesh"]
+
+
+@pytest.mark.parametrize(
+    ("channel", "factor", "says"),
+    [
+        ("depth.Z", 1 + 2.0**-16, "depth"),
+        ("normal.X", 1 + 2.0**-9, "normal"),
+        ("R", 1 + 2.0**-9, "diffuse"),
+        ("depth.Z", np.nan, "depth"),
+        ("A", 0.0, "hit"),
+    ],
+)
+def test_what_is_beyond_its_bound_fails(here, capsys, channel, factor, says):
+    """As if ours were off, the other way round."""
+    before = stored(here / "refs/ball.exr")
+    plane = before.channels[channel].copy()
+    y, x = np.argwhere((before.channels["A"] != 0) & (plane != 0))[5]
+    plane[y, x] *= factor
+    replaced(here, "ball", **{channel: plane})
+    code, out, _ = said(capsys, "check", "scenes")
+    assert code == 1 and f"FAIL  ball  {says}: " in out and f"({x}, {y})" in out and "PASS  mesh" in out
+
+
+def test_a_reference_that_is_missing_is_no_pass(here, capsys):
+    (here / "refs/mesh.exr").unlink()
+    code, out, _ = said(capsys, "check", "scenes")
+    assert code == 1 and "FAIL  mesh  refs/mesh.exr: there is no reference" in out
+    assert "approve it: mitsuba-ref approve scenes --references refs -k mesh" in out
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "says"),
+    [
+        ("ball.toml", "radius = 1.3", "radius = 1.31", "stale: shape of the scene has changed since it was approved"),
+        ("ball.toml", "width = 12", "width = 13", "stale: film of the scene has changed"),
+        ("ball.toml", "# A ball", "# The same ball", None),
+        ("tile.obj", "v 1 -1 0", "v 1 -1 0.001", "stale: a mesh file of the scene has changed"),
+    ],
+)
+def test_a_stale_reference_is_refused_and_a_comment_makes_none_stale(here, capsys, file, old, new, says):
+    path = here / "scenes" / file
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    code, out, _ = said(capsys, "check", "scenes")
+    assert code == (1 if says else 0) and (not says or says in out)
+    code, out, _ = said(capsys, "approve", "scenes", "--yes")
+    assert ("stale    -> " in out) == bool(says)
+    assert said(capsys, "check", "scenes")[0] == 0  # the way out works
+
+
+def test_an_altered_file_is_refused(here, capsys):
+    path = here / "refs/ball.exr"
+    good = path.read_bytes()
+    exr = read_exr(path)
+    depth = exr.channels["depth.Z"].copy()
+    depth[5, 6] = np.nextafter(depth[5, 6], np.float32(0))
+    write_exr(path, exr.channels | {"depth.Z": depth}, exr.provenance)  # a careful editor: one bit, a whole file
+    code, out, _ = said(capsys, "check", "scenes")
+    assert code == 1 and "FAIL  ball  refs/ball.exr: altered after it was approved" in out
+    assert "damaged  -> ball" in said(capsys, "approve", "scenes")[1]
+    write_exr(path, exr.channels, exr.provenance | {"caster/reference/variant": "llvm_ad_rgb"})
+    assert "altered after it was approved" in said(capsys, "check", "scenes")[1]
+    write_exr(path, exr.channels, {k: v for k, v in exr.provenance.items() if "sha256" not in k})
+    assert "no reference of `mitsuba-ref approve`" in said(capsys, "check", "scenes")[1]
+    for broken in (good[: len(good) // 2], b"", b"not an image", good[:2000] + bytes([good[2000] ^ 64]) + good[2001:]):
+        path.write_bytes(broken)
+        code, out, _ = said(capsys, "check", "scenes")
+        assert code == 1 and "FAIL  ball  " in out and "PASS  mesh" in out
+
+
+def test_another_variant_than_demanded_is_refused(here, capsys):
+    code, out, _ = said(capsys, "check", "scenes", "-k", "ball", "--variant", "llvm_ad_rgb")
+    assert code == 1 and "rendered by scalar_rgb, expected llvm_ad_rgb" in out
+    assert said(capsys, "check", "scenes", "-k", "ball", "--variant", "scalar_rgb")[0] == 0
+    code, _, err = said(capsys, "check", "scenes", "--variant", "cuda_rgb")
+    assert code == 2 and "--variant 'cuda_rgb': expected scalar_rgb or llvm_ad_rgb" in err
+
+
+def test_a_fresh_render_is_held_to_the_bit(here, capsys):
+    code, out, _ = said(capsys, "check", "scenes", "--fresh", "-k", "ball")
+    assert code == 0 and "a fresh render by scalar_rgb has the same bits" in out
+    before = stored(here / "refs/ball.exr")
+    depth = before.channels["depth.Z"].copy()
+    y, x = np.argwhere(before.channels["A"] != 0)[3]
+    depth[y, x] = np.nextafter(depth[y, x], np.float32(0))
+    replaced(here, "ball", **{"depth.Z": depth})
+    assert said(capsys, "check", "scenes", "-k", "ball")[0] == 0  # a bit is within any bound
+    code, out, _ = said(capsys, "check", "scenes", "--fresh", "-k", "ball")
+    assert code == 1 and f"depth.Z: 1 pixels differ, by at most 4.76837158e-07, at ({x}, {y})" in out
+
+
+def test_nothing_selected_is_no_pass(here, capsys):
+    for command in ("check", "approve"):
+        assert said(capsys, command, "scenes", "-k", "nothing")[0] == 5
