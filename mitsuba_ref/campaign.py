@@ -37,7 +37,7 @@ def run(
     judge: Callable[[Entry, Path | None], SceneVerdict] | None = None,
 ) -> Iterator[SceneVerdict]:
     """Verdicts in the order of the entries; at most maxfail that fail. folder: where pictures of both sides go."""
-    judge = judge or _judge
+    judge = judge or judge_entry
     stop = threading.Event()
 
     def work(entry: Entry) -> SceneVerdict | None:
@@ -62,7 +62,8 @@ def run(
         child.start_again()
 
 
-def _judge(entry: Entry, folder: Path | None) -> SceneVerdict:
+def judge_entry(entry: Entry, folder: Path | None) -> SceneVerdict:
+    """The verdict of one scene; of one that cannot be judged, too."""
     try:
         verdict = validate_scene(entry.scene, entry.name, entry.path, folder=folder)
     except SceneError as error:  # no reference for a shape, or numbers beyond float32

@@ -171,7 +171,7 @@ def summary(verdict: Verdict, seconds: float) -> str:
         f"            {', '.join(shares[3:5])},",
         f"            {', '.join(shares[5:])}",
         f"exact:      {verdict.adjudicated} pixels were decided by exact arithmetic, "
-        f"in {sum(scene.exact_seconds for scene in verdict.scenes):.1f} s",
+        f"in {sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept):.1f} s",
         *_error_lines(verdict),
         *_case_lines(verdict),
         *_stored_lines(verdict),

@@ -179,11 +179,13 @@ class Verdict:
     names: tuple[str, ...] = ()  # theirs, as far as they are known
     shard: str = ""  # such as "2/4": these are the scenes of one of several runs
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
+    code: str = ""  # a hash of the sources that judged
 
     @property
     def ok(self) -> bool:
-        """Every scene that was asked for is there and passes; no scene at all is no pass."""
-        return len(self.scenes) == self.asked > 0 and all(scene.ok for scene in self.scenes)
+        """Every scene that was asked for is there and passes; no scene at all is no pass, but for an empty shard."""
+        some = self.asked > 0 or bool(self.shard and self.selected)
+        return some and len(self.scenes) == self.asked and all(scene.ok for scene in self.scenes)
 
     @property
     def not_judged(self) -> tuple[str, ...]:
@@ -225,6 +227,7 @@ class Verdict:
             "not_judged": list(self.not_judged),
             "shard": self.shard,
             "selected": list(self.selected),
+            "code": self.code,
             "counts": self.counts,
             "adjudicated": self.adjudicated,
             "cases": self.cases,

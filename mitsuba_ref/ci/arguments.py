@@ -3,19 +3,42 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from caster.wording import SceneError
 
 if TYPE_CHECKING:
-    from mitsuba_ref.verdict import Verdict
+    from mitsuba_ref.campaign import Entry
+    from mitsuba_ref.ci.shards import Shard
+    from mitsuba_ref.verdict import SceneVerdict, Verdict
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
+    add_summary(parser)
+    add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by their pixels")
     add(
+        "--resume",
+        action="store_true",
+        help="take over from --out what was judged of the very same scene, code, variant and options",
+    )
+
+
+def add_summary(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
         "--summary-md",
         metavar="FILE",
         help="add a summary in Markdown to the end of this file, such as $GITHUB_STEP_SUMMARY",
     )
+
+
+def shard(text: str) -> Shard:
+    """The type of --shard; what it needs is loaded only where the option is given."""
+    from mitsuba_ref.ci.shards import shard_of
+
+    return shard_of(text)
 
 
 def check_outputs(args: argparse.Namespace) -> None:
@@ -24,6 +47,34 @@ def check_outputs(args: argparse.Namespace) -> None:
 
     if args.summary_md:
         check_writable(args.summary_md)
+    if args.resume and not args.out:
+        raise SceneError("--resume: expected --out DIR beside it, the folder of the run that is to go on")
+
+
+def part_of(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
+    """The scenes of this shard; all of them without --shard."""
+    if not args.shard:
+        return entries
+    from mitsuba_ref.ci.shards import chosen
+
+    return chosen(entries, args.shard)
+
+
+def judge_of(args: argparse.Namespace) -> Callable[[Entry, Path | None], SceneVerdict] | None:
+    """How to come to a verdict: by what is kept in --out, and keeping it there; None: the plain way."""
+    if not args.out:
+        return None
+    from mitsuba_ref.ci.resuming import Kept
+
+    return Kept(Path(args.out), resume=args.resume).judge
+
+
+def about(args: argparse.Namespace, every: tuple[str, ...]) -> dict[str, Any]:
+    """What a verdict says of its run. every: names of the scenes of all shards."""
+    from mitsuba_ref.ci.resuming import code_hash
+
+    part = {"shard": str(args.shard), "selected": every} if args.shard else {}
+    return {"code": code_hash(), **part}
 
 
 def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
@@ -32,3 +83,11 @@ def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
         from mitsuba_ref.ci.summary import append
 
         append(args.summary_md, verdict, seconds)
+
+
+def close(args: argparse.Namespace) -> None:
+    """The journal has done its duty once verdict.json is there."""
+    if args.out:
+        from mitsuba_ref.ci.resuming import JOURNAL
+
+        (Path(args.out) / JOURNAL).unlink(missing_ok=True)

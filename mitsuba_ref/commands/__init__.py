@@ -10,6 +10,7 @@ from mitsuba_ref.commands import (
     doctor,
     export,
     fuzz,
+    merge,
     render,
     stress,
     validate,
@@ -18,6 +19,7 @@ from mitsuba_ref.commands import probe as probe
 
 COMMANDS: tuple[ModuleType, ...] = (
     validate,
+    merge,
     render,
     approve,
     check,

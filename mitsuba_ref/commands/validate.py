@@ -52,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"nothing selected: no scene file{fits} in {', '.join(args.scenes)}", file=sys.stderr)
         return NOTHING_SELECTED
     check_outputs(args)
+    every = tuple(entry.name for entry in entries)
+    entries = ci.part_of(entries, args)
     from mitsuba_ref import variants
 
     variants.variant_for(has_quadrics=False)  # a wrong choice of variant is said before any work
@@ -64,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         from mitsuba_ref.verdict import Verdict
 
         names = tuple(entry.name for entry in entries)
-        verdict = Verdict(tuple(done), asked=len(entries), names=names)
+        verdict = Verdict(tuple(done), asked=len(entries), names=names, **ci.about(args, every))
         report(verdict, args, time.perf_counter() - start)
     return OK if verdict.ok else DIFFERENCES
 
@@ -113,11 +115,11 @@ def work_through(entries: Sequence[Entry], args: argparse.Namespace, done: list[
     """Print a row for each scene as soon as it and those before it are done."""
     from mitsuba_ref import campaign, table
 
-    width = max(len(each.name) for each in entries)
+    width = max((len(each.name) for each in entries), default=0)
     print(table.head(width), flush=True)
     folder = Path(args.out) if args.out else None
     workers = args.workers or campaign.default_workers()
-    for verdict in campaign.run(entries, workers, args.maxfail, folder=folder):
+    for verdict in campaign.run(entries, workers, args.maxfail, folder, ci.judge_of(args)):
         done.append(verdict)
         print(table.row(verdict, width), flush=True)
 
@@ -131,6 +133,8 @@ def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
     text = json.dumps(verdict.to_dict(), indent=1, allow_nan=False) + "\n"
     for path in filter(None, (args.json, args.out and Path(args.out) / "verdict.json")):
         write_text(path, text)
+    if not verdict.not_judged:
+        ci.close(args)
     if args.junit:
         write_text(args.junit, junit(verdict))
     ci.report(verdict, args, seconds)

@@ -1,0 +1,98 @@
+"""A run in several parts: which scenes are whose, and what all parts say together."""
+
+import argparse
+import heapq
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from caster.exits import NOT_COMPARABLE
+from caster.rendering import film_window
+from caster.wording import SceneError
+from mitsuba_ref.campaign import Entry
+from mitsuba_ref.verdict import Verdict
+
+
+class Shard(NamedTuple):
+    """Number `part` of `parts`, from 1."""
+
+    part: int
+    parts: int
+
+    def __str__(self) -> str:
+        return f"{self.part}/{self.parts}"
+
+
+def shard_of(text: str) -> Shard:
+    """Of "2/4". Raises argparse.ArgumentTypeError."""
+    index, slash, count = text.partition("/")
+    if slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count):
+        return Shard(int(index), int(count))
+    raise argparse.ArgumentTypeError(f"expected I/N with 1 <= I <= N, such as 2/4, got '{text}'")
+
+
+def chosen(entries: Sequence[Entry], shard: Shard) -> list[Entry]:
+    """The entries of one shard, in their order. Each entry is in exactly one of the shards.
+
+    The largest first, each to the shard with the fewest pixels so far: none has more than 4/3 of the least that is
+    possible (Graham 1969). It depends on nothing but names and film sizes.
+    """
+    pixels = [film_window(entry.scene).width * film_window(entry.scene).height for entry in entries]
+    order = sorted(range(len(entries)), key=lambda i: (-pixels[i], entries[i].name, i))
+    loads = [(0, number) for number in range(1, shard.parts + 1)]
+    mine = set()
+    for i in order:
+        load, number = heapq.heappop(loads)
+        heapq.heappush(loads, (load + pixels[i], number))
+        if number == shard.part:
+            mine.add(i)
+    return [entry for i, entry in enumerate(entries) if i in mine]
+
+
+class DifferentRuns(SceneError):  # noqa: N818 - what they are, not what somebody did
+    """Verdicts that are not parts of one run."""
+
+    exit_code = NOT_COMPARABLE
+
+
+def merged(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, list[str]]:
+    """(one verdict of all, what is missing in words); parts: (where it is from, verdict).
+
+    A scene of a shard that is missing counts as not judged. Raises DifferentRuns for parts of different runs.
+    """
+    first_place, first = parts[0]
+    seen: dict[int, str] = {}
+    for place, part in parts:
+        shard = shard_in(part, place, len(parts))
+        if shard.parts != shard_in(first, first_place, len(parts)).parts or part.selected != first.selected:
+            raise DifferentRuns(f"{place}: expected a shard of the same run as {first_place}, got one of another")
+        if part.code != first.code:
+            raise DifferentRuns(f"{place}: it was judged by other code than {first_place}")
+        if shard.part in seen:
+            raise DifferentRuns(f"{place}: shard {shard} once more; it is in {seen[shard.part]}")
+        seen[shard.part] = place
+    count = shard_in(first, first_place, len(parts)).parts
+    scenes = {}
+    for place, part in parts:
+        for scene in part.scenes:
+            if scene.name in scenes:
+                raise DifferentRuns(f"{place}: scene {scene.name} is in another shard, too")
+            scenes[scene.name] = scene
+    names = first.selected or first.names
+    strange = sorted(set(scenes) - set(names))
+    if strange:
+        raise DifferentRuns(f"scenes that the run did not select: {', '.join(strange)}")
+    whole = replace(first, shard="", selected=(), asked=len(names), names=names)
+    whole = replace(whole, scenes=tuple(scenes[name] for name in names if name in scenes))
+    missing = [f"shard {number}/{count} is missing" for number in range(1, count + 1) if number not in seen]
+    return whole, missing
+
+
+def shard_in(part: Verdict, place: str, parts: int) -> Shard:
+    """Which one it is; a run that was not divided is 1/1."""
+    if not part.shard:
+        if parts > 1:
+            raise DifferentRuns(f"{place}: expected a shard, got a run that was not divided")
+        return Shard(1, 1)
+    index, _, count = part.shard.partition("/")
+    return Shard(int(index), int(count))

@@ -1,0 +1,154 @@
+"""Shards: every scene in exactly one, alike every time, about as large; and put together, nothing may be missing."""
+
+import json
+import random
+from dataclasses import replace
+
+import pytest
+from made_verdicts import scene as made
+
+import caster
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.campaign import Entry
+from mitsuba_ref.ci.reading import read_verdict, verdict_of
+from mitsuba_ref.ci.shards import Shard, chosen
+from mitsuba_ref.verdict import Verdict
+
+CAMERA = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
+
+
+def entries(sizes):
+    return [
+        Entry(caster.Scene(film=caster.Film(width=w, height=h), camera=CAMERA), f"scene-{i}", f"scene-{i}.toml")
+        for i, (w, h) in enumerate(sizes)
+    ]
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3, 7, 50])
+def test_every_scene_is_in_exactly_one_shard_and_none_is_much_larger(parts):
+    rng = random.Random(3)
+    every = entries([(rng.randint(1, 300), rng.randint(1, 300)) for _ in range(40)])
+    shards = [chosen(every, Shard(part, parts)) for part in range(1, parts + 1)]
+    names = [entry.name for shard in shards for entry in shard]
+    assert sorted(names) == sorted(entry.name for entry in every)
+    for shard in shards:
+        assert shard == [entry for entry in every if entry in shard]  # in the order of the whole
+    loads = [sum(e.scene.film.width * e.scene.film.height for e in shard) for shard in shards]
+    largest = max(e.scene.film.width * e.scene.film.height for e in every)
+    assert max(loads) <= sum(loads) / parts + largest  # of any greedy choice
+    shuffled = every[::-1]
+    again = [{entry.name for entry in chosen(shuffled, Shard(part, parts))} for part in range(1, parts + 1)]
+    assert again == [{entry.name for entry in shard} for shard in shards]
+
+
+@pytest.mark.parametrize("word", ["0/3", "4/3", "1", "1/", "/2", "a/b", "-1/2", "1/0"])
+def test_a_shard_that_is_none_is_told(word, capsys):
+    assert main(["validate", f"--shard={word}"]) == 2
+    assert f"expected I/N with 1 <= I <= N, such as 2/4, got '{word}'" in capsys.readouterr().err
+
+
+NAMES = ("a", "b", "c", "d")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """1.json and 2.json, the two shards of a run of four scenes that pass."""
+    monkeypatch.chdir(tmp_path)
+    write("1.json", shard("1/2", "a", "c"))
+    write("2.json", shard("2/2", "b", "d"))
+    return tmp_path
+
+
+def shard(which, *names, left=(), ok=True, **more):
+    scenes = tuple(made(name, ok=ok or name != names[-1]) for name in names)
+    return Verdict(scenes, len(names) + len(left), (*names, *left), which, NAMES, **{"code": "c0", **more})
+
+
+def write(file, verdict):
+    with open(file, "w", encoding="utf-8") as out:
+        json.dump(verdict.to_dict(), out, allow_nan=False)
+
+
+def merged(capsys, *words):
+    code = main(["merge", *words, "--json", "all.json", "--junit", "all.xml", "--summary-md", "all.md"])
+    found = capsys.readouterr()
+    return code, found.out, found.err
+
+
+def test_all_shards_together_are_the_run(folder, capsys):
+    code, out, _ = merged(capsys, "2.json", "1.json")
+    assert code == 0 and "4 scenes: 4 pass, 0 fail" in out
+    whole = read_verdict("all.json")
+    assert whole.ok and tuple(scene.name for scene in whole.scenes) == NAMES and whole.shard == ""
+    assert (folder / "all.md").read_text().startswith("## PASS: 4 scenes") and "shard" not in out
+    assert 'tests="4"' in (folder / "all.xml").read_text()
+
+
+def test_a_folder_stands_for_its_verdict(folder, capsys):
+    (folder / "out-1").mkdir()
+    (folder / "1.json").rename(folder / "out-1/verdict.json")
+    assert merged(capsys, "out-1", "2.json")[0] == 0
+
+
+def test_a_shard_that_is_missing_fails_and_its_scenes_are_named(folder, capsys):
+    code, out, err = merged(capsys, "1.json")
+    assert code == 1 and "shard 2/2 is missing" in err
+    assert "FAIL  b  not judged" in out and "FAIL  d  not judged" in out
+    assert "4 scenes: 2 pass, 0 fail, 2 not judged" in out
+    assert not read_verdict("all.json").ok and 'errors="2"' in (folder / "all.xml").read_text()
+
+
+def test_an_empty_shard_may_not_be_missing_either(folder, capsys):
+    write("1.json", replace(shard("1/3", "a", "c"), selected=NAMES))
+    write("2.json", shard("2/3", "b", "d"))
+    assert merged(capsys, "1.json", "2.json")[0] == 1
+    write("3.json", shard("3/3"))
+    assert read_verdict("3.json").ok and merged(capsys, "1.json", "2.json", "3.json")[0] == 0
+
+
+def test_a_scene_that_fails_or_was_left_in_its_shard_fails_the_whole(folder, capsys):
+    write("2.json", shard("2/2", "b", "d", ok=False))
+    code, out, _ = merged(capsys, "1.json", "2.json")
+    assert code == 1 and "FAIL  d  depth: 1 ours wrong" in out and "4 scenes: 3 pass, 1 fail" in out
+    write("2.json", shard("2/2", "b", left=("d",)))
+    code, out, _ = merged(capsys, "1.json", "2.json")
+    assert code == 1 and "FAIL  d  not judged" in out
+
+
+@pytest.mark.parametrize(
+    ("other", "says"),
+    [
+        (shard("1/2", "b", "d"), "shard 1/2 once more"),
+        (shard("2/3", "b", "d"), "expected a shard of the same run"),
+        (replace(shard("2/2", "b", "d"), selected=("a", "b", "c")), "expected a shard of the same run"),
+        (shard("2/2", "a", "b"), "scene a is in another shard, too"),
+        (shard("2/2", "b", "e"), "scenes that the run did not select: e"),
+        (shard("2/2", "b", "d", code="c1"), "it was judged by other code than 1.json"),
+        (replace(shard("", "b", "d"), selected=()), "expected a shard, got a run that was not divided"),
+    ],
+)
+def test_what_are_not_parts_of_one_run_are_not_put_together(folder, capsys, other, says):
+    write("2.json", other)
+    code, _, err = merged(capsys, "1.json", "2.json")
+    assert code == 3 and says in err and not (folder / "all.json").exists()
+
+
+def test_a_file_that_is_no_verdict_is_told(folder, capsys):
+    good = json.loads((folder / "2.json").read_text())
+    for content, says in (
+        ("", "expected JSON"),
+        ("[1]", "expected a verdict of format"),
+        (json.dumps(good | {"format": 1}), "expected a verdict of format 2, got 1"),
+        (json.dumps(good | {"ok": False}), "it says ok: False, its scenes say True"),
+        (json.dumps({k: v for k, v in good.items() if k != "scenes"}), "not a whole verdict"),
+        (json.dumps(good | {"scenes": [{}]}), "not a whole verdict"),
+    ):
+        (folder / "2.json").write_text(content)
+        code, _, err = merged(capsys, "1.json", "2.json")
+        assert code == 4 and says in err and "2.json: " in err
+    assert merged(capsys, "1.json", "none.json")[0] == 4
+
+
+def test_a_verdict_comes_back_from_json_as_it_was():
+    whole = Verdict((made("a"), made("b", ok=False), made("c", ok=False, problem="crash")), 4, ("a", "b", "c", "d"))
+    assert verdict_of(json.loads(json.dumps(whole.to_dict()))) == whole
