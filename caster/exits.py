@@ -67,6 +67,8 @@ def _code_of(command: Callable[[], int]) -> int:
     except OSError:
         raise
     except Exception as error:
+        if type(error).__name__ == "BdbQuit":  # `q` in pdb, which waits for it
+            raise
         traceback.print_exc()
         return _told(f"internal error, please report it: {type(error).__name__}: {error}", INTERNAL)
 

@@ -60,7 +60,7 @@ def picture(judge: Judge, scene: Scene, x: int, y: int) -> bytes:
 
     has_film = scene.film.width * scene.film.height > 1 and scene.camera.type != "ray"
     with matplotlib.rc_context({"font.size": 8.5, "font.family": "DejaVu Sans"}):
-        figure = Figure(figsize=(13.0 if has_film else 5.2, 5.6), layout="constrained")
+        figure = Figure(figsize=(13.0 if has_film else 5.2, 5.8), layout="constrained")
         panels = figure.subplots(1, 3 if has_film else 1, squeeze=False)[0]
         if has_film:
             legend(panels[0], draw_classes(panels[0], scene, x, y))

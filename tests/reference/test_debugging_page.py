@@ -1,0 +1,82 @@
+"""docs/debugging-an-edge-case.md tells what happens: its story, played again in a copy with the same fault."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs/debugging-an-edge-case.md").read_text(encoding="utf-8")
+
+
+def script():
+    spec = importlib.util.spec_from_file_location("debugging_page", ROOT / "docs/debugging.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def story(tmp_path_factory):
+    """(the script, a tree with the fault, what `validate` and the replay say there)."""
+    module = script()
+    tree = module.Tree(tmp_path_factory.mktemp("faulty"))
+    failing = tree.run("mitsuba-ref validate scenes --size 15 15")
+    probed = tree.run(f"{module.replay_in(failing.text)} --save edge.toml")
+    return module, tree, failing, probed
+
+
+def on_the_page(text):
+    """Lines of an output that the page has to the letter."""
+    return [line for line in text.splitlines() if line.strip() and line in PAGE]
+
+
+def test_the_fault_is_seen_and_the_replay_shows_who_is_wrong(story):
+    module, _, failing, probed = story
+    assert failing.code == probed.code == 1
+    assert module.diff() in PAGE and f"$ {failing.command}" in PAGE
+    (head,) = [line for line in failing.text.splitlines() if "mask: 15 ours wrong of 225" in line]
+    (replay,) = [line for line in failing.text.splitlines() if "replay:" in line]
+    (exact,) = [line for line in failing.text.splitlines() if "exact:     cube" in line]
+    assert all(line in PAGE for line in (head, replay, exact))
+    assert re.search(r"witness +ours +WRONG  miss", probed.text)
+    assert re.search(r"mitsuba scalar_rgb robust +right  cube, prim 8", probed.text)
+    assert len(on_the_page(probed.text)) >= 9
+
+
+def test_both_faces_have_the_ray_on_an_edge_and_miss(story):
+    _, tree, _, _ = story
+    near = tree.run("caster probe edge.toml 0 0").text.partition("near ")[2]
+    assert near.count("missed") == near.count("exactly on it") == near.count("by integers") == 2
+    assert len(on_the_page(near)) == 5
+
+
+def test_pdb_stops_at_the_fault_and_shows_the_sign(story):
+    module, tree, _, _ = story
+    said = module.stepping(tree).text
+    assert f"(Pdb) tbreak {module.FILE}:{tree.line()}" in PAGE  # else the page is of another source: make it anew
+    assert f"{module.FILE}({tree.line()})exact_triangle()\n-> {module.BAD.strip()}" in said
+    assert "(Pdb) p sign(u), sign(v)\n(0, 1)" in said and "-> return no_root()" in said
+    assert "Traceback" not in said and "internal error" not in said
+
+
+def test_pdb_stops_where_a_primitive_is_tried_and_prints_its_t(story):
+    """The float64 test of triangles: the same for any shape's `intersect`."""
+    module, tree, _, _ = story
+    source = (ROOT / "caster/kernels/triangles.py").read_text(encoding="utf-8")
+    end = source.index("return answer((positive | negative) & steep")
+    line = source[:end].count("\n") + 1
+    typed = f"tbreak caster/kernels/triangles.py:{line}, t < 9.0 and off < 1.0\nc\np float(t), float(off)\nq\n"
+    said = tree.run(f"pdb caster probe {module.SCENE} 7 3 --size 15 15", typed).text
+    assert f"caster/kernels/triangles.py({line})_intersect()" in said
+    t, off = (float(number) for number in re.search(r"\(([\d.e+-]+), ([\d.e+-]+)\)\n", said).groups())
+    assert 1.0 <= t <= 3.0**0.5 and 0.0 < off < 1e-12 and "Traceback" not in said  # of a cube around its origin
+
+
+def test_with_the_line_put_right_everything_passes(story):
+    module, tree, _, _ = story
+    tree.put(module.GOOD, instead_of=module.BAD)
+    fixed = tree.run("mitsuba-ref validate edge.toml scenes --size 15 15")
+    tree.put(module.BAD, instead_of=module.GOOD)
+    assert fixed.code == 0 and "2 scenes: 2 pass, 0 fail" in fixed.text
