@@ -133,8 +133,8 @@ def main() -> None:
 
 TEXT = """# Debugging an edge case
 
-From a pixel that fails to the line that is wrong. A fault is planted in a copy of this tree; every block below is what
-the commands printed there, and `python docs/debugging.py` makes the page anew.
+From a pixel that fails to the line that is wrong. A fault is planted in a copy of this tree; every block
+below is what the commands printed there, and `python docs/debugging.py` makes the page anew.
 
 ## The fault
 
@@ -149,24 +149,25 @@ Only rays whose edge function is exactly zero see a difference, and only integer
 
 {failing}
 
-The table counts pixels by class; ours is wrong at some, by exact arithmetic. The text below it is of the worst pixel: what
-each side says, what is right, and a command that looks at this pixel again. The exit code is 1.
+The table counts pixels by class; ours is wrong at some, by exact arithmetic. The text below it is of the
+worst pixel: what each side says, what is right, and a command that looks at this pixel again. The exit code
+is 1.
 
 ## 2. All witnesses of one pixel
 
-The replay command, with two options: `--save` writes the ray and what it may hit as a scene of its own, exact to the
-bit, and `--picture` draws what is around it.
+The replay command, with two options: `--save` writes the ray and what it may hit as a scene of its own,
+exact to the bit, and `--picture` draws what is around it.
 
 {probed}
 
-Ours is alone with its miss, so it is not a matter of rounding or of one mode of Mitsuba. The exact answer is an edge, and
-two faces share it.
+Ours is alone with its miss, so it is not a matter of rounding or of one mode of Mitsuba. The exact answer
+is an edge, and two faces share it.
 
-![Classes of the pixels around, what our rays meet in the pixel, and what they meet beside its ray](debugging/pixel.png)
+![Classes of the pixels around, what our rays meet in the pixel, and beside its ray](debugging/pixel.png)
 
-Left, the classes of the pixels around. In the middle, the pixel from edge to edge, by many rays of ours. Right, the rays
-beside the pixel's own, each one rounding of float32 further; crosses are where Mitsuba misses and dots where it hits another
-shape than ours.
+Left, the classes of the pixels around. In the middle, the pixel from edge to edge, by many rays of ours.
+Right, the rays beside the pixel's own, each one rounding of float32 further; crosses are where Mitsuba
+misses and dots where it hits another shape than ours.
 
 ## 3. The pixel as a scene of its own
 
@@ -182,18 +183,19 @@ shape than ours.
 
 {near}
 
-Both faces have the ray exactly on an edge, and both say miss, decided by integers: float64 cannot tell. So the integers'
-rule for edges is to be looked at.
+Both faces have the ray exactly on an edge, and both say miss, decided by integers: float64 cannot tell. So
+the integers' rule for edges is to be looked at.
 
 ## 5. Step through it
 
-Without the compiler the kernels are plain Python, with the same bits. pdb stops in the very code that decides:
+Without the compiler the kernels are plain Python, with the same bits. pdb stops in the very code that
+decides:
 
 {stepped}
 
-A sign of 0 is a ray on the edge: the product is 0, and the line calls that outside. The float64 tests that come before are
-in `caster/kernels/triangles.py`, `_intersect`, and in `caster/shapes/sphere.py` and its like: a breakpoint there stops
-at every primitive that is tried.
+A sign of 0 is a ray on the edge: the product is 0, and the line calls that outside. The float64 tests that
+come before are in `caster/kernels/triangles.py`, `_intersect`, and in `caster/shapes/sphere.py` and its
+like: a breakpoint there stops at every primitive that is tried.
 
 ## 6. The fix, and the same commands again
 

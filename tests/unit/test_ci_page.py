@@ -1,0 +1,93 @@
+"""docs/ci.md and the pages beside it: their YAML parses, and their commands are what the programs accept."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from yaml_subset import parse
+
+from caster import command_line, exits
+from caster.commands import COMMANDS as CASTER
+from mitsuba_ref.commands import COMMANDS as JUDGE
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
+STORY = (ROOT / "docs/debugging-an-edge-case.md").read_text(encoding="utf-8")
+PARSERS = {
+    "caster": command_line.parser("caster", "", CASTER, ()),
+    "mitsuba-ref": command_line.parser("mitsuba-ref", "", JUDGE, ()),
+}
+SECRET = re.compile(r"\$\{\{ *([\w.]+)[^}]*\}\}")  # an expression of GitHub's
+
+
+def workflow():
+    (text,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    return parse(text)
+
+
+def steps():
+    return [step for job in workflow()["jobs"].values() for step in job["steps"]]
+
+
+def commands():
+    """Every line of the pages, and of the workflow, that begins with one of the programs."""
+    lines = [line.removeprefix("    ").removeprefix("$ ") for line in (PAGE + STORY).splitlines()]
+    lines += [step["run"] for step in steps() if "run" in step]
+    lines += re.findall(r"`((?:caster|mitsuba-ref) [a-z]+ [^`]*)`", PAGE)
+    found = dict.fromkeys(line for line in lines if line.split(" ")[0] in PARSERS)
+    return [SECRET.sub("1", line) for line in found]
+
+
+def test_the_pages_have_commands_of_both_programs():
+    said = " ".join(commands())
+    every = "validate", "merge", "approve", "check", "doctor --warm", "--resume", "--summary-md", "--shard", "probe"
+    for words in every:
+        assert words in said
+
+
+@pytest.mark.parametrize("command", commands())
+def test_every_command_is_accepted(command, capsys):
+    program, *words = shlex.split(command)
+    if "COMMAND" in words or "--help" in words:
+        return
+    try:
+        PARSERS[program].parse_args(words)
+    except SystemExit:
+        pytest.fail(f"{command}: {capsys.readouterr().err}")
+
+
+def test_a_command_that_is_none_would_be_noticed():
+    with pytest.raises(SystemExit):
+        PARSERS["mitsuba-ref"].parse_args(shlex.split("validate scenes --summary FILE"))
+
+
+def test_the_workflow_hangs_together():
+    jobs = workflow()["jobs"]
+    assert jobs["verdict"]["needs"] == "validate" and jobs["verdict"]["if"] == "always()"
+    shards = jobs["validate"]["strategy"]["matrix"]["shard"]
+    assert shards == list(range(1, len(shards) + 1))
+    runs = [step["run"] for step in steps() if "run" in step]
+    assert any(f"--shard ${{{{ matrix.shard }}}}/{len(shards)} " in run for run in runs)
+    uses = {step["uses"].split("@")[0]: step for step in steps() if "uses" in step}
+    assert uses["actions/download-artifact"]["with"]["pattern"] == "shard-*"
+    assert uses["actions/cache"]["with"]["path"] == "~/.cache/caster"
+    assert all("run" in step or "uses" in step for step in steps())
+
+
+def test_our_own_workflow_parses_too():
+    own = parse((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
+    assert "test" in own["jobs"]
+
+
+@pytest.mark.parametrize(
+    "bad", ["a: [1, 2", "a: 'b", "a: b: c", "a:\n  b: 1\n c: 2", "- a\nb: 1", "a: 1\na: 2", "a: *b", "a\n"]
+)
+def test_yaml_that_is_none_is_noticed(bad):
+    with pytest.raises(ValueError):
+        parse(bad)
+
+
+def test_every_exit_code_is_explained():
+    told = {int(code) for code in re.findall(r"^\| (\d+) \|", PAGE, re.MULTILINE)}
+    assert told == set(exits.MEANINGS) - {exits.PIPE_CLOSED}
