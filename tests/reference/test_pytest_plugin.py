@@ -40,6 +40,7 @@ def folder(pytester, monkeypatch):
     """good and strict scenes; another file of the kind that is no scene. This plug-in is the only one."""
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    pytester.makeini("[pytest]\n")  # so that no ini file of a folder above counts
     scenes = pytester.mkdir("scenes")
     (scenes / "good.toml").write_text(SCENE.format(more=""))
     (scenes / "strict.toml").write_text(SCENE.format(more=STRICT))
@@ -48,8 +49,11 @@ def folder(pytester, monkeypatch):
 
 
 def run(folder, *words, inside=True):
-    words = ("-p", "mitsuba_ref.pytest_plugin", "-p", "no:cacheprovider", *words)
-    return folder.runpytest_inprocess(*words) if inside else folder.runpytest_subprocess(*words)
+    words = ("-p", "no:cacheprovider", *words)
+    if not inside:
+        return folder.runpytest_subprocess("-p", "mitsuba_ref.pytest_plugin", *words)
+    plugin = import_module("mitsuba_ref.pytest_plugin")  # -p would warn that it is imported already
+    return folder.runpytest_inprocess(*words, plugins=[plugin])
 
 
 def test_the_entry_point_is_this_plug_in():
