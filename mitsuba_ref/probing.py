@@ -105,7 +105,7 @@ def examine(scene: Scene, x: int, y: int) -> tuple[PixelVerdict, Probed | Crash]
         pair.witness.answer.versions,
         why=reason(judge, judgement, 0),
         case=_case(judgement),
-        witnesses=sayings(judge, exact),
+        witnesses=sayings(judge, exact) if judge.t_max[0] >= 0.0 else (),
     )
     return found, Probed(judge, judgement)
 

@@ -112,9 +112,9 @@ def _held(said: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | 
 
 
 def lines(found: tuple[Saying, ...]) -> Iterator[str]:
-    """A table for a terminal."""
-    room = max(len(each.who) for each in found)
-    hit = max(len(_where(each)) for each in found)
+    """A table for a terminal; nothing of a pixel without a ray."""
+    room = max((len(each.who) for each in found), default=0)
+    hit = max((len(_where(each)) for each in found), default=0)
     for i, each in enumerate(found):
         head = f"{'witness' if i == 0 else '':<11}{each.who:<{room}}"
         if each.problem:

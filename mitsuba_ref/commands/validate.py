@@ -116,12 +116,13 @@ def work_through(entries: Sequence[Entry], args: argparse.Namespace, done: list[
     from mitsuba_ref import campaign, table
 
     width = max((len(each.name) for each in entries), default=0)
-    print(table.head(width), flush=True)
+    out = sys.stdout  # itself: whoever reads an EXR file in another thread puts another one in its place meanwhile
+    print(table.head(width), file=out, flush=True)
     folder = Path(args.out) if args.out else None
     workers = args.workers or campaign.default_workers()
     for verdict in campaign.run(entries, workers, args.maxfail, folder, ci.judge_of(args)):
         done.append(verdict)
-        print(table.row(verdict, width), flush=True)
+        print(table.row(verdict, width), file=out, flush=True)
 
 
 def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:

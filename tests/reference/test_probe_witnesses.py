@@ -72,6 +72,12 @@ def test_a_witness_is_off_by_so_many_units_of_its_own_last_place(said):
     assert formats == {"ours": "float64", "mitsuba": "float32"}
 
 
+def test_a_pixel_without_a_ray_has_no_witnesses():
+    from mitsuba_ref.witnesses import lines
+
+    assert list(lines(())) == []
+
+
 def test_a_variant_that_does_not_work_is_a_row_that_says_why(said, monkeypatch):
     from mitsuba_ref import variants, witnesses
 
