@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from caster.whole_files import OutputError
+from caster.whole_files import OutputError, write_text
 from caster.wording import SceneError
 from mitsuba_ref import variants
 from mitsuba_ref.campaign import Entry, judge_entry
@@ -70,6 +70,10 @@ def inputs_of(entry: Entry) -> str:
     return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
 
 
+def line_of(verdict: SceneVerdict) -> str:
+    return json.dumps(verdict.to_dict(), allow_nan=False) + "\n"
+
+
 class Kept:
     """Results in one folder. resume: take over what is there, if its inputs are the same."""
 
@@ -77,9 +81,9 @@ class Kept:
         self.folder, self.journal = folder, folder / JOURNAL
         self.lock = threading.Lock()
         self.known = dict(self._read()) if resume else {}
-        if not resume:
-            with suppress(OSError):
-                self.journal.unlink()
+        # Whole lines of all that is known: an interruption may overwrite verdict.json with less, and a line that was
+        # cut short would spoil the next one.
+        write_text(self.journal, "".join(map(line_of, self.known.values())))
 
     def judge(self, entry: Entry, folder: Path | None) -> SceneVerdict:
         """What is known of the same inputs, marked as kept; or else judged, and kept for later."""
@@ -96,10 +100,9 @@ class Kept:
         return all((self.folder / file).is_file() for file in files)
 
     def _write(self, verdict: SceneVerdict) -> None:
-        line = json.dumps(verdict.to_dict(), allow_nan=False) + "\n"
         try:
             with self.lock, self.journal.open("a", encoding="utf-8") as file:
-                file.write(line)
+                file.write(line_of(verdict))
         except OSError as error:
             raise OutputError(f"{self.journal}: cannot write: {error.strerror or error}") from error
 

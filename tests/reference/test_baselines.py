@@ -266,6 +266,29 @@ def test_a_fresh_render_is_held_to_the_bit(here, capsys):
     assert code == 1 and f"depth.Z: 1 pixels differ, by at most 4.76837158e-07, at ({x}, {y})" in out
 
 
+def test_no_row_is_lost_while_another_thread_has_standard_output_redirected(here, capsys, monkeypatch):
+    """As reading an EXR file does, for as long as the library takes."""
+    import contextlib
+    import threading
+
+    from mitsuba_ref.baselines import checking
+
+    inside, printed = threading.Event(), threading.Event()
+
+    def check(entry, args, place):
+        if entry.name == "ball":
+            inside.wait(10)
+        else:
+            with contextlib.redirect_stdout(io.StringIO()):
+                inside.set()
+                printed.wait(0.2)
+        return checking.Checked(entry.name, "", True, ("fine",))
+
+    monkeypatch.setattr(checking, "check", check)
+    code, out, _ = said(capsys, "check", "scenes", "-j", "2")
+    assert code == 0 and "PASS  ball  fine" in out and "PASS  mesh  fine" in out
+
+
 def test_nothing_selected_is_no_pass(here, capsys):
     for command in ("check", "approve"):
         assert said(capsys, command, "scenes", "-k", "nothing")[0] == 5

@@ -136,6 +136,17 @@ def test_a_run_that_was_killed_goes_on_too_and_half_a_line_counts_for_nothing(ju
     assert judged("--resume") == (1, ["b", "m"]) and kept() == ["a"]
 
 
+def test_what_is_kept_outlives_an_interruption_of_the_run_that_goes_on(judged, tmp_path):
+    judged()
+    text = (tmp_path / "scenes/a.toml").read_text()
+    (tmp_path / "scenes/a.toml").write_text(text + "# another byte\n")
+    assert judged("--resume", stop=["a"]) == (130, []) and written()["scenes"] == []
+    with (tmp_path / "out/judged.jsonl").open("a") as file:
+        file.write('{"cut": "sho')
+    assert judged("--resume", stop=["a"]) == (130, [])
+    assert judged("--resume") == (1, ["a"]) and kept() == ["b", "m"]
+
+
 def test_a_crash_of_mitsuba_is_not_kept(judged, monkeypatch):
     healthy = resuming.judge_entry
     monkeypatch.setattr(resuming, "judge_entry", lambda entry, folder: made(entry.name, ok=False, problem="crash"))
