@@ -77,6 +77,6 @@ def test_pdb_stops_where_a_primitive_is_tried_and_prints_its_t(story):
 def test_with_the_line_put_right_everything_passes(story):
     module, tree, _, _ = story
     tree.put(module.GOOD, instead_of=module.BAD)
-    fixed = tree.run("mitsuba-ref validate edge.toml scenes --size 15 15")
+    fixed = tree.run("mitsuba-ref validate scenes --size 15 15")
     tree.put(module.BAD, instead_of=module.GOOD)
-    assert fixed.code == 0 and "2 scenes: 2 pass, 0 fail" in fixed.text
+    assert fixed.code == 0 and "1 scenes: 1 pass, 0 fail" in fixed.text

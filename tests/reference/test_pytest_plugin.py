@@ -36,7 +36,21 @@ PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene", "mitsuba_ref.ci.pytest_ite
 
 
 @pytest.fixture
-def folder(pytester, monkeypatch):
+def keep_modules(monkeypatch):
+    """pytester forgets what was imported inside; llvmlite does not bear to be imported twice in a process."""
+
+    class Nothing:
+        def __init__(self, preserve=None):
+            pass
+
+        def restore(self):
+            pass
+
+    monkeypatch.setattr("_pytest.pytester.SysModulesSnapshot", Nothing)
+
+
+@pytest.fixture
+def folder(keep_modules, pytester, monkeypatch):
     """good and strict scenes; another file of the kind that is no scene. This plug-in is the only one."""
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
@@ -115,6 +129,7 @@ def crashing(monkeypatch):
         return Crash("abort", "last words", "SIGABRT", 0.1)
 
     monkeypatch.setattr("mitsuba_ref.child.put", put)
+    monkeypatch.setattr("mitsuba_ref.reference.variant_for", lambda has_quadrics: "scalar_rgb")  # nor asked for this
     return asked
 
 
@@ -141,6 +156,17 @@ def test_a_scene_file_that_is_not_valid_is_told_with_its_place(folder, crashing)
     assert "FAILED scenes/bad.toml::depth - scenes/bad.toml:9:1: " in text and not crashing
 
 
+def test_meshes_may_lie_in_folders_that_the_ini_file_names(folder, crashing):
+    folder.mkdir("meshes").joinpath("tile.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    mesh = SCENE.format(more="").replace('"sphere"', '"mesh"').replace("radius = 1.3", 'file = "../meshes/tile.obj"')
+    Path("scenes/mesh.toml").write_text(mesh)
+    refused = run(folder, "--mitsuba-ref", "scenes/mesh.toml::depth")
+    assert "--mesh-dir" in refused.stdout.str() and not crashing
+    folder.makeini("[pytest]\nmitsuba_ref_mesh_dirs = meshes\n")
+    run(folder, "--mitsuba-ref", "scenes/mesh.toml::depth").assert_outcomes(failed=1)
+    assert len(crashing) == 1  # the scene was loaded, and Mitsuba asked
+
+
 @pytest.mark.parametrize("size", ["20", "20 x", "0 5"])
 def test_a_size_that_is_none_is_a_usage_error(folder, size):
     folder.makeini(f"[pytest]\nmitsuba_ref_size = {size}\n")
@@ -164,12 +190,11 @@ def pytest_configure():
 """
 
 
-@pytest.mark.parametrize("dist", ["load", "loadgroup"])
-def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path, dist):
+def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path):
     """The judge is made up here: what counts is how often it is asked, while workers share the tests of a scene."""
     log = tmp_path / "judged"
     folder.makeconftest(MADE_UP.format(tests=str(ROOT / "tests/unit"), log=str(log)))
-    words = ("-p", "xdist.plugin", "-n", "2", "--dist", dist, "--mitsuba-ref", "scenes")
+    words = ("-p", "xdist.plugin", "-n", "2", "--dist", "load", "--mitsuba-ref", "scenes")
     found = run(folder, *words, inside=False)
     found.assert_outcomes(failed=1, passed=2 * len(NAMES) - 1)
     assert sorted(log.read_text().split()) == ["good", "strict"]
