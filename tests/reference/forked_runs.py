@@ -78,17 +78,17 @@ def ask_once(memory: Path) -> None:
 
 
 def everything_given(job: Any, settings: dict[str, str]) -> str:
-    """A hash of the settings, the rays and the files of the scene; every file of its folder counts."""
-    assert not job.more, "only jobs of one scene are known here"
+    """A hash of the settings, the rays and the files of the scenes; every file of their folders counts."""
     told = hashlib.sha256()
     told.update(repr((job.variant, job.lights, job.sensor, job.strict, sorted(settings.items()))).encode())
     for name in job.ROWS:
         array = getattr(job, name)
         told.update(f"\n{name} {array.dtype} {array.shape}\n".encode() + array.tobytes())
-    folder = job.xml.parent
-    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        content = path.read_bytes()
-        told.update(f"\n{path.relative_to(folder)} {len(content)}\n".encode() + content)
+    for xml, first in ((job.xml, 0), *job.more):
+        told.update(f"\nfrom ray {first} on {xml.name}\n".encode())
+        for path in sorted(path for path in xml.parent.rglob("*") if path.is_file()):
+            content = path.read_bytes()
+            told.update(f"\n{path.relative_to(xml.parent)} {len(content)}\n".encode() + content)
     return told.hexdigest()
 
 
