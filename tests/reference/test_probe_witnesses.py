@@ -85,7 +85,11 @@ def test_a_variant_that_does_not_work_is_a_row_that_says_why(said, monkeypatch):
     monkeypatch.setattr(variants, "usable", lambda: only)
     monkeypatch.setattr(witnesses, "ask_all", lambda jobs: ["asked"] * len(jobs))
     rows = dict(witnesses.asked_otherwise(_FakeJudge(), "scalar_rgb"))
-    assert rows["llvm_ad_rgb", "robust"] == rows["llvm_ad_rgb", "default"] == "does not work here: no libLLVM found"
+    assert (
+        rows["llvm_ad_rgb", "robust"]
+        == rows["llvm_ad_rgb", "default"]
+        == "does not work here: no libLLVM found"
+    )
     assert rows["scalar_rgb", "default"] == "asked" and ("scalar_rgb", "robust") not in rows
 
 
@@ -97,7 +101,9 @@ class _FakeJudge:
         from caster.placing import as_float32
         from mitsuba_ref.model import model_of
 
-        self.scene = caster.Scene(camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere()])
+        self.scene = caster.Scene(
+            camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere()]
+        )
         self.scene = self.scene.with_film(width=1, height=1)
         rays = share(self.scene)
         self.model = model_of(self.scene, pack(self.scene, as_float32), rays)

@@ -76,7 +76,9 @@ def test_the_entry_point_is_this_plug_in():
     assert import_module("mitsuba_ref.pytest_plugin").OPTION == "--mitsuba-ref"
 
 
-@pytest.mark.parametrize(("words", "never"), [((), PLAIN), (("--mitsuba-ref", "--collect-only", "-q"), HEAVY)])
+@pytest.mark.parametrize(
+    ("words", "never"), [((), PLAIN), (("--mitsuba-ref", "--collect-only", "-q"), HEAVY)]
+)
 def test_nothing_heavy_is_loaded_without_the_option_nor_to_collect(folder, words, never):
     folder.makeconftest(
         f"""
@@ -129,7 +131,9 @@ def crashing(monkeypatch):
         return Crash("abort", "last words", "SIGABRT", 0.1)
 
     monkeypatch.setattr("mitsuba_ref.child.put", put)
-    monkeypatch.setattr("mitsuba_ref.reference.variant_for", lambda has_quadrics: "scalar_rgb")  # nor asked for this
+    monkeypatch.setattr(
+        "mitsuba_ref.reference.variant_for", lambda has_quadrics: "scalar_rgb"
+    )  # nor asked for this
     return asked
 
 
@@ -158,7 +162,11 @@ def test_a_scene_file_that_is_not_valid_is_told_with_its_place(folder, crashing)
 
 def test_meshes_may_lie_in_folders_that_the_ini_file_names(folder, crashing):
     folder.mkdir("meshes").joinpath("tile.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    mesh = SCENE.format(more="").replace('"sphere"', '"mesh"').replace("radius = 1.3", 'file = "../meshes/tile.obj"')
+    mesh = (
+        SCENE.format(more="")
+        .replace('"sphere"', '"mesh"')
+        .replace("radius = 1.3", 'file = "../meshes/tile.obj"')
+    )
     Path("scenes/mesh.toml").write_text(mesh)
     refused = run(folder, "--mitsuba-ref", "scenes/mesh.toml::depth")
     assert "--mesh-dir" in refused.stdout.str() and not crashing

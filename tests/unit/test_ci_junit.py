@@ -58,10 +58,12 @@ def parsed(found):
 VERDICTS = {
     "passes": verdict(scene("a"), scene("b")),
     "fails": verdict(scene("a"), scene("b", ok=False)),
-    "crash": verdict(scene("a", ok=False, problem="Mitsuba ended without an answer (SIGABRT)\nlast \x1b[31mwords\x00")),
+    "crash": verdict(
+        scene("a", ok=False, problem="Mitsuba ended without an answer (SIGABRT)\nlast \x1b[31mwords\x00")
+    ),
     "not judged": verdict(scene("a"), names=("b", "c")),
     "nothing": verdict(),
-    "nasty": verdict(scene("<a & \"b\">\x07'\ud800", ok=False)),
+    "nasty": verdict(scene('<a & "b">\x07\'\ud800', ok=False)),
     "shard": verdict(scene("a"), shard="1/2", selected=("a", "b")),
 }
 
@@ -92,12 +94,19 @@ def test_the_check_finds_what_is_planted():
 
 
 def test_a_failure_says_in_one_line_and_in_full_and_an_error_is_no_failure():
-    top = parsed(verdict(scene("good"), scene("bad", ok=False), scene("gone", ok=False, problem="it crashed\nwords")))
+    top = parsed(
+        verdict(scene("good"), scene("bad", ok=False), scene("gone", ok=False, problem="it crashed\nwords"))
+    )
     cases = {case.get("name"): case for case in top.iter("testcase")}
     failure, error = cases["bad"].find("failure"), cases["gone"].find("error")
     assert failure.get("message").startswith("FAIL  bad  depth: 1 ours wrong of 100 hit pixels")
-    assert failure.get("type") == "ours_wrong" and "replay:    mitsuba-ref probe scenes/bad.toml 3 4" in failure.text
-    assert error.get("type") == "no_answer" and "words" in error.text and cases["gone"].find("failure") is None
+    assert (
+        failure.get("type") == "ours_wrong"
+        and "replay:    mitsuba-ref probe scenes/bad.toml 3 4" in failure.text
+    )
+    assert (
+        error.get("type") == "no_answer" and "words" in error.text and cases["gone"].find("failure") is None
+    )
     assert cases["good"].get("classname") == "scenes" and cases["good"].get("file") == "scenes/good.toml"
     assert float(cases["good"].get("time")) == 1.25
 
@@ -113,7 +122,12 @@ def test_what_was_not_judged_is_an_error_and_what_was_kept_took_no_time():
 
 @pytest.mark.parametrize(
     ("path", "name"),
-    [("scenes/a.toml", "scenes"), ("a.toml", "scenes"), ("/x/tests/renders/a.toml", "tests.renders"), ("", "scenes")],
+    [
+        ("scenes/a.toml", "scenes"),
+        ("a.toml", "scenes"),
+        ("/x/tests/renders/a.toml", "tests.renders"),
+        ("", "scenes"),
+    ],
 )
 def test_scenes_are_grouped_by_their_folder(path, name):
     top = parsed(verdict(scene("a", path=path)))

@@ -19,7 +19,9 @@ CAMERA = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
 
 def entries(sizes):
     return [
-        Entry(caster.Scene(film=caster.Film(width=w, height=h), camera=CAMERA), f"scene-{i}", f"scene-{i}.toml")
+        Entry(
+            caster.Scene(film=caster.Film(width=w, height=h), camera=CAMERA), f"scene-{i}", f"scene-{i}.toml"
+        )
         for i, (w, h) in enumerate(sizes)
     ]
 
@@ -150,5 +152,7 @@ def test_a_file_that_is_no_verdict_is_told(folder, capsys):
 
 
 def test_a_verdict_comes_back_from_json_as_it_was():
-    whole = Verdict((made("a"), made("b", ok=False), made("c", ok=False, problem="crash")), 4, ("a", "b", "c", "d"))
+    whole = Verdict(
+        (made("a"), made("b", ok=False), made("c", ok=False, problem="crash")), 4, ("a", "b", "c", "d")
+    )
     assert verdict_of(json.loads(json.dumps(whole.to_dict()))) == whole

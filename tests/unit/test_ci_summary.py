@@ -9,7 +9,16 @@ from made_verdicts import scene, verdict
 from caster.whole_files import OutputError
 from mitsuba_ref.ci.summary import LIMIT, append, markdown
 
-NASTY = ("a|b", "<img src=x onerror=alert(1)>", "`code`", "**bold**", "[link](http://x)", "_under_", "x\ny", "é€😀")
+NASTY = (
+    "a|b",
+    "<img src=x onerror=alert(1)>",
+    "`code`",
+    "**bold**",
+    "[link](http://x)",
+    "_under_",
+    "x\ny",
+    "é€😀",
+)
 
 
 def rows_of(text):
@@ -61,7 +70,9 @@ def test_any_name_stays_in_its_cell_and_means_nothing(name, ok):
 
 
 def test_what_does_not_fit_is_left_out_and_counted():
-    many = verdict(*(scene(f"bad-{i}", ok=False) for i in range(40)), *(scene(f"good-{i}") for i in range(400)))
+    many = verdict(
+        *(scene(f"bad-{i}", ok=False) for i in range(40)), *(scene(f"good-{i}") for i in range(400))
+    )
     whole = markdown(many, 1.0)
     assert "Left out" not in whole and len(whole) < LIMIT
     for limit in (4096, 16384, 40000):
