@@ -37,15 +37,30 @@ def members(scene: Scene, packed: Packed, answer: ExactAnswer) -> list[Member]:
 
 def exact_words(scene: Scene, packed: Packed, answer: ExactAnswer | None) -> str:
     """The exact answer on one line."""
+    if answer is None or answer.t is None:
+        return hit_words(scene, packed, answer)
+    at = f"at t {both(float(answer.t))}"
+    return f"{_hit_primitives(scene, packed, answer)} {at}{_on_the_way(answer)}"
+
+
+def hit_words(scene: Scene, packed: Packed, answer: ExactAnswer | None) -> str:
+    """The same without t."""
     if answer is None:
         return "no answer"
-    flags = f" ({', '.join(sorted(answer.flags))} on the way)" if answer.flags else ""
+    return f"{_hit_primitives(scene, packed, answer)}{_on_the_way(answer)}"
+
+
+def _hit_primitives(scene: Scene, packed: Packed, answer: ExactAnswer) -> str:
     if answer.t is None:
-        return f"miss{flags}"
+        return "miss"
     ties = members(scene, packed, answer)
     shown = [f"{each.shape}, prim {each.prim} ({each.where})" for each in ties[:TIES_SHOWN]]
     more = [f"{len(ties) - TIES_SHOWN} more"] if len(ties) > TIES_SHOWN else []
-    return f"{' = '.join([*shown, *more])} at t {both(float(answer.t))}{flags}"
+    return " = ".join([*shown, *more])
+
+
+def _on_the_way(answer: ExactAnswer) -> str:
+    return f" ({', '.join(sorted(answer.flags))} on the way)" if answer.flags else ""
 
 
 def both(value: float) -> str:

@@ -11,10 +11,16 @@ from mitsuba_ref.pixels import Pixels, share_of_bound
 NAME = "depth"
 
 
+def bound(pixels: Pixels) -> np.ndarray:
+    """(n,) how far the reference's may be from ours, in scene units."""
+    ours, _ = pixels.pair("depth")
+    with np.errstate(invalid="ignore"):
+        return pixels.bounds.at.t_error * pixels.length + KU_OURS * np.abs(ours)
+
+
 def ratio(pixels: Pixels) -> np.ndarray:
     """|ours - reference| / bound where both hit."""
     ours, reference = pixels.pair("depth")
-    bound = pixels.bounds.at.t_error * pixels.length + KU_OURS * np.abs(ours)
     with np.errstate(invalid="ignore"):
         error = np.abs(ours - reference)
-    return np.where(pixels.both_hit, share_of_bound(error, bound), 0.0)
+    return np.where(pixels.both_hit, share_of_bound(error, bound(pixels)), 0.0)

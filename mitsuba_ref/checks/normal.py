@@ -11,7 +11,12 @@ from mitsuba_ref.pixels import Pixels
 NAME = "normal"
 
 
+def bound(pixels: Pixels) -> np.ndarray:
+    """(n,) how far the reference's may be from ours."""
+    return pixels.bounds.at.n_error
+
+
 def ratio(pixels: Pixels) -> np.ndarray:
     """(n,) the larger of both differences over its bound."""
-    own, at = pixels.bounds.own, pixels.bounds.at
-    return pixels.held_twice(NAME, at.n_error, own.n, own.n_error)
+    own = pixels.bounds.own
+    return pixels.held_twice(NAME, bound(pixels), own.n, own.n_error)

@@ -11,7 +11,12 @@ from mitsuba_ref.pixels import Pixels
 NAME = "position"
 
 
+def bound(pixels: Pixels) -> np.ndarray:
+    """(n,) how far the reference's may be from ours."""
+    return pixels.bounds.at.p_error
+
+
 def ratio(pixels: Pixels) -> np.ndarray:
     """(n,) the larger of both differences over its bound."""
-    own, at = pixels.bounds.own, pixels.bounds.at
-    return pixels.held_twice(NAME, at.p_error, pixels.point, own.p_error)
+    own = pixels.bounds.own
+    return pixels.held_twice(NAME, bound(pixels), pixels.point, own.p_error)

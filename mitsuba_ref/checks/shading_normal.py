@@ -11,7 +11,12 @@ from mitsuba_ref.pixels import Pixels
 NAME = "shading_normal"
 
 
+def bound(pixels: Pixels) -> np.ndarray:
+    """(n,) how far the reference's may be from ours."""
+    return pixels.bounds.at.sh_error
+
+
 def ratio(pixels: Pixels) -> np.ndarray:
     """(n,) the larger of both differences over its bound."""
-    own, at = pixels.bounds.own, pixels.bounds.at
-    return pixels.held_twice(NAME, at.sh_error, own.sh_n, own.sh_error)
+    own = pixels.bounds.own
+    return pixels.held_twice(NAME, bound(pixels), own.sh_n, own.sh_error)
