@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from caster.scene import Scene
@@ -35,13 +36,20 @@ def run(
     maxfail: int | None = None,
     folder: Path | None = None,
     judge: Callable[[Entry, Path | None], SceneVerdict] | None = None,
+    record: Callable[[SceneVerdict], SceneVerdict] | None = None,
 ) -> Iterator[SceneVerdict]:
-    """Verdicts in the order of the entries; at most maxfail that fail. folder: where pictures of both sides go."""
-    judge = judge or judge_entry
+    """Verdicts in the order of the entries; at most maxfail that fail. folder: where pictures of both sides go.
+
+    record: called by the worker with what the verdict rests on; gives it back without, so that memory stays small.
+    """
+    judge = judge or partial(judge_entry, keep=record is not None)
     stop = threading.Event()
 
     def work(entry: Entry) -> SceneVerdict | None:
-        return None if stop.is_set() else judge(entry, folder)
+        if stop.is_set():
+            return None
+        verdict = judge(entry, folder)
+        return record(verdict) if record else verdict
 
     pool = ThreadPoolExecutor(max(1, workers))
     failed = 0
@@ -62,10 +70,10 @@ def run(
         child.start_again()
 
 
-def judge_entry(entry: Entry, folder: Path | None) -> SceneVerdict:
-    """The verdict of one scene; of one that cannot be judged, too."""
+def judge_entry(entry: Entry, folder: Path | None, *, keep: bool = False) -> SceneVerdict:
+    """The verdict of one scene; of one that cannot be judged, too. keep: with what it rests on."""
     try:
-        verdict = validate_scene(entry.scene, entry.name, entry.path, folder=folder)
+        verdict = validate_scene(entry.scene, entry.name, entry.path, folder=folder, keep=keep)
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
         verdict = SceneVerdict(entry.name, entry.path, problem=f"cannot be judged: {error}")
     return replace(verdict, resized=entry.resized)

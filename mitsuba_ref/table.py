@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Iterator
+from urllib.parse import quote
 
 from mitsuba_ref.bias import LARGEST_Z
 from mitsuba_ref.cases import NAMES
@@ -71,12 +72,12 @@ def room(name: str) -> int:
     return 6 if name == AGREE else max(5, *map(len, HEADS[name]))
 
 
-def failure(scene: SceneVerdict) -> str:
-    """How many, how far, where to look, and the next command."""
-    return "\n".join(_failure_lines(scene))
+def failure(scene: SceneVerdict, report: str = "") -> str:
+    """How many, how far, where to look, and the next command. report: the HTML report's file, if there is one."""
+    return "\n".join(_failure_lines(scene, report))
 
 
-def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
+def _failure_lines(scene: SceneVerdict, report: str) -> Iterator[str]:
     if scene.problem:
         yield from _problem_lines(scene)
     elif not scene.has_evidence and not scene.failing:
@@ -90,7 +91,7 @@ def _failure_lines(scene: SceneVerdict) -> Iterator[str]:
             f"FAIL  {scene.name}  {first.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
             f"worst {first.ratio:.3g}x its bound at ({first.x}, {first.y})"
         )
-        yield from _witness_lines(scene, first)
+        yield from _witness_lines(scene, first, report)
 
 
 def check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
@@ -113,11 +114,13 @@ def pixel_failure(scene: SceneVerdict, check: str) -> str:
     return "\n".join([head, *_witness_lines(scene, worst)])
 
 
-def _witness_lines(scene: SceneVerdict, worst: Failure) -> Iterator[str]:
+def _witness_lines(scene: SceneVerdict, worst: Failure, report: str = "") -> Iterator[str]:
     yield f"      ours:      {worst.ours}"
     yield f"      reference: {worst.reference}"
     yield f"      exact:     {worst.exact}"
     yield f"      why:       {worst.reason}"
+    if report:
+        yield f"      look:      {link(report, scene, (worst.x, worst.y))}"
     yield f"      replay:    {replay(scene, (worst.x, worst.y))}"
 
 
@@ -147,6 +150,11 @@ def _problem_lines(scene: SceneVerdict) -> Iterator[str]:
     first, *rest = scene.problem.splitlines()
     yield f"FAIL  {scene.name}  {first}"
     yield from (f"      {line}" for line in rest[:WORDS_SHOWN])
+
+
+def link(report: str, scene: SceneVerdict, pixel: tuple[int, int]) -> str:
+    """A pixel in the HTML report, for the address line of a browser."""
+    return f"{report}#s={quote(scene.name)}&x={pixel[0]}&y={pixel[1]}"
 
 
 def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:

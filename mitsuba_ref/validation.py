@@ -16,6 +16,7 @@ from mitsuba_ref.judging import judge_of
 from mitsuba_ref.pictures import write_pictures
 from mitsuba_ref.pixels import flat
 from mitsuba_ref.reasons import reason
+from mitsuba_ref.report.seen import Seen
 from mitsuba_ref.scene_checks import CHECKS_WITHOUT_REFERENCE, check_sensor
 from mitsuba_ref.storing import Stored, store_all
 from mitsuba_ref.telling import asked, exact_words
@@ -37,11 +38,13 @@ def validate(scene: Scene | str | Path, *, timeout: float = DEFAULT_TIMEOUT) -> 
     """Compare our caster with Mitsuba on one scene, given as a Scene or as the path of its file.
 
     Raises SceneError for a scene that is not valid, FileMissing where there is none, MissingReferenceError for a shape
-    without a reference. A crash of Mitsuba is a verdict that does not pass.
+    without a reference. A crash of Mitsuba is a verdict that does not pass. The verdict holds on to both pictures, for
+    its write_html.
     """
     if isinstance(scene, Scene):
-        return Verdict((validate_scene(scene, "scene", timeout=timeout),))
-    return Verdict((validate_scene(load_scene(scene), Path(scene).stem, str(scene), timeout=timeout),))
+        return Verdict((validate_scene(scene, "scene", timeout=timeout, keep=True),))
+    name = Path(scene).stem
+    return Verdict((validate_scene(load_scene(scene), name, str(scene), timeout=timeout, keep=True),))
 
 
 def validate_scene(
@@ -52,8 +55,12 @@ def validate_scene(
     folder: Path | None = None,
     timeout: float = DEFAULT_TIMEOUT,
     ask: Ask = ask,
+    keep: bool = False,
 ) -> SceneVerdict:
-    """The verdict of one scene that is loaded. folder: where the pictures of both sides go; ask: the way to Mitsuba."""
+    """The verdict of one scene that is loaded.
+
+    folder: where the pictures of both sides go; ask: the way to Mitsuba; keep: hold on to what the verdict rests on.
+    """
     start = time.perf_counter()
     checks = tuple(check(scene) for check in CHECKS_WITHOUT_REFERENCE)
     judge = judge_of(scene, timeout=timeout, ask=ask)
@@ -93,6 +100,7 @@ def validate_scene(
         not_stored=stored.left_out,
         failing_by={check: len(rows) for check, rows in by_check.items()},
         worst_by={check: _failure(judge, judgement, int(rows[0]), check) for check, rows in by_check.items()},
+        seen=Seen(judge, judgement) if keep else None,
     )
 
 

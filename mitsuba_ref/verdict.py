@@ -1,13 +1,17 @@
 """Comparison, brackets and exact answers -> a class for every pixel -> the verdict of a scene."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from caster.scene import Scene
 from mitsuba_ref.bias import Statistics
 from mitsuba_ref.scene_check import SceneCheck
+
+if TYPE_CHECKING:
+    from mitsuba_ref.report.seen import Seen
 
 # The classes of a pixel; the last two fail.
 CLASSES = ("agree", "explained", "tie", "reference_wrong", "out_of_domain", "ours_wrong", "undecided")
@@ -82,6 +86,8 @@ class SceneVerdict:
     worst_by: dict[str, Failure] = field(default_factory=dict)  # the worst of them
     inputs: str = ""  # a hash of all that the verdict depends on, where somebody asked for it
     kept: bool = False  # taken over from an earlier run of the same inputs, not judged now
+    # what it rests on, for write_html; None where nobody kept it
+    seen: "Seen | None" = field(default=None, repr=False, compare=False)
 
     @property
     def ok(self) -> bool:
@@ -217,6 +223,16 @@ class Verdict:
         """What judged them, each once."""
         said = [", ".join(f"{k} {v}" for k, v in scene.versions.items()) for scene in self.scenes]
         return tuple(dict.fromkeys(filter(None, said)))
+
+    def write_html(self, path: str | Path) -> Path:
+        """A report into a folder, or into one file if `path` ends in .html; returns the file to open.
+
+        Scenes that come from mitsuba_ref.validate have their pictures; what was judged in a campaign has let go of
+        them, and is a row of the list alone. Raises OutputError.
+        """
+        from mitsuba_ref.report.writing import write_report
+
+        return write_report(path, self.scenes, self.asked)
 
     def to_dict(self) -> dict[str, Any]:
         """As verdict.json has it."""

@@ -1,0 +1,37 @@
+"""What the list of scenes says of each."""
+
+from typing import Any
+
+from mitsuba_ref.table import failure, replay
+from mitsuba_ref.verdict import UNLISTED, SceneVerdict, number
+
+
+def row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any]:
+    """file: of its pictures in the folder data, "" without any."""
+    first = verdict.failures[0] if verdict.failures else None
+    check, ratio = (first.check, first.ratio) if first else verdict.worst
+    return {
+        "name": verdict.name,
+        "path": verdict.path,
+        "file": file,
+        "thumbnail": thumbnail,
+        "ok": verdict.ok,
+        "crashed": bool(verdict.problem),
+        "size": list(verdict.size),
+        "hit": verdict.hit_pixels,
+        "counts": verdict.counts,
+        "unlisted": verdict.cases.get(UNLISTED, 0),
+        "failing": verdict.failing,
+        "asked": verdict.adjudicated,
+        "worst": [check, number(ratio)],
+        "ratios": {name: number(share) for name, share in verdict.ratios.items()},
+        "seconds": round(verdict.seconds, 2),
+        "failed_at": sorted({each.check for each in verdict.failures} | _failed_checks(verdict)),
+        "says": "" if verdict.ok else failure(verdict),
+        "replay": replay(verdict),
+        "pixel": None if first is None else [first.x, first.y],
+    }
+
+
+def _failed_checks(verdict: SceneVerdict) -> set[str]:
+    return {check.name for check in verdict.checks if not check.ok}

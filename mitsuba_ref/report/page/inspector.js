@@ -1,0 +1,154 @@
+// All that is known of one pixel.
+
+let inspected = new Map(); // layer name -> its data, as far as unpacked
+let shownPixel = "";
+
+/** The pixel under the pointer, or else the pinned one. */
+function showPixel() {
+  const { record, under } = looking, box = document.getElementById("pixel");
+  const row = under >= 0 ? under : pinnedRow();
+  const key = `${record.scene.name} ${row} ${under >= 0} ${state.a} ${inspected.size}`;
+  if (key === shownPixel) return;
+  shownPixel = key;
+  box.innerHTML = row < 0 ? hintHtml(record) : pixelHtml(record, row, under >= 0);
+}
+
+function hintHtml(record) {
+  const bad = record.failing.length;
+  const next = bad ? `<kbd>n</kbd> goes to the next of ${plural(bad, "failing pixel")}.`
+    : record.unlike.length
+      ? `<kbd>n</kbd> goes to the next of ${plural(record.unlike.length, "pixel")} that pass without agreeing.` : "";
+  return `<h2>No pixel is pinned</h2><p>Point at a pixel to read it, click to pin it. ${next}</p>
+<p class="note">Hold <kbd>Shift</kbd> to see the reference in the place of ours. The wheel zooms, dragging pans, and
+<kbd>?</kbd> lists the keys.</p>`;
+}
+
+const plural = (count, what) => `${grouped(count)} ${what}${count === 1 ? "" : "s"}`;
+
+function pixelHtml(record, row, hovering) {
+  const [x, y] = record.pixel(row), name = RUN.classes[record.classes[row]];
+  const pinned = hovering ? "under the pointer" : "pinned";
+  return `<h2>Pixel <span class="xy">${x}, ${y}</span> <small>${pinned}</small></h2>
+<p class="class"><i style="background:${css(CLASS_COLORS[name])}"></i><b>${className(name)}</b>:
+${escaped(why(record, row))}</p>
+${factsHtml(record, row)}
+<div class="replay"><code>${escaped(replayOf(record, x, y))}</code>
+<button type="button" data-do="copy" title="copy (c)">copy</button></div>
+${inspectorLayers(row).map((layer) => layerHtml(record, row, layer)).join("")}`;
+}
+
+function why(record, row) {
+  const { reasons } = record.about, said = record.reasons.get(row);
+  if (said) return reasons.texts[said[0]];
+  return reasons.always[record.classes[row]] ?? "the reason is not kept for so many pixels: ask probe";
+}
+
+/** Shapes and the exact answer. */
+function factsHtml(record, row) {
+  const facts = [["ours", shapeWords(record, row, "ours", 1)], ["reference", shapeWords(record, row, "reference", 2)]];
+  const answer = record.exact.get(row);
+  if (answer) {
+    const [t, share, words] = answer, at = Number.isFinite(t) ? `<br>t ${numberHtml(t)}` : "";
+    const said = escaped(record.about.exact.texts[words]);
+    facts.push(["exact", `${said}${at}<br>ours uses ${brief(share)} \u00d7 its bound`]);
+  } else {
+    facts.push(["exact", "was not asked here"]);
+  }
+  const others = ["mask", "shape_id", "on_surface", "exact"].filter((name) => inspected.has(name))
+    .map((name) => [name, inspected.get(name)[row]]);
+  const used = ([name, share]) =>
+    `<span class="${share > 1 ? "bad" : ""}">${spaced(name)} ${share === Infinity ? "fails" : brief(share)}</span>`;
+  if (others.length) facts.push(["checks", others.map(used).join(", ")]);
+  return `<dl>${facts.map(([term, words]) => `<dt class="side-${term}">${term}</dt><dd>${words}</dd>`).join("")}</dl>`;
+}
+
+function shapeWords(record, row, side, bit) {
+  if (!(record.hits[row] & bit)) return "miss";
+  if (!record.has("ids")) return "hit";
+  const shape = record[`shape_${side}`][row], prim = record[`prim_${side}`][row];
+  return `${escaped(record.about.shapes[shape] ?? `shape ${shape}`)}, prim ${prim}`;
+}
+
+/** The layer that is looked at first, then those beyond their bound, then the others that hold floats. */
+function inspectorLayers(row) {
+  const beyond = (layer) => (inspected.get(layer.name)?.ratio?.[row] > 1 ? 1 : 0);
+  const rank = (layer) => (layer.name === state.a ? 2 : beyond(layer));
+  return LAYERS.filter(isFloat).sort((one, other) => rank(other) - rank(one));
+}
+
+function layerHtml(record, row, layer) {
+  const data = inspected.get(layer.name);
+  if (!data) return "";
+  if (data.missing)
+    return `<section><h3>${layer.words}</h3><p class="note">left out, for want of room in one file</p></section>`;
+  if (record.hits[row] === 0) return "";
+  const names = CHANNELS[layer.kind], both = record.hits[row] === 3;
+  const rows = names.map((name, c) => channelHtml(name, data, c * data.count + row, both)).join("");
+  const note = record.about.exactly ? "" : '<p class="note">Rounded to float32, for want of room in one file.</p>';
+  return `<section><h3>${layer.words} ${both ? boundHtml(data, row) : "<small>not compared</small>"}</h3><table>
+<thead><tr><th></th><th scope="col" class="side-ours">ours</th>
+<th scope="col" class="side-reference">reference</th></tr></thead>
+<tbody>${rows}</tbody></table>${note}</section>`;
+}
+
+function boundHtml(data, row) {
+  if (!data.ratio) return "";
+  const share = data.ratio[row];
+  const bound = data.alone?.[row] ? "float64\u2019s bound" : data.bound ? `bound ${brief(data.bound[row])}` : "its bound";
+  const used = `${brief(share)} \u00d7 ${bound}`;
+  const words = share === Infinity ? "no bound holds" : used;
+  return `<small class="${share > 1 ? "bad" : ""}">${words}</small>`;
+}
+
+function channelHtml(name, data, at, both) {
+  const ours = data.ours[at], reference = data.reference[at];
+  return `<tr><th scope="row" rowspan="2">${name}</th><td>${numberHtml(ours)}</td><td>${numberHtml(reference)}</td></tr>
+<tr class="apart"><td colspan="2">${both ? apartWords(ours, reference) : "hit on one side only"}</td></tr>`;
+}
+
+function numberHtml(value) {
+  const odd = Number.isFinite(value) ? "" : "odd";
+  return `<span class="number ${odd}">${decimal(value)}<small>${hex(value)}</small></span>`;
+}
+
+function apartWords(ours, reference) {
+  if (Object.is(ours, reference) || ours === reference) {
+    return Number.isNaN(ours) ? "both are NaN, which never agrees" : "the same number";
+  }
+  if (Number.isNaN(ours) || Number.isNaN(reference)) return "NaN on one side: no difference can be told";
+  if (!Number.isFinite(ours) || !Number.isFinite(reference)) return "infinite on one side";
+  const signed = (value) => `${value < 0 ? "\u2212" : ""}${brief(Math.abs(value))}`;
+  return `\u0394 ${signed(ours - reference)}, ${signed(ulps(ours, reference))} ulp of float32`;
+}
+
+/** The command that shows this pixel again. */
+function replayOf(record, x, y) {
+  const { path } = record.verdict, size = record.verdict.resized ? ` --size ${record.verdict.size.join(" ")}` : "";
+  return `mitsuba-ref probe ${quoted(path || "SCENE")} ${x} ${y}${size}`;
+}
+
+/** For a shell. */
+function quoted(word) {
+  return /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\"'\"'")}'`;
+}
+
+async function copyReplay() {
+  const { record } = looking, row = pinnedRow();
+  if (!record) return;
+  const words = row < 0 ? record.scene.replay : replayOf(record, ...record.pixel(row));
+  try {
+    await navigator.clipboard.writeText(words);
+  } catch {
+    copyBySelection(words);
+  }
+  say(`copied: ${words}`);
+}
+
+function copyBySelection(words) {
+  const area = document.createElement("textarea");
+  area.value = words;
+  document.body.append(area);
+  area.select();
+  document.execCommand("copy");
+  area.remove();
+}

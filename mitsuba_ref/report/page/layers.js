@@ -1,0 +1,102 @@
+// The quantities that are compared, as layers: where their numbers are, and which check judges them.
+
+const LAYERS = [
+  { name: "depth", kind: "scalar", check: "depth", words: "depth" },
+  { name: "normal", kind: "vector", check: "normal", words: "normal" },
+  { name: "shading_normal", kind: "vector", check: "shading_normal", words: "shading normal" },
+  { name: "position", kind: "place", check: "position", words: "position" },
+  { name: "diffuse", kind: "light", check: "diffuse", words: "diffuse" },
+  { name: "shape_id", kind: "id", check: "shape_id", words: "shape" },
+  { name: "prim_id", kind: "id", check: "", words: "primitive" },
+  { name: "hit", kind: "mask", check: "mask", words: "hit" },
+  { name: "all", kind: "none", check: "", words: "all checks" },
+];
+const CHANNELS = { scalar: [""], vector: ["x", "y", "z"], place: ["x", "y", "z"], light: ["r", "g", "b"] };
+
+const OTHER_CHECKS = { mask: "hit" }; // check -> layer, where their names differ
+
+/** The layer of the check that fails at the pixel of the address, or else of the worst pixel of the scene. */
+function layerToStart(record) {
+  const { failures } = record.verdict;
+  const told = failures.find((each) => each.x === state.x && each.y === state.y) ?? failures[0];
+  const check = told?.check ?? "";
+  return LAYERS.find((layer) => layer.name === (OTHER_CHECKS[check] ?? check))?.name ?? "depth";
+}
+
+const layerNamed = (name) => LAYERS.find((layer) => layer.name === name) ?? LAYERS[0];
+const isFloat = (layer) => layer.kind in CHANNELS;
+
+function isThere(record, layer) {
+  if (layer.name === "hit") return true;
+  if (layer.kind === "id") return record.has("ids");
+  return record.has(layer.name === "all" ? "ratio" : layer.name);
+}
+
+/** {ours, reference, channels, ratio, bound, alone}: channel after channel; null for what is not there. */
+async function layerData(record, layer) {
+  const count = record.classes.length;
+  const data = { layer, count, channels: 1, ours: null, reference: null, ratio: null, bound: null, alone: null, missing: "" };
+  if (!isThere(record, layer)) {
+    data.missing = `${layer.words}: left out, for want of room in one file`;
+  } else if (isFloat(layer)) {
+    data.channels = CHANNELS[layer.kind].length;
+    data.reference = await record.array(layer.name, "reference");
+    data.ours = await record.array(layer.name, "ours", "reference");
+    const part = record.part(layer.name);
+    if (part.ratio) data.ratio = await record.array(layer.name, "ratio");
+    if (part.bound) data.bound = await record.array(layer.name, "bound");
+    if (part.alone) data.alone = await record.array(layer.name, "alone");
+  } else if (layer.name === "all") {
+    data.ratio = await record.array("ratio", "ratio");
+  } else if (layer.name === "hit") {
+    data.ours = record.hits.map((bits) => bits & 1);
+    data.reference = record.hits.map((bits) => bits >> 1);
+  } else {
+    const which = layer.name === "shape_id" ? "shape" : "prim";
+    data.ours = record[`${which}_ours`];
+    data.reference = record[`${which}_reference`];
+  }
+  if (!data.ratio && layer.check && record.about.shares?.[layer.check])
+    data.ratio = await record.array("about/shares", layer.check);
+  if (isFloat(layer) && data.ours) data.range = rangesOf(record, data);
+  return data;
+}
+
+/** What colours span: quantiles of what both sides hit. Infinite and NaN take no part. */
+function rangesOf(record, data) {
+  const shown = Array.from({ length: data.channels }, () => []), apart = [], sizes = [];
+  for (let i = 0; i < data.count; i++) {
+    if (record.hits[i] !== 3) continue;
+    for (let c = 0; c < data.channels; c++) {
+      const at = c * data.count + i, value = data.reference[at], d = data.ours[at] - value;
+      if (Number.isFinite(value)) shown[c].push(value), sizes.push(Math.abs(value));
+      if (Number.isFinite(d)) apart.push(Math.abs(d));
+    }
+  }
+  const difference = quantile(apart, 0.99) || quantile(apart, 1) || quantile(sizes, 0.5) * 2 ** -24 || 1;
+  const each = shown.map((numbers) => spread(quantile(numbers, 0.01), quantile(numbers, 0.97)));
+  return { ...each[0], each, bright: quantile(sizes, 0.98), difference };
+}
+
+function spread(low, high) {
+  return { low, span: high - low || Math.abs(high) || 1 };
+}
+
+function quantile(numbers, share) {
+  if (!numbers.length) return 0;
+  const every = Math.max(1, Math.floor(numbers.length / 20000)); // enough for a colour
+  const some = every > 1 && share < 1 ? numbers.filter((_, i) => i % every === 0) : numbers;
+  return Float64Array.from(some).sort()[Math.round(share * (some.length - 1))];
+}
+
+/** Of several channels that which differs most, with its sign; NaN wins over all. */
+function largestDifference(data, i) {
+  let largest = 0;
+  for (let c = 0; c < data.channels; c++) {
+    const at = c * data.count + i, d = data.ours[at] - data.reference[at];
+    const same = data.ours[at] === data.reference[at]; // two infinities, too
+    if (Number.isNaN(d) && !same) return NaN;
+    if (!same && !(Math.abs(d) <= Math.abs(largest))) largest = d;
+  }
+  return largest;
+}

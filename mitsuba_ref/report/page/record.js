@@ -1,0 +1,154 @@
+// The list of scenes, which is in the page, and their records, which are fetched when they are looked at.
+
+const RUN = JSON.parse(document.getElementById("index").textContent);
+const KEPT_SCENES = 3; // records that stay in memory
+const records = new Map(); // name -> Promise of a SceneRecord
+const awaited = new Map(); // name -> function that takes what a script of the folder data hands over
+
+RUN.scenes.forEach((scene, i) => { scene.place = i; });
+
+window.ray_reference_scene = (name, parts) => awaited.get(name)?.(parts);
+
+/** Everything about one scene, unpacked when it is asked for. */
+class SceneRecord {
+  constructor(scene, parts) {
+    this.scene = scene;
+    this.parts = parts; // name -> object, or a function that gives it
+    this.arrays = new Map();
+  }
+
+  has(part) {
+    return part in this.parts;
+  }
+
+  part(name) {
+    if (typeof this.parts[name] === "function") this.parts[name] = this.parts[name]();
+    return this.parts[name];
+  }
+
+  /** One array of a part; those that were taken off another wait for it. */
+  array(part, name, like) {
+    const key = `${part}/${name}`;
+    if (!this.arrays.has(key)) {
+      const from = part.split("/").reduce((place, step) => (place === this ? this.part(step) : place[step]), this);
+      const packed = from[name];
+      const found = like ? this.array(part, like).then((base) => unpacked(packed, base)) : unpacked(packed);
+      this.arrays.set(key, found);
+    }
+    return this.arrays.get(key);
+  }
+
+  /** What every view needs: size of the window, class and hits of each pixel, ids, reasons, exact answers. */
+  async begin() {
+    const about = (this.about = this.part("about"));
+    const [x0, y0, x1, y1] = about.window;
+    Object.assign(this, { x0, y0, width: x1 - x0, height: y1 - y0, verdict: about.verdict });
+    this.classes = await this.array("about", "class");
+    this.hits = await this.array("about", "hit");
+    this.reasons = await byRow(this, "about/reasons", ["why"]);
+    this.exact = await byRow(this, "about/exact", ["t", "share", "words"]);
+    if (this.has("ids")) {
+      for (const name of ["shape_ours", "shape_reference", "prim_ours", "prim_reference"])
+        this[name] = await this.array("ids", name);
+    }
+    this.failing = rowsOf(this.classes, (code) => FAILING.has(RUN.classes[code]));
+    this.unlike = rowsOf(this.classes, (code) => code !== 0);
+    this.failingMarks = lonely(this, this.failing);
+    this.unlikeMarks = lonely(this, this.unlike);
+    return this;
+  }
+
+  row(x, y) {
+    const inside = x >= this.x0 && y >= this.y0 && x < this.x0 + this.width && y < this.y0 + this.height;
+    return inside ? (y - this.y0) * this.width + (x - this.x0) : -1;
+  }
+
+  pixel(row) {
+    return [this.x0 + (row % this.width), this.y0 + Math.floor(row / this.width)];
+  }
+}
+
+const FAILING = new Set(["ours_wrong", "undecided", "unlisted"]);
+
+/** Row -> its numbers, of a part that speaks of some pixels. */
+async function byRow(record, part, names) {
+  const rows = await record.array(part, "rows");
+  const columns = await Promise.all(names.map((name) => record.array(part, name)));
+  return new Map(Array.from(rows, (row, i) => [row, columns.map((column) => column[i])]));
+}
+
+const BLOCK = 6, FEW = 6, MARKS = 200;
+
+/** Of blocks that hold, with their neighbours, a few of these rows the first: more can be seen without a mark. */
+function lonely(record, rows) {
+  const wide = Math.ceil(record.width / BLOCK) + 2; // with a margin, so that neighbours in a row are no wrap
+  const blocks = new Map();
+  for (const row of rows) {
+    const key = Math.floor((row % record.width) / BLOCK) + 1 + wide * Math.floor(row / record.width / BLOCK);
+    if (!blocks.has(key)) blocks.set(key, []);
+    blocks.get(key).push(row);
+  }
+  const steps = [-1, 0, 1].flatMap((dy) => [-1, 0, 1].map((dx) => dx + wide * dy));
+  const alone = (key) => steps.reduce((sum, step) => sum + (blocks.get(key + step)?.length ?? 0), 0) <= FEW;
+  return [...blocks].filter(([key]) => alone(key)).map(([, found]) => found[0]).slice(0, MARKS);
+}
+
+function rowsOf(classes, wanted) {
+  const rows = [];
+  for (let i = 0; i < classes.length; i++) if (wanted(classes[i])) rows.push(i);
+  return rows;
+}
+
+/** A promise of the record; rejected with words where there is none. */
+function recordOf(scene) {
+  if (!records.has(scene.name)) {
+    if (records.size >= KEPT_SCENES) records.delete(records.keys().next().value);
+    const found = (RUN.one_file ? Promise.resolve(includedParts(scene)) : loadedParts(scene))
+      .then((parts) => new SceneRecord(scene, parts).begin());
+    records.set(scene.name, found);
+    found.catch(() => records.delete(scene.name));
+  }
+  return records.get(scene.name);
+}
+
+/** Of a page that is one file: elements of text, read when they are needed. */
+function includedParts(scene) {
+  const parts = {};
+  for (const element of document.querySelectorAll(`script[data-scene="${encoded(scene.name)}"]`))
+    parts[element.dataset.part] = () => JSON.parse(element.textContent);
+  if (!parts.about) throw new Error(noPictures(scene));
+  return parts;
+}
+
+/** As Python's urllib.parse.quote writes a name into an attribute. */
+function encoded(name) {
+  return encodeURIComponent(name).replace(/[!'()*]/g, (c) => `%${c.charCodeAt(0).toString(16).toUpperCase()}`)
+    .replace(/%2F/g, "/");
+}
+
+function loadedParts(scene) {
+  if (!scene.file) return Promise.reject(new Error(noPictures(scene)));
+  return new Promise((resolve, reject) => {
+    const script = document.createElement("script");
+    awaited.set(scene.name, resolve);
+    script.src = `data/${encodeURIComponent(scene.file)}`;
+    script.onload = () => reject(new Error(`data/${scene.file} is not about this scene`)); // later than resolve
+    script.onerror = () => reject(new Error(`data/${scene.file} is not there: copy the whole folder`));
+    document.head.append(script);
+  }).finally(() => awaited.delete(scene.name));
+}
+
+function noPictures(scene) {
+  if (scene.crashed) return "There are no pictures: the reference gave no answer.";
+  if (RUN.left_out[scene.name]) return `Left out: one file holds ${RUN.most_bytes / 1e6} MB. --html FOLDER has all.`;
+  return "No pictures of this scene were kept.";
+}
+
+/** The thumbnails, taken out of the plain table, which then goes. */
+function takeThumbnails() {
+  const plain = document.getElementById("plain");
+  plain.querySelectorAll("tbody tr").forEach((row) => {
+    RUN.scenes[row.dataset.place].thumbnail = row.querySelector("img")?.getAttribute("src") ?? "";
+  });
+  plain.remove();
+}

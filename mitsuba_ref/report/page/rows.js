@@ -1,0 +1,59 @@
+// One row of the list.
+
+function rowHtml(scene, i, height) {
+  const [check, share] = shownShare(scene);
+  const current = scene.name === currentName ? " current" : "";
+  const name = escaped(scene.name);
+  const size = scene.size[0] ? `${scene.size[0]} \u00d7 ${scene.size[1]}` : "";
+  const says = scene.ok ? size : firstWords(scene);
+  return `<div class="row${current}" role="row" aria-rowindex="${i + 2}" style="top:${i * height}px">
+<span class="picture" role="cell">${scene.thumbnail ? `<img src="${scene.thumbnail}" alt="">` : ""}</span>
+<span class="mark" role="cell">${markHtml(scene)}</span>
+<span class="name" role="cell">
+<a href="${escaped(address({ ...CLOSE, s: scene.name }))}" data-scene="${name}">${name}</a>
+<small title="${escaped(scene.says)}">${escaped(says)}</small></span>
+<span class="classes" role="cell">${classBar(scene)}<small>${classCounts(scene)}</small></span>
+<span class="worst" role="cell">${check ? shareHtml(check, share) : ""}</span>
+<span class="asked" role="cell">${grouped(scene.asked)}</span>
+<span class="time" role="cell">${scene.seconds.toFixed(1)} s</span></div>`;
+}
+
+const CLOSE = { a: "", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0 };
+
+const firstWords = (scene) => scene.says.split("\n")[0].replace(/^FAIL\s+/, "").replace(scene.name, "").trim();
+
+function markHtml(scene) {
+  const words = scene.ok ? "PASS" : scene.crashed ? "CRASH" : "FAIL";
+  return `<span class="badge ${scene.ok ? "pass" : "fail"}">${words}</span>`;
+}
+
+/** In proportion, but six points at least: one pixel in a hundred thousand can still be seen. */
+function classBar(scene) {
+  const parts = countsOf(scene).filter(([, count]) => count);
+  const bars = parts.map(([name, count]) =>
+    `<i style="flex-grow:${count};background:${css(CLASS_COLORS[name])}" title="${className(name)}: ${count}"></i>`);
+  return `<span class="classbar" aria-hidden="true">${bars.join("")}</span>`;
+}
+
+/** [class, pixels], the unlisted apart from those where the reference is wrong as is known. */
+function countsOf(scene) {
+  const counts = { ...scene.counts, unlisted: scene.unlisted };
+  counts.reference_wrong -= scene.unlisted;
+  return Object.entries(counts);
+}
+
+function classCounts(scene) {
+  const bad = (name) => (FAILING.has(name) ? "bad" : "");
+  const words = countsOf(scene).filter(([, count]) => count)
+    .map(([name, count]) => `<span class="${bad(name)}">${grouped(count)} ${className(name)}</span>`);
+  return words.join(", ") || "no pixel was compared";
+}
+
+function shareHtml(check, share) {
+  const width = Math.min(100, 100 * (share || 0));
+  const hundredths = brief(share < 10 ? Number(share.toFixed(2)) : share);
+  const small = share > 0 && share < 0.01 ? share.toExponential(0) : hundredths;
+  const words = share === Infinity ? "no bound holds:" : share > 1 ? `${small}\u00d7` : small;
+  return `<span class="meter ${share > 1 ? "over" : ""}" aria-hidden="true"><i style="width:${width}%"></i></span>
+<small><b>${words}</b> ${spaced(check)}</small>`;
+}

@@ -1,0 +1,148 @@
+// One scene: its head, its pictures, and what is said about it.
+
+const byId = (id) => document.getElementById(id);
+const sceneNow = () => RUN.scenes.find((scene) => scene.name === state.s);
+
+let turn = 0; // whoever started later wins
+let shownScene = "", shownLayer = "", shownView = "", shownGain = 0;
+
+async function showScene() {
+  const scene = sceneNow(), mine = ++turn;
+  if (!scene) return tell(`There is no scene ${state.s} in this report.`);
+  currentName = scene.name;
+  fillHead(scene);
+  tell(looking.record?.scene === scene ? "" : "\u2026");
+  try {
+    const record = await recordOf(scene);
+    if (mine !== turn) return;
+    if (looking.record !== record) {
+      Object.assign(looking, { record, data: null, under: -1 });
+      inspected = new Map();
+      shownPixel = shownLayer = "";
+      fillSummary(record);
+    }
+    if (!state.a) state.a = layerToStart(record);
+    await showLayer(mine);
+  } catch (error) {
+    if (mine === turn) tell(error.message, scene.says);
+  }
+}
+
+/** Words in the place of the pictures. */
+function tell(words, more = "") {
+  byId("stages").hidden = byId("side").hidden = Boolean(words);
+  byId("tools").hidden = byId("bad").hidden = Boolean(words);
+  byId("told").hidden = !words;
+  byId("told").innerHTML = `<p>${escaped(words)}</p>${more ? `<pre>${escaped(more)}</pre>` : ""}`;
+  if (words) looking.record = null;
+}
+
+async function showLayer(mine) {
+  const { record } = looking, layer = layerNamed(state.a);
+  const data = await layerData(record, layer);
+  if (mine !== turn) return;
+  tell("");
+  const same = shownLayer === layer.name && shownScene === record.scene.name && shownGain === state.e;
+  if (!same || !looking.data) paintAll(record, data);
+  [shownScene, shownLayer, shownGain] = [record.scene.name, layer.name, state.e];
+  layOut();
+  markTools();
+  inspectAll(record, mine);
+}
+
+function paintAll(record, data) {
+  looking.data = data;
+  looking.bitmaps = {};
+  for (const [name, { paint }] of Object.entries(PICTURES)) {
+    const sided = name === "ours" || name === "reference" || name === "difference";
+    if (sided && !data.ours) continue;
+    const painted = paint(record, data);
+    if (!painted) continue;
+    const bitmap = document.createElement("canvas");
+    [bitmap.width, bitmap.height] = [record.width, record.height];
+    bitmap.getContext("2d").putImageData(painted.image, 0, 0);
+    looking.bitmaps[name] = { bitmap, legend: painted.legend };
+  }
+}
+
+/** Numbers of the other layers, for the inspector, one after the other. */
+async function inspectAll(record, mine) {
+  inspected.set(looking.data.layer.name, looking.data);
+  for (const layer of LAYERS.filter(isFloat)) {
+    if (!inspected.has(layer.name)) inspected.set(layer.name, await layerData(record, layer));
+    if (mine !== turn) return;
+    drawSoon();
+  }
+  const shares = record.about.shares ?? {};
+  for (const name of Object.keys(shares)) inspected.set(name, await record.array("about/shares", name));
+  if (mine === turn) drawSoon();
+}
+
+/** The panes of this view. */
+function layOut() {
+  const names = VIEWS[state.v] ?? VIEWS.all, box = byId("panes");
+  if (shownView !== state.v || !looking.panes.length) {
+    looking.panes = names.map((name) => new Pane(name));
+    box.replaceChildren(...looking.panes.map((pane) => pane.element), byId("summary"));
+    box.className = state.v === "all" ? "grid" : "single";
+    shownView = state.v;
+  }
+  byId("wiping").hidden = state.v !== "wipe";
+  byId("wipe").value = state.w;
+  for (const pane of looking.panes) pane.describe();
+  for (const pane of looking.panes) pane.fit();
+  drawSoon();
+}
+
+function fillHead(scene) {
+  byId("scene-name").textContent = scene.name;
+  byId("scene-mark").innerHTML = markHtml(scene);
+  const at = shownScenes.findIndex((each) => each.name === scene.name);
+  byId("scene-place").textContent = at < 0 ? "" : `${at + 1} of ${shownScenes.length}`;
+  document.title = `${scene.name} \u2013 ray-reference`;
+}
+
+function markTools() {
+  for (const button of document.querySelectorAll("[data-layer]"))
+    button.setAttribute("aria-pressed", button.dataset.layer === layerNamed(state.a).name);
+  for (const button of document.querySelectorAll("[data-view]"))
+    button.setAttribute("aria-pressed", button.dataset.view === state.v);
+  byId("gain").textContent = `${state.e > 0 ? "+" : ""}${state.e}`;
+}
+
+function chooseLayer(name) {
+  change({ a: name });
+  showLayer(++turn);
+}
+
+function chooseView(name) {
+  change({ v: state.v === name ? "all" : name });
+  showLayer(++turn);
+}
+
+function expose(step) {
+  change({ e: step === 0 ? 0 : Math.min(40, Math.max(-40, state.e + step)) });
+  showLayer(++turn);
+}
+
+/** The next pixel that fails, or, where none does, that passes without agreeing. */
+function nextBad(step) {
+  const { record } = looking;
+  if (!record) return;
+  const rows = record.failing.length ? record.failing : record.unlike;
+  if (!rows.length) return say("every pixel agrees");
+  const at = pinnedRow(), worst = record.verdict.failures[0];
+  if (at < 0 && worst) return pin(record.row(worst.x, worst.y));
+  const later = step > 0 ? rows.findIndex((row) => row > at) : rows.findLastIndex((row) => at < 0 || row < at);
+  const i = later >= 0 ? later : step > 0 ? 0 : rows.length - 1;
+  pin(rows[i]);
+  say(`${i + 1} of ${rows.length} ${record.failing.length ? "failing pixels" : "pixels that pass without agreeing"}`);
+}
+
+function movePixel(dx, dy) {
+  const { record } = looking, row = pinnedRow();
+  if (!record) return;
+  const [x, y] = row < 0 ? center().map(Math.floor) : [state.x + dx, state.y + dy];
+  const next = record.row(x, y);
+  if (next >= 0) pin(next);
+}

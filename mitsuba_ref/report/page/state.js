@@ -1,0 +1,52 @@
+// What is looked at, as the part of the address after #: whoever gets the link sees the same.
+
+const DEFAULTS = {
+  s: "", a: "", v: "all", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0, w: 0.5, // scene view
+  q: "", st: "", ck: "", cl: "", o: "", // list
+};
+const state = { ...DEFAULTS };
+
+function readAddress() {
+  clearTimeout(waiting);
+  waiting = 0;
+  const given = new URLSearchParams(location.hash.slice(1));
+  for (const [key, usual] of Object.entries(DEFAULTS)) {
+    const text = given.get(key);
+    const number = Number(text);
+    state[key] = text === null ? usual : typeof usual === "number" ? (Number.isFinite(number) ? number : usual) : text;
+  }
+}
+
+function address(changes = {}) {
+  const shown = { ...state, ...changes };
+  const words = Object.keys(DEFAULTS).filter((key) => shown[key] !== DEFAULTS[key])
+    .map((key) => `${key}=${encodeURIComponent(typeof shown[key] === "number" ? +shown[key].toFixed(3) : shown[key])}`);
+  return `#${words.join("&")}`;
+}
+
+/** Another scene or the list: a step that the browser can take back. */
+function go(changes) {
+  const place = { z: 0, cx: -1, cy: -1, x: -1, y: -1, ...changes };
+  const next = address(place);
+  if (next === (location.hash || "#")) return;
+  writeAddress();
+  Object.assign(state, place);
+  history.pushState(null, "", next);
+  showAll();
+}
+
+const REST_MS = 200; // browsers refuse an address that changes hundreds of times while something is dragged
+let waiting = 0;
+
+/** The same scene, seen otherwise: the address follows without a step. */
+function change(changes) {
+  Object.assign(state, changes);
+  if (!waiting) waiting = setTimeout(writeAddress, REST_MS);
+}
+
+function writeAddress() {
+  if (!waiting) return;
+  clearTimeout(waiting);
+  waiting = 0;
+  history.replaceState(null, "", address());
+}

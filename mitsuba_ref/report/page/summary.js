@@ -1,0 +1,29 @@
+// What is said of a scene beside its pictures.
+
+function fillSummary(record) {
+  const { verdict, scene } = record;
+  const broken = verdict.checks.filter((check) => !check.ok), held = verdict.checks.length - broken.length;
+  const left = RUN.left_out[scene.name], worst = verdict.failures.map(failureHtml).join("");
+  const versions = Object.entries(verdict.versions).map(([name, version]) => `${name} ${version}`).join(", ");
+  byId("summary").innerHTML = `<h2>${plural(verdict.hit_pixels, "hit pixel")}</h2>
+<table>${countsOf(scene).filter(([, count]) => count).map(countHtml).join("")}</table>
+<p>${grouped(verdict.adjudicated)} asked of exact arithmetic. ${held} of ${verdict.checks.length} checks of the scene hold.</p>
+${broken.length ? `<ul>${broken.map(brokenHtml).join("")}</ul>` : ""}
+${worst ? `<h3>Worst failing pixels</h3><ol>${worst}</ol>` : ""}
+${left ? `<p class="note">Left out of this one file: ${left.map(spaced).join(", ")}.</p>` : ""}
+<p class="note">${escaped(versions)}</p>`;
+}
+
+function countHtml([name, count]) {
+  const box = `<i style="background:${css(CLASS_COLORS[name])}"></i>`;
+  return `<tr><td>${box}${className(name)}</td><td>${grouped(count)}</td></tr>`;
+}
+
+function brokenHtml(check) {
+  return `<li class="bad">${escaped(check.name)}: ${times(numberOf(check.ratio))}; ${escaped(check.what)}</li>`;
+}
+
+function failureHtml({ x, y, verdict, check, ratio }) {
+  return `<li><a href="${escaped(address({ x, y }))}" data-x="${x}" data-y="${y}">${x}, ${y}</a> ${spaced(verdict)}<br>
+<small class="quiet">${spaced(check)}: ${times(numberOf(ratio))}</small></li>`;
+}

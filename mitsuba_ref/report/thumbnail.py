@@ -1,0 +1,57 @@
+"""A small picture of a scene."""
+
+import base64
+import struct
+import zlib
+
+import numpy as np
+
+from caster.rendering import Aovs
+
+WIDTH, HEIGHT = 96, 72  # at most, in pixels: shown at half of that, sharp on a screen of twice the density
+LEVELS = 32  # of each colour: such a PNG is half as large as one of 256
+BACKGROUND = (40, 44, 52)
+
+
+def thumbnail(aovs: Aovs) -> str:
+    """The diffuse picture, or the normals of one that is dark, as a data URI."""
+    image = _shades(aovs)
+    small = _halved(np.where(aovs.hit[..., None], image, np.array(BACKGROUND) / 255.0))
+    levels = np.round(np.round(small * (LEVELS - 1)) * (255 / (LEVELS - 1))).astype(np.uint8)
+    return "data:image/png;base64," + base64.b64encode(png(levels)).decode("ascii")
+
+
+def _shades(aovs: Aovs) -> np.ndarray:
+    """(h, w, 3) from 0 to 1."""
+    if "diffuse" in aovs and aovs.hit.any():
+        shown = np.nan_to_num(aovs["diffuse"], nan=0.0, posinf=0.0, neginf=0.0)
+        brightest = float(np.quantile(shown[aovs.hit].max(axis=-1), 0.98))
+        if brightest > 0.0:
+            bright: np.ndarray = np.clip(shown / brightest, 0.0, 1.0) ** (1.0 / 2.2)
+            return bright
+    turned: np.ndarray = np.clip(0.5 + 0.5 * np.nan_to_num(aovs["normal"]), 0.0, 1.0)
+    return turned
+
+
+def _halved(image: np.ndarray) -> np.ndarray:
+    """The mean of blocks of pixels, so many that it fits."""
+    height, width, _ = image.shape
+    step = max(1, -(-width // WIDTH), -(-height // HEIGHT))
+    padded = np.pad(image, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
+    tall, wide = padded.shape[0] // step, padded.shape[1] // step
+    mean: np.ndarray = padded.reshape(tall, step, wide, step, 3).mean(axis=(1, 3))
+    return mean
+
+
+def png(image: np.ndarray) -> bytes:
+    """(h, w, 3) uint8 as a PNG file, each row as what it differs by from the one above."""
+    height, width, _ = image.shape
+    up = np.diff(image.reshape(height, -1), axis=0, prepend=np.zeros((1, 3 * width), np.uint8))
+    lines = np.concatenate([np.full((height, 1), 2, np.uint8), up], axis=1)
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes(), 9)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, data) for kind, data in chunks)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

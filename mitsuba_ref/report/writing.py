@@ -1,0 +1,135 @@
+"""A report as it comes to be: scene by scene, as a folder or as one file."""
+
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+from caster.whole_files import check_folder, check_writable, write_text, written_aside
+from mitsuba_ref.report import one_file
+from mitsuba_ref.report.assembling import as_json, page
+from mitsuba_ref.report.index import row
+from mitsuba_ref.report.record import LAYERS, record
+from mitsuba_ref.verdict import CLASSES, UNLISTED, SceneVerdict
+
+# One file: what a browser opens within two seconds on a small machine, and mail and CI servers take.
+MOST_BYTES = 25_000_000
+
+# Pixels of a scene up to which everything is written to the bit: 80 MB, and up to which as float32: as much again.
+# Beyond, browsers run out of memory.
+EXACT_UP_TO = 1 << 20
+PICTURES_UP_TO = 1 << 22
+SECONDS_BETWEEN = 2.0  # writings of the list while a run goes on
+
+
+class Kept(NamedTuple):
+    """What was written of a scene."""
+
+    file: str  # in the folder data; "" for nothing
+    thumbnail: str
+    sizes: dict[str, int]  # bytes of each part of its record
+
+
+NOTHING_KEPT = Kept("", "", {})
+
+
+class Report:
+    """Where verdicts become pages. `keep` may be called from several threads, the others from one."""
+
+    def __init__(self, path: str | Path, asked: int) -> None:
+        """path: a folder, or a file if it ends in .html. Raises OutputError where nothing can be written."""
+        self.path, self.asked = Path(path), asked
+        self.one_file = self.path.suffix.lower() == ".html"
+        self.rows: list[dict[str, Any]] = []
+        self._kept: dict[str, Kept] = {}
+        self._lock = threading.Lock()
+        self._written = float("-inf")
+        if self.one_file:
+            check_writable(self.path)
+            self._aside = tempfile.TemporaryDirectory(prefix="mitsuba-ref-report-")
+            self.data = Path(self._aside.name)
+        else:
+            self.data = check_folder(check_folder(self.path) / "data")
+
+    @property
+    def index(self) -> Path:
+        """The file to open."""
+        return self.path if self.one_file else self.path / "index.html"
+
+    def keep(self, verdict: SceneVerdict) -> SceneVerdict:
+        """Write down what a verdict rests on, and give it back without. Raises OutputError."""
+        if verdict.seen is None or verdict.pixels > PICTURES_UP_TO:
+            return replace(verdict, seen=None)
+        rounded = (self.one_file and verdict.ok) or verdict.pixels > EXACT_UP_TO
+        found = record(verdict, verdict.seen, exact=not rounded)
+        parts = {"about": as_json(found.about)} | {name: as_json(each) for name, each in found.layers.items()}
+        file = quote(verdict.name, safe=" ")
+        text = one_file.aside(parts) if self.one_file else called(verdict.name, parts)
+        write_text(self.data / f"{file}.js", text)
+        sizes = {name: len(text.encode()) for name, text in parts.items()}
+        with self._lock:
+            self._kept[verdict.name] = Kept(f"{file}.js", found.thumbnail, sizes)
+        return replace(verdict, seen=None)
+
+    def add(self, verdict: SceneVerdict) -> None:
+        """A scene whose turn it is in the list; the list is written now and then. Raises OutputError."""
+        kept = self._kept.get(verdict.name, NOTHING_KEPT)
+        self.rows.append(row(verdict, kept.file, kept.thumbnail))
+        if not self.one_file and time.monotonic() - self._written > SECONDS_BETWEEN:
+            self.write()
+
+    def write(self) -> None:
+        """The page about all that was added. Raises OutputError."""
+        run = self._run()
+        scenes: Iterator[str] = iter(())
+        if self.one_file:
+            room = MOST_BYTES - sum(len(text.encode()) for text in page(run, self.rows))
+            listed = [each["name"] for each in self.rows]
+            sizes = {name: self._kept[name].sizes for name in listed if name in self._kept}
+            chosen = one_file.choose(self.rows, sizes, room, LAYERS)
+            run["left_out"] = one_file.left_out(sizes, chosen)
+            scenes = one_file.elements(self.data, self.rows, chosen)
+        with written_aside(self.index) as part, part.open("w", encoding="utf-8") as file:
+            file.writelines(page(run, self.rows, scenes))
+        self._written = time.monotonic()
+
+    def close(self) -> None:
+        """Remove what lay aside."""
+        if self.one_file:
+            self._aside.cleanup()
+
+    def _run(self) -> dict[str, Any]:
+        passed = sum(each["ok"] for each in self.rows)
+        said = f"{passed} of {len(self.rows)} scenes pass"
+        if len(self.rows) < self.asked:
+            said += f"; {self.asked - len(self.rows)} of {self.asked} were not judged"
+        return {
+            "summary": said,
+            "asked": self.asked,
+            "classes": [*CLASSES, UNLISTED],
+            "one_file": self.one_file,
+            "most_bytes": MOST_BYTES,
+            "left_out": {},
+        }
+
+
+def called(name: str, parts: Mapping[str, str]) -> str:
+    """A script that hands a scene's record to the page."""
+    inside = ",\n".join(f"{as_json(part)}:{text}" for part, text in parts.items())
+    return f"ray_reference_scene({as_json(name)},{{\n{inside}\n}});\n"
+
+
+def write_report(path: str | Path, verdicts: Sequence[SceneVerdict], asked: int) -> Path:
+    """All at once; returns the file to open. Raises OutputError."""
+    report = Report(path, asked)
+    try:
+        for verdict in verdicts:
+            report.add(report.keep(verdict))
+        report.write()
+    finally:
+        report.close()
+    return report.index

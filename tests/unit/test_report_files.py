@@ -1,0 +1,153 @@
+"""What a report leaves on disk, and what of it fits into one file."""
+
+import json
+import re
+from dataclasses import replace
+from importlib import resources
+
+import pytest
+
+from caster.whole_files import OutputError
+from mitsuba_ref.report import one_file
+from mitsuba_ref.report.assembling import SCRIPTS, as_json, page
+from mitsuba_ref.report.index import row
+from mitsuba_ref.report.writing import MOST_BYTES, Report
+from mitsuba_ref.table import failure
+from mitsuba_ref.verdict import Failure, SceneVerdict, Verdict
+
+FAILURE = Failure(3, 4, "ours_wrong", "depth", 41.0, "a", "b", "c", "by exact arithmetic, ours is wrong")
+FAILING = SceneVerdict("two words", "scenes/two words.toml", 100, 100, failures=(FAILURE,))
+FAILING = replace(FAILING, counts=FAILING.counts | {"ours_wrong": 100})
+PASSING = SceneVerdict("good", "good.toml", 9, 9)
+PASSING = replace(PASSING, counts=PASSING.counts | {"agree": 9})
+LAYERS = ("ids", "depth", "normal")
+
+
+def rows_of(*verdicts):
+    return [row(verdict, f"{verdict.name}.js", "") for verdict in verdicts]
+
+
+def sizes_of(rows, **sizes):
+    return {each["name"]: {"about": 100, "ids": 200, "depth": 1000, "normal": 2000} | sizes for each in rows}
+
+
+def chosen_within(room, rows):
+    around = one_file.AROUND * 4 * len(rows)
+    return one_file.choose(rows, sizes_of(rows), room + around, LAYERS)
+
+
+def test_failing_scenes_go_into_one_file_first():
+    rows = rows_of(PASSING, FAILING, replace(PASSING, name="other"))
+    everything = chosen_within(3 * 3300, rows)
+    assert len(everything) == 12 and one_file.left_out(sizes_of(rows), everything) == {}
+    some = chosen_within(300 + 3200 + 2 * 200 + 1000, rows)
+    assert {part for scene, part in some if scene == "two words"} == {"about", "ids", "depth", "normal"}
+    assert one_file.left_out(sizes_of(rows), some) == {"good": ["normal"], "other": ["depth", "normal"]}
+    nothing = chosen_within(50, rows)
+    assert nothing == set()
+
+
+def test_no_layer_comes_without_what_it_belongs_to():
+    (each,) = rows = rows_of(PASSING)
+    sizes = sizes_of(rows, about=10_000)
+    assert one_file.choose(rows, sizes, 4000, LAYERS) == set()
+    assert one_file.left_out(sizes, set()) == {each["name"]: ["about", "ids", "depth", "normal"]}
+
+
+def test_one_file_never_outgrows_its_size(tmp_path, monkeypatch):
+    monkeypatch.setattr("mitsuba_ref.report.writing.MOST_BYTES", 150_000)
+    report = Report(tmp_path / "r.html", 20)
+    for i in range(20):
+        name = f"scene-{i}"
+        text = one_file.aside({"about": as_json({"number": i}), "depth": as_json("x" * 9_000)})
+        (report.data / f"{name}.js").write_text(text, encoding="utf-8")
+        kept = {"about": len(as_json({"number": i})), "depth": 9_002}
+        report._kept[name] = report._kept.get(name) or kept_of(f"{name}.js", kept)
+        report.add(replace(PASSING, name=name))
+    report.write()
+    text = report.index.read_text(encoding="utf-8")
+    told = json.loads(re.search(r'id="index">(.*?)</script>', text).group(1))
+    depths = text.count('data-part="depth"')
+    assert len(text.encode()) <= 150_000 and text.count('data-part="about"') == 20
+    assert 0 < depths < 20 and len(told["left_out"]) == 20 - depths
+    aside = report.data
+    report.close()
+    assert not aside.exists() and MOST_BYTES == 25_000_000
+
+
+def kept_of(file, sizes):
+    from mitsuba_ref.report.writing import Kept
+
+    return Kept(file, "", sizes)
+
+
+def test_a_run_that_is_cut_off_has_its_page(tmp_path):
+    """Whatever ends the process: the list is there from the first scene on."""
+    report = Report(tmp_path / "r", 43)
+    report.add(PASSING)
+    text = (tmp_path / "r/index.html").read_text(encoding="utf-8")
+    assert "1 of 1 scenes pass; 42 of 43 were not judged" in text
+
+
+def test_no_text_ends_its_script():
+    evil = "</script><script>alert(1)</script><!--\u2028"
+    text = "".join(page({"summary": evil, "classes": []}, rows_of(replace(FAILING, name=evil))))
+    assert text.count("<script") == 3 and "alert(1)<" not in text and "\u2028" not in as_json(evil)
+    assert json.loads(as_json(evil)) == evil
+
+
+def test_every_script_of_the_page_is_in_it():
+    files = {each.name for each in (resources.files("mitsuba_ref.report") / "page").iterdir()}
+    assert {f"{name}.js" for name in SCRIPTS} | {"page.html", "page.css"} == files
+    text = "".join(page({"summary": "", "classes": []}, []))
+    assert not re.findall(r"https?://|\bfetch\(|\bimport\b|new Worker|\beval\(", text)
+
+
+PAIRS = [
+    *(("text", ground) for ground in ("bg", "panel", "soft", "bad-bg")),
+    *(("quiet", ground) for ground in ("bg", "panel", "soft")),
+    *((ink, "panel") for ink in ("accent", "good", "bad", "ours", "reference")),
+    *((("good", "good-bg"), ("bad", "bad-bg"), ("on-accent", "accent"))),
+]
+ENOUGH = 4.5  # WCAG 2.2, 1.4.3: contrast of text of this size
+
+
+@pytest.mark.parametrize("theme", [0, 1, 2], ids=["light", "dark by the system", "dark by choice"])
+def test_words_stand_out_from_what_they_are_on(theme):
+    css = (resources.files("mitsuba_ref.report") / "page" / "page.css").read_text(encoding="utf-8")
+    blocks = re.findall(r"\{([^{}]*--bg:[^{}]*)\}", css)
+    assert len(blocks) == 3
+    colors = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", blocks[theme]))
+    poor = {pair: contrast(colors[pair[0]], colors[pair[1]]) for pair in PAIRS}
+    assert {pair: value for pair, value in poor.items() if value < ENOUGH} == {}
+
+
+def contrast(one, other):
+    """Of two sRGB colours, as WCAG 2.2 defines it: 1 to 21."""
+    lighter, darker = sorted((luminance(one), luminance(other)), reverse=True)
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+def luminance(color):
+    parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def test_a_failure_names_the_pixel_in_the_report():
+    words = failure(FAILING, "out/index.html")
+    assert "      look:      out/index.html#s=two%20words&x=3&y=4\n" in words
+    assert "look:" not in failure(FAILING)
+
+
+def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path):
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(OutputError):
+        Report(tmp_path / "file", 1)
+    with pytest.raises(OutputError):
+        Report(tmp_path / "none" / "r.html", 1)
+
+
+def test_a_verdict_writes_itself(tmp_path):
+    assert Verdict((FAILING, PASSING), asked=2).write_html(tmp_path / "r") == tmp_path / "r" / "index.html"
+    assert Verdict((PASSING,)).write_html(tmp_path / "r.html") == tmp_path / "r.html"
