@@ -25,6 +25,10 @@ class Entry:
     resized: bool = False  # by --size, which a replay has to repeat
 
 
+JudgeEntry = Callable[[Entry, Path | None], SceneVerdict]
+"""How to come to the verdict of a scene; the folder is where pictures of both sides go, if anywhere."""
+
+
 def default_workers() -> int:
     """Half the work of a scene is another process's, so one worker for each core."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -35,7 +39,7 @@ def run(
     workers: int,
     maxfail: int | None = None,
     folder: Path | None = None,
-    judge: Callable[[Entry, Path | None], SceneVerdict] | None = None,
+    judge: JudgeEntry | None = None,
     record: Callable[[SceneVerdict], SceneVerdict] | None = None,
 ) -> Iterator[SceneVerdict]:
     """Verdicts in the order of the entries; at most maxfail that fail. folder: where pictures of both sides go.

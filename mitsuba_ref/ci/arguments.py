@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.wording import SceneError
 
 if TYPE_CHECKING:
-    from mitsuba_ref.campaign import Entry
+    from mitsuba_ref.campaign import Entry, JudgeEntry
     from mitsuba_ref.ci.shards import Shard
-    from mitsuba_ref.verdict import SceneVerdict, Verdict
+    from mitsuba_ref.verdict import Verdict
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,13 +59,13 @@ def part_of(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
     return chosen(entries, args.shard)
 
 
-def judge_of(args: argparse.Namespace) -> Callable[[Entry, Path | None], SceneVerdict] | None:
-    """How to come to a verdict: by what is kept in --out, and keeping it there; None: the plain way."""
+def judge_of(args: argparse.Namespace, judge: JudgeEntry) -> JudgeEntry:
+    """How to come to a verdict: by what is kept in --out, and keeping it there; without --out, the given way."""
     if not args.out:
-        return None
+        return judge
     from mitsuba_ref.ci.resuming import Kept
 
-    return Kept(Path(args.out), resume=args.resume).judge
+    return Kept(Path(args.out), judge, resume=args.resume).judge
 
 
 def about(args: argparse.Namespace, every: tuple[str, ...]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Any
 from caster.whole_files import OutputError, write_text
 from caster.wording import SceneError
 from mitsuba_ref import variants
-from mitsuba_ref.campaign import Entry, judge_entry
+from mitsuba_ref.campaign import Entry, JudgeEntry
 from mitsuba_ref.ci.reading import BROKEN, scene_of
 from mitsuba_ref.reference import variant_of
 from mitsuba_ref.verdict import FORMAT, SceneVerdict
@@ -77,8 +77,8 @@ def line_of(verdict: SceneVerdict) -> str:
 class Kept:
     """Results in one folder. resume: take over what is there, if its inputs are the same."""
 
-    def __init__(self, folder: Path, *, resume: bool) -> None:
-        self.folder, self.journal = folder, folder / JOURNAL
+    def __init__(self, folder: Path, judge: JudgeEntry, *, resume: bool) -> None:
+        self.folder, self.journal, self.judge_anew = folder, folder / JOURNAL, judge
         self.lock = threading.Lock()
         self.known = dict(self._read()) if resume else {}
         # Whole lines of all that is known: an interruption may overwrite verdict.json with less, and a line that was
@@ -91,7 +91,7 @@ class Kept:
         known = self.known.get(entry.name)
         if known is not None and inputs and known.inputs == inputs and not known.problem and self._has_files(known):
             return replace(known, kept=True)
-        verdict = replace(judge_entry(entry, folder), inputs=inputs)
+        verdict = replace(self.judge_anew(entry, folder), inputs=inputs)
         self._write(verdict)
         return verdict
 

@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,9 +16,11 @@ from caster.commands.scene_arguments import add_mesh_dirs, blamed_on
 from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.wording import SceneError
 from mitsuba_ref.ci import arguments as ci
+from mitsuba_ref.commands import html_option
 
 if TYPE_CHECKING:
     from mitsuba_ref.campaign import Entry
+    from mitsuba_ref.report.writing import Report
     from mitsuba_ref.verdict import SceneVerdict, Verdict
 
 HELP = "compare our caster with Mitsuba on scenes: every pixel gets a class, the exit code says pass or fail"
@@ -32,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", metavar="DIR", help="write verdict.json, EXR files and reproducers into this folder")
     add("--json", metavar="FILE", help="write the verdict as JSON")
     add("--junit", metavar="FILE", help="write the verdict as JUnit XML")
+    html_option.add(parser)
     add("--maxfail", metavar="N", type=count, help="stop after so many scenes that fail")
     add_mesh_dirs(parser)
     ci.add_arguments(parser)
@@ -59,15 +63,19 @@ def run(args: argparse.Namespace) -> int:
     variants.variant_for(has_quadrics=False)  # a wrong choice of variant is said before any work
     start = time.perf_counter()
     done: list[SceneVerdict] = []
+    html = html_option.begun(args, len(entries))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a cancelled job tidies up as after Ctrl-C
     try:
-        work_through(entries, args, done)
+        work_through(entries, args, done, html)
     finally:  # what is done is kept, whatever ends the work
         from mitsuba_ref.verdict import Verdict
 
         names = tuple(entry.name for entry in entries)
         verdict = Verdict(tuple(done), asked=len(entries), names=names, **ci.about(args, every))
-        report(verdict, args, time.perf_counter() - start)
+        try:
+            report(verdict, args, time.perf_counter() - start)
+        finally:
+            html_option.finish(html)
     return OK if verdict.ok else DIFFERENCES
 
 
@@ -111,7 +119,9 @@ def check_outputs(args: argparse.Namespace) -> None:
     ci.check_outputs(args)
 
 
-def work_through(entries: Sequence[Entry], args: argparse.Namespace, done: list[SceneVerdict]) -> None:
+def work_through(
+    entries: Sequence[Entry], args: argparse.Namespace, done: list[SceneVerdict], html: Report | None
+) -> None:
     """Print a row for each scene as soon as it and those before it are done."""
     from mitsuba_ref import campaign, table
 
@@ -120,8 +130,12 @@ def work_through(entries: Sequence[Entry], args: argparse.Namespace, done: list[
     print(table.head(width), file=out, flush=True)
     folder = Path(args.out) if args.out else None
     workers = args.workers or campaign.default_workers()
-    for verdict in campaign.run(entries, workers, args.maxfail, folder, ci.judge_of(args)):
+    record = html.keep if html else None
+    judge = ci.judge_of(args, partial(campaign.judge_entry, keep=html is not None))
+    for verdict in campaign.run(entries, workers, args.maxfail, folder, judge, record):
         done.append(verdict)
+        if html:
+            html.add(verdict)
         print(table.row(verdict, width), file=out, flush=True)
 
 
@@ -141,5 +155,5 @@ def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
     ci.report(verdict, args, seconds)
     for scene in verdict.scenes:
         if not scene.ok:
-            print(f"\n{table.failure(scene)}")
+            print(f"\n{table.failure(scene, html_option.page_of(args))}")
     print(f"\n{table.summary(verdict, seconds)}")

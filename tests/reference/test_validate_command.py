@@ -95,6 +95,8 @@ def test_the_default_is_the_folder_scenes():
         (["--json", "{folder}/none/verdict.json"], 4, "none"),
         (["--junit", "{folder}/none/verdict.xml"], 4, "none"),
         (["--out", "{folder}/ball.toml"], 4, "ball.toml"),
+        (["--html", "{folder}/ball.toml"], 4, "ball.toml"),
+        (["--html", "{folder}/none/report.html"], 4, "none"),
         (
             ["{folder}/nowhere.toml"],
             4,
@@ -203,6 +205,7 @@ def test_a_failure_is_in_json_and_junit_with_where_and_why(tmp_path):
     tree = copy_tree(tmp_path / "tree")
     edit(tree, "caster/kernels/roots.py", "roots.near_off, t_min, t_max", "roots.near_off, -math.inf, t_max")
     words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml", "--out", tmp_path / "out"]
+    words += ["--html", tmp_path / "html"]
     found = started(
         "validate", "scenes/inside-sphere.toml", "scenes/shared-edges-cube.toml", *SIZE, *words, tree=tree
     )
@@ -218,6 +221,13 @@ def test_a_failure_is_in_json_and_junit_with_where_and_why(tmp_path):
     cases = {case.get("name"): case.find("failure") for case in suite.iter("testcase")}
     assert cases["shared-edges-cube"] is None and cases["inside-sphere"] is not None
     assert "replay:    mitsuba-ref probe scenes/inside-sphere.toml" in cases["inside-sphere"].text
+    x, y = first["x"], first["y"]
+    assert f"look:      {tmp_path}/html/index.html#s=inside-sphere&x={x}&y={y}\n" in found.stdout
+    assert {file.name for file in (tmp_path / "html/data").iterdir()} == {
+        "inside-sphere.js",
+        "shared-edges-cube.js",
+    }
+    assert "1 of 2 scenes pass" in (tmp_path / "html/index.html").read_text(encoding="utf-8")
 
 
 # ---- what it survives ----
@@ -246,7 +256,7 @@ def fake_mitsuba(tmp_path):
     ids=["abort", "segfault", "missing", "silence"],
 )
 def test_the_end_of_mitsuba_is_a_scene_that_fails(scenes, tmp_path, fake_mitsuba, source, says):
-    words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml"]
+    words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml", "--html", tmp_path / "v.html"]
     found = started("validate", scenes, "-k", "ball or other", *words, **fake_mitsuba(source))
     assert (found.returncode, [row[0] for row in ROW.findall(found.stdout)]) == (1, ["FAIL", "FAIL"])
     for name in ("ball", "other"):
@@ -254,6 +264,7 @@ def test_the_end_of_mitsuba_is_a_scene_that_fails(scenes, tmp_path, fake_mitsuba
     assert all(text in found.stdout for text in says)
     assert "2 scenes: 0 pass, 2 fail" in found.stdout
     assert all(says[0] in scene["problem"] for scene in strict_json(tmp_path / "v.json")["scenes"])
+    assert (tmp_path / "v.html").read_text(encoding="utf-8").count(f"without an answer {says[0]}") == 4
     suite = ElementTree.parse(tmp_path / "v.xml").getroot()
     assert (suite.get("failures"), suite.get("errors"), len(list(suite.iter("error")))) == ("0", "2", 2)
 

@@ -1,0 +1,42 @@
+"""The option --html of `mitsuba-ref validate`: the verdict as a page."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mitsuba_ref.report.writing import Report
+
+SUFFIX = ".html"
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    words = f"write a report for the browser: a folder, or one file if PATH ends in {SUFFIX}"
+    parser.add_argument("--html", metavar="PATH", help=words)
+
+
+def page_of(args: argparse.Namespace) -> str:
+    """The file to open, "" if no report was asked for."""
+    if not args.html:
+        return ""
+    return args.html if args.html.lower().endswith(SUFFIX) else str(Path(args.html) / "index.html")
+
+
+def begun(args: argparse.Namespace, asked: int) -> Report | None:
+    """The report that was asked for, empty. Raises OutputError now, and not after all the work."""
+    if not args.html:
+        return None
+    from mitsuba_ref.report.writing import Report
+
+    return Report(args.html, asked)
+
+
+def finish(report: Report | None) -> None:
+    """Write what there is of it. Raises OutputError."""
+    if report:
+        try:
+            report.write()
+        finally:
+            report.close()
