@@ -61,7 +61,7 @@ $(LOCKED): requirements.lock
 	  { echo 'Python 3.11 or newer is needed; name one: make PYTHON=python3.12 $(MAKECMDGOALS)' >&2; exit 1; }
 	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || \
 	  { echo 'This Python cannot make virtual environments; on Debian and Ubuntu: apt install python3-venv' >&2; exit 1; }
-	@echo 'Installing requirements.lock into .venv: once, some 230 MB to download, 750 MB on disk' >&2
+	@echo 'Installing requirements.lock into .venv: once, some 290 MB to download, 910 MB on disk' >&2
 	@"$(PYTHON)" -m venv --clear .venv
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
 	@touch $@

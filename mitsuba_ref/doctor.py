@@ -60,7 +60,7 @@ def browser() -> Finding:
     """The first browser on the path."""
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
     detail = path or "none of " + ", ".join(BROWSERS)
-    adds = "nothing yet: results are text, JSON, JUnit and EXR"
+    adds = "reports of `validate --html`, and their tests (Chromium)"
     return Finding("browser", path is not None, False, detail, adds)
 
 

@@ -1,0 +1,107 @@
+"""A small scene before the judge, without Mitsuba: its answers are ours as float32, with faults at known pixels."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from caster import Ambient, Diffuse, Film, Pinhole, Plane, Scene, Sphere
+from caster.view import View
+from mitsuba_ref import judging
+from mitsuba_ref.export import shape_ids
+from mitsuba_ref.jobs import Answer, Job
+from mitsuba_ref.pair import our_view
+from mitsuba_ref.rays import share
+from mitsuba_ref.validation import validate_scene
+from mitsuba_ref.verdict import SceneVerdict
+
+WIDTH, HEIGHT = 24, 20
+OURS_WRONG, REFERENCE_MISSES, NAN, INFINITE = (
+    (11, 9),
+    (14, 6),
+    (8, 12),
+    (4, 17),
+)  # x, y of pixels that are hit
+
+Plant = Callable[[Answer], None]
+
+
+def scene() -> Scene:
+    """A ball above a floor, in ambient light."""
+    return Scene(
+        film=Film(width=WIDTH, height=HEIGHT),
+        camera=Pinhole(eye=(0.1, 0.4, 5.3), look_at=(0.0, 0.1, 0.0), fov=30.0),
+        lights=[Ambient(radiance=(0.5, 0.75, 1.0))],
+        materials={"red": Diffuse(reflectance=(0.6, 0.1, 0.1))},
+        shapes=[
+            Sphere(name="ball", center=(0.1, 0.2, 0.3), radius=1.1, material="red"),
+            Plane(name="floor", point=(0.0, -1.1, 0.0), normal=(0.0, 1.0, 0.0)),
+        ],
+    )
+
+
+def row_of(pixel: tuple[int, int]) -> int:
+    return pixel[1] * WIDTH + pixel[0]
+
+
+def good() -> SceneVerdict:
+    return judged("good")
+
+
+def bad(patch: pytest.MonkeyPatch) -> SceneVerdict:
+    """Our t is too large by 1e-5 of itself at one pixel; at three more, Mitsuba's answer is none."""
+
+    def wrong_view(*given: object) -> View:
+        view = our_view(*given)
+        t = view.nearest.t.copy()
+        t[row_of(OURS_WRONG)] *= 1.0 + 1e-5
+        return replace(view, nearest=view.nearest._replace(t=t))
+
+    patch.setattr(judging, "our_view", wrong_view)
+    return judged("bad & <worse>", plant)
+
+
+def plant(answer: Answer) -> None:
+    miss = row_of(REFERENCE_MISSES)
+    answer.t[miss], answer.shape[miss], answer.prim[miss] = np.inf, -1, -1
+    answer.n[row_of(NAN), 1] = np.nan
+    answer.p[row_of(INFINITE), 0] = -np.inf
+
+
+def judged(name: str, plant: Plant = lambda answer: None) -> SceneVerdict:
+    asked = scene()
+
+    def ask(job: Job, timeout: float) -> Answer:
+        answer = rounded_answer(asked, job)
+        plant(answer)
+        return answer
+
+    return validate_scene(asked, name, f"scenes/{name}.toml", ask=ask, keep=True)
+
+
+def rounded_answer(asked: Scene, job: Job) -> Answer:
+    """What Mitsuba would say if it did nothing but round."""
+    rays = share(asked)
+    view = our_view(asked, rays)
+    count, surfaces = len(view.hit), view.surfaces
+    single = {name: np.asarray(getattr(surfaces, name), np.float32) for name in ("p", "n", "sh_n")}
+    albedo = np.array([[0.6, 0.1, 0.1], [0.5, 0.5, 0.5], [0.0, 0.0, 0.0]], np.float32)[view.shape_id]
+    return Answer(
+        t=np.where(view.hit, view.nearest.t, np.inf).astype(np.float32),
+        n=single["n"],
+        sh_n=single["sh_n"],
+        p=single["p"],
+        uv=np.zeros((count, 2), np.float32),
+        shape=view.shape_id.astype(np.int32),
+        prim=view.prim_id.astype(np.int32),
+        names=shape_ids(asked),
+        light_rgb=np.zeros((0, count, 3), np.float32),
+        light_visible=np.zeros((0, count), bool),
+        albedo=albedo,
+        sensor_o=rays.o,
+        sensor_d=rays.d,
+        sensor_t_max=rays.t_max,
+        versions={"mitsuba": "none", "variant": "scalar, ours rounded"},
+        seconds=0.0,
+    )

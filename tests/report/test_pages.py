@@ -1,0 +1,302 @@
+"""Reports in a browser, opened from their files."""
+
+import re
+from dataclasses import replace
+from urllib.parse import parse_qs, quote
+
+import numpy as np
+import planted
+import pytest
+
+from mitsuba_ref.pixels import flat
+from mitsuba_ref.verdict import SceneVerdict, Verdict
+
+BAD = "bad & <worse>"
+NUMBERS = re.compile(r"-?(?:0x[01]\.[0-9a-f]+p[+-]\d+)")
+
+
+def at(pixel, scene=BAD, **more):
+    x, y = pixel
+    return f"#s={quote(scene)}&x={x}&y={y}" + "".join(f"&{key}={value}" for key, value in more.items())
+
+
+def hash_of(opened):
+    return {key: value[0] for key, value in parse_qs(opened.address().lstrip("#")).items()}
+
+
+def section(page, title):
+    """A layer in the inspector."""
+    return page.locator("#pixel section", has=page.locator(f"h3:text-matches('^{title} ')"))
+
+
+def ready(page):
+    """All layers of the scene are unpacked."""
+    page.wait_for_selector("#pixel section >> nth=4")
+
+
+@pytest.fixture(params=["folder", "one_file"])
+def report(request):
+    return request.getfixturevalue(request.param)
+
+
+# ---- the list ----
+
+
+def test_the_list_says_what_became_of_each_scene(visit, report):
+    page = visit(report).page
+    assert page.locator(".row .name a").all_inner_texts() == [BAD, "crashed", "good"]  # failing first
+    assert page.locator(".row .badge").all_inner_texts() == ["FAIL", "CRASH", "PASS"]
+    assert "1 ours wrong, 3 reference wrong, unlisted" in page.locator(".row .classes").first.inner_text()
+    assert page.inner_text("#total") == "1 of 3 scenes pass; 1 of 4 were not judged"
+    assert "3 of 4 scenes are here" in page.inner_text("#banner")
+    assert page.locator(".row img").count() == 2
+
+
+def test_filters_choose_and_are_in_the_address(visit, folder):
+    opened = visit(folder)
+    page = opened.page
+    page.keyboard.press("/")
+    page.keyboard.type("oo")
+    assert page.locator(".row .name a").all_inner_texts() == ["good"]
+    assert hash_of(opened) == {"q": "oo"}
+    page.fill("#find", "")
+    page.select_option("#status", "fail")
+    page.select_option("#check", "mask")
+    assert page.locator(".row .name a").all_inner_texts() == [BAD]
+    again = visit(folder, "#st=pass&cl=agree").page
+    assert again.locator(".row .name a").all_inner_texts() == ["good"]
+    assert again.input_value("#status") == "pass"
+
+
+def test_a_thousand_scenes_are_few_rows(visit, verdicts, tmp_path):
+    many = [replace(verdicts["good"], name=f"scene-{i:04}", seen=None, seconds=float(i)) for i in range(1000)]
+    page = visit(Verdict(tuple(many), asked=1000).write_html(tmp_path / "many.html")).page
+    rows = page.locator(".row")
+    assert 8 <= rows.count() <= 40 and page.locator("#table").get_attribute("aria-rowcount") == "1001"
+    assert page.locator("*").count() < 1500, "the plain table is gone"
+    page.evaluate("document.getElementById('rows').scrollTop = 1e9")
+    page.wait_for_selector(".row >> text=scene-0999")
+    assert rows.count() <= 40
+    page.keyboard.press("/")
+    page.keyboard.type("scene-07")
+    assert page.inner_text("#count") == "100 of 1000 scenes" and rows.first.inner_text().count("scene-0700")
+    page.select_option("#order", "seconds")
+    assert "scene-0799" in rows.first.inner_text() and rows.count() <= 40
+
+
+def test_without_scripts_it_is_a_table(visit, report):
+    page = visit(report, java_script_enabled=False).page
+    rows = page.locator("#plain tbody tr")
+    assert page.inner_text("#plain caption") == "1 of 3 scenes pass; 1 of 4 were not judged"
+    assert [row.split("\t")[1] for row in rows.all_inner_texts()] == ["FAIL", "FAIL", "PASS"]
+    assert "422" in rows.nth(2).inner_text() and "<b>words</b>" in rows.nth(1).inner_text()
+    pictures = page.locator("#plain img")
+    assert pictures.count() == 2 and not page.locator("#app").is_visible()
+    shown = pictures.first.bounding_box()
+    assert shown is not None and shown["width"] > 8
+
+
+def test_a_scene_without_an_answer_has_its_words(visit, folder):
+    page = visit(folder, "#s=crashed").page
+    assert "no pictures" in page.inner_text("#told") and "<b>words</b>" in page.inner_text("#told")
+
+
+# ---- pixels ----
+
+
+def test_numbers_are_those_that_were_compared_to_the_bit(visit, folder, verdicts):
+    page = visit(folder, at(planted.OURS_WRONG)).page
+    ready(page)
+    row, pair = planted.row_of(planted.OURS_WRONG), verdicts["bad"].seen.judge.pair
+    for layer in ("depth", "normal", "shading_normal", "position", "diffuse"):
+        text = section(page, layer.replace("_", " ")).inner_text()
+        sides = np.column_stack(
+            [np.atleast_1d(flat(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
+        )
+        assert NUMBERS.findall(text) == [float(value).hex() for value in sides.ravel()]
+        assert {float(value) for value in sides.ravel()} <= decimals(text)
+
+
+def decimals(text):
+    return {float(word) for word in re.findall(r"(?<![x\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?", text)}
+
+
+def test_the_bound_that_counts_is_named(visit, folder, verdicts):
+    """Ours is within float32's bound of the reference's position there, and far from our own surface."""
+    page = visit(folder, at(planted.OURS_WRONG, a="position")).page
+    ready(page)
+    judged = verdicts["bad"].seen.judgement.ratio("depth")[planted.row_of(planted.REFERENCE_MISSES) - 1]
+    assert "\u00d7 float64\u2019s bound" in section(page, "position").inner_text()
+    x, y = planted.REFERENCE_MISSES
+    page.evaluate(f"location.hash = '{at((x - 1, y), a='depth')}'")
+    page.wait_for_selector(f"#pixel .xy:text-is('{x - 1}, {y}')")
+    told = re.search(
+        r"^depth\s+([\d.e-]+) \u00d7 bound ([\d.e-]+)$", section(page, "depth").inner_text(), re.M
+    )
+    assert told is not None and float(told[1]) == pytest.approx(judged, rel=0.01)
+
+
+def test_every_number_of_the_pictures_comes_back(visit, folder, verdicts):
+    """What the page unpacks, against the arrays: all pixels of all layers, both sides."""
+    page = visit(folder, at(planted.NAN, a="position", v="ours", z=96)).page
+    ready(page)
+    pair = verdicts["bad"].seen.judge.pair
+    for y, x in np.argwhere(pair.ours.hit)[::97]:
+        page.evaluate(f"location.hash = '{at((x, y), a='position')}'")
+        page.wait_for_selector(f"#pixel .xy:text-is('{x}, {y}')")
+        row = planted.row_of((x, y))
+        for layer in ("depth", "normal", "position", "diffuse"):
+            found = NUMBERS.findall(section(page, layer).inner_text())
+            sides = [np.atleast_1d(flat(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
+            expected = [float(v).hex() for v in np.column_stack(sides).ravel() if np.isfinite(v)]
+            assert found == expected, (x, y, layer)
+
+
+def test_a_link_to_a_pixel_opens_the_check_that_failed_there(visit, report):
+    opened = visit(report, at(planted.NAN))
+    ready(opened.page)
+    assert opened.page.inner_text("#pixel .xy") == "8, 12"
+    assert opened.page.get_attribute("[data-layer=normal]", "aria-pressed") == "true"
+    assert "unlisted" in opened.page.inner_text("#pixel .class")
+
+
+def test_nan_and_infinity_are_words_and_colours_of_their_own(visit, folder):
+    page = visit(folder, at(planted.NAN, a="normal")).page
+    ready(page)
+    text = section(page, "normal").inner_text()
+    assert "NaN, not a number" in text and "NaN on one side: no difference can be told" in text
+    assert "no bound holds" in text
+    assert "NaN, not a number 1" in page.inner_text(".pane.reference .legend")
+    assert "NaN, not a number 1" in page.inner_text(".pane.difference .legend")
+    assert "NaN" not in page.inner_text(".pane.ours .legend")
+    assert "no bound holds (infinite) 1" in page.inner_text(".pane.ratio .legend")
+    assert color_at(page, "difference", planted.NAN) == [255, 0, 255]
+    page.keyboard.press("4")
+    page.wait_for_selector("figcaption >> text=position")
+    assert "\u2212infinity 1" in page.inner_text(".pane.reference .legend")
+    assert "hit on one side only 1" in page.inner_text(".pane.difference .legend")
+    assert color_at(page, "reference", planted.INFINITE) == [120, 255, 60]
+    assert color_at(page, "reference", planted.REFERENCE_MISSES) == [38, 42, 49]
+
+
+def color_at(page, pane, pixel):
+    """The colour in the middle of a pixel, as the pane shows it."""
+    x, y = pixel
+    script = """([which, x, y, width, height]) => {
+        const canvas = document.querySelector(`.pane.${which} canvas`);
+        const scale = Math.min(canvas.width / width, canvas.height / height);
+        const px = canvas.width / 2 + (x + 0.3 - width / 2) * scale;
+        const py = canvas.height / 2 + (y + 0.3 - height / 2) * scale;
+        return [...canvas.getContext("2d").getImageData(px, py, 1, 1).data].slice(0, 3);
+    }"""
+    page.wait_for_timeout(100)  # the next frame
+    return page.evaluate(script, [pane, x, y, planted.WIDTH, planted.HEIGHT])
+
+
+def test_a_fault_is_a_red_pixel_and_the_next_bad_one(visit, folder):
+    page = visit(folder, f"#s={quote(BAD)}&a=depth").page
+    page.wait_for_selector(".pane.class .legend >> text=ours wrong")
+    assert color_at(page, "class", planted.OURS_WRONG) == [255, 0, 0]
+    assert color_at(page, "class", planted.NAN) == [255, 105, 180]
+    seen = []
+    for key in ("n", "n", "n", "n", "n", "N"):
+        page.keyboard.press(key)
+        page.wait_for_timeout(60)  # the next frame
+        seen.append(tuple(map(int, page.inner_text("#pixel .xy").split(","))))
+    rows = [planted.REFERENCE_MISSES, planted.OURS_WRONG, planted.NAN, planted.INFINITE]
+    assert seen == [*rows, rows[0], rows[-1]]  # from the worst on row by row, around, and back
+    page.evaluate(f"location.hash = '{at(planted.OURS_WRONG, a='depth')}'")
+    page.wait_for_selector("#pixel .class >> text=ours wrong")
+    assert "by exact arithmetic, ours is wrong" in page.inner_text("#pixel .class")
+    exact = page.inner_text("#pixel dl")
+    assert "ball, prim 0 (inside)" in exact and "0x1.f4c65ce5b5ddbp+1" in exact
+
+
+def test_keys_and_what_is_remembered(visit, folder):
+    opened = visit(folder, "#s=good", color_scheme="light")
+    page = opened.page
+    page.wait_for_selector(".pane canvas")
+    ready_layers = {"2": "normal", "5": "diffuse", "6": "shape_id", "9": "all", "1": "depth"}
+    for key, layer in ready_layers.items():
+        page.keyboard.press(key)
+        page.wait_for_selector(f"[data-layer={layer}][aria-pressed=true]")
+    for key, view in {
+        "d": "difference",
+        "x": "ratio",
+        "l": "class",
+        "b": "blink",
+        "w": "wipe",
+        "o": "ours",
+    }.items():
+        page.keyboard.press(key)
+        page.wait_for_selector(f"[data-view={view}][aria-pressed=true]")
+    page.keyboard.down("Shift")
+    page.wait_for_selector("figcaption >> text=reference")
+    page.keyboard.up("Shift")
+    page.wait_for_selector("figcaption >> text=ours")
+    for key in ("+", "e", "ArrowRight", "ArrowDown"):
+        page.keyboard.press(key)
+    place = hash_of(opened)
+    assert float(place["z"]) > 20 and float(place["e"]) == 0.5 and place["v"] == "ours"
+    assert (place["x"], place["y"]) == ("12", "11")  # the first arrow pins the middle
+    page.keyboard.press("f")
+    assert "z" not in hash_of(opened)
+    page.keyboard.press("k")
+    page.keyboard.press("k")
+    assert page.inner_text("#scene-name") == BAD
+    page.keyboard.press("?")
+    assert "hold: the reference in the place of ours" in page.inner_text("#help")
+    page.keyboard.press("Escape")
+    page.keyboard.press("t")
+    assert page.get_attribute("html", "data-theme") == "dark"
+    page.reload()
+    assert page.get_attribute("html", "data-theme") == "dark"
+    page.keyboard.press("Escape")
+    page.wait_for_selector("#list:not([hidden])")
+
+
+def test_the_command_to_replay_is_copied(visit, folder, browser):
+    opened = visit(folder, at(planted.NAN), permissions=["clipboard-read", "clipboard-write"])
+    ready(opened.page)
+    opened.page.keyboard.press("c")
+    opened.page.wait_for_selector("#said >> text=copied")
+    words = f"mitsuba-ref probe 'scenes/{BAD}.toml' 8 12"
+    assert opened.page.evaluate("navigator.clipboard.readText()") == words
+    assert opened.page.inner_text(".replay code") == words
+
+
+def test_one_file_says_where_it_rounds(visit, one_file, verdicts):
+    """Failing scenes are kept to the bit, passing ones as float32."""
+    x, y = planted.OURS_WRONG
+    page = visit(one_file, at((x, y), "good", a="depth")).page
+    ready(page)
+    pair = verdicts["good"].seen.judge.pair
+    sides = [np.float32(flat(aovs, "depth")[planted.row_of((x, y))]) for aovs in (pair.ours, pair.reference)]
+    text = section(page, "depth").inner_text()
+    assert NUMBERS.findall(text) == [float(value).hex() for value in sides] and "Rounded to float32" in text
+    exact = visit(one_file, at((x, y), BAD, a="depth")).page
+    ready(exact)
+    mine = flat(verdicts["bad"].seen.judge.pair.ours, "depth")[planted.row_of((x, y))]
+    text = section(exact, "depth").inner_text()
+    assert float(mine).hex() in text and "Rounded" not in text
+
+
+def test_a_narrow_screen_is_not_wider_than_it_is(visit, folder):
+    for place in ("", at(planted.NAN)):
+        page = visit(folder, place, viewport={"width": 420, "height": 800}).page
+        page.wait_for_selector(".row" if not place else ".pane canvas")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 420
+
+
+def test_a_file_that_is_gone_is_named(visit, verdicts, tmp_path):
+    index = Verdict((verdicts["good"],)).write_html(tmp_path)
+    (tmp_path / "data/good.js").unlink()
+    opened = visit(index, "#s=good")
+    opened.page.wait_for_selector("#told >> text=data/good.js is not there")
+    assert opened.errors
+    opened.errors.clear()  # the browser's own words about the file
+
+
+def test_a_verdict_without_pictures_is_a_row(visit, tmp_path):
+    page = visit(Verdict((SceneVerdict("bare", "b.toml"),)).write_html(tmp_path), "#s=bare").page
+    assert "No pictures of this scene were kept." in page.inner_text("#told")
