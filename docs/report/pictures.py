@@ -1,0 +1,98 @@
+"""Make the pictures of docs/report.md: python docs/report/pictures.py [FOLDER | INDEX.html]
+
+All scenes are judged, one with a fault that is planted, into FOLDER; an INDEX.html of an earlier run is opened as is.
+"""
+
+import shutil
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from playwright.sync_api import Browser, sync_playwright
+
+from caster import load_scene
+from caster.view import View
+from mitsuba_ref import campaign, judging
+from mitsuba_ref.pair import our_view
+from mitsuba_ref.report.writing import Report
+from mitsuba_ref.verdict import pixel_of
+
+HERE = Path(__file__).parent
+SCENES = HERE.parents[1] / "scenes"
+FAULTY, PIXEL = "every-shape", (192, 174)  # there, t of the primitive at this pixel is off by 2^-20 of itself
+MOST_BYTES = 300_000  # of a picture
+WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 420, "height": 800}
+
+# Name, place in the report, screen, theme and keys.
+SHOTS = (
+    ("index", "", WIDE, "light", ""),
+    ("scene", f"#s={FAULTY}&x=192&y=174&a=normal", {"width": 1240, "height": 775}, "light", ""),
+    ("pixel", f"#s={FAULTY}&x=192&y=174&a=depth&v=class&z=24&cx=194&cy=174", WIDE, "dark", ""),
+    ("wipe", "#s=cornell-box&a=diffuse&v=wipe&x=96&y=120", WIDE, "dark", ""),
+    ("narrow", f"#s={FAULTY}&x=192&y=174&a=normal", NARROW, "light", ""),
+)
+
+
+def main() -> None:
+    if len(sys.argv) > 1 and Path(sys.argv[1]).is_file():
+        shoot(Path(sys.argv[1]))
+        return
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp())
+    shoot(report_into(folder))
+
+
+def report_into(folder: Path) -> Path:
+    judging.our_view = faulty_view
+    files = sorted(SCENES.glob("*.toml"))
+    entries = [campaign.Entry(load_scene(file), file.stem, f"scenes/{file.name}") for file in files]
+    report = Report(folder, len(entries))
+    for verdict in campaign.run(entries, campaign.default_workers(), record=report.keep):
+        report.add(verdict)
+    report.write()
+    return report.index
+
+
+def faulty_view(scene: object, rays: object) -> View:
+    view = our_view(scene, rays)
+    if (scene.film.width, scene.film.height, len(scene.shapes)) != FAULTY_SCENE:
+        return view
+    row = next(i for i in range(len(view.hit)) if pixel_of(scene, i) == PIXEL)
+    t = np.where(
+        view.nearest.prim == view.nearest.prim[row], view.nearest.t * (1.0 + 2.0**-20), view.nearest.t
+    )
+    return replace(view, nearest=view.nearest._replace(t=t))
+
+
+_faulty = load_scene(SCENES / f"{FAULTY}.toml")
+FAULTY_SCENE = (_faulty.film.width, _faulty.film.height, len(_faulty.shapes))
+
+
+def shoot(index: Path) -> None:
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        for shot in SHOTS:
+            picture(browser, index, *shot)
+        browser.close()
+
+
+def picture(
+    browser: Browser, index: Path, name: str, place: str, size: dict[str, int], theme: str, keys: str
+) -> None:
+    page = browser.new_page(viewport=size, color_scheme=theme)
+    page.goto(f"{index.resolve().as_uri()}{place}")
+    page.wait_for_selector("#pixel section >> nth=4" if place else ".row")
+    for key in keys:
+        page.keyboard.press(key)
+    page.wait_for_timeout(500)
+    path = HERE / f"{name}.png"
+    page.screenshot(path=path)
+    Image.open(path).convert("RGB").save(path, optimize=True)
+    assert path.stat().st_size <= MOST_BYTES, f"{path}: {path.stat().st_size} bytes"
+    page.close()
+
+
+if __name__ == "__main__":
+    main()
