@@ -136,7 +136,9 @@ def box_words(tried: Tried) -> str:
     """Where the ray is in the box of a primitive."""
     if tried.box is None:
         return "no bounds"
-    return "passes its box by" if tried.span is None else "in its box for t {:.6g} to {:.6g}".format(*tried.span)
+    return (
+        "passes its box by" if tried.span is None else "in its box for t {:.6g} to {:.6g}".format(*tried.span)
+    )
 
 
 def _name(candidate: Candidate | Tried, scene: Scene) -> str:

@@ -97,9 +97,7 @@ def answers(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.nd
     return t, off
 
 
-def span_in(
-    o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> tuple[float, float] | None:
+def span_in(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, float] | None:
     """t where the line enters and leaves a box, within some roundings; None where it passes by or lies behind."""
     enter, leave = -math.inf, math.inf
     for a, way, start, end in zip(o.tolist(), d.tolist(), low.tolist(), high.tolist(), strict=True):

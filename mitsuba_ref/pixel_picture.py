@@ -127,7 +127,9 @@ def draw_beside(ax: Any, judge: Judge, scene: Scene, x: int, y: int) -> dict[str
     wide = float(np.linalg.norm(right))
     label = f"steps of d, {unit:.3g} each: a unit of its last place in float32"
     label += f"\n(of a pixel: {unit / wide:.2g})" if wide > 0.0 else ""
-    frame(ax, (-reach, reach), (reach, -reach), f"beside the ray of ({x}, {y}), by single roundings", label, "")
+    frame(
+        ax, (-reach, reach), (reach, -reach), f"beside the ray of ({x}, {y}), by single roundings", label, ""
+    )
     return named
 
 
@@ -165,7 +167,9 @@ def mark_differences(ax: Any, ours: np.ndarray, witness: Witness) -> None:
     for which, marker, label in ((lost, "x", "Mitsuba misses"), (other, "o", "Mitsuba hits another shape")):
         if which.any():
             spots = columns[which] - STEPS, rows[which] - STEPS
-            ax.plot(*spots, marker, color="#990000", ms=3.5, mew=1.0, ls="none", label=f"{label}: {which.sum()}")
+            ax.plot(
+                *spots, marker, color="#990000", ms=3.5, mew=1.0, ls="none", label=f"{label}: {which.sum()}"
+            )
 
 
 def draw_patch(ax: Any, patch: Patch, scene: Scene, extent: Extent) -> dict[str, str]:

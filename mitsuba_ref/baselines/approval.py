@@ -56,4 +56,8 @@ def _held_against(before: Reference, fresh: Reference, name: str, path: Path, mo
 
 def orphans(folder: Path, names: set[str]) -> list[str]:
     """Files of the folder that are named after none of the scenes."""
-    return sorted(path.name for path in folder.glob("*.exr") if path.stem not in names) if folder.is_dir() else []
+    return (
+        sorted(path.name for path in folder.glob("*.exr") if path.stem not in names)
+        if folder.is_dir()
+        else []
+    )

@@ -90,7 +90,9 @@ def _ours(entry: Entry, path: Path, before: Reference, args: argparse.Namespace,
     result = compare_exr(ours, path, Tolerances(max_pixels=args.max_pixels, ignore=(CLASS,)))
     words = [line.replace(str(ours), f"{entry.name} of ours") for line in result.messages]
     head = words[0].removeprefix("PASS  ").removeprefix("FAIL  ")
-    head += f"; {left_out.sum()} pixels with more than one right answer not compared" if left_out.any() else ""
+    head += (
+        f"; {left_out.sum()} pixels with more than one right answer not compared" if left_out.any() else ""
+    )
     return Checked(entry.name, str(path), result.ok, (head, *(line.strip() for line in words[1:])))
 
 
@@ -106,7 +108,11 @@ def _fresh(entry: Entry, path: Path, before: Reference) -> Checked:
     if comparable(before, now) and not changes(before, now):
         return Checked(entry.name, str(path), True, (f"a fresh render by {variant} has the same bits",))
     return Checked(
-        entry.name, str(path), False, (f"a fresh render by {variant} has other bits", *lines(before, now)), refused=True
+        entry.name,
+        str(path),
+        False,
+        (f"a fresh render by {variant} has other bits", *lines(before, now)),
+        refused=True,
     )
 
 

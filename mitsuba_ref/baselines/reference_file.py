@@ -26,7 +26,15 @@ from mitsuba_ref.verdict import CLASSES, EXCUSED, TIE
 CLASS = "class.I"
 EITHER_WAY = tuple(CODE[name] for name in (*EXCUSED, TIE))
 
-AOVS = ("hit", "depth", "normal", "shading_normal", "position", "diffuse", "shape_id")  # no uv: planes have stand-ins
+AOVS = (
+    "hit",
+    "depth",
+    "normal",
+    "shading_normal",
+    "position",
+    "diffuse",
+    "shape_id",
+)  # no uv: planes have stand-ins
 
 PREFIX = "caster/reference/"
 DIGEST = PREFIX + "sha256"
@@ -57,7 +65,9 @@ class Reference:
         words = {key: value for key, value in self.about.items() if key != DIGEST}
         told.update(json.dumps([sorted(words.items()), self.window, self.film]).encode())
         for name, plane in sorted(self.channels.items()):
-            told.update(f"\n{name} {plane.dtype} {plane.shape}\n".encode() + np.ascontiguousarray(plane).tobytes())
+            told.update(
+                f"\n{name} {plane.dtype} {plane.shape}\n".encode() + np.ascontiguousarray(plane).tobytes()
+            )
         return told.hexdigest()
 
     def write(self, path: Path) -> None:
@@ -120,5 +130,3 @@ def what_changed(found: Reference, scene: Scene) -> str:
     if not parts:
         return "a mesh file of the scene has changed"
     return f"{', '.join(parts)} of the scene {'has' if len(parts) == 1 else 'have'} changed"
-
-

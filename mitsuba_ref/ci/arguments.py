@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add_summary(parser)
-    add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by their pixels")
+    add(
+        "--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by their pixels"
+    )
     add(
         "--resume",
         action="store_true",

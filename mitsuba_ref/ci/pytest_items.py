@@ -31,7 +31,12 @@ PIXEL_CHECKS = (
 SCENE_CHECKS = ("placement", "geometry", "materials", "camera", "render", "culling", "sensor", "bias")
 VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and there is evidence
 SUFFIXES = (".toml", ".json")
-MARKS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file of a folder that has none of them is no scene
+MARKS = (
+    "[camera]",
+    "[[shape]]",
+    '"camera"',
+    '"shape"',
+)  # a file of a folder that has none of them is no scene
 
 MARKERS = (
     "xdist_group(name): of pytest-xdist, for --dist loadgroup",
@@ -133,7 +138,9 @@ class CheckItem(pytest.Item):
     def __init__(self, **about: Any) -> None:
         super().__init__(**about)
         self.add_marker("mitsuba_ref")
-        self.add_marker(pytest.mark.xdist_group(str(self.path)))  # --dist loadgroup keeps a scene's tests together
+        self.add_marker(
+            pytest.mark.xdist_group(str(self.path))
+        )  # --dist loadgroup keeps a scene's tests together
 
     def runtest(self) -> None:
         scenes = self.config.pluginmanager.get_plugin("mitsuba-ref-scenes")
@@ -169,9 +176,13 @@ def problem(found: SceneVerdict | str, check: str) -> str:
         return "" if found.ok else failure(found)
     if check in PIXEL_CHECKS:
         return pixel_failure(found, check) if found.failing_by.get(check) else ""
-    return "\n".join(check_failure(found, each) for each in found.checks if each.name == check and not each.ok)
+    return "\n".join(
+        check_failure(found, each) for each in found.checks if each.name == check and not each.ok
+    )
 
 
 def nothing_to_say(why: str) -> str:
     """A check without a verdict fails: a run of -k depth would pass, else."""
-    return f"{why.splitlines()[0]}\nThere is no verdict, so nothing was checked; the test {VERDICT} says more."
+    return (
+        f"{why.splitlines()[0]}\nThere is no verdict, so nothing was checked; the test {VERDICT} says more."
+    )

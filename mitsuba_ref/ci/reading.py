@@ -17,6 +17,7 @@ AS_THEY_ARE = {field.name for field in fields(SceneVerdict)} - {
     "failures",
     "ratios",
     "reproducers",
+    "seen",
     "size",
     "statistics",
     "worst_by",
@@ -32,7 +33,9 @@ def read_verdict(path: str | os.PathLike[str]) -> Verdict:
     try:
         record = json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise FileMissing(f"{path}: expected what `mitsuba-ref validate --json` writes, found no file") from None
+        raise FileMissing(
+            f"{path}: expected what `mitsuba-ref validate --json` writes, found no file"
+        ) from None
     except OSError as error:
         raise UnreadableVerdict(f"{path}: cannot read: {error.strerror or error}") from error
     except ValueError as error:
@@ -64,7 +67,9 @@ def scene_of(record: dict[str, Any]) -> SceneVerdict:
     plain: dict[str, Any] = {name: record[name] for name in AS_THEY_ARE}
     found = SceneVerdict(
         **plain,
-        checks=tuple(SceneCheck(each["name"], float(each["ratio"]), each["what"]) for each in record["checks"]),
+        checks=tuple(
+            SceneCheck(each["name"], float(each["ratio"]), each["what"]) for each in record["checks"]
+        ),
         failures=tuple(failure_of(each) for each in record["failures"]),
         ratios={name: float(ratio) for name, ratio in record["ratios"].items()},
         reproducers=tuple(record["reproducers"]),
@@ -88,5 +93,3 @@ def statistics_of(record: dict[str, Any] | None) -> Statistics | None:
     biases = tuple(Bias(each["kind"], each["groups"], each["z"]) for each in record["biases"])
     sizes = t["largest"], t["p99"], normal["largest"], normal["p99"], float(record["looseness"])
     return Statistics(record["pixels"], *sizes, biases)
-
-

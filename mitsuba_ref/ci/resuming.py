@@ -21,7 +21,15 @@ from mitsuba_ref.reference import variant_of
 from mitsuba_ref.verdict import FORMAT, SceneVerdict
 
 PACKAGES = ("caster", "mitsuba_ref")
-LIBRARIES = ("numpy", "numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "pydantic")  # that a verdict may depend on
+LIBRARIES = (
+    "numpy",
+    "numba",
+    "llvmlite",
+    "mitsuba",
+    "drjit",
+    "OpenEXR",
+    "pydantic",
+)  # that a verdict may depend on
 JOURNAL = "judged.jsonl"  # a line for each scene that is done, while a run lasts; then verdict.json has them
 PICTURES = ("ours", "reference", "verdict")
 
@@ -89,7 +97,13 @@ class Kept:
         """What is known of the same inputs, marked as kept; or else judged, and kept for later."""
         inputs = inputs_of(entry)
         known = self.known.get(entry.name)
-        if known is not None and inputs and known.inputs == inputs and not known.problem and self._has_files(known):
+        if (
+            known is not None
+            and inputs
+            and known.inputs == inputs
+            and not known.problem
+            and self._has_files(known)
+        ):
             return replace(known, kept=True)
         verdict = replace(self.judge_anew(entry, folder), inputs=inputs)
         self._write(verdict)

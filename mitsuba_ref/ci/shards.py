@@ -65,7 +65,9 @@ def merged(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, list[str]]:
     for place, part in parts:
         shard = shard_in(part, place, len(parts))
         if shard.parts != shard_in(first, first_place, len(parts)).parts or part.selected != first.selected:
-            raise DifferentRuns(f"{place}: expected a shard of the same run as {first_place}, got one of another")
+            raise DifferentRuns(
+                f"{place}: expected a shard of the same run as {first_place}, got one of another"
+            )
         if part.code != first.code:
             raise DifferentRuns(f"{place}: it was judged by other code than {first_place}")
         if shard.part in seen:

@@ -16,7 +16,9 @@ LIMIT = 1024 * 1024  # bytes
 
 ROOM = 2048  # bytes, of it, for the sentences that say what was left out and the tags that close
 
-PLAIN = re.compile(r"[A-Za-z0-9 .,:/()=+-]")  # what Markdown never reads as anything but itself, within a line
+PLAIN = re.compile(
+    r"[A-Za-z0-9 .,:/()=+-]"
+)  # what Markdown never reads as anything but itself, within a line
 
 
 def append(path: str | os.PathLike[str], verdict: Verdict, seconds: float, limit: int = LIMIT) -> None:
@@ -59,7 +61,9 @@ def markdown(verdict: Verdict, seconds: float, limit: int = LIMIT) -> str:
     )
     left = [f"{len(every) - len(shown)} {what}" for every, shown, what in wanted if len(shown) < len(every)]
     if left:
-        parts.append(f"\nLeft out, for the size that a summary may have: {', '.join(left)}. verdict.json has all.\n")
+        parts.append(
+            f"\nLeft out, for the size that a summary may have: {', '.join(left)}. verdict.json has all.\n"
+        )
     text = "".join(parts)
     return text if size(text) <= limit else ""  # a file that is full already
 
@@ -103,7 +107,12 @@ def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
 
 
 def _table_head(*last: str) -> str:
-    names = ["scene", "hit", *(" ".join(filter(None, HEADS[name])).replace("- ", "") for name in CLASSES), *last]
+    names = [
+        "scene",
+        "hit",
+        *(" ".join(filter(None, HEADS[name])).replace("- ", "") for name in CLASSES),
+        *last,
+    ]
     aligned = ["---", *["---:"] * (1 + len(CLASSES)), *["---"] * len(last)]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in (names, aligned))
 
@@ -126,7 +135,11 @@ def _failing_row(scene: SceneVerdict) -> str:
 
 
 def _far(worst: Failure) -> str:
-    return f"{worst.check} {worst.ratio:.3g}x its bound" if math.isfinite(worst.ratio) else f"{worst.check} is another"
+    return (
+        f"{worst.check} {worst.ratio:.3g}x its bound"
+        if math.isfinite(worst.ratio)
+        else f"{worst.check} is another"
+    )
 
 
 def _first_line(scene: SceneVerdict) -> str:

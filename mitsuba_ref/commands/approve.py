@@ -37,7 +37,12 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
 
     add = parser.add_argument
     add("scenes", metavar="SCENE|DIR", nargs="*", default=["scenes"], help="default: the folder scenes")
-    add("--references", metavar="DIR", required=True, help="the folder of reference EXRs, NAME.exr for each scene")
+    add(
+        "--references",
+        metavar="DIR",
+        required=True,
+        help="the folder of reference EXRs, NAME.exr for each scene",
+    )
     add("-k", metavar="EXPR", dest="expression", help="scenes whose name fits, such as 'mesh and not teapot'")
     add("-j", metavar="N", dest="workers", type=count, help="scenes at a time; default: one a core")
     add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scenes' own")
@@ -93,7 +98,10 @@ def approved(args: argparse.Namespace, count: int) -> bool:
     if args.yes:
         return True
     if not (sys.stdin and sys.stdin.isatty()):
-        print("nothing was written: nobody to ask here; look at the changes above, then add --yes", file=sys.stderr)
+        print(
+            "nothing was written: nobody to ask here; look at the changes above, then add --yes",
+            file=sys.stderr,
+        )
         return False
     print(f"write {count} references? [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() in ("y", "yes"):

@@ -15,7 +15,12 @@ HELP = "put the verdicts of all shards together; one that is missing fails"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("verdicts", metavar="VERDICT.json|DIR", nargs="+", help="of each shard: --json's file, or --out's folder")
+    add(
+        "verdicts",
+        metavar="VERDICT.json|DIR",
+        nargs="+",
+        help="of each shard: --json's file, or --out's folder",
+    )
     add("--json", metavar="FILE", help="write the whole verdict as JSON")
     add("--junit", metavar="FILE", help="write it as JUnit XML")
     ci.add_summary(parser)

@@ -27,7 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--save", metavar="FILE", help="write this ray and what it may hit as a scene of its own"
     )
     parser.add_argument(
-        "--picture", metavar="PNG", help="draw the pixel's surroundings: classes, edges in it, and beside its ray"
+        "--picture",
+        metavar="PNG",
+        help="draw the pixel's surroundings: classes, edges in it, and beside its ray",
     )
 
 

@@ -126,7 +126,9 @@ def work_through(
     from mitsuba_ref import campaign, table
 
     width = max((len(each.name) for each in entries), default=0)
-    out = sys.stdout  # itself: whoever reads an EXR file in another thread puts another one in its place meanwhile
+    out = (
+        sys.stdout
+    )  # itself: whoever reads an EXR file in another thread puts another one in its place meanwhile
     print(table.head(width), file=out, flush=True)
     folder = Path(args.out) if args.out else None
     workers = args.workers or campaign.default_workers()

@@ -88,3 +88,8 @@ def test_the_workflow_hangs_together():
 def test_our_own_workflow_parses_too():
     own = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
     assert "test" in own["jobs"]
+
+
+def test_every_exit_code_is_explained():
+    told = {int(code) for code in re.findall(r"^\| (\d+) \|", PAGE, re.MULTILINE)}
+    assert told == set(exits.MEANINGS) - {exits.PIPE_CLOSED}

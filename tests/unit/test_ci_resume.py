@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from made_verdicts import scene as made
 
+from mitsuba_ref import campaign
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.ci import resuming
 
@@ -25,7 +26,7 @@ def judged(tmp_path, monkeypatch):
     (tmp_path / "scenes/tile.obj").write_text(TILE.format(z=0))
     asked = []
 
-    def judge(entry, folder):
+    def judge(entry, folder, *, keep=False):
         if entry.name in asked_to_fail:
             raise KeyboardInterrupt
         asked.append(entry.name)
@@ -34,7 +35,7 @@ def judged(tmp_path, monkeypatch):
         return made(entry.name, ok=entry.name != "b")
 
     asked_to_fail = judge.stops = set()
-    monkeypatch.setattr(resuming, "judge_entry", judge)
+    monkeypatch.setattr(campaign, "judge_entry", judge)
 
     def run(*words, stop=()):
         asked_to_fail.clear()
@@ -150,12 +151,14 @@ def test_what_is_kept_outlives_an_interruption_of_the_run_that_goes_on(judged, t
 
 
 def test_a_crash_of_mitsuba_is_not_kept(judged, monkeypatch):
-    healthy = resuming.judge_entry
+    healthy = campaign.judge_entry
     monkeypatch.setattr(
-        resuming, "judge_entry", lambda entry, folder: made(entry.name, ok=False, problem="crash")
+        campaign,
+        "judge_entry",
+        lambda entry, folder, *, keep=False: made(entry.name, ok=False, problem="crash"),
     )
     assert judged() == (1, []) and written()["scenes"][0]["problem"] == "crash"
-    monkeypatch.setattr(resuming, "judge_entry", healthy)
+    monkeypatch.setattr(campaign, "judge_entry", healthy)
     assert judged("--resume") == (1, ["a", "b", "m"]) and kept() == []
 
 
