@@ -61,6 +61,12 @@ class Rule(NamedTuple):
 RULES = (
     Rule("caster", "caster knows nothing of its judge", never=("mitsuba_ref", "mitsuba", "drjit")),
     Rule("caster", "only caster/exr.py imports OpenEXR", never=("OpenEXR",), except_in=("caster.exr",)),
+    Rule(
+        "caster",
+        "only caster/pictures/files.py imports Pillow",
+        never=("PIL",),
+        except_in=("caster.pictures.files",),
+    ),
     Rule("caster", f"only {JIT} imports numba", never=("numba",), except_in=("caster.kernels.jit",)),
     Rule(
         "caster.kernels",
@@ -211,6 +217,7 @@ def test_the_walk_reads_the_whole_tree():
         ("caster/render.py", "import mitsuba_ref", "knows nothing of its judge"),
         ("caster/render.py", "def f():\n    from mitsuba import load_file", "knows nothing of its judge"),
         ("caster/render.py", "import OpenEXR", "only caster/exr.py"),
+        ("caster/commands/render.py", "from PIL import Image", "only caster/pictures/files.py"),
         ("caster/render.py", "from numba import njit", "only " + JIT),
         ("caster/render.py", "import importlib\nimportlib.import_module('numba')", "only " + JIT),
         ("caster/kernels/bvh.py", "import numba.extending", "only " + JIT),
@@ -266,7 +273,7 @@ def test_an_import_the_rules_allow_is_left_alone(tmp_path, path, source):
     assert plant(tmp_path, path, source) == []
 
 
-SLOW = {"numba", "llvmlite", "mitsuba", "drjit"}
+SLOW = {"numba", "PIL", "llvmlite", "mitsuba", "drjit"}
 HELP = """
 import importlib, sys
 command, sys.argv = sys.argv[1], [sys.argv[2], "--help"]
