@@ -28,7 +28,7 @@ def parser(
     top.add_argument("--version", action="version", version=f"{name} {__version__}")
     group = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in commands:
-        word = command.__name__.rpartition(".")[2]
+        word = getattr(command, "NAME", command.__name__.rpartition(".")[2])
         sub = group.add_parser(
             word, help=command.HELP, description=command.HELP, epilog=epilog, allow_abbrev=False
         )

@@ -28,7 +28,7 @@ def report(problems: Sequence[Problem], text: str, kind: Kind, origin: str) -> s
     """All problems in the order of their lines, each with the line itself."""
     positions = Positions(text, kind)
     located = sorted(((positions.of(path), said) for path, said in problems), key=lambda found: found[0][:2])
-    return "\n".join(_shown(span, said, text, origin) for span, said in located)
+    return "\n".join(shown(span, said, text, origin) for span, said in located)
 
 
 def _parse_json(text: str) -> tuple[Any, list[Problem]]:
@@ -51,7 +51,7 @@ def _syntax_error(error: ValueError, text: str, kind: Kind, origin: str) -> str:
     span = Span(line, column, 1)
     rest = text.split("\n")[line - 1][column - 1 :]
     way_out = ": a number needs a digit before its point" if re.match(r"[+-]?\.\d", rest) else ""
-    return _shown(span, f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{way_out}", text, origin)
+    return shown(span, f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{way_out}", text, origin)
 
 
 def _place_of(error: ValueError, text: str) -> tuple[int, int, str]:
@@ -64,7 +64,8 @@ def _place_of(error: ValueError, text: str) -> tuple[int, int, str]:
     return len(lines), len(lines[-1]) + 1, found[1] if found else str(error)
 
 
-def _shown(span: Span, sentence: str, text: str, origin: str) -> str:
+def shown(span: Span, sentence: str, text: str, origin: str) -> str:
+    """file:line:column: the sentence, below it the line itself, and marks below the place."""
     lines = text.split("\n")
     line = lines[span.line - 1].rstrip("\r") if span.line <= len(lines) else ""
     start = max(0, span.column - 1 - LINE_SHOWN // 2) if len(line) > LINE_SHOWN else 0

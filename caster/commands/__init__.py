@@ -1,11 +1,12 @@
 """The registry of commands, in the order of `caster --help`. Each says how it is called and what it does.
 
-A command is a module with HELP (one line), `add_arguments(parser)` and `run(args)`, which gives an exit code.
+A command is a module with HELP (one line), `add_arguments(parser)` and `run(args)`, which gives an exit code; NAME,
+where it is called otherwise than its module.
 It imports what is slow to load inside `run`, so that `--help` answers at once.
 """
 
 from types import ModuleType
 
-from caster.commands import check, doctor, info, probe, render, schema
+from caster.commands import check, course_6837, doctor, info, probe, render, schema
 
-COMMANDS: tuple[ModuleType, ...] = (render, probe, check, schema, info, doctor)
+COMMANDS: tuple[ModuleType, ...] = (render, probe, check, schema, info, course_6837, doctor)

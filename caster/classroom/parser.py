@@ -1,0 +1,226 @@
+"""A 6.837 scene text -> its blocks, and every error in its spelling."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from caster.classroom.grammar import BLOCKS, CAMERAS, SECTIONS, TEXTURES, Block, Form
+from caster.classroom.tokens import Token, tokens_of
+from caster.wording import listed, suggestion
+
+
+class Fault(NamedTuple):
+    """What is wrong, and where."""
+
+    at: Token
+    text: str
+
+
+class Field(NamedTuple):
+    """A word and what follows it."""
+
+    name: str
+    at: Token
+    numbers: tuple[float, ...]
+    word: Token | None  # of a field that is a word
+
+    @property
+    def words(self) -> str:
+        return " ".join(
+            [self.name, *(f"{x:g}" for x in self.numbers), *([self.word.text] if self.word else [])]
+        )
+
+
+@dataclass
+class Node:
+    """A block: its fields and blocks in the order of the file."""
+
+    kind: str
+    at: Token
+    items: list["Field | Node"] = field(default_factory=list)
+    tried: set[str] = field(default_factory=set)  # names of fields that are there, also misspelt inside
+    unknown: int = 0  # blocks of no kind that is known
+
+    def get(self, name: str) -> Field | None:
+        """The first field of that name."""
+        return next((item for item in self.items if isinstance(item, Field) and item.name == name), None)
+
+    def numbers(self, name: str, default: tuple[float, ...] = ()) -> tuple[float, ...]:
+        found = self.get(name)
+        return default if found is None else found.numbers
+
+    @property
+    def children(self) -> list["Node"]:
+        return [item for item in self.items if isinstance(item, Node)]
+
+
+START = Token("", 1, 1)
+
+
+class Parser:
+    """Reads on after an error, so that one run tells of all. `faults` collects them."""
+
+    def __init__(self, text: str) -> None:
+        self.tokens = tokens_of(text)
+        self.place = 0
+        self.faults: list[Fault] = []
+
+    def sections(self) -> dict[str, Node]:
+        """The blocks of the whole file; both cameras under "Camera"."""
+        found: dict[str, Node] = {}
+        while (token := self._next()) is not None:
+            if token.text not in SECTIONS:
+                self._unknown(token, "the file", SECTIONS)
+                continue
+            name = "Camera" if token.text in CAMERAS else token.text
+            node = self._block(token)
+            if name in found:
+                self._fault(token, f"{token.text} is there twice; the first is in line {found[name].at.line}")
+            found.setdefault(name, node)
+        for name, says in (("Camera", listed(CAMERAS)), ("Group", "Group, which holds the objects")):
+            if name not in found:
+                self._fault(START, f"the scene needs a block {says}")
+        return found
+
+    def _block(self, at: Token) -> Node:
+        node, block = Node(at.text, at), BLOCKS[at.text]
+        if not self._opened(at):
+            return node
+        while (token := self._next()) is not None and token.text != "}":
+            if token.text in block.fields:
+                node.tried.add(token.text)
+                found = self._field(token, block.fields[token.text], node)
+                node.items += [] if found is None else [found]
+            elif token.text in TEXTURES and token.text in block.children:
+                node.items.append(Node(token.text, token))
+                self._skip_braces()
+            elif token.text in block.children:
+                node.items.append(self._block(token))
+            else:
+                node.unknown += self._unknown(token, node.kind, (*block.fields, *block.children))
+        if token is None:
+            self._fault(at, f"{node.kind}: its '}}' is missing")
+        self._check(node, block)
+        return node
+
+    def _field(self, at: Token, form: Form, node: Node) -> Field | None:
+        where = f"{node.kind}: {at.text}"
+        if not form.numbers:
+            word = self._peek()
+            if word is None or word.text in "{}":
+                self._fault(word or at, f"{where} must be a word, got {_named(word)}")
+                return None
+            return Field(at.text, at, (), self._next())
+        if form.braced and not self._opened(at):
+            return None
+        numbers = self._numbers(at, form, where)
+        if form.braced:
+            self._closed(at, where)
+        return None if numbers is None else Field(at.text, at, numbers, None)
+
+    def _numbers(self, at: Token, form: Form, where: str) -> tuple[float, ...] | None:
+        numbers: list[float] = []
+        while len(numbers) < form.numbers:
+            token = self._peek()
+            value = None if token is None else token.number
+            if token is None or value is None:
+                self._fault(
+                    token or at, f"{where} must be {form.text}, got {_named(token)} after {len(numbers)}"
+                )
+                if token is not None and token.text not in "{}" and token.text not in WORDS:
+                    self._next()  # a number misspelt: go on behind it and the rest
+                    self._skip_numbers()
+                return None
+            numbers.append(value)
+            self._next()
+        extra = self._peek()
+        if extra is not None and extra.number is not None:
+            self._fault(extra, f"{where} must be {form.text}, got {extra.text} as well")
+            self._skip_numbers()
+        return tuple(numbers)
+
+    def _check(self, node: Node, block: Block) -> None:
+        """Fields that are missing or there twice, and the number of children."""
+        names = [item.name for item in node.items if isinstance(item, Field)]
+        for name in block.fields:
+            if name not in block.optional and name not in node.tried:
+                self._fault(node.at, f"{node.kind} needs '{name}'")
+            if names.count(name) > 1 and name not in block.repeated:
+                again = [item for item in node.items if isinstance(item, Field) and item.name == name][1]
+                self._fault(again.at, f"{node.kind}: {name} is there twice")
+        counted = node.get(block.counted_by) if block.counted_by else None
+        found = len(node.children) + node.unknown
+        if counted is not None and counted.numbers != (found,):
+            self._fault(
+                counted.at, f"{node.kind}: {counted.words}, but {found} {'is' if found == 1 else 'are'} there"
+            )
+        if node.kind == "Transform" and found != 1:
+            self._fault(node.at, f"Transform needs one object to place, got {found}")
+
+    def _unknown(self, token: Token, where: str, known: Iterable[str]) -> bool:
+        """Tell of it and read over it; whether it was a block."""
+        known = list(known)
+        if token.text == "}":
+            self._fault(token, "a '}' too many: no block is open")
+        elif token.text == "{":
+            self._fault(token, f"{where}: expected {listed(known)}, got '{{'")
+            self.place -= 1
+            self._skip_braces()
+        elif token.number is not None:
+            self._fault(token, f"{where}: expected {listed(known)}, got the number {token.text}")
+            self._skip_numbers()
+        else:
+            hint = suggestion(token.text, known) or f" (known: {', '.join(known)})"
+            self._fault(token, f"{where}: unknown word {token.text}{hint}")
+            if self._comes("{"):
+                self._skip_braces()
+                return True
+            self._skip_numbers()
+        return False
+
+    def _opened(self, at: Token) -> bool:
+        if self._comes("{"):
+            self._next()
+            return True
+        self._fault(self._peek() or at, f"{at.text} must be followed by '{{', got {_named(self._peek())}")
+        return False
+
+    def _closed(self, at: Token, where: str) -> None:
+        if self._comes("}"):
+            self._next()
+        else:
+            self._fault(self._peek() or at, f"{where}: expected '}}', got {_named(self._peek())}")
+
+    def _skip_numbers(self) -> None:
+        while (token := self._peek()) is not None and token.number is not None:
+            self.place += 1
+
+    def _skip_braces(self) -> None:
+        """Over a block in braces, whatever is in it."""
+        depth = 0
+        while (token := self._next()) is not None:
+            depth += {"{": 1, "}": -1}.get(token.text, 0)
+            if depth <= 0:
+                return
+
+    def _comes(self, text: str) -> bool:
+        token = self._peek()
+        return token is not None and token.text == text
+
+    def _peek(self) -> Token | None:
+        return self.tokens[self.place] if self.place < len(self.tokens) else None
+
+    def _next(self) -> Token | None:
+        token = self._peek()
+        self.place += token is not None
+        return token
+
+    def _fault(self, at: Token, text: str) -> None:
+        self.faults.append(Fault(at, text))
+
+
+WORDS = frozenset(BLOCKS) | frozenset(name for block in BLOCKS.values() for name in block.fields)
+
+
+def _named(token: Token | None) -> str:
+    return "the end of the file" if token is None else f"'{token.text}'"

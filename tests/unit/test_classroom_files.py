@@ -1,0 +1,195 @@
+"""Scene files of MIT 6.837: what they become, what is left out of them, and every error with its line."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from caster.classroom.reading import load_course_scene
+from caster.exits import FILE, USAGE
+from caster.wording import FileMissing, SceneError
+
+SCENE = """
+PerspectiveCamera {{ center 0 0 10 direction 0 0 -1 up 0 1 0 angle 30 }}
+Lights {{ numLights 1 DirectionalLight {{ direction 0 0 -2 color 1 0.5 0 }} }}
+Background {{ color 0.2 0 0.6 ambientLight 0.1 0.1 0.1 }}
+Materials {{ numMaterials 2
+  PhongMaterial {{ diffuseColor 1 0 0 specularColor 1 1 1
+    exponent 20}}
+  Material {{ diffuseColor 0 1 0 }}
+}}
+Group {{ numObjects {count} MaterialIndex 0 {objects} }}
+"""
+
+
+def read(folder, text, **options):
+    (folder / "s.txt").write_text(text)
+    return load_course_scene(folder / "s.txt", 20, 10, **options)
+
+
+def errors(folder, text):
+    """ "line:column: sentence" of each."""
+    with pytest.raises(SceneError) as caught:
+        read(folder, text)
+    start = f"{folder / 's.txt'}:"
+    return [line.removeprefix(start) for line in str(caught.value).split("\n") if line.startswith(start)]
+
+
+def test_blocks_become_a_scene_of_ours(tmp_path):
+    """Braces need no space, materials hold for what follows, light that our model has keeps its brightness."""
+    plane = "Plane { normal 0 2 0 offset -4 }"
+    objects = f"Sphere {{ center 1 2 3 radius 0.5 }} Group {{ numObjects 1 MaterialIndex 1 {plane} }}"
+    objects += " Triangle { vertex0 0 0 0 vertex1 1 0 0 vertex2 0 1 0 }"
+    course = read(tmp_path, SCENE.format(count=3, objects=objects))
+    sphere, plane, triangle = course.scene.shapes
+    assert (sphere.center, sphere.radius, sphere.material) == ((1, 2, 3), 0.5, "material-0")
+    assert (plane.normal, plane.offset, plane.material) == ((0, 1, 0), -2, "material-1")  # 2 y = -4
+    assert (triangle.vertices[1], triangle.material) == ((1, 0, 0), "material-1")
+    assert course.scene.materials["material-0"].reflectance == (1, 0, 0)
+    assert [light.type for light in course.scene.lights] == ["directional", "ambient"]
+    assert course.background == (0.2, 0, 0.6)
+    assert course.scene.shading.shadows is False
+
+
+def test_what_our_model_lacks_is_listed_with_its_place(tmp_path):
+    text = SCENE.format(count=1, objects="Sphere { center 0 0 0 radius 1 }")
+    text = text.replace("DirectionalLight { direction 0 0 -2", "PointLight { position 0 0 9")
+    assert [line.rpartition("s.txt:")[2] for line in read(tmp_path, text).left_out] == [
+        "3:22: left out: light that does not fade: our point lights fade by 1 / r^2; it keeps what it has at r = 1",
+        "6:38: left out: specularColor 1 1 1: our materials are diffuse, of one colour",
+        "7:5: left out: exponent 20: our materials are diffuse, of one colour",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("fading", "intensity", "left_out"),
+    [
+        ("falloff 4", 0.25, 0),
+        ("attenuation 0 0 4", 0.25, 0),
+        ("attenuation 1 0 3", 0.25, 1),
+        ("", 1.0, 1),
+    ],
+)
+def test_point_lights_that_fade_as_ours_are_kept_whole(tmp_path, fading, intensity, left_out):
+    text = SCENE.format(count=1, objects="Sphere { center 0 0 0 radius 1 }").replace(
+        "DirectionalLight { direction 0 0 -2 color 1 0.5 0",
+        f"PointLight {{ position 0 0 9 color 1 1 1 {fading}",
+    )
+    course = read(tmp_path, text)
+    assert course.scene.lights[0].intensity[0] == pytest.approx(3.141592653589793 * intensity, rel=1e-15)
+    assert sum("PointLight" in line or "point lights" in line for line in course.left_out) == left_out
+
+
+def test_textures_of_later_assignments_are_read_over_and_told(tmp_path):
+    text = SCENE.format(count=1, objects="Sphere { center 0 0 0 radius 1 }").replace(
+        "  Material { diffuseColor 0 1 0 }",
+        "  Checkerboard { Matrix { 1 2 } materialIndex 0 materialIndex 1 }",
+    )
+    course = read(tmp_path, text)
+    assert course.scene.materials["material-1"].reflectance == (0.5, 0.5, 0.5)
+    assert course.left_out[-1].endswith(
+        "8:3: left out: Checkerboard: our materials have one colour; grey stands for it"
+    )
+
+
+BAD = """PerspectiveCamera {
+    center 0 0 1x
+    direction 0 0 0
+    upp 0 1 0
+    angle 300
+}
+Light { numLights 1 }
+Materials { numMaterials 2 Material { diffuseColor 1 0 } }
+Group {
+    numObjects 4
+    MaterialIndex 3
+    Sphere { center 0 0 0 radius -1 }
+    Sphere { center 0 0 0 0 radius 1 }
+    Transform { Scale 1 0 1 TriangleMesh { obj_file gone.obj } }
+    Cone { a b { c } }
+"""
+
+
+def test_all_errors_of_a_file_are_told_at_once(tmp_path):
+    """Errors of spelling, of values and of missing meshes, in the order of their lines."""
+    assert errors(tmp_path, BAD) == [
+        "1:1: PerspectiveCamera needs 'up'",
+        "2:16: PerspectiveCamera: center must be 3 numbers, got '1x' after 2",
+        "3:5: camera (pinhole): direction must be a direction, so not all zero, got [0, 0, 0]",
+        "4:5: PerspectiveCamera: unknown word upp, did you mean 'up'?",
+        "5:5: camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 300",
+        "7:1: the file: unknown word Light, did you mean 'Lights'?",
+        "8:13: Materials: numMaterials 2, but 1 is there",
+        "8:56: Material: diffuseColor must be 3 numbers, got '}' after 2",
+        "9:1: Group: its '}' is missing",
+        "11:5: MaterialIndex 3: the scene has 1 materials, counted from 0",
+        "12:27: shapes[0] (sphere): radius must be a length > 0, got -1",
+        "13:27: Sphere: center must be 3 numbers, got 0 as well",
+        "14:29: shapes[2] (mesh): to_world must be invertible, but it flattens space (its matrix is singular)",
+        "14:53: shapes[2] (mesh): file cannot be used: cannot read this mesh file: No such file or directory",
+        "15:5: Group: unknown word Cone (known: numObjects, MaterialIndex, Group, Transform, Sphere, Plane, "
+        "Triangle, TriangleMesh)",
+    ]
+
+
+def test_an_error_shows_the_line_and_marks_the_place(tmp_path):
+    with pytest.raises(SceneError) as caught:
+        read(tmp_path, BAD)
+    assert "\n  5 |     angle 300\n    |     ^^^^^\n" in str(caught.value)
+    assert caught.value.exit_code == USAGE
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("Group {", "Group { {"), "expected numObjects, MaterialIndex, Group"),
+        (("numObjects 1", ""), "Group needs 'numObjects'"),
+        (("numObjects 1", "numObjects 3"), "Group: numObjects 3, but 1 is there"),
+        (("radius 1", "radius 1 radius 2"), "Sphere: radius is there twice"),
+        (("Sphere {", "Sphere { 7"), "Sphere: expected center or radius, got the number 7"),
+        (("Sphere {", "Sphere"), "Sphere must be followed by '{', got 'center'"),
+        (("Sphere {", "Transform { Scale 1 1 1 } Sphere {"), "Transform needs one object to place, got 0"),
+        (("angle 30", "angle nan"), "angle must be a number, got 'nan' after 0"),
+        (("Background", "} Background"), "a '}' too many"),
+        (("Background", "Group { numObjects 0 } Background"), "Group is there twice; the first is in line 4"),
+        (
+            ("PerspectiveCamera { center 0 0 10 direction 0 0 -1 up 0 1 0 angle 30 }", ""),
+            "the scene needs a block Per",
+        ),
+        (
+            ("PerspectiveCamera", "OrthographicCamera"),
+            "OrthographicCamera: unknown word angle (known: center",
+        ),
+        (("color 1 0.5 0", "color 1 0.5 -1"), "DirectionalLight: color 1 0.5 -1 must be a colour >= 0"),
+    ],
+)
+def test_each_kind_of_error_is_found(tmp_path, change, says):
+    text = SCENE.format(count=1, objects="Sphere { center 0 0 0 radius 1 }")
+    assert change[0] in text
+    assert any(says in error for error in errors(tmp_path, text.replace(*change, 1)))
+
+
+def test_a_mesh_that_is_missing_or_out_of_reach_is_an_error(tmp_path):
+    text = SCENE.format(count=1, objects="TriangleMesh { obj_file gone.obj }")
+    with pytest.raises(FileMissing) as caught:
+        read(tmp_path, text)
+    assert caught.value.exit_code == FILE
+    assert "must lie in the scene's folder" in errors(tmp_path, text.replace("gone", "../gone"))[0]
+
+
+def test_a_file_that_is_no_text_or_not_there_is_told(tmp_path):
+    (tmp_path / "s.txt").write_bytes(b"\xff\xfe")
+    with pytest.raises(SceneError, match="not a text in UTF-8"):
+        load_course_scene(tmp_path / "s.txt", 1, 1)
+    with pytest.raises(FileMissing, match="No such file"):
+        load_course_scene(tmp_path / "gone.txt", 1, 1)
+
+
+def test_scene_files_of_the_course_itself_load():
+    """They are not ours to ship: MIT6837_SCENES names a folder of them, and without it none is tried."""
+    if (folder := os.environ.get("MIT6837_SCENES")) is None:
+        pytest.skip("no scene file of the course was tried: MIT6837_SCENES names no folder")
+    files = sorted(Path(folder).glob("*.txt"))
+    assert files, f"no .txt file in {folder}"
+    for file in files:
+        assert load_course_scene(file, 64, 64).scene.shapes, file
