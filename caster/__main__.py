@@ -7,7 +7,7 @@ from caster import command_line, exits
 from caster.commands import COMMANDS
 
 ABOUT = "A ray caster in float64."
-CODES = (exits.OK, exits.USAGE, exits.FILE, exits.INTERNAL, exits.INTERRUPTED)
+CODES = (exits.OK, exits.USAGE, exits.FILE, exits.NOTHING_SELECTED, exits.INTERNAL, exits.INTERRUPTED)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

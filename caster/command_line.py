@@ -28,10 +28,14 @@ def parser(
     top.add_argument("--version", action="version", version=f"{name} {__version__}")
     group = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in commands:
-        word = getattr(command, "NAME", command.__name__.rpartition(".")[2])
         sub = group.add_parser(
-            word, help=command.HELP, description=command.HELP, epilog=epilog, allow_abbrev=False
+            name_of(command), help=command.HELP, description=command.HELP, epilog=epilog, allow_abbrev=False
         )
         command.add_arguments(sub)
         sub.set_defaults(run=command.run)
     return top
+
+
+def name_of(command: ModuleType) -> str:
+    """What is typed for it: its NAME, or that of its module."""
+    return str(getattr(command, "NAME", command.__name__.rpartition(".")[2]))

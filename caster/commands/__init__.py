@@ -7,6 +7,16 @@ It imports what is slow to load inside `run`, so that `--help` answers at once.
 
 from types import ModuleType
 
-from caster.commands import check, course_6837, doctor, info, probe, render, schema
+from caster.commands import check, course_6837, doctor, info, preview, probe, render, schema, sheet
 
-COMMANDS: tuple[ModuleType, ...] = (render, probe, check, schema, info, course_6837, doctor)
+COMMANDS: tuple[ModuleType, ...] = (
+    render,
+    probe,
+    check,
+    schema,
+    info,
+    preview,
+    sheet,
+    course_6837,
+    doctor,
+)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--threads", type=thread_count, metavar="N", help="default: as many as there are cores")
     add("--explain", action="store_true", help="say how it was computed, and what was skipped")
     add("--json", action="store_true", help="say the same as JSON, with counts of the work done")
+    add(
+        "--preview",
+        metavar="PNG",
+        help="write a picture as well, and say on standard error what its colours mean",
+    )
+    add(
+        "--preview-aov",
+        metavar="A,B,...",
+        help="what it shows; several become a labelled strip; default: diffuse",
+    )
 
 
 def thread_count(text: str) -> int:
@@ -55,11 +66,14 @@ def run(args: argparse.Namespace) -> int:
 
     aovs = tuple(dict.fromkeys((DEFAULT if args.aov is None else args.aov).split(",")))
     check_names(aovs)
+    shown = preview_names(args, aovs)
     check_writable(output)  # before a render that may take long
     with blamed_on(args.scene), announced(kinds_in(scene)):
         rendered = render_film(scene, aovs, threads=args.threads)
     images = rendered.aovs
     write(output, scene, images, args.scene)
+    if args.preview is not None:
+        preview(args.preview, images, shown)
     if args.json:
         from caster.explain import account
         from caster.kernels.jit import WORK
@@ -81,6 +95,32 @@ def output_path(args: argparse.Namespace) -> str:
     output = args.output if args.output is not None else f"{Path(args.scene).stem}.exr"
     check_suffix(output)
     return output
+
+
+def preview_names(args: argparse.Namespace, aovs: Sequence[str]) -> list[str]:
+    """The AOVs to show. Raises SceneError or OutputError now, and not after a render that may take long."""
+    if args.preview is None:
+        if args.preview_aov is not None:
+            raise SceneError(f"--preview-aov {args.preview_aov}: needs --preview PNG, the file to write")
+        return []
+    from caster.pictures.files import check_picture_name
+    from caster.whole_files import check_writable
+
+    check_picture_name("--preview", args.preview)
+    check_writable(args.preview)
+    names = [] if args.preview_aov is None else list(dict.fromkeys(args.preview_aov.split(",")))
+    for name in names:
+        if name not in {*aovs, "hit"}:
+            raise SceneError(f"--preview-aov {args.preview_aov}: '{name}' is none of --aov {','.join(aovs)}")
+    return names
+
+
+def preview(path: str, images: Aovs, names: Sequence[str]) -> None:
+    """Write the picture, and what its colours mean to standard error."""
+    from caster.pictures.preview import pictures_of, write_preview
+
+    for line in write_preview(path, pictures_of(images, names)):
+        print(f"{path}: {line}", file=sys.stderr)
 
 
 def check_suffix(output: str) -> None:

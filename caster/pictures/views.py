@@ -1,5 +1,6 @@
 """An AOV as a picture: which colours it gets, and words on what they mean."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ CHECK = 8  # pixels: the side of a square behind misses
 CHECKER = (58, 66)  # its two greys
 NOT_FINITE = (255, 0, 255)
 
-# From here on depths are shown by their logarithm: on an even scale, half of a picture would be a few colours.
+# Where half of a picture is this many times as far as the nearest point, 1 / depth would leave it a few dark colours.
 WIDE = 32.0
 
 # The brightest hundredth of what is lit does not decide how dark all the rest is.
@@ -77,14 +78,24 @@ def checker(shape: tuple[int, ...]) -> Array:
 
 
 def _depth(values: Array, shown: Array) -> Painted:
-    near, far = float(values[shown].min()), float(values[shown].max())
-    if near > 0.0 and far > WIDE * near:
-        t = np.log(values / near) / np.log(far / near)
-        how = "by its logarithm, "
+    """By 1 / depth, in which things near the eye and a plane up to the horizon both have colours of their own."""
+    seen = values[shown]
+    near, far, middle = float(seen.min()), float(seen.max()), float(np.median(seen))
+    t = np.where(shown, values, far)
+    if not near > 0.0:
+        how, closeness, farthest, nearest = "", -t, -far, -near
+    elif middle < WIDE * near:
+        how, closeness, farthest, nearest = "by 1 / depth, ", near / t, near / far, 1.0
     else:
-        t = (values - near) / (far - near) if far > near else np.zeros_like(values)
-        how = ""
-    return scaled(1.0 - np.where(shown, t, 0.0)), f"{how}{near:.6g} (light) to {far:.6g} (dark)"
+        how, closeness, farthest, nearest = (
+            "by its logarithm, ",
+            -np.log(t / near),
+            -math.log(far / near),
+            0.0,
+        )
+    span = nearest - farthest
+    scale = (closeness - farthest) / span if span > 0.0 else np.ones(t.shape)
+    return scaled(scale), f"{how}{near:.6g} (light) to {far:.6g} (dark)"
 
 
 def _direction(values: Array, shown: Array) -> Painted:
@@ -150,16 +161,15 @@ def classes_view(
     classes: Array,
     names: Mapping[int, str],
     colors: Mapping[int, tuple[int, int, int]],
-    hit: Array | None = None,
+    hit: Array,
 ) -> Picture:
     """A map of classes, (h, w) whole numbers, with the counts in words; without a colour of its own, one by number.
 
-    hit: (h, w) bool, where there is something; None: everywhere.
+    hit: (h, w) bool, which pixels have one.
     """
-    shown = np.ones(classes.shape, bool) if hit is None else hit
     pixels = of_numbers(classes)
     for code, color in colors.items():
         pixels[classes == code] = color
-    found, counts = np.unique(classes[shown], return_counts=True)
+    found, counts = np.unique(classes[hit], return_counts=True)
     words = ", ".join(f"{names.get(int(code), str(code))} {n}" for code, n in zip(found, counts, strict=True))
-    return Picture("class", np.where(shown[..., None], pixels, checker(classes.shape)), words)
+    return Picture("class", np.where(hit[..., None], pixels, checker(classes.shape)), words)

@@ -15,13 +15,14 @@ import caster
 from caster import exits
 from caster.__main__ import main
 from caster.aovs import BY_NAME
+from caster.command_line import name_of
 from caster.commands import COMMANDS, render
 from caster.rendering import DEFAULT_AOVS
 from caster.scene import scene_schema
 from caster.wording import FileMissing, SceneError
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = [command.__name__.rpartition(".")[2] for command in COMMANDS]
+NAMES = [name_of(command) for command in COMMANDS]
 SLOW = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "numpy"}
 
 
@@ -41,7 +42,18 @@ def python(*argv, **options):
 
 
 def test_the_commands_are_those_of_the_contract(capsys):
-    assert sorted(NAMES) == ["check", "doctor", "info", "probe", "render", "schema"]
+    """6837, preview and sheet are beyond it (CHANGELOG.md)."""
+    assert sorted(NAMES) == [
+        "6837",
+        "check",
+        "doctor",
+        "info",
+        "preview",
+        "probe",
+        "render",
+        "schema",
+        "sheet",
+    ]
     assert main(["--help"]) == 0
     said = capsys.readouterr().out
     assert all(f"    {name} " in said for name in NAMES) and "exit codes: 0 pass, 2 wrong usage" in said
