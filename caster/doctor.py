@@ -24,6 +24,7 @@ PARTS = (
     Part("numpy", "numpy", "2.0", "every array"),
     Part("numba", "numba", "0.61", "speed: compiled kernels, the same bits", needed=False),
     Part("OpenEXR", "OpenEXR", "3.4.9", "images in and out"),
+    Part("pillow", "PIL", "10.1", "pictures for people: previews, sheets, caster 6837", needed=False),
     Part("pydantic", "pydantic", "2.7", "scene descriptions and their checks"),
     Part("tree-sitter", "tree_sitter", "0.23", "line and column of an error in a scene file"),
     Part("tree-sitter-toml", "tree_sitter_toml", "0.7", "the same in TOML"),
