@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from caster.exr import NO_ID, Window, read_exr
+from caster.pictures.histogram import bars, counts, ramp_for
 
 LONGEST_VALUE = 72  # characters of a provenance value on a terminal line; --json has all of them
 TYPES = {"float32": "float", "float16": "half", "uint32": "uint"}
-COLUMNS = ("channel", "type", "min", "max", "NaN", "+inf", "-inf", "no id")
+COLUMNS = ("channel", "type", "min", "max", "NaN", "+inf", "-inf", "no id", "histogram")
 
 
 def hit_mask(channels: Mapping[str, np.ndarray]) -> tuple[np.ndarray | None, str]:
@@ -35,7 +36,7 @@ def hit_mask(channels: Mapping[str, np.ndarray]) -> tuple[np.ndarray | None, str
 def describe_exr(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Everything `caster info` prints, ready for JSON (numbers are finite, None where there is none).
 
-    Ranges are over finite values; for uint channels over the pixels that carry an id.
+    Ranges and histograms are over finite values; for uint channels over the pixels that carry an id.
     Pixels are (x, y) on the film. Warnings are what no image of ours holds.
     Raises FileMissing or UnreadableExr.
     """
@@ -57,15 +58,15 @@ def describe_exr(path: str | os.PathLike[str]) -> dict[str, Any]:
     }
 
 
-def format_info(info: Mapping[str, Any]) -> str:
-    """The text `caster info` prints, from the dict of describe_exr()."""
+def format_info(info: Mapping[str, Any], encoding: str | None = "utf-8") -> str:
+    """The text `caster info` prints, from the dict of describe_exr(). encoding: of the terminal."""
     return "\n".join(
         [
             f"{info['file']}  {info['width']} x {info['height']}, {info['bytes']} bytes",
             *_windows(info),
             _hits(info),
             "",
-            *_table(info["channels"]),
+            *_table(info["channels"], ramp_for(encoding)),
             *(f"warning: {text}" for text in info["warnings"]),
             "",
             *_provenance(info["provenance"]),
@@ -88,6 +89,7 @@ def _describe(values: np.ndarray, window: Window) -> dict[str, Any]:
         "plus_inf": int((wide == np.inf).sum()),
         "minus_inf": int((wide == -np.inf).sum()),
         "no_id": int((values == NO_ID).sum()) if has_ids else None,
+        "histogram": counts(known),
     }
 
 
@@ -130,12 +132,18 @@ def _hits(info: Mapping[str, Any]) -> str:
     return f"hit pixels: {info['hit_pixels']} of {pixels} ({share:.1f} %), by channel {info['hit_channel']}"
 
 
-def _table(channels: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _table(channels: Mapping[str, Mapping[str, Any]], ramp: str) -> list[str]:
     keys = ("type", "min", "max", "nan", "plus_inf", "minus_inf", "no_id")
-    rows = [COLUMNS, *((name, *(_cell(entry[key]) for key in keys)) for name, entry in channels.items())]
+    rows = [COLUMNS]
+    for name, entry in channels.items():
+        rows.append((name, *(_cell(entry[key]) for key in keys), f"|{bars(entry['histogram'], ramp)}|"))
     widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
-    aligned = [(str.ljust if i < 2 else str.rjust, width) for i, width in enumerate(widths)]
-    return ["  ".join(align(cell, w) for cell, (align, w) in zip(row, aligned, strict=True)) for row in rows]
+    sides = [str.ljust, str.ljust, *[str.rjust] * len(keys[1:]), str.ljust]
+    return ["  ".join(map(_aligned, sides, row, widths)).rstrip() for row in rows]
+
+
+def _aligned(side: Callable[[str, int], str], cell: str, width: int) -> str:
+    return side(cell, width)
 
 
 def _cell(value: Any) -> str:

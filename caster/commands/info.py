@@ -2,8 +2,9 @@
 
 import argparse
 import json
+import sys
 
-HELP = "describe an EXR file: channels, ranges, NaN, inf and hit counts, provenance"
+HELP = "describe an EXR file: channels, ranges, NaN, inf and hit counts, histograms, provenance"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,5 +17,7 @@ def run(args: argparse.Namespace) -> int:
     from caster.info import describe_exr, format_info
 
     info = describe_exr(args.file)
-    print(json.dumps(info, indent=2, allow_nan=False) if args.json else format_info(info))
+    print(
+        json.dumps(info, indent=2, allow_nan=False) if args.json else format_info(info, sys.stdout.encoding)
+    )
     return 0

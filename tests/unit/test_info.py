@@ -9,6 +9,7 @@ import pytest
 from caster.exr import UnreadableExr, write_exr
 from caster.fields import FileMissing
 from caster.info import describe_exr, format_info, hit_mask
+from caster.pictures.histogram import ASCII, BINS, BLOCKS, bars, counts, ramp_for
 
 NO_ID = 0xFFFFFFFF
 
@@ -124,3 +125,45 @@ def test_unusable_files_are_errors(tmp_path):
         describe_exr(tmp_path / "empty.exr")
     with pytest.raises(FileMissing, match="no such file"):
         describe_exr(tmp_path / "absent.exr")
+
+
+def test_histograms_count_every_finite_value_once(tmp_path):
+    """The oracle is NumPy's; its bins are half open but for the last, as these."""
+    rng = np.random.default_rng(3)
+    values = np.round(rng.normal(0.0, 5.0, (40, 50)), 2).astype(np.float32)
+    values[0, :3] = np.nan, np.inf, -np.inf
+    write_exr(tmp_path / "a.exr", {"x.Y": values})
+    told = describe_exr(tmp_path / "a.exr")["channels"]["x.Y"]["histogram"]
+    finite = values[np.isfinite(values)].astype(np.float64)
+    assert sum(told) == finite.size == 40 * 50 - 3 and len(told) == BINS
+    assert (
+        np.abs(np.array(told) - np.histogram(finite, BINS)[0]).sum() <= 2
+    )  # a value on an edge may go either way
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([], []),
+        ([7.0, 7.0], [2]),
+        ([0.0, 1.0], [1, 0, 0, 1]),
+        ([0.0, 0.3, 0.3, 0.5, 0.99], [1, 2, 1, 1]),
+        ([-1.7e308, 1.7e308], [1, 0, 0, 1]),
+    ],
+)
+def test_histograms_of_few_values(values, expected):
+    assert counts(np.array(values), 4) == expected
+
+
+def test_a_histogram_is_drawn_in_what_the_terminal_can_show():
+    """A single value among many still shows."""
+    assert bars([0, 1, 400, 800]) == " ▁▄█" and bars([]) == ""
+    assert bars([0, 1, 400, 800], ramp_for("latin-1")) == " .=@"
+    assert ramp_for("utf-8") == BLOCKS and ramp_for(None) == ramp_for("no-such-encoding") == ASCII
+    assert len(BLOCKS) == len(ASCII)
+
+
+def test_info_shows_a_histogram_for_each_channel(tmp_path):
+    write_exr(tmp_path / "a.exr", {"x.Y": np.linspace(0.0, 1.0, 48).reshape(6, 8)})
+    info = describe_exr(tmp_path / "a.exr")
+    assert f"|{'█' * BINS}|" in format_info(info) and f"|{'@' * BINS}|" in format_info(info, "ascii")
