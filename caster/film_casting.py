@@ -97,15 +97,27 @@ Own = TypeVar("Own")
 
 
 def in_tiles(
-    work: Callable[[int, Box, Own], None], window: Window, threads: int | None, room: Callable[[], Own]
+    work: Callable[[int, Box, Own], None],
+    window: Window,
+    threads: int | None,
+    room: Callable[[], Own],
+    told: Callable[[int], None] | None = None,
 ) -> None:
-    """Call work(number, box, own) for each tile of the window; `room` makes what every thread has of its own."""
+    """Call work(number, box, own) for each tile of the window; `room` makes what every thread has of its own.
+
+    told: called with the number of pixels of each tile that is done.
+    """
+
+    def done(piece: tuple[int, Box]) -> None:
+        assert told is not None
+        x0, y0, x1, y1 = piece[1]
+        told((x1 - x0) * (y1 - y0))
 
     def begin() -> Callable[[tuple[int, Box]], None]:
         own = room()
         return lambda piece: work(*piece, own)
 
-    in_turns(begin, list(enumerate(boxes(window))), thread_count(threads))
+    in_turns(begin, list(enumerate(boxes(window))), thread_count(threads), done if told else None)
 
 
 def sorted_kinds(

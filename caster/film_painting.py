@@ -35,6 +35,9 @@ NUMBERS = ("shape_id", "prim_id")
 FIELDS = {"position": P, "normal": N, "shading_normal": SH_N, "uv": UV}
 
 Painter = Callable[[Room, Box], None]
+Told = (
+    Callable[[int], None] | None
+)  # hears of the pixels that have been painted, a number at a time, from any thread
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class Canvas:
     hit: np.ndarray  # (h, w) bool
     doubt: np.ndarray  # (h, w) bool, pixels that have to be found exactly
     threads: int | None
+    told: Told
 
     def image(self, name: str, channels: tuple[int, ...] = ()) -> np.ndarray:
         """The image of an AOV; one without size if it was not asked for. channels: (3,) where it has three."""
@@ -76,12 +80,13 @@ def paint_film(
     plan: Plan,
     threads: int | None = None,
     dtype: type[np.floating] = np.float64,
+    told: Told = None,
 ) -> Painted:
     """The AOVs as planned, by the cullings "screen" (for cameras that keep straight lines straight) or "bvh"."""
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: _blank(name, window, dtype) for name in aovs if name != "hit"}
-    canvas = Canvas(scene, packed, camera, window, images, hit, doubt, threads)
+    canvas = Canvas(scene, packed, camera, window, images, hit, doubt, threads, told)
     reach, shadow_rays = _farthest_origin(camera, window), 0
     kinds = sorted_kinds(packed, camera, window, reach, threads) if plan.culling == "screen" else None
     if kinds and len(kinds) == 1 and images.keys() <= {"depth", "normal"}:
@@ -111,7 +116,15 @@ def _paint_at_once(canvas: Canvas, it: Sorted, reach: float) -> None:
         tile = new_tile()
         return lambda tiles: film(camera, window, kind, reach, tiles, tile, images)
 
-    in_turns(begin, list(pairwise(edges)), workers)
+    told, pixels = canvas.told, window.width * window.height
+
+    def done(tiles: tuple[int, int]) -> None:
+        assert told is not None
+        told(
+            pixels * tiles[1] // count - pixels * tiles[0] // count
+        )  # their share; all of them together are all
+
+    in_turns(begin, list(pairwise(edges)), workers, done if told else None)
 
 
 def _paint_by_steps(canvas: Canvas, plan: Plan, kinds: list[Sorted] | None, reach: float) -> int:
@@ -132,7 +145,7 @@ def _paint_by_steps(canvas: Canvas, plan: Plan, kinds: list[Sorted] | None, reac
             paint(room, box)
         paint_seen(room.tile, box, canvas.hit, canvas.doubt, depth)  # last: shading has doubts of its own
 
-    in_tiles(work, canvas.window, canvas.threads, Room)
+    in_tiles(work, canvas.window, canvas.threads, Room, canvas.told)
     return shading.shadow_rays if shading else 0
 
 

@@ -134,7 +134,7 @@ def _hits(info: Mapping[str, Any]) -> str:
 
 def _table(channels: Mapping[str, Mapping[str, Any]], ramp: str) -> list[str]:
     keys = ("type", "min", "max", "nan", "plus_inf", "minus_inf", "no_id")
-    rows = [COLUMNS]
+    rows: list[tuple[str, ...]] = [COLUMNS]
     for name, entry in channels.items():
         rows.append((name, *(_cell(entry[key]) for key in keys), f"|{bars(entry['histogram'], ramp)}|"))
     widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]

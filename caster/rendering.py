@@ -1,6 +1,6 @@
 """Scene in, AOVs out."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,13 +76,14 @@ def render_film(
     threads: int | None = None,
     culling: Culling | None = None,
     dtype: type[np.floating] = np.float64,
+    told: Callable[[int], None] | None = None,
 ) -> Rendered:
-    """The same as `render`, with an account of it."""
+    """The same as `render`, with an account of it. told: hears of the pixels that are done, a number at a time."""
     check_names(aovs)
     window, planned = film_window(scene), plan(scene, aovs, culling)
     if planned.culling != "everything":
         arrays = packed(scene)
-        painted = paint_film(scene, arrays, window, aovs, planned, threads, dtype)
+        painted = paint_film(scene, arrays, window, aovs, planned, threads, dtype, told)
         return Rendered(scene, arrays, Aovs(painted.images, painted.hit), planned, painted)
     view = look(scene, threads=threads, culling=culling)
     return Rendered(scene, view.packed, evaluate(view, aovs, window, dtype), planned, None)

@@ -30,10 +30,16 @@ def in_bands(
     in_turns(lambda: lambda band: work(*band), list(pairwise(edges)), workers)
 
 
-def in_turns(begin: Callable[[], Callable[[Piece], None]], pieces: Sequence[Piece], workers: int) -> None:
+def in_turns(
+    begin: Callable[[], Callable[[Piece], None]],
+    pieces: Sequence[Piece],
+    workers: int,
+    done: Callable[[Piece], None] | None = None,
+) -> None:
     """Have the pieces worked off by so many threads, this one among them; `begin` gives each its function for them.
 
-    After an error or an interruption, what has not begun is not begun; the first error is raised.
+    done: called by the thread that worked off a piece, after it. After an error or an interruption, what has not begun
+    is not begun; the first error is raised.
     """
     left = iter(pieces)  # one step of a list's iterator at a time: no two threads get the same
 
@@ -42,6 +48,8 @@ def in_turns(begin: Callable[[], Callable[[Piece], None]], pieces: Sequence[Piec
             work = begin()
             for piece in left:  # a signal is heard between two pieces
                 work(piece)
+                if done is not None:
+                    done(piece)
         except BaseException:
             for _ in left:
                 pass

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from caster.exits import OK
 from caster.wording import SceneError
 
 if TYPE_CHECKING:
+    from caster.progress_bar import Bar
     from caster.rendering import Aovs
     from caster.scene import Scene
 
@@ -68,8 +70,8 @@ def run(args: argparse.Namespace) -> int:
     check_names(aovs)
     shown = preview_names(args, aovs)
     check_writable(output)  # before a render that may take long
-    with blamed_on(args.scene), announced(kinds_in(scene)):
-        rendered = render_film(scene, aovs, threads=args.threads)
+    with blamed_on(args.scene), announced(kinds_in(scene)), closing(bar_for(scene)) as bar:
+        rendered = render_film(scene, aovs, threads=args.threads, told=bar.add)
     images = rendered.aovs
     write(output, scene, images, args.scene)
     if args.preview is not None:
@@ -95,6 +97,14 @@ def output_path(args: argparse.Namespace) -> str:
     output = args.output if args.output is not None else f"{Path(args.scene).stem}.exr"
     check_suffix(output)
     return output
+
+
+def bar_for(scene: Scene) -> Bar:
+    """How far a render has come."""
+    from caster.progress_bar import Bar
+
+    x0, y0, x1, y1 = scene.film.window
+    return Bar("rendering", (x1 - x0) * (y1 - y0), "rays")
 
 
 def preview_names(args: argparse.Namespace, aovs: Sequence[str]) -> list[str]:

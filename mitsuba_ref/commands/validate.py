@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -123,22 +124,24 @@ def work_through(
     entries: Sequence[Entry], args: argparse.Namespace, done: list[SceneVerdict], html: Report | None
 ) -> None:
     """Print a row for each scene as soon as it and those before it are done."""
-    from mitsuba_ref import campaign, table
+    from mitsuba_ref import campaign, progress, table
 
     width = max((len(each.name) for each in entries), default=0)
-    out = (
-        sys.stdout
-    )  # itself: whoever reads an EXR file in another thread puts another one in its place meanwhile
+    # Itself, since whoever reads an EXR file in another thread puts another one in its place meanwhile.
+    out = sys.stdout
     print(table.head(width), file=out, flush=True)
     folder = Path(args.out) if args.out else None
     workers = args.workers or campaign.default_workers()
     record = html.keep if html else None
     judge = ci.judge_of(args, partial(campaign.judge_entry, keep=html is not None))
-    for verdict in campaign.run(entries, workers, args.maxfail, folder, judge, record):
-        done.append(verdict)
-        if html:
-            html.add(verdict)
-        print(table.row(verdict, width), file=out, flush=True)
+    with closing(progress.bar_for(entries)) as bar:
+        for verdict in campaign.run(entries, workers, args.maxfail, folder, judge, record):
+            done.append(verdict)
+            if html:
+                html.add(verdict)
+            with bar.aside():
+                print(table.row(verdict, width), file=out, flush=True)
+            progress.count(bar, entries, len(done))
 
 
 def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:

@@ -1,0 +1,117 @@
+"""How far some work has come, on standard error: one line on a terminal, a line now and then elsewhere.
+
+It counts work. It uses no colour, so that NO_COLOR has nothing to forbid.
+"""
+
+import os
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+QUIET = 1.0  # s: work that takes less says nothing on a terminal
+REDRAWN = 0.1  # s between two pictures of the line
+PLAIN = 10.0  # s between two lines where no terminal is, and before the first: logs keep them all
+WIDTH = 24  # characters of the bar
+
+ERASE = "\r\x1b[K"
+
+
+class Bar:
+    """`add` may be called by any thread; `close` has to be, whatever happens."""
+
+    def __init__(
+        self,
+        what: str,
+        total: int,
+        unit: str,
+        stream: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.what, self.total, self.unit = what, total, unit
+        self.stream = sys.stderr if stream is None else stream
+        self.live = self.stream.isatty() and os.environ.get("TERM") != "dumb"
+        self.clock, self.start = clock, clock()
+        self.next = self.start + (QUIET if self.live else PLAIN)
+        self.done, self.extra, self.drawn = 0, "", False
+        self.lock = threading.Lock()
+
+    def add(self, count: int, extra: str = "") -> None:
+        """So much more is done. extra: what else to say from now on."""
+        with self.lock:
+            self.done += count
+            self.extra = extra or self.extra
+            now = self.clock()
+            if now >= self.next and self.done < self.total:
+                self.next = now + (REDRAWN if self.live else PLAIN)
+                self._show(now)
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Print something else meanwhile: the line is gone, and comes back with the next `add`."""
+        with self.lock:
+            self._erase()
+            yield
+
+    def close(self) -> None:
+        """Nothing is left of it on a terminal."""
+        with self.lock:
+            self._erase()
+
+    def _show(self, now: float) -> None:
+        text = self.text(now - self.start)
+        if self.live:
+            columns = shutil.get_terminal_size().columns
+            self._write(ERASE + text[: columns - 1])  # a line that wraps could not be erased
+            self.drawn = True
+        else:
+            self._write(text + "\n")
+
+    def text(self, seconds: float) -> str:
+        """rendering ████████    66 %, 2.1M of 3.1M rays, 520k rays/s, 2 s left"""
+        share = self.done / self.total
+        amount = f"{short(self.done)} of {short(self.total)} {self.unit}"
+        parts = [f"{100 * share:.0f} %", *filter(None, [self.extra]), amount]
+        if seconds > 0.0 and self.done:
+            rate = self.done / seconds
+            parts += [f"{short(rate)} {self.unit}/s", f"{duration((self.total - self.done) / rate)} left"]
+        bar = f" {drawn(share, self.stream.encoding)}" if self.live else ":"
+        return f"{self.what}{bar} {', '.join(parts)}"
+
+    def _erase(self) -> None:
+        if self.drawn:
+            self._write(ERASE)
+            self.drawn = False
+
+    def _write(self, text: str) -> None:
+        self.stream.write(text)
+        self.stream.flush()
+
+
+def drawn(share: float, encoding: str | None) -> str:
+    """A bar of WIDTH characters, in eighths of them where the encoding has the blocks."""
+    try:
+        "▏█".encode(encoding or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        return f"[{'#' * int(WIDTH * share):<{WIDTH}}]"
+    eighths = int(8 * WIDTH * share)
+    part = " ▏▎▍▌▋▊▉"[eighths % 8] if eighths % 8 else ""
+    return f"{'█' * (eighths // 8) + part:<{WIDTH}}"
+
+
+def short(number: float) -> str:
+    """Three digits: 2.1M, 850."""
+    for size, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if number >= size:
+            return f"{number / size:.3g}{prefix}"
+    return f"{number:.3g}"
+
+
+def duration(seconds: float) -> str:
+    """In whole seconds, minutes or hours."""
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"

@@ -1,0 +1,213 @@
+"""What is said while work goes on: on a terminal, into a pipe, and how much work it counts."""
+
+import io
+import os
+import threading
+
+import numpy as np
+import pytest
+
+import caster
+from caster import progress_bar
+from caster.__main__ import main
+from caster.progress_bar import ERASE, PLAIN, QUIET, REDRAWN, WIDTH, Bar, drawn, duration, short
+from caster.rendering import render_film
+from mitsuba_ref import progress
+from mitsuba_ref.campaign import Entry
+
+SCENE = """
+[film]
+width = 150
+height = 70
+[camera]
+type = "pinhole"
+eye = [0.3, 0.4, 5]
+look_at = [0, 0, 0]
+[[shape]]
+type = "sphere"
+"""
+
+
+END = "<end>"
+
+
+class Clock:
+    """Seconds that pass when a test says so."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """(a stream that is a terminal, a function that reads what came out of it)."""
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setenv("TERM", "xterm")
+    outer, inner = os.openpty()
+    stream = os.fdopen(inner, "w", encoding="utf-8")
+
+    def read():
+        stream.write(END)  # what goes through a terminal arrives when it likes
+        stream.flush()
+        said = b""
+        while not said.endswith(END.encode()):
+            said += os.read(outer, 1 << 16)
+        return said.decode().removesuffix(END)
+
+    yield stream, read
+    stream.close()
+    os.close(outer)
+
+
+def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
+    stream, read = terminal
+    clock = Clock()
+    bar = Bar("rendering", 4000, "rays", stream, clock)
+    for step in range(1, 4):
+        clock.now = step * QUIET
+        bar.add(1000)
+    half = "rendering ████████████             50 %, 2k of 4k rays, 1k rays/s, 2 s left"
+    assert half in read().split(ERASE)
+    bar.close()
+    assert read() == ERASE
+    bar.close()
+    assert read() == ""
+
+
+def test_short_work_says_nothing(terminal):
+    stream, read = terminal
+    clock = Clock()
+    bar = Bar("rendering", 100, "rays", stream, clock)
+    for _ in range(99):
+        clock.now += 0.9 * QUIET / 99
+        bar.add(1)
+    bar.close()
+    assert read() == ""
+
+
+def test_nothing_is_drawn_more_often_than_the_eye_sees(terminal):
+    stream, read = terminal
+    clock = Clock()
+    bar = Bar("rendering", 1000, "rays", stream, clock)
+    clock.now = QUIET
+    for _ in range(100):
+        bar.add(1)
+    clock.now += REDRAWN
+    bar.add(1)
+    assert read().count(ERASE) == 2
+
+
+def test_the_line_makes_way_for_what_is_printed(terminal):
+    stream, read = terminal
+    clock = Clock()
+    bar = Bar("validating", 10, "rays", stream, clock)
+    clock.now = QUIET
+    bar.add(5, "1 of 2 scenes")
+    assert "50 %, 1 of 2 scenes, 5 of 10 rays" in read()
+    with bar.aside():
+        assert read() == ERASE
+
+
+def test_a_narrow_terminal_gets_a_shorter_line(terminal, monkeypatch):
+    stream, read = terminal
+    monkeypatch.setenv("COLUMNS", "30")
+    clock = Clock()
+    bar = Bar("rendering", 10, "rays", stream, clock)
+    clock.now = QUIET
+    bar.add(5)
+    assert len(read().removeprefix(ERASE)) == 29
+
+
+def test_a_pipe_gets_whole_lines_now_and_then():
+    stream, clock = io.StringIO(), Clock()
+    bar = Bar("validating", 4, "rays", stream, clock)
+    for second in (1.0, PLAIN, PLAIN + 1.0, 2 * PLAIN):
+        clock.now = second
+        bar.add(1, "1 of 2 scenes")
+    bar.close()
+    assert stream.getvalue() == "validating: 50 %, 1 of 2 scenes, 2 of 4 rays, 0.2 rays/s, 10 s left\n"
+
+
+def test_a_terminal_that_cannot_move_its_cursor_is_as_a_pipe(terminal, monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    assert not Bar("rendering", 1, "rays", terminal[0]).live
+
+
+def test_there_is_no_colour_for_no_color_to_forbid(terminal):
+    stream, read = terminal
+    clock = Clock()
+    bar = Bar("rendering", 10, "rays", stream, clock)
+    clock.now = QUIET
+    bar.add(5)
+    bar.close()
+    assert read().replace(ERASE, "").count("\x1b") == 0
+
+
+def test_bars_fit_the_encoding():
+    assert drawn(0.5, "utf-8") == f"{'█' * (WIDTH // 2):<{WIDTH}}" and drawn(1.0, "utf-8") == "█" * WIDTH
+    assert drawn(0.01, "utf-8") == "▏" + " " * (WIDTH - 1)
+    assert drawn(0.5, "ascii") == drawn(0.5, None) == f"[{'#' * (WIDTH // 2):<{WIDTH}}]"
+
+
+def test_numbers_are_short():
+    assert [short(x) for x in (7, 850, 2100, 3.14e6, 5e9)] == ["7", "850", "2.1k", "3.14M", "5G"]
+    assert [duration(x) for x in (3.2, 150, 7300)] == ["3 s", "2 min", "2.0 h"]
+
+
+def test_work_of_several_threads_is_counted_once():
+    bar = Bar("rendering", 8000, "rays", io.StringIO())
+    threads = [threading.Thread(target=lambda: [bar.add(1) for _ in range(1000)]) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert bar.done == 8000
+
+
+@pytest.mark.parametrize(
+    ("aovs", "camera"),
+    [
+        (("depth", "normal"), "pinhole"),  # painted at once
+        (("depth", "position"), "pinhole"),
+        (("depth",), "fisheye"),
+    ],
+)
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_render_tells_of_each_of_its_pixels_once(tmp_path, aovs, camera, threads):
+    """And the picture is the same whether somebody listens or not."""
+    (tmp_path / "s.toml").write_text(SCENE.replace("pinhole", camera))
+    scene = caster.load_scene(tmp_path / "s.toml").with_film(crop=(3, 5, 149, 68))
+    told = []
+    heard = render_film(scene, aovs, threads=threads, told=told.append)
+    assert sum(told) == 146 * 63 and len(told) > 1 and min(told) > 0
+    unheard = render_film(scene, aovs, threads=threads)
+    assert all(np.array_equal(heard.aovs[name], unheard.aovs[name]) for name in aovs)
+
+
+def test_a_validation_counts_scenes_and_their_rays(tmp_path):
+    (tmp_path / "s.toml").write_text(SCENE)
+    small, large = (caster.load_scene(tmp_path / "s.toml").with_film(width=w, height=10) for w in (10, 30))
+    entries = [Entry(small, "a", "a.toml"), Entry(large, "b", "b.toml")]
+    bar = progress.bar_for(entries)
+    progress.count(bar, entries, 1)
+    assert (bar.done, bar.total, bar.extra) == (100, 400, "1 of 2 scenes")
+    progress.count(bar, entries, 2)
+    assert (bar.done, bar.extra) == (400, "2 of 2 scenes")
+
+
+def test_render_shows_how_far_it_is_on_a_terminal_alone(tmp_path, terminal, monkeypatch, capsys):
+    """Standard output holds the result and nothing else."""
+    stream, read = terminal
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text(SCENE)
+    monkeypatch.setattr(progress_bar, "QUIET", 0.0)
+    assert main(["render", "s.toml", "--aov", "depth,position"]) == 0  # standard error is a pipe here
+    said = capsys.readouterr()
+    assert "rendering" not in said.err
+    monkeypatch.setattr("sys.stderr", stream)
+    assert main(["render", "s.toml", "--aov", "depth,position"]) == 0
+    shown = read()
+    assert f"{ERASE}rendering " in shown and " of 10.5k rays, " in shown and shown.endswith(ERASE)
+    assert capsys.readouterr().out == said.out
