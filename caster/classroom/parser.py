@@ -55,6 +55,7 @@ class Node:
 
 
 START = Token("", 1, 1)
+DEEPEST = 64  # blocks in blocks; each takes a few frames of Python's stack
 
 
 class Parser:
@@ -62,7 +63,7 @@ class Parser:
 
     def __init__(self, text: str) -> None:
         self.tokens = tokens_of(text)
-        self.place = 0
+        self.place = self.depth = 0
         self.faults: list[Fault] = []
 
     def sections(self) -> dict[str, Node]:
@@ -84,8 +85,13 @@ class Parser:
 
     def _block(self, at: Token) -> Node:
         node, block = Node(at.text, at), BLOCKS[at.text]
+        if self.depth == DEEPEST:
+            self._fault(at, f"{node.kind}: blocks are nested deeper than {DEEPEST}")
+            self._skip_braces()
+            return node
         if not self._opened(at):
             return node
+        self.depth += 1
         while (token := self._next()) is not None and token.text != "}":
             if token.text in block.fields:
                 node.tried.add(token.text)
@@ -98,6 +104,7 @@ class Parser:
                 node.items.append(self._block(token))
             else:
                 node.unknown += self._unknown(token, node.kind, (*block.fields, *block.children))
+        self.depth -= 1
         if token is None:
             self._fault(at, f"{node.kind}: its '}}' is missing")
         self._check(node, block)

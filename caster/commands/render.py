@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--preview-aov",
         metavar="A,B,...",
-        help="what it shows; several become a labelled strip; default: diffuse",
+        help="what it shows; several become a labelled strip; default: the one that tells most",
     )
 
 

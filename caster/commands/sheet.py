@@ -1,6 +1,7 @@
 """`caster sheet`: many scenes on one picture."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from caster.commands.render import thread_count
@@ -47,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.output)
     files = scene_files(args.scenes)
     if not files:
-        print(f"nothing selected: no scene file in {', '.join(args.scenes)}")
+        print(f"nothing selected: no scene file in {', '.join(args.scenes)}", file=sys.stderr)
         return NOTHING_SELECTED
     scenes = [load_scene(file, args.mesh_dir) for file in files]  # all errors before any picture
     pictures = []

@@ -21,6 +21,7 @@ class Building:
     left_out: list[Remark] = field(default_factory=list)
     used: set[int] = field(default_factory=set)  # id() of the nodes that were read
     materials: dict[int, str] = field(default_factory=dict)  # names by id() of their node
+    open: set[int] = field(default_factory=set)  # id() of the bsdfs that are being made
 
     def error(self, node: Node, text: str) -> None:
         self.document.errors.append(Remark(node.place, text))

@@ -10,6 +10,7 @@ from mitsuba_ref.importers.places import Place, Remark
 from mitsuba_ref.importers.xml_nodes import Node, parse
 
 DEEPEST = 15  # includes in includes, as Mitsuba allows
+MOST = 1000  # includes of one scene
 
 
 @dataclass
@@ -22,6 +23,7 @@ class Document:
     texts: dict[str, str] = field(default_factory=dict)  # of each file
     errors: list[Remark] = field(default_factory=list)
     parameters: dict[str, str] = field(default_factory=dict)
+    includes: int = 0
 
 
 def expand(path: str, given: Mapping[str, str]) -> Document:
@@ -59,8 +61,11 @@ def _include(document: Document, node: Node, depth: int) -> None:
     """Files are looked for beside the scene. One that leads out of its folder is refused."""
     name = node.attributes.get("filename", "")
     path = document.folder / name
-    if depth == DEEPEST:
-        document.errors.append(Remark(node.place, f"includes are nested deeper than {DEEPEST}"))
+    document.includes += 1
+    if depth == DEEPEST or document.includes > MOST:
+        text = f"includes are nested deeper than {DEEPEST}, or more than {MOST}: does a file include itself?"
+        if all(error.text != text for error in document.errors):
+            document.errors.append(Remark(node.place, text))
     elif not path.resolve().is_relative_to(document.folder.resolve()):
         document.errors.append(
             Remark(node.place, f"include must lie in the scene's folder or below it, got {name}")

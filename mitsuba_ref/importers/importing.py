@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from pydantic import ValidationError
 
 from caster.findings import problems_of
@@ -34,6 +35,18 @@ def import_xml(path: str, parameters: Mapping[str, str] = {}, mesh_dirs: Iterabl
     """
     document = expand(path, parameters)
     out = Building(document)
+    with np.errstate(over="ignore", invalid="ignore"):  # what comes of huge numbers is refused with the scene
+        _add_all(out, path)
+        scene, missing = _scene_of(out, Reach(document.folder, tuple(map(Path, mesh_dirs))))
+    if scene is None or document.errors:
+        kind_of_error = FileMissing if missing and not document.errors else SceneError
+        raise kind_of_error(told(sorted([*document.errors, *missing]), document.texts))
+    return Imported(scene, tuple(remark.line() for remark in sorted(out.left_out)))
+
+
+def _add_all(out: Building, path: str) -> None:
+    """The first sensor of a kind that we have, then all shapes, lights and materials."""
+    document = out.document
     sensors = [node for node in document.nodes if node.tag == "sensor"]
     usable = [node for node in sensors if node.kind in KINDS]
     if usable:
@@ -43,11 +56,6 @@ def import_xml(path: str, parameters: Mapping[str, str] = {}, mesh_dirs: Iterabl
         place = sensors[0].place if sensors else Place(path, 1, 1)
         document.errors.append(Remark(place, f"needs a sensor that we have: {listed(KINDS)}{there}"))
     _add_rest(out, usable[:1])
-    scene, missing = _scene_of(out, Reach(document.folder, tuple(map(Path, mesh_dirs))))
-    if scene is None or document.errors:
-        kind_of_error = FileMissing if missing and not document.errors else SceneError
-        raise kind_of_error(told(sorted([*document.errors, *missing]), document.texts))
-    return Imported(scene, tuple(remark.line() for remark in sorted(out.left_out)))
 
 
 def _add_rest(out: Building, done: list[Node]) -> None:

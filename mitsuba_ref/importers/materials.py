@@ -35,9 +35,14 @@ def _added(out: Building, node: Node) -> str:
 
 def _made(out: Building, node: Node) -> dict[str, Any]:
     out.used.add(id(node))
+    if id(node) in out.open:
+        out.error(node, f"{node.words()}: refers to itself")
+        return {}
     if node.kind in WRAPPERS:
+        out.open.add(id(node))
         inner = [followed(out.document, child) for child in node.all("bsdf", "ref")]
         made = next((_made(out, each) for each in inner if each is not None and each.tag == "bsdf"), {})
+        out.open.remove(id(node))
         out.used.update(id(child) for child in node.all("bsdf", "ref"))
         if node.kind == "twosided":
             made["two_sided"] = True

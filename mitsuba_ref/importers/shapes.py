@@ -25,7 +25,12 @@ def add_shape(out: Building, node: Node, outer: tuple[Step, ...] = (), name: str
     if node.kind == "shapegroup":
         return  # invisible by itself
     if node.kind == "instance":
-        _add_instance(out, node)
+        if outer:
+            out.error(
+                node, f"{node.words()}: an instance inside a shapegroup, which Mitsuba does not take either"
+            )
+        else:
+            _add_instance(out, node)
         return
     if node.kind not in MAKERS:
         out.omit(node, f"{node.words()}: no shape of ours (known: {', '.join(MAKERS)}, instance)")

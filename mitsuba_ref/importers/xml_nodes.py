@@ -7,6 +7,8 @@ from xml.parsers import expat
 from caster.wording import SceneError
 from mitsuba_ref.importers.places import Place, Remark, told
 
+DEEPEST = 64  # elements in elements; Mitsuba's own need a handful
+
 
 @dataclass
 class Node:
@@ -49,9 +51,15 @@ def parse(text: str, file: str) -> Node:
     open_nodes: list[Node] = []
     roots: list[Node] = []
 
+    def here() -> Place:
+        return Place(file, parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
+
     def begin(tag: str, attributes: dict[str, str]) -> None:
-        place = Place(file, parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
-        node = Node(tag, attributes, place)
+        if len(open_nodes) == DEEPEST:
+            raise SceneError(
+                told([Remark(here(), f"elements are nested deeper than {DEEPEST}")], {file: text})
+            )
+        node = Node(tag, attributes, here())
         (open_nodes[-1].children if open_nodes else roots).append(node)
         open_nodes.append(node)
 

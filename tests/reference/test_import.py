@@ -220,6 +220,29 @@ def test_errors_are_told_with_file_line_and_column(folder, old, new, says):
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ('<shape type="cube">' * 9999 + "</shape>" * 9999, "elements are nested deeper than 64"),
+        ('<include filename="scene.xml"/>' * 3, "does a file include itself?"),
+        (
+            '<bsdf type="twosided" id="a"><ref id="a"/></bsdf><shape type="cube"><ref id="a"/></shape>',
+            "refers to itself",
+        ),
+        (
+            '<shape type="shapegroup" id="g"><shape type="instance"><ref id="g"/></shape></shape>'
+            '<shape type="instance"><ref id="g"/></shape>',
+            "an instance inside a shapegroup",
+        ),
+    ],
+)
+def test_what_goes_on_without_end_is_refused(folder, content, says):
+    sensor = '<sensor type="perspective"><float name="fov" value="40"/></sensor>'
+    (folder / "scene.xml").write_text(f'<scene version="3.0.0">{sensor}{content}</scene>')
+    with pytest.raises(SceneError, match=re.escape(says)):
+        import_xml(str(folder / "scene.xml"))
+
+
 def test_a_missing_mesh_is_exit_code_4(folder):
     (folder / "parts/quad.obj").unlink()
     with pytest.raises(FileMissing) as caught:

@@ -1,6 +1,7 @@
 """Scene files of MIT 6.837: what they become, what is left out of them, and every error with its line."""
 
 import os
+import random
 from pathlib import Path
 
 import pytest
@@ -193,3 +194,43 @@ def test_scene_files_of_the_course_itself_load():
     assert files, f"no .txt file in {folder}"
     for file in files:
         assert load_course_scene(file, 64, 64).scene.shapes, file
+
+
+def test_whatever_the_text_errors_are_errors_of_the_scene(tmp_path):
+    """No text ends in anything else: words of a valid one are lost, doubled, swapped and replaced."""
+    objects = "Transform { Scale 1 2 1 Rotate { 0 1 0 30 } Matrix { 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1 } "
+    words = SCENE.format(count=1, objects=objects + "Sphere { center 0 0 0 radius 1 } }").split()
+    strange = [
+        "{",
+        "}",
+        "0",
+        "-1",
+        "1e400",
+        "nan",
+        "1_0",
+        "\0",
+        "Group",
+        "Matrix",
+        "MaterialIndex",
+        "up",
+        "1e308",
+    ]
+    rng, valid = random.Random(5), 0
+    for _ in range(400):
+        text = list(words)
+        for _ in range(rng.randint(1, 3)):
+            i, j = rng.randrange(len(text)), rng.randrange(len(text))
+            text[i : i + rng.randint(0, 1)] = rng.choice(
+                [[], [text[j]], [rng.choice(strange)], text[j : j + 9]]
+            )
+        try:
+            read(tmp_path, " ".join(text))
+            valid += 1
+        except SceneError as error:
+            assert str(error).startswith(f"{tmp_path / 's.txt'}:1:")
+    assert 20 < valid < 200
+
+
+def test_blocks_that_are_nested_without_end_are_refused(tmp_path):
+    deep = SCENE.format(count=1, objects="Transform { Scale 1 1 1 " * 20000 + "}" * 20000)
+    assert any("Transform: blocks are nested deeper than 64" in error for error in errors(tmp_path, deep))
