@@ -57,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
     ):
         with blamed_on(file), announced(kinds_in(scene)):
             pictures.append(thumbnail(scene, name, args.side, args.aov, args.threads))
-    write_picture(args.output, sheet(pictures, args.columns or columns_for(len(pictures))))
+    about = {"Description": ", ".join(picture.name for picture in pictures)}
+    write_picture(args.output, sheet(pictures, args.columns or columns_for(len(pictures))), about)
     print(f"{args.output}: {len(pictures)} scenes")
     return OK
 

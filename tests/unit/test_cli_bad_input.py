@@ -239,7 +239,7 @@ def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, mes
             ["render", "s.toml", "--threads", "two"],
             "argument --threads: expected a whole number >= 1, got 'two'",
         ),
-        (["render", "s.toml", "--preview"], "unrecognized arguments: --preview"),
+        (["render", "s.toml", "--colour"], "unrecognized arguments: --colour"),
         (["render", "s.toml", "--expl"], "unrecognized arguments: --expl"),
         (["probe", "s.toml", "1"], "the following arguments are required: Y"),
         (["probe", "s.toml", "1", "1.5"], "argument Y: invalid int value: '1.5'"),

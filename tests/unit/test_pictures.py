@@ -1,7 +1,10 @@
 """Pictures of AOVs: colours of known values, what is missing or broken, strips, sheets and their files."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from PIL import Image
 
 import caster
 from caster.__main__ import main
@@ -20,6 +23,7 @@ from caster.pictures.files import SUFFIXES, label, read_picture
 from caster.pictures.layout import GAP, LABEL, sheet
 from caster.pictures.views import CHECK, CHECKER, NOT_FINITE, PAINTERS, Picture, checker, view
 
+ROOT = Path(__file__).resolve().parents[2]
 SCENE = """
 [film]
 width = 24
@@ -246,3 +250,11 @@ def test_a_sheet_of_scenes_shows_each_in_its_size(folder, capsys):
     )  # normals: without lights, colours are black
     (folder / "empty").mkdir()
     assert main(["sheet", "empty"]) == 5
+
+
+def test_the_sheet_of_the_readme_shows_the_scenes_that_there_are():
+    """Made anew by: caster sheet scenes -o docs/scenes.png --columns 9"""
+    with Image.open(ROOT / "docs/scenes.png") as image:
+        shown = image.text["Description"].split(", ")
+    assert sorted(shown) == sorted(path.stem for path in (ROOT / "scenes").glob("*.toml"))
+    assert (ROOT / "docs/scenes.png").stat().st_size < 1_000_000
