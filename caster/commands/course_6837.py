@@ -38,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
     pictures = {"-output": args.output, "-depth": args.depth and args.depth[2], "-normals": args.normals}
     wanted = {option: path for option, path in pictures.items() if path is not None}
     check(wanted)
+    check_size(args.size)
     from caster.classroom.drawing import bytes_of, depth_picture, draw, normal_picture
     from caster.classroom.reading import load_course_scene
     from caster.pictures.files import write_picture
@@ -88,3 +89,11 @@ def check(wanted: dict[str, str]) -> None:
     for option, path in wanted.items():
         check_picture_name(option, path)
         check_writable(path)
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Raise SceneError for no film, in the words of the option, since a scene file of the course says nothing of it."""
+    from caster.film import Film
+
+    with blamed_on("-size", *size):
+        Film(width=size[0], height=size[1])

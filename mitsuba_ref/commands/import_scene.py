@@ -66,11 +66,15 @@ def from_course(args: argparse.Namespace) -> Imported:
     """The window of an orthographic camera is moved back, where something is behind it."""
     from caster.classroom.backing import backed
     from caster.classroom.reading import load_course_scene
+    from caster.scene import Film
     from mitsuba_ref.importers.importing import Imported
 
     if args.parameters:
         raise SceneError(f"-D {args.parameters[0]}: a text of MIT 6.837 has no parameters")
-    course = load_course_scene(args.file, *(args.size or FILM), mesh_dirs=args.mesh_dir)
+    size = args.size or FILM
+    with blamed_on("--size", *size):
+        Film(width=size[0], height=size[1])
+    course = load_course_scene(args.file, *size, mesh_dirs=args.mesh_dir)
     scene, back = backed(course.scene)
     where = f"{args.file}:1:1: left out: "
     moved = f"rays from infinitely far: the window stands {back:g} farther back, and depths count from there"

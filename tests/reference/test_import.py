@@ -299,6 +299,7 @@ def test_a_text_of_the_course_is_imported_too(tmp_path, capsys, monkeypatch):
         ("gone.xml -o s.json", 2, "expected a name that ends in .toml"),
         ("gone.txt -o s.toml -D a=1", 2, "has no parameters"),
         ("gone.xml -o s.toml -D a", 2, "-D a: expected NAME=VALUE"),
+        ("gone.txt -o s.toml --size 0 4", 2, "--size 0 4: "),
     ],
 )
 def test_wrong_use_is_told_with_its_exit_code(tmp_path, monkeypatch, capsys, words, code, says):

@@ -192,7 +192,7 @@ def test_the_command_writes_its_pictures_and_lists_what_it_left_out(tmp_path, mo
             "gone.txt: cannot read this scene file: No such file or directory",
         ),
         ("-input s.txt -output gone/o.png", 4, "cannot write: No such file or directory"),
-        ("-input s.txt -output o.png -size 0 4", 2, "width must be >= 1, got 0"),
+        ("-input s.txt -output o.png -size 0 4", 2, "-size 0 4: film: width must be >= 1, got 0"),
         ("-input s.txt -output o.png -gui", 2, "unrecognized arguments: -gui"),
     ],
 )
