@@ -93,8 +93,8 @@ def test_boxes_too_small_are_seen():
 def test_a_band_that_threads_skip_is_seen(monkeypatch):
     in_turns = threads.in_turns
 
-    def skipping(begin, pieces, workers):
-        in_turns(begin, pieces if workers == 1 else pieces[:-1], workers)
+    def skipping(begin, pieces, workers, done=None):
+        in_turns(begin, pieces if workers == 1 else pieces[:-1], workers, done)
 
     monkeypatch.setattr(film_casting, "in_turns", skipping)
     with pytest.raises(AssertionError, match="2 threads: "):

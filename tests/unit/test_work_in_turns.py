@@ -15,6 +15,14 @@ def test_every_piece_is_done_once(workers, count):
     assert sorted(done) == list(range(count))
 
 
+@pytest.mark.parametrize("workers", [1, 3])
+def test_every_piece_that_is_done_is_told_of_once_after_it(workers):
+    done: list[int] = []
+    told: list[tuple[int, bool]] = []
+    in_turns(lambda: done.append, list(range(97)), workers, lambda piece: told.append((piece, piece in done)))
+    assert sorted(told) == [(piece, True) for piece in range(97)]
+
+
 @pytest.mark.parametrize("threads", [1, 2, 7])
 def test_bands_cover_everything(threads):
     done: list[range] = []
