@@ -7,8 +7,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from caster.classroom.building import Building, Falloff, build
-from caster.classroom.parser import START, Fault, Parser
+from caster.classroom.assembling import build
+from caster.classroom.blocks import START, Fault
+from caster.classroom.building import Building, Falloff
+from caster.classroom.parser import Parser
 from caster.findings import problems_of
 from caster.mesh_reach import Reach, find_meshes
 from caster.problems import Problem
