@@ -8,7 +8,6 @@ import contextlib
 import hashlib
 import importlib
 import inspect
-import os
 import threading
 from collections.abc import Callable, Iterator
 from functools import cache, update_wrapper
@@ -65,8 +64,9 @@ def _numba() -> Any:
     numba: Any = importlib.import_module("numba")
     importlib.import_module("numba.extending")
     importlib.import_module("numba.core.event")
-    if not os.environ.get("NUMBA_CACHE_DIR"):
-        numba.config.CACHE_DIR = str(cache_folder())
+    numba.config.CACHE_DIR = str(
+        cache_folder()
+    )  # also where NUMBA_CACHE_DIR names another: that one outlives edits
     for entry in _GENERICS.values():
         entry.overload(numba)
     _overload_lanes(numba)

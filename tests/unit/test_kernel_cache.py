@@ -9,7 +9,7 @@ import pytest
 
 from caster.kernels.compiling import machine_code
 from caster.kernels.compiling.arguments import OTHER, checked_call, key_of
-from caster.kernels.compiling.kernel_cache import COMPILED
+from caster.kernels.compiling.kernel_cache import COMPILED, compiler_version, source_hash
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -34,9 +34,9 @@ print("compiled", len(WORK.compiled), "loaded", len(WORK.loaded), "numba" in sys
 """
 
 
-def run(home: Path, *command: str) -> subprocess.CompletedProcess[str]:
+def run(home: Path, *command: str, **more: str) -> subprocess.CompletedProcess[str]:
     env = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    env |= {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(ROOT)}
+    env |= {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(ROOT), **more}
     return subprocess.run([sys.executable, *command], cwd=ROOT, env=env, capture_output=True, text=True)
 
 
@@ -46,6 +46,14 @@ def test_kernels_are_compiled_once_and_then_run_without_numba(tmp_path):
     assert first.stdout.splitlines()[0].startswith("compiling ")
     assert first.stdout.splitlines()[-1] == "compiled 3 loaded 0 True"
     assert second.stdout == "compiled 0 loaded 3 False\n"
+
+
+def test_all_that_is_kept_lies_in_a_folder_named_after_the_source(tmp_path):
+    """In a folder that outlives edits, Numba would take what was compiled with an older version of another file."""
+    done = run(tmp_path / "home", "-c", SMALL, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == [source_hash(compiler_version())]
+    assert list((tmp_path / "kept").rglob("*.nbi")) and not (tmp_path / "home").exists()
 
 
 def test_a_kept_kernel_that_is_damaged_is_compiled_anew(tmp_path):
