@@ -41,7 +41,7 @@ class Tree(NamedTuple):
     # (nodes, 6, CHILDREN) float32: low x, y, z, high x, y, z of each; where there is none, low above high
     boxes: np.ndarray
     # (nodes, CHILDREN) int32: what is in each box, the number of a node or ~(NUMBERS start + number) for
-    # order[start:start + number]
+    # order[start:start + number]; nothing where there is no box
     links: np.ndarray
     order: np.ndarray  # (n,) int32, primitive numbers within the kind
     center: Vec3
@@ -198,7 +198,9 @@ def grow(boxes: Any, order: Any, start: int, stop: int, enough: int, node_boxes:
     return nodes
 
 
-NO_BOX = 2.0  # from there to -NO_BOX is outside of every tree, and never entered before it is left
+# Where a node has fewer boxes, the rest reach from NO_BOX to -NO_BOX, outside of every tree, and are left before they are
+# entered. From so far away that rays are wider than that they are entered all the same: nothing is in them.
+NO_BOX, NOTHING = 2.0, ~0
 
 
 @jit
@@ -210,7 +212,7 @@ def widen(boxes: Any, links: Any, wide_boxes: Any, wide_links: Any) -> int:
         inside[0] = origin[node]
         number = open_largest(boxes, links, inside)
         wide_boxes[node, :3], wide_boxes[node, 3:] = NO_BOX, -NO_BOX
-        wide_links[node] = 0
+        wide_links[node] = NOTHING
         for j in range(number):
             child = inside[j]
             for c in range(6):

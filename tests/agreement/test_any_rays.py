@@ -12,7 +12,7 @@ from caster.hits import cast, checked_rays, occluded, packed
 from caster.kernels.triangles import Triangles
 from caster.packing import Kind, Packed
 from caster.scene import Scene
-from caster.shapes import SHAPES
+from caster.shapes import SHAPES, Icosphere
 
 SIZES = (1e-3, 1.0, 1e3)
 RAYS = 200  # of each family, for each shape, size and offset; `make nightly` casts 200,000 hard rays a shape
@@ -74,3 +74,16 @@ def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():
             assert_same_bits(slow._asdict(), fast._asdict(), family)
             hits += int((slow.prim >= 0).sum())
     assert hits >= 1000
+
+
+@pytest.mark.parametrize("power", [40, 52, 60, 300])
+def test_a_tree_never_changes_a_hit_from_so_far_away_that_rays_are_wider_than_the_tree(power):
+    """There the places of a node without a box are entered, too. Alone and together: neighbours differ little, or a lot."""
+    rng = np.random.default_rng(power)
+    camera = Pinhole(eye=(0.0, 0.0, 5.0), look_at=(0.0, 0.0, 0.0))
+    scene = Scene(camera=camera, shapes=[Icosphere(subdivisions=1)])  # nodes that are not full
+    o = rng.normal(size=(64, 3))
+    o *= 2.0**power / np.linalg.norm(o, axis=1, keepdims=True)
+    together = np.repeat(o[:8], 8, axis=0)
+    for origins, what in ((o, "alone"), (together, "together")):
+        assert count_hits_where_tree_agrees(scene, origins, -origins, what) >= 32
