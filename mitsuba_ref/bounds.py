@@ -22,16 +22,24 @@ class Bounds(NamedTuple):
 
 def bounds_of(model: Model, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> Bounds:
     """The meeting of ray i with prim[i] (n,) that is nearest to t[i]; prim -1 is a miss."""
-    own, at = (nowhere(len(prim)) for _ in range(2))
+    own = meetings_of(model, prim, (o, d), t, KU_OURS, ours=True)
+    return Bounds(own, meetings_of(model, prim, (o, d), t, KU, ours=False))
+
+
+def meetings_of(
+    model: Model, prim: np.ndarray, line: tuple[np.ndarray, np.ndarray], t: np.ndarray, ku: float, *, ours: bool
+) -> Meetings:
+    """The same as one kind of arithmetic may see it. line: o, d (n, 3), (n, 3); ku, ours: as in Model.meet."""
+    out = nowhere(len(prim))
     hits = np.flatnonzero(prim >= 0)
     for start in range(0, len(hits), AT_ONCE):
         rows = hits[start : start + AT_ONCE]
-        for out, ku, ours in ((own, KU_OURS, True), (at, KU, False)):
-            found = nearest_root(model.meet(prim[rows], o[rows], d[rows], ku, ours=ours), t[rows])
-            for everywhere, here in zip(out, found, strict=True):
-                if everywhere is not None:
-                    everywhere[rows] = here
-    return Bounds(own, at)
+        o, d = (ends[rows] for ends in line)
+        found = nearest_root(model.meet(prim[rows], o, d, ku, ours=ours), t[rows])
+        for everywhere, here in zip(out, found, strict=True):
+            if everywhere is not None:
+                everywhere[rows] = here
+    return out
 
 
 AT_ONCE = 1 << 17  # pixels; some fifty temporary arrays of three numbers each take 150 MB

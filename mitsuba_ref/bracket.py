@@ -9,19 +9,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.candidates import Candidates
+from mitsuba_ref.nearby import Nearby
 from mitsuba_ref.meeting import Meetings, dot, norm
 from mitsuba_ref.model import Model, PairMeetings
 
 
+MISSED = -1
+ANY_SHAPE = -2  # claimed by somebody who names no shape
+
+
 class Claims(NamedTuple):
-    """What somebody says of each of n rays."""
+    """What somebody says of each of n rays; None: nothing is said of that."""
 
     t: np.ndarray  # (n,) inf on a miss
-    shape: np.ndarray  # (n,) index, -1 on a miss
-    n: np.ndarray  # (n, 3)
-    sh_n: np.ndarray  # (n, 3)
-    p: np.ndarray  # (n, 3)
+    shape: np.ndarray  # (n,) index, -1 on a miss, ANY_SHAPE
+    n: np.ndarray | None  # (n, 3)
+    sh_n: np.ndarray | None = None  # (n, 3)
+    p: np.ndarray | None = None  # (n, 3)
     t_off: float | np.ndarray = 0.0  # (n,) how far t is off by itself, worked out from something else
 
 
@@ -58,7 +62,7 @@ class Bracket:
 
     def __init__(self, model: Model, ku: float, *, ours: bool):
         self.model, self.ku, self.ours = model, ku, ours
-        self.candidates = Candidates(*model.boxes)
+        self.nearby = Nearby(*model.boxes)
 
     def judge(
         self,
@@ -82,18 +86,18 @@ class Bracket:
             rays = np.unique(ray)
             seen[rays] = True
             allowed[rays], untestable[rays] = self._allows(found, claims, line, rays)
-        allowed[~seen] = claims.shape[~seen] < 0
+        allowed[~seen] = claims.shape[~seen] == MISSED
         return Finding(allowed, untestable)
 
     def _pairs(
         self, o: np.ndarray, d: np.ndarray, also: np.ndarray | None
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """The candidates, and the primitives in `also`. Each ray is in one piece only."""
+        """What is near the rays, and the primitives in `also`. Each ray is in one piece only."""
         if also is None:
-            yield from self.candidates.pairs(o, d)
+            yield from self.nearby.pairs(o, d)
             return
         named = np.flatnonzero(also >= 0)
-        pieces = [np.stack(piece) for piece in self.candidates.pairs(o, d)]
+        pieces = [np.stack(piece) for piece in self.nearby.pairs(o, d)]
         together = np.unique(np.hstack([*pieces, np.stack([named, also[named]])]), axis=1)
         yield together[0], together[1]
 
@@ -112,7 +116,7 @@ class Bracket:
         prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
         line = Line(o, d, np.zeros(len(o)), t_max)
         possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
-        for ray, each in self.candidates.pairs(o, d):
+        for ray, each in self.nearby.pairs(o, d):
             found = self._meet(ray, each, line)
             near = at_start(found, d, off)
             kept = ~(near & (found.prim == prim[found.ray]))
@@ -124,7 +128,7 @@ class Bracket:
     def possible_hits(self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray) -> Found:
         """Every possible meeting of some rays, few enough to be held at once."""
         line = Line(o, d, np.zeros(len(o)), t_max)
-        found = [self._meet(ray, prim, line) for ray, prim in self.candidates.pairs(o, d)]
+        found = [self._meet(ray, prim, line) for ray, prim in self.nearby.pairs(o, d)]
         at = Meetings(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
         return Found(np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at)
 
@@ -146,21 +150,26 @@ class Bracket:
         latest = np.full(len(line.o), np.inf)
         np.minimum.at(latest, ray, latest_hits(found, line.t_max, line.t_min))
         t_off = np.broadcast_to(claims.t_off, claims.t.shape)[ray]
-        named = self.model.packed.shape_of(found.prim) == claims.shape[ray]
+        shape = claims.shape[ray]
+        named = (shape == ANY_SHAPE) | (self.model.packed.shape_of(found.prim) == shape)
         named &= claims.t[ray] <= latest[ray] + t_off
-        named &= norm(claims.n[ray] - at.n) <= at.n_error
-        matches = (
-            named
-            & np.isfinite(at.t_error)
-            & (np.abs(claims.t[ray] - at.t) <= at.t_error + t_off)
-            & (norm(claims.sh_n[ray] - at.sh_n) <= at.sh_error)
-            & (norm(claims.p[ray] - p) <= at.p_error)
-        )
+        named &= fits(claims.n, ray, at.n, at.n_error)
+        with np.errstate(invalid="ignore"):  # inf, of a claimed miss
+            matches = named & np.isfinite(at.t_error) & (np.abs(claims.t[ray] - at.t) <= at.t_error + t_off)
+        matches &= fits(claims.sh_n, ray, at.sh_n, at.sh_error) & fits(claims.p, ray, p, at.p_error)
         has_match, untestable = np.zeros(len(line.o), bool), np.zeros(len(line.o), bool)
         has_match[ray[matches]] = True
         untestable[ray[named & ~np.isfinite(at.t_error)]] = True
-        missed = claims.shape[rays] < 0
+        missed = claims.shape[rays] == MISSED
         return np.where(missed, np.isinf(latest[rays]), has_match[rays]), untestable[rays]
+
+
+def fits(claimed: np.ndarray | None, ray: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """(m,) bool: what is claimed (n, 3) of the rays of m meetings is there; what is not claimed is no obstacle."""
+    if claimed is None:
+        return np.ones(len(ray), bool)
+    near: np.ndarray = norm(claimed[ray] - at) <= error
+    return near
 
 
 def latest_hits(found: Found, t_max: np.ndarray, t_min: np.ndarray | None = None) -> np.ndarray:

@@ -242,7 +242,7 @@ def test_the_walk_reads_the_whole_tree():
         ("mitsuba_ref/render.py", "import OpenEXR", "caster's business"),
         ("mitsuba_ref/exact.py", "from caster.mesh import Mesh", "shares no code"),
         ("mitsuba_ref/exact.py", "from caster.packing import joined", "shares no code"),
-        ("mitsuba_ref/exact.py", "from mitsuba_ref.candidates import Candidates", "shares no code"),
+        ("mitsuba_ref/exact.py", "from mitsuba_ref.nearby import Nearby", "shares no code"),
         ("mitsuba_ref/exact_arithmetic/root.py", "from caster.packing import Packed", "shares no code"),
         ("mitsuba_ref/exact_arithmetic/root.py", "from mitsuba_ref.meeting import dot", "shares no code"),
         ("mitsuba_ref/exact_arithmetic/root.py", "import flint", "shares no code"),

@@ -19,7 +19,7 @@ GROUP = 32  # primitives in a box of the first pass
 TESTS_AT_ONCE = 1 << 21  # rays times boxes; 50 MB a temporary array
 
 
-class Candidates:
+class Nearby:
     """Boxes of primitives (n, 3), (n, 3), grouped by where they are."""
 
     def __init__(self, low: np.ndarray, high: np.ndarray):

@@ -1,4 +1,4 @@
-"""No primitive that a ray hits is left out of its candidates."""
+"""No primitive that a ray hits is left out of what is near it."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from aimed_rays import KINDS, Setting, rays_at, scene_of
 from caster.packing import pack
 from caster.placing import as_float32
 from caster.shapes import Plane
-from mitsuba_ref import candidates
-from mitsuba_ref.candidates import GROUP, Candidates, along_a_curve, spread_bits
+from mitsuba_ref import nearby
+from mitsuba_ref.nearby import GROUP, Nearby, along_a_curve, spread_bits
 from mitsuba_ref.meeting import KU_OURS
 from mitsuba_ref.model import Model, model_of
 from mitsuba_ref.rays import SharedRays
@@ -35,7 +35,7 @@ def crowd(kind: str, seed: list[int], setting: Setting, rays: int) -> tuple[Mode
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_possible_hit_ahead_is_among_the_candidates(kind):
+def test_every_possible_hit_ahead_is_near(kind):
     """Against every ray with every primitive: what float64 takes for possible holds all exact hits."""
     tried, hits = 0, 0
     for number, setting in enumerate(SETTINGS):
@@ -45,7 +45,7 @@ def test_every_possible_hit_ahead_is_among_the_candidates(kind):
         met = model.meet(prim, o[ray], d[ray], KU_OURS, ours=True)
         sure = met.pair[met.at.possible & (met.at.t > 0.0)]
         needed = set((ray[sure] * count + prim[sure]).tolist())
-        given = [r * count + p for r, p in Candidates(*model.boxes).pairs(o, d)]
+        given = [r * count + p for r, p in Nearby(*model.boxes).pairs(o, d)]
         assert needed <= set(np.concatenate(given).tolist())
         tried, hits = tried + len(ray), hits + len(needed)
     assert tried >= 1e5 and hits >= 1000
@@ -54,9 +54,9 @@ def test_every_possible_hit_ahead_is_among_the_candidates(kind):
 def test_each_ray_is_in_one_piece_only(monkeypatch):
     """And pieces change nothing."""
     model, o, d = crowd("triangles", [111], Setting(), 500)
-    whole = list(Candidates(*model.boxes).pairs(o, d))
-    monkeypatch.setattr(candidates, "TESTS_AT_ONCE", 64 * GROUP * 7)
-    pieces = list(Candidates(*model.boxes).pairs(o, d))
+    whole = list(Nearby(*model.boxes).pairs(o, d))
+    monkeypatch.setattr(nearby, "TESTS_AT_ONCE", 64 * GROUP * 7)
+    pieces = list(Nearby(*model.boxes).pairs(o, d))
     assert len(whole) == 1 and len(pieces) > 50
     rays = [set(ray.tolist()) for ray, _ in pieces]
     assert sum(map(len, rays)) == len(set.union(*rays))
@@ -66,7 +66,7 @@ def test_each_ray_is_in_one_piece_only(monkeypatch):
 
 def test_most_of_what_a_ray_passes_by_is_left_out():
     model, o, d = crowd("meshes", [112], Setting(distances=(10.0, 20.0)), 300)
-    ((_, prim),) = Candidates(*model.boxes).pairs(o, d)
+    ((_, prim),) = Nearby(*model.boxes).pairs(o, d)
     assert len(prim) < 0.1 * len(o) * len(model.boxes[0])
 
 
@@ -79,7 +79,7 @@ def test_boxes_without_bounds_come_last_and_spoil_no_others():
     order = along_a_curve(low, high)
     assert sorted(order.tolist()) == list(range(200))
     assert order[-len(endless) :].tolist() == endless.tolist()
-    boxes = Candidates(low, high)
+    boxes = Nearby(low, high)
     assert np.isfinite(boxes.group_low[: 160 // GROUP]).all()
     ((_, prim),) = boxes.pairs(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, 1.0]]))  # away from all
     assert sorted(prim.tolist()) == endless.tolist()
@@ -87,10 +87,10 @@ def test_boxes_without_bounds_come_last_and_spoil_no_others():
 
 def test_boxes_at_one_place_or_none_at_all_are_fine():
     same = np.zeros((GROUP + 1, 3))
-    ((_, prim),) = Candidates(same, same).pairs(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, -1.0]]))
+    ((_, prim),) = Nearby(same, same).pairs(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, -1.0]]))
     assert len(prim) == GROUP + 1
     nothing = np.zeros((0, 3))
-    ((ray, prim),) = Candidates(nothing, nothing).pairs(np.zeros((2, 3)), np.ones((2, 3)))
+    ((ray, prim),) = Nearby(nothing, nothing).pairs(np.zeros((2, 3)), np.ones((2, 3)))
     assert len(ray) == len(prim) == 0
 
 
