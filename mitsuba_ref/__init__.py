@@ -7,14 +7,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mitsuba_ref.exr.compare import Tolerances, compare_exr
+    from mitsuba_ref.exr.compare import Reading, Tolerances, compare_exr
     from mitsuba_ref.reference_render import render_reference
     from mitsuba_ref.validation import validate
     from mitsuba_ref.verdict import SceneVerdict, Verdict
 
-__all__ = ["SceneVerdict", "Tolerances", "Verdict", "compare_exr", "render_reference", "validate"]
+__all__ = ["Reading", "SceneVerdict", "Tolerances", "Verdict", "compare_exr", "render_reference", "validate"]
 
 _HOMES = {
+    "Reading": "exr.compare",
     "SceneVerdict": "verdict",
     "Tolerances": "exr.compare",
     "Verdict": "verdict",

@@ -27,7 +27,13 @@ def bounds_of(model: Model, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: n
 
 
 def meetings_of(
-    model: Model, prim: np.ndarray, line: tuple[np.ndarray, np.ndarray], t: np.ndarray, ku: float, *, ours: bool
+    model: Model,
+    prim: np.ndarray,
+    line: tuple[np.ndarray, np.ndarray],
+    t: np.ndarray,
+    ku: float,
+    *,
+    ours: bool,
 ) -> Meetings:
     """The same as one kind of arithmetic may see it. line: o, d (n, 3), (n, 3); ku, ours: as in Model.meet."""
     out = nowhere(len(prim))

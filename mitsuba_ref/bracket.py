@@ -9,23 +9,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.nearby import Nearby
 from mitsuba_ref.meeting import Meetings, dot, norm
 from mitsuba_ref.model import Model, PairMeetings
-
+from mitsuba_ref.nearby import Nearby
 
 MISSED = -1
 ANY_SHAPE = -2  # claimed by somebody who names no shape
 
 
+NOTHING_SAID = np.zeros((0, 3))  # of a normal or a position, of all rays
+
+
 class Claims(NamedTuple):
-    """What somebody says of each of n rays; None: nothing is said of that."""
+    """What somebody says of each of n rays."""
 
     t: np.ndarray  # (n,) inf on a miss
     shape: np.ndarray  # (n,) index, -1 on a miss, ANY_SHAPE
-    n: np.ndarray | None  # (n, 3)
-    sh_n: np.ndarray | None = None  # (n, 3)
-    p: np.ndarray | None = None  # (n, 3)
+    n: np.ndarray  # (n, 3), or NOTHING_SAID, as all below
+    sh_n: np.ndarray = NOTHING_SAID  # (n, 3)
+    p: np.ndarray = NOTHING_SAID  # (n, 3)
     t_off: float | np.ndarray = 0.0  # (n,) how far t is off by itself, worked out from something else
 
 
@@ -164,9 +166,9 @@ class Bracket:
         return np.where(missed, np.isinf(latest[rays]), has_match[rays]), untestable[rays]
 
 
-def fits(claimed: np.ndarray | None, ray: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:
+def fits(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:
     """(m,) bool: what is claimed (n, 3) of the rays of m meetings is there; what is not claimed is no obstacle."""
-    if claimed is None:
+    if not len(claimed):
         return np.ones(len(ray), bool)
     near: np.ndarray = norm(claimed[ray] - at) <= error
     return near

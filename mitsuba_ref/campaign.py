@@ -74,10 +74,19 @@ def run(
         child.start_again()
 
 
-def judge_entry(entry: Entry, folder: Path | None, *, keep: bool = False) -> SceneVerdict:
-    """The verdict of one scene; of one that cannot be judged, too. keep: with what it rests on."""
+def judge_entry(
+    entry: Entry,
+    folder: Path | None,
+    *,
+    validate: Callable[..., SceneVerdict] = validate_scene,
+    keep: bool = False,
+) -> SceneVerdict:
+    """The verdict of one scene; one that cannot be judged has a problem.
+
+    validate: as validate_scene is called; keep: with what the verdict rests on.
+    """
     try:
-        verdict = validate_scene(entry.scene, entry.name, entry.path, folder=folder, keep=keep)
+        verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep)
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
         verdict = SceneVerdict(entry.name, entry.path, problem=f"cannot be judged: {error}")
     return replace(verdict, resized=entry.resized)

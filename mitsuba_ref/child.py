@@ -9,7 +9,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,6 +57,19 @@ def stop_all() -> None:
 def start_again() -> None:
     """Let children be started."""
     _stopped.clear()
+
+
+@contextlib.contextmanager
+def watched(child: subprocess.Popen[bytes]) -> Iterator[None]:
+    """Another program, in a session of its own, that `stop_all` is to end as well."""
+    with _starting:
+        _running.add(child.pid)
+        if _stopped.is_set():
+            _kill(child.pid)
+    try:
+        yield
+    finally:
+        _running.discard(child.pid)
 
 
 def _run(command: Sequence[str], folder: Path, timeout: float, settings: Mapping[str, str]) -> End:

@@ -49,10 +49,11 @@ def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
         kind = "error" if scene.problem else "failure"
         found = SubElement(case, kind, message=printable(text.splitlines()[0]), type=what_fails(scene))
         found.text = printable(text)
-    counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
+    counts = " ".join(f"{scene.called(name)}={scene.counts[name]}" for name in CLASSES)
+    judged = f"candidate={scene.candidate} " if scene.candidate else ""
     kept = "kept from an earlier run, not judged now; " if scene.kept else ""
     SubElement(case, "system-out").text = printable(
-        f"{kept}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
+        f"{kept}{judged}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
         f"{_errors(scene)}{scene.versions}"
     )
 
@@ -73,7 +74,7 @@ def what_fails(scene: SceneVerdict) -> str:
     if scene.problem:
         return "no_answer"
     if scene.failures:
-        return scene.failures[0].verdict
+        return scene.called(scene.failures[0].verdict)
     return "check" if not scene.checks_pass else "no_evidence"
 
 

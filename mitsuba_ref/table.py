@@ -10,6 +10,7 @@ from mitsuba_ref.meeting import K
 from mitsuba_ref.scene_check import SceneCheck
 from mitsuba_ref.verdict import (
     AGREE,
+    CANDIDATE_WRONG,
     CLASSES,
     EXPLAINED,
     OURS_WRONG,
@@ -33,17 +34,19 @@ HEADS = {
     REFERENCE_WRONG: ("ref.", "wrong"),
     OUT_OF_DOMAIN: ("out", "dom."),
     OURS_WRONG: ("ours", "wrong"),
+    CANDIDATE_WRONG: ("cand.", "wrong"),
     UNDECIDED: ("unde-", "cided"),
 }
 
 
-def head(width: int) -> str:
-    """The names of the columns, in two lines; width: of the longest scene name."""
+def head(width: int, *, candidate: bool = False) -> str:
+    """The names of the columns, in two lines; width: of the longest scene name; candidate: in the place of ours."""
+    names = [CANDIDATE_WRONG if candidate and name == OURS_WRONG else name for name in CLASSES]
     lines = []
     for line, (hit, asked, worst, seconds) in enumerate(
         (("", "exact", "", ""), ("hit", "asked", "worst", "s"))
     ):
-        classes = "".join(f" {HEADS[name][line]:>{room(name)}}" for name in CLASSES)
+        classes = "".join(f" {HEADS[name][line]:>{room(name)}}" for name in names)
         scene = "scene" if line else ""
         lines.append(f"      {scene:<{width}} {hit:>6}{classes} {asked:>5} {worst:>5} {seconds:>5}".rstrip())
     return "\n".join(lines)
@@ -87,11 +90,15 @@ def _failure_lines(scene: SceneVerdict, report: str) -> Iterator[str]:
             yield check_failure(scene, check)
     if scene.failures:
         first = scene.failures[0]
+        worst = "" if scene.candidate else "worst "
         yield (
             f"FAIL  {scene.name}  {first.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
-            f"worst {first.ratio:.3g}x its bound at ({first.x}, {first.y})"
+            f"{worst}{first.ratio:.3g}x its bound at ({first.x}, {first.y})"
         )
+        for finding in scene.findings:
+            yield f"      {finding.pixels} pixels, first ({finding.x}, {finding.y}): {finding.what}"
         yield from _witness_lines(scene, first, report)
+        yield from (f"      note:      {note}" for note in scene.notes)
 
 
 def check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
@@ -115,7 +122,7 @@ def pixel_failure(scene: SceneVerdict, check: str) -> str:
 
 
 def _witness_lines(scene: SceneVerdict, worst: Failure, report: str = "") -> Iterator[str]:
-    yield f"      ours:      {worst.ours}"
+    yield f"      {'candidate:' if scene.candidate else 'ours:     '} {worst.ours}"
     yield f"      reference: {worst.reference}"
     yield f"      exact:     {worst.exact}"
     yield f"      why:       {worst.reason}"
@@ -127,7 +134,7 @@ def _witness_lines(scene: SceneVerdict, worst: Failure, report: str = "") -> Ite
 def _failing(scene: SceneVerdict) -> str:
     """How many pixels of which class fail."""
     counts = {
-        "ours wrong": scene.counts[OURS_WRONG],
+        scene.called(OURS_WRONG).replace("_", " "): scene.counts[OURS_WRONG],
         "undecided": scene.counts[UNDECIDED],
         "reference wrong in no known way": scene.cases.get(UNLISTED, 0),
     }
@@ -141,7 +148,7 @@ def _lack_of_evidence(scene: SceneVerdict) -> str:
     if wrong > scene.evidence:
         return (
             f"too little evidence: the reference is wrong at {wrong} pixels and right at {scene.evidence}, so it "
-            "says nothing about ours here"
+            f"says nothing about {'the candidate' if scene.candidate else 'ours'} here"
         )
     return f"too little evidence: {scene.evidence} pixels agree or tie, {scene.excused} are only excused"
 
@@ -162,7 +169,8 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
     size = f" --size {scene.size[0]} {scene.size[1]}" if scene.resized else ""
     path = shlex.quote(scene.path or "SCENE")
     if pixel is None:
-        return f"mitsuba-ref validate {path}{size}"
+        candidate = f" --candidate {shlex.quote(scene.candidate)}" if scene.candidate else ""
+        return f"mitsuba-ref validate {path}{size}{candidate}"
     return f"mitsuba-ref probe {path} {pixel[0]} {pixel[1]}{size}"
 
 
@@ -171,7 +179,10 @@ def summary(verdict: Verdict, seconds: float) -> str:
     passed = sum(scene.ok for scene in verdict.scenes)
     counts = verdict.counts
     total = sum(counts.values()) or 1
-    shares = [f"{counts[name]} {name.replace('_', ' ')} ({share(counts[name], total)})" for name in CLASSES]
+    shares = [
+        f"{counts[name]} {verdict.called(name).replace('_', ' ')} ({share(counts[name], total)})"
+        for name in CLASSES
+    ]
     lines = [
         f"{verdict.asked} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
         f"{_not_run(verdict)}, in {seconds:.1f} s",
@@ -180,6 +191,7 @@ def summary(verdict: Verdict, seconds: float) -> str:
         f"            {', '.join(shares[5:])}",
         f"exact:      {verdict.adjudicated} pixels were decided by exact arithmetic, "
         f"in {sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept):.1f} s",
+        *_candidate_lines(verdict),
         *_error_lines(verdict),
         *_case_lines(verdict),
         *_stored_lines(verdict),
@@ -189,6 +201,19 @@ def summary(verdict: Verdict, seconds: float) -> str:
         f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed
     ]
     return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
+
+
+def _candidate_lines(verdict: Verdict) -> Iterator[str]:
+    """Who was judged, by which arithmetic's bounds, and what was not judged: missing evidence is said."""
+    if not verdict.candidate:
+        return
+    precisions = sorted({scene.precision for scene in verdict.scenes} - {""})
+    held = f", held to the bounds of {' and '.join(precisions)}" if precisions else ""
+    yield f"candidate:  {verdict.candidate}{held}"
+    names = dict.fromkeys(name for scene in verdict.scenes for name in scene.unjudged)
+    yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
+    for note in dict.fromkeys(note for scene in verdict.scenes if scene.ok for note in scene.notes):
+        yield f"note:       {note}"
 
 
 def _error_lines(verdict: Verdict) -> Iterator[str]:

@@ -2,8 +2,9 @@
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,17 +35,35 @@ from mitsuba_ref.verdict import (
 from mitsuba_ref.worker import DEFAULT_TIMEOUT, Ask, ask
 
 
-def validate(scene: Scene | str | Path, *, timeout: float = DEFAULT_TIMEOUT) -> Verdict:
+def validate(
+    scene: Scene | str | Path,
+    *,
+    candidate: str | Callable[..., Any] | None = None,
+    timeout: float = DEFAULT_TIMEOUT,
+) -> Verdict:
     """Compare our caster with Mitsuba on one scene, given as a Scene or as the path of its file.
 
-    Raises SceneError for a scene that is not valid, FileMissing where there is none, MissingReferenceError for a shape
-    without a reference. A crash of Mitsuba is a verdict that does not pass. The verdict holds on to both pictures, for
-    its write_html.
+    candidate: somebody's ray caster in the place of ours: a function(scene, o, d) -> (t, n), or what --candidate takes
+    (docs/candidates.md). Raises SceneError for a scene that is not valid, FileMissing where there is none,
+    MissingReferenceError for a shape without a reference. A crash of Mitsuba is a verdict that does not pass. The
+    verdict holds on to both pictures, for its write_html.
     """
+    judge = validate_scene if candidate is None else _judge_of(candidate)
     if isinstance(scene, Scene):
-        return Verdict((validate_scene(scene, "scene", timeout=timeout, keep=True),))
-    name = Path(scene).stem
-    return Verdict((validate_scene(load_scene(scene), name, str(scene), timeout=timeout, keep=True),))
+        return Verdict((judge(scene, "scene", timeout=timeout, keep=True),))
+    return Verdict((judge(load_scene(scene), Path(scene).stem, str(scene), timeout=timeout, keep=True),))
+
+
+def _judge_of(candidate: str | Callable[..., Any]) -> Callable[..., SceneVerdict]:
+    """How a scene is judged with a candidate in our place."""
+    from functools import partial
+
+    from mitsuba_ref.candidate.asking import candidate_of
+    from mitsuba_ref.candidate.function import function_called
+    from mitsuba_ref.candidate.validation import validate_candidate
+
+    asked = candidate_of(candidate) if isinstance(candidate, str) else function_called(candidate)
+    return partial(validate_candidate, asked)
 
 
 def validate_scene(

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,9 @@ UNLISTED = (
 FORMAT = 2  # of verdict.json: raised when a name in it changes its meaning or goes away
 SHOWN = 10  # failures a scene lists; all are counted
 
+# What the class of a pixel is called where somebody's ray caster was put in the place of ours.
+CANDIDATE_WRONG = "candidate_wrong"
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -51,6 +54,15 @@ class Failure:
     def to_dict(self) -> dict[str, Any]:
         """As verdict.json has it."""
         return {**vars(self), "ratio": number(self.ratio)}
+
+
+class Finding(NamedTuple):
+    """What is wrong at some pixels, said once for all of them."""
+
+    pixels: int
+    what: str
+    x: int  # of the first of them
+    y: int
 
 
 @dataclass(frozen=True)
@@ -86,8 +98,17 @@ class SceneVerdict:
     worst_by: dict[str, Failure] = field(default_factory=dict)  # the worst of them
     inputs: str = ""  # a hash of all that the verdict depends on, where somebody asked for it
     kept: bool = False  # taken over from an earlier run of the same inputs, not judged now
+    candidate: str = ""  # who was judged in the place of ours, as named; "" for ours
+    precision: str = ""  # of the candidate: float32 or float64
+    unjudged: tuple[str, ...] = ()  # what there is to judge, and of this candidate was not
+    findings: tuple[Finding, ...] = ()  # what is wrong with the candidate, by number of pixels
+    notes: tuple[str, ...] = ()  # what else the candidate's verdict rests on
     # what it rests on, for write_html; None where nobody kept it
     seen: "Seen | None" = field(default=None, repr=False, compare=False)
+
+    def called(self, name: str) -> str:
+        """What a class is called in what people and programs read: ours_wrong of a candidate is candidate_wrong."""
+        return CANDIDATE_WRONG if self.candidate and name == OURS_WRONG else name
 
     @property
     def ok(self) -> bool:
@@ -128,7 +149,7 @@ class SceneVerdict:
 
     def to_dict(self) -> dict[str, Any]:
         """As verdict.json has it. Infinite ratios are the text "inf": JSON has no number for them."""
-        return {
+        found = {
             "name": self.name,
             "path": self.path,
             "ok": self.ok,
@@ -137,7 +158,7 @@ class SceneVerdict:
             "allowed": self.allowed,
             "pixels": self.pixels,
             "hit_pixels": self.hit_pixels,
-            "counts": self.counts,
+            "counts": {self.called(name): count for name, count in self.counts.items()},
             "adjudicated": self.adjudicated,
             "cases": self.cases,
             "reproducers": list(self.reproducers),
@@ -157,6 +178,23 @@ class SceneVerdict:
             "problem": self.problem,
             "inputs": self.inputs,
             "kept": self.kept,
+        }
+        return found | self._of_candidate() if self.candidate else found
+
+    def _of_candidate(self) -> dict[str, Any]:
+        """What verdict.json says of a candidate beside, or in other words than of ours."""
+        failures = []
+        for failure in self.failures:
+            said = {**vars(failure), "verdict": self.called(failure.verdict), "ratio": number(failure.ratio)}
+            said["candidate"] = said.pop("ours")
+            failures.append(said)
+        return {
+            "candidate": self.candidate,
+            "precision": self.precision,
+            "unjudged": list(self.unjudged),
+            "findings": [finding._asdict() for finding in self.findings],
+            "notes": list(self.notes),
+            "failures": failures,
         }
 
 
@@ -186,6 +224,15 @@ class Verdict:
     shard: str = ""  # such as "2/4": these are the scenes of one of several runs
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
     code: str = ""  # a hash of the sources that judged
+
+    @property
+    def candidate(self) -> str:
+        """Who was judged in the place of ours; "" for ours."""
+        return next((scene.candidate for scene in self.scenes), "")
+
+    def called(self, name: str) -> str:
+        """As SceneVerdict.called."""
+        return CANDIDATE_WRONG if self.candidate and name == OURS_WRONG else name
 
     @property
     def ok(self) -> bool:
@@ -244,7 +291,8 @@ class Verdict:
             "shard": self.shard,
             "selected": list(self.selected),
             "code": self.code,
-            "counts": self.counts,
+            "counts": {self.called(name): count for name, count in self.counts.items()},
+            **({"candidate": self.candidate} if self.candidate else {}),
             "adjudicated": self.adjudicated,
             "cases": self.cases,
             "scenes": [scene.to_dict() for scene in self.scenes],

@@ -1,5 +1,6 @@
 """What this run could use, said in its header, and a marker for each folder of tests."""
 
+import importlib.util
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,10 @@ KINDS = {
 OLD_LLVM = Path("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1")
 NAMED_IN_HEADER = ("numba", "mitsuba", "variants", "libLLVM", "browser")
 
+# Of docs/candidates; the other worked examples need nothing and always run.
+PEERS = ("open3d", "embreex")
+NO_PEER = "is not installed, its example of docs/candidates is not tested"
+
 
 def pytest_configure(config: pytest.Config) -> None:
     for kind, what in KINDS.items():
@@ -30,7 +35,12 @@ def pytest_report_header() -> list[str]:
     old = (
         OLD_LLVM if OLD_LLVM.exists() else "none: an abort of Mitsuba's own is not tested, a synthetic one is"
     )
-    return [*(f"{name}: {found[name].detail}" for name in NAMED_IN_HEADER), f"libLLVM that aborts: {old}"]
+    peers = ", ".join(f"{name} {'found' if importlib.util.find_spec(name) else NO_PEER}" for name in PEERS)
+    return [
+        *(f"{name}: {found[name].detail}" for name in NAMED_IN_HEADER),
+        f"libLLVM that aborts: {old}",
+        f"peers: {peers}",
+    ]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -198,8 +198,8 @@ def grow(boxes: Any, order: Any, start: int, stop: int, enough: int, node_boxes:
     return nodes
 
 
-# Where a node has fewer boxes, the rest reach from NO_BOX to -NO_BOX, outside of every tree, and are left before they are
-# entered. From so far away that rays are wider than that they are entered all the same: nothing is in them.
+# Where a node has fewer boxes, the rest reach from NO_BOX to -NO_BOX, outside of every tree, and are left before they
+# are entered. From so far away that rays are wider than that they are entered all the same: nothing is in them.
 NO_BOX, NOTHING = 2.0, ~0
 
 

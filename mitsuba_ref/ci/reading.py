@@ -9,19 +9,23 @@ from typing import Any
 from caster.wording import FileMissing
 from mitsuba_ref.bias import Bias, Statistics
 from mitsuba_ref.scene_check import SceneCheck
-from mitsuba_ref.verdict import FORMAT, Failure, SceneVerdict, Verdict
+from mitsuba_ref.verdict import CANDIDATE_WRONG, FORMAT, OURS_WRONG, Failure, Finding, SceneVerdict, Verdict
 
 BROKEN = (AttributeError, KeyError, TypeError, ValueError)  # what a record of another shape raises
 AS_THEY_ARE = {field.name for field in fields(SceneVerdict)} - {
     "checks",
     "failures",
+    "findings",
+    "notes",
     "ratios",
     "reproducers",
     "seen",
     "size",
     "statistics",
+    "unjudged",
     "worst_by",
 }
+OF_CANDIDATES = {"candidate", "precision"}  # left out where ours was judged
 
 
 class UnreadableVerdict(FileMissing):
@@ -64,7 +68,11 @@ def verdict_of(record: dict[str, Any]) -> Verdict:
 
 def scene_of(record: dict[str, Any]) -> SceneVerdict:
     """`SceneVerdict.to_dict`, undone."""
-    plain: dict[str, Any] = {name: record[name] for name in AS_THEY_ARE}
+    if record.get("candidate"):
+        record = as_of_ours(record)
+    plain: dict[str, Any] = {
+        name: record[name] for name in AS_THEY_ARE if name in record or name not in OF_CANDIDATES
+    }
     found = SceneVerdict(
         **plain,
         checks=tuple(
@@ -76,10 +84,24 @@ def scene_of(record: dict[str, Any]) -> SceneVerdict:
         size=tuple(record["size"]),
         statistics=statistics_of(record["statistics"]),
         worst_by={name: failure_of(each) for name, each in record["worst_by"].items()},
+        unjudged=tuple(record.get("unjudged", ())),
+        findings=tuple(Finding(**each) for each in record.get("findings", ())),
+        notes=tuple(record.get("notes", ())),
     )
     if found.ok != record["ok"]:
         raise ValueError(f"{found.name} says ok: {record['ok']}, its numbers say {found.ok}")
     return found
+
+
+def as_of_ours(record: dict[str, Any]) -> dict[str, Any]:
+    """The record of a candidate with the names that there are inside, whoever is judged."""
+    ours = {CANDIDATE_WRONG: OURS_WRONG}
+    failures = []
+    for each in record["failures"]:
+        said = {("ours" if name == "candidate" else name): value for name, value in each.items()}
+        failures.append(said | {"verdict": ours.get(said["verdict"], said["verdict"])})
+    counts = {ours.get(name, name): count for name, count in record["counts"].items()}
+    return record | {"failures": failures, "counts": counts}
 
 
 def failure_of(record: dict[str, Any]) -> Failure:

@@ -38,11 +38,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--other-scene", action="store_true", help="compare images of different scenes, too")
     add("--allow-empty", action="store_true", help="two images that hit nothing pass")
     add("--json", action="store_true", help="as JSON")
+    group = parser.add_argument_group(
+        "files of other programs, where their numbers do not tell (docs/candidates.md)"
+    )
+    add = group.add_argument
+    add(
+        "--map",
+        action="append",
+        default=[],
+        metavar="OURS=THEIRS",
+        help="a channel or group by its name there, such as depth=ViewLayer.Depth.Z or normal=N; any number of them",
+    )
+    add(
+        "--depth",
+        choices=("distance", "z", "near"),
+        help="what depth is: along the ray, along z, or from the near plane",
+    )
+    add("--miss", metavar="VALUE", help="the depth of a miss, such as 0, inf, 1e10 or FLT_MAX")
+    add(
+        "--near",
+        type=float,
+        metavar="N",
+        help="of the near plane, along the view axis, if depth counts from there",
+    )
+    add("--scene", metavar="SCENE", help="the scene whose camera took the pictures")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the comparison; 0 pass, 1 differences, 3 not comparable, 5 nothing to compare."""
-    from mitsuba_ref.exr.compare import Tolerances, compare_exr
+    from mitsuba_ref.exr.compare import Reading, Tolerances, compare_exr
 
     numbers = {name: getattr(args, name) for name in NUMBERS}
     tolerances = Tolerances(
@@ -52,6 +76,12 @@ def run(args: argparse.Namespace) -> int:
         allow_empty=args.allow_empty,
         other_scene=args.other_scene,
     )
-    result = compare_exr(args.ours, args.reference, tolerances, diff=args.output)
+    scene = None
+    if args.scene:
+        from caster.scene_files import load_scene
+
+        scene = load_scene(args.scene)
+    reading = Reading(tuple(args.map), args.depth, args.miss, args.near, scene)
+    result = compare_exr(args.ours, args.reference, tolerances, diff=args.output, reading=reading)
     print(json.dumps(result.to_dict(), indent=2) if args.json else result.format_table())
     return result.exit_code

@@ -17,10 +17,11 @@ from caster.commands.scene_arguments import add_mesh_dirs, blamed_on
 from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.wording import SceneError
 from mitsuba_ref.ci import arguments as ci
-from mitsuba_ref.commands import html_option
+from mitsuba_ref.commands import candidate_arguments, html_option
 
 if TYPE_CHECKING:
     from mitsuba_ref.campaign import Entry
+    from mitsuba_ref.candidate.asking import Candidate
     from mitsuba_ref.report.writing import Report
     from mitsuba_ref.verdict import SceneVerdict, Verdict
 
@@ -39,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     html_option.add(parser)
     add("--maxfail", metavar="N", type=count, help="stop after so many scenes that fail")
     add_mesh_dirs(parser)
+    candidate_arguments.add_arguments(parser)
     ci.add_arguments(parser)
 
 
@@ -59,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
     check_outputs(args)
     every = tuple(entry.name for entry in entries)
     entries = ci.part_of(entries, args)
+    candidate = candidate_arguments.asked(args)  # one that cannot be asked is said before any work
     from mitsuba_ref import variants
 
     variants.variant_for(has_quadrics=False)  # a wrong choice of variant is said before any work
@@ -67,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     html = html_option.begun(args, len(entries))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a cancelled job tidies up as after Ctrl-C
     try:
-        work_through(entries, args, done, html)
+        work_through(entries, args, done, html, candidate)
     finally:  # what is done is kept, whatever ends the work
         from mitsuba_ref.verdict import Verdict
 
@@ -121,19 +124,27 @@ def check_outputs(args: argparse.Namespace) -> None:
 
 
 def work_through(
-    entries: Sequence[Entry], args: argparse.Namespace, done: list[SceneVerdict], html: Report | None
+    entries: Sequence[Entry],
+    args: argparse.Namespace,
+    done: list[SceneVerdict],
+    html: Report | None,
+    candidate: Candidate | None,
 ) -> None:
-    """Print a row for each scene as soon as it and those before it are done."""
+    """Print a row for each scene as soon as it and those before it are done. candidate: in the place of ours."""
     from mitsuba_ref import campaign, progress, table
 
     width = max((len(each.name) for each in entries), default=0)
     # Itself, since whoever reads an EXR file in another thread puts another one in its place meanwhile.
     out = sys.stdout
-    print(table.head(width), file=out, flush=True)
+    print(table.head(width, candidate=candidate is not None), file=out, flush=True)
     folder = Path(args.out) if args.out else None
     workers = args.workers or campaign.default_workers()
     record = html.keep if html else None
-    judge = ci.judge_of(args, partial(campaign.judge_entry, keep=html is not None))
+    judge = (
+        ci.judge_of(args, partial(campaign.judge_entry, keep=html is not None))
+        if candidate is None
+        else candidate_arguments.judge_of(candidate, keep=html is not None)
+    )
     with closing(progress.bar_for(entries)) as bar:
         for verdict in campaign.run(entries, workers, args.maxfail, folder, judge, record):
             done.append(verdict)

@@ -18,6 +18,11 @@ from mitsuba_ref.meeting import U
 
 DERIVED = "K u S / cos"
 
+# A half has 11 bits, and below 2^-14 the spacing stays 2^-24. It was rounded once as it was stored, and where depth was
+# made into a distance, a second time.
+HALF_ROUNDINGS = 2.0
+U_HALF, SMALLEST_HALF = 2.0**-11, 2.0**-24
+
 Bound = tuple[Array, str]
 
 
@@ -27,12 +32,21 @@ def bound_of(pair: Pair, group: str, names: tuple[str, ...], tol: Tolerances) ->
     if any(pair.reference.channels[name].dtype == np.uint32 for name in names):
         return np.zeros_like(b), "exact"
     with np.errstate(all="ignore"):  # values that are not finite are judged before any bound
-        stored = U * (np.abs(a) + np.abs(b))
+        halves = _of_halves(pair.ours, names, a) + _of_halves(pair.reference, names, b)
+        stored = U * (np.abs(a) + np.abs(b)) + halves
         if group in ("depth", "position"):
-            return _length_bound(pair, group, tol, stored, b)
-        if group in ("normal", "shading_normal"):
-            return _normal_bound(pair.condition, tol, stored, b)
-        return _shade_bound(pair.condition, group, tol, stored, b)
+            bound, text = _length_bound(pair, group, tol, stored, b)
+        elif group in ("normal", "shading_normal"):
+            bound, text = _normal_bound(pair.condition, tol, stored, b)
+        else:
+            bound, text = _shade_bound(pair.condition, group, tol, stored, b)
+        return (bound, f"{text} + half") if halves.any() and "as asked" not in text else (bound, text)
+
+
+def _of_halves(exr: Exr, names: tuple[str, ...], values: Array) -> Array:
+    """How far values are off that were stored as halves, 0 for others."""
+    half = np.array([exr.channels[name].dtype == np.float16 for name in names])
+    return np.where(half, HALF_ROUNDINGS * np.maximum(U_HALF * np.abs(values), SMALLEST_HALF / 2.0), 0.0)
 
 
 def _length_bound(pair: Pair, group: str, tol: Tolerances, stored: Array, b: Array) -> Bound:

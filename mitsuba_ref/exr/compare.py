@@ -18,6 +18,7 @@ from caster.exr import read_exr
 from caster.wording import SceneError
 from mitsuba_ref.exr.difference_image import write_difference
 from mitsuba_ref.exr.differences import Judged, judge, judge_hits, present_groups
+from mitsuba_ref.exr.foreign import Reading, translated
 from mitsuba_ref.exr.layers import LAYERS
 from mitsuba_ref.exr.messages import messages_of
 from mitsuba_ref.exr.pairs import Pair, channels_left_out, obstacles, size_of
@@ -32,6 +33,7 @@ __all__ = [
     "TYPICAL_ATOL",
     "FileComparison",
     "GroupResult",
+    "Reading",
     "Tolerances",
     "Worst",
     "compare_exr",
@@ -41,12 +43,18 @@ Name = str | os.PathLike[str]
 
 
 def compare_exr(
-    ours: Name, reference: Name, tolerances: Tolerances | None = None, *, diff: Name | None = None
+    ours: Name,
+    reference: Name,
+    tolerances: Tolerances | None = None,
+    *,
+    diff: Name | None = None,
+    reading: Reading | None = None,
 ) -> FileComparison:
     """Judge every pixel of two EXR files, by channel name.
 
     diff: where to write ours - reference under the same channel names, float32, and the uint32 channel
     `class.I` (codes in its provenance); not written when the files are not comparable.
+    reading: how files of other programs are to be read, where their numbers do not tell.
     Raises FileMissing or UnreadableExr for an input, OutputError for diff, SceneError for an `ignore` that
     names nothing or a diff that would overwrite an input.
     """
@@ -54,9 +62,11 @@ def compare_exr(
     a, b = read_exr(ours), read_exr(reference)
     if diff is not None and _same_file(diff, (ours, reference)):
         raise SceneError(f"{diff}: the difference would overwrite an image it compares; give another name")
-    left_out = channels_left_out(a, b, tolerances.ignore)
-    blank = FileComparison(str(ours), str(reference), ignored=left_out)
-    reasons = obstacles(a, b, left_out, other_scene=tolerances.other_scene)
+    a, b, stated, alone, unclear = translated(a, b, reading or Reading())
+    ignored = channels_left_out(a, b, tolerances.ignore)
+    blank = FileComparison(str(ours), str(reference), ignored=ignored, stated=stated)
+    left_out = (*ignored, *alone)
+    reasons = unclear or obstacles(a, b, left_out, other_scene=tolerances.other_scene)
     if reasons:
         return _refused(blank, reasons)
     pair = Pair.of(a, b, [name for name in a.channels if name not in left_out])

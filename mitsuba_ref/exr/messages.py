@@ -73,7 +73,10 @@ def _where_to_look(
 def _half_notes(pair: Pair) -> list[str]:
     stored = (("ours", pair.ours), ("the reference", pair.reference))
     half = [who for who, exr in stored if any(exr.channels[n].dtype == np.float16 for n in pair.names)]
-    return [f"note: {who} holds halves, 11 bits a number; write float32 or state a tolerance" for who in half]
+    return [
+        f"note: {who} holds halves, 11 bits a number, and its bounds are a half's; float32 would show more"
+        for who in half
+    ]
 
 
 def _scene_notes(pair: Pair) -> list[str]:

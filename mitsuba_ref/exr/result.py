@@ -66,6 +66,7 @@ class FileComparison:
     ignored: tuple[str, ...] = ()
     exit_code: int = 3
     messages: tuple[str, ...] = ()
+    stated: tuple[str, ...] = ()  # what was taken for what in files of other programs
 
     @property
     def ok(self) -> bool:
@@ -88,6 +89,7 @@ class FileComparison:
     def format_table(self) -> str:
         """What `mitsuba-ref compare` prints: one line a group, then the verdict and where to look."""
         lines = [f"ours       {self.ours}", f"reference  {self.reference}"]
+        lines += [f"reading    {line}" for line in self.stated]
         if self.groups:
             lines += [_hit_line(self), "", *_rows(self.groups)]
             lines += [LEGEND, ""] if any("K u S" in g.bound for g in self.groups) else [""]

@@ -78,7 +78,7 @@ def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():
 
 @pytest.mark.parametrize("power", [40, 52, 60, 300])
 def test_a_tree_never_changes_a_hit_from_so_far_away_that_rays_are_wider_than_the_tree(power):
-    """There the places of a node without a box are entered, too. Alone and together: neighbours differ little, or a lot."""
+    """There the places of a node without a box are entered, too. Neighbours differ a lot, or not at all."""
     rng = np.random.default_rng(power)
     camera = Pinhole(eye=(0.0, 0.0, 5.0), look_at=(0.0, 0.0, 0.0))
     scene = Scene(camera=camera, shapes=[Icosphere(subdivisions=1)])  # nodes that are not full

@@ -12,7 +12,7 @@ from mitsuba_ref.__main__ import main
 from mitsuba_ref.campaign import Entry
 from mitsuba_ref.ci.reading import read_verdict, verdict_of
 from mitsuba_ref.ci.shards import Shard, chosen
-from mitsuba_ref.verdict import Verdict
+from mitsuba_ref.verdict import Finding, Verdict
 
 CAMERA = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
 
@@ -156,3 +156,12 @@ def test_a_verdict_comes_back_from_json_as_it_was():
         (made("a"), made("b", ok=False), made("c", ok=False, problem="crash")), 4, ("a", "b", "c", "d")
     )
     assert verdict_of(json.loads(json.dumps(whole.to_dict()))) == whole
+
+
+def test_a_verdict_on_a_candidate_comes_back_from_json_as_it_was():
+    said = {"candidate": "mine:trace", "precision": "float32", "unjudged": ("diffuse",), "notes": ("a note",)}
+    wrong = made("b", ok=False, findings=(Finding(1, "missed", 3, 4),), **said)
+    whole = Verdict((made("a", **said), wrong), 2, ("a", "b"))
+    record = json.loads(json.dumps(whole.to_dict()))
+    assert record["counts"]["candidate_wrong"] == 1 and record["candidate"] == "mine:trace"
+    assert verdict_of(record) == whole

@@ -561,12 +561,16 @@ def test_two_black_pictures_prove_nothing(tmp_path):
     assert compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", Tolerances(allow_empty=True)).exit_code == 0
 
 
-def test_halves_fail_and_the_reason_is_noted(tmp_path):
+def test_halves_get_the_bound_of_a_half_and_it_is_noted(tmp_path):
     write_exr(tmp_path / "a.exr", EXACT)
-    halves = {name: a.astype(np.float16) if name in FLOATS else a for name, a in EXACT.items()}
-    OpenEXR.File({}, halves).write(str(tmp_path / "b.exr"))
-    result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
-    assert result.exit_code == 1 and "note: the reference holds halves" in text(result)
+    for factor, code in ((1.0, 0), (1 + 2.0**-8, 1)):
+        halves = {name: (a * factor).astype(np.float16) if name in FLOATS else a for name, a in EXACT.items()}
+        halves["A"] = EXACT["A"].astype(np.float16)
+        OpenEXR.File({}, halves).write(str(tmp_path / "b.exr"))
+        result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
+        assert result.exit_code == code, text(result)
+        assert "note: the reference holds halves" in text(result)
+        assert group(result, "depth").bound.endswith("+ half")
 
 
 def test_the_json_is_strict_and_holds_the_counts(tmp_path):

@@ -8,9 +8,9 @@ from caster.packing import pack
 from caster.placing import as_float32
 from caster.shapes import Plane
 from mitsuba_ref import nearby
-from mitsuba_ref.nearby import GROUP, Nearby, along_a_curve, spread_bits
 from mitsuba_ref.meeting import KU_OURS
 from mitsuba_ref.model import Model, model_of
+from mitsuba_ref.nearby import GROUP, Nearby, along_a_curve, spread_bits
 from mitsuba_ref.rays import SharedRays
 
 SETTINGS = (

@@ -1,0 +1,102 @@
+"""What a candidate says of each ray, checked for form: before anything is compared."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mitsuba_ref.meeting import KU, KU_OURS
+
+FLOAT32, FLOAT64 = "float32", "float64"
+PRECISIONS = {FLOAT32: KU, FLOAT64: KU_OURS}  # K times the unit round-off, as Model.meet takes it
+
+
+class NoAnswer(Exception):  # noqa: N818 - an outcome, not a mistake of the program
+    """A candidate gave nothing that could be judged; the text says what it did, and the way out."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One row a ray. t is inf and n is 0 on a miss; broken rows have neither."""
+
+    t: np.ndarray  # (n,) float64, lengths of d
+    n: np.ndarray | None  # (n, 3) float64 of length 1; None: normals are not given
+    precision: str  # of PRECISIONS: what the arithmetic behind it is
+    broken: Mapping[str, np.ndarray]  # what is no answer at all -> (n,) bool
+    t_off: float | np.ndarray = 0.0  # (n,) how far t is off because it was stored as something else
+    own_camera: bool = False  # its rays came from a camera of its own, not from us
+    as_exported: bool = False  # it saw what Mitsuba saw: patches in place of planes
+    notes: tuple[str, ...] = ()
+    hints: tuple[str, ...] = field(default=())  # said only where it fails
+
+    @property
+    def hit(self) -> np.ndarray:
+        """(n,) bool; a broken row counts as one."""
+        found: np.ndarray = ~np.isposinf(self.t)
+        return found
+
+    @property
+    def is_broken(self) -> np.ndarray:
+        """(n,) bool: no answer at all."""
+        return np.any([np.zeros(len(self.t), bool), *self.broken.values()], axis=0)
+
+    @property
+    def ku(self) -> float:
+        return PRECISIONS[self.precision]
+
+
+def checked(t: Any, n: Any, count: int, *, precision: str | None = None, **more: Any) -> Answer:
+    """The answer about `count` rays out of what came back. precision: as declared; None: that of the arrays.
+
+    n may be None. Normals are taken as directions: each is divided by its length. A t that is NaN, negative or -inf,
+    and a normal that is not finite or has no length on a hit are rows without an answer. Raises NoAnswer for arrays of
+    another shape or of no floating type.
+    """
+    t = _floats("t", t, (count,))
+    n = None if n is None else _floats("n", n, (count, 3))
+    kinds = [a.dtype for a in (t, n) if a is not None]
+    hints = _hints(t, precision)
+    precision = precision or (FLOAT64 if all(kind == np.float64 for kind in kinds) else FLOAT32)
+    t = t.astype(np.float64)
+    broken = {"t is NaN": np.isnan(t), "t is negative": t < 0.0}
+    hit = ~np.isposinf(t)
+    if n is not None:
+        n = n.astype(np.float64)
+        length = np.linalg.norm(np.where(np.isfinite(n), n, 0.0), axis=1)
+        whole = np.isfinite(n).all(axis=1)
+        broken["the normal is not finite on a hit"] = hit & ~whole
+        broken["the normal has no length on a hit"] = hit & whole & (length == 0.0)
+        fine = hit & whole & (length > 0.0)
+        n = np.where(fine[:, None], n / np.where(fine, length, 1.0)[:, None], 0.0)
+    return Answer(
+        t, n, precision, {why: rows for why, rows in broken.items() if rows.any()}, hints=hints, **more
+    )
+
+
+def _floats(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        a = np.asarray(values)
+    except Exception as error:  # whatever somebody's array type raises
+        raise NoAnswer(f"{name} is no array: {error}") from error
+    expected = "(n,)" if len(shape) == 1 else "(n, 3)"
+    if a.shape != shape:
+        raise NoAnswer(f"{name}: expected shape {expected} = {shape}, got {a.shape}")
+    if a.dtype not in (np.float32, np.float64):
+        raise NoAnswer(f"{name}: expected float32 or float64 numbers, got {a.dtype}")
+    return a
+
+
+def _hints(t: np.ndarray, precision: str | None) -> tuple[str, ...]:
+    """Where a float64 array holds float32 numbers only, its maker may have computed in float32."""
+    if precision is not None or t.dtype != np.float64:
+        return ()
+    told = t[np.isfinite(t)]
+    with np.errstate(over="ignore"):
+        single = len(told) > 0 and bool((told.astype(np.float32) == told).all())
+    if not single:
+        return ()
+    return (
+        "every t is a float32 number in a float64 array, and is held to the bounds of float64; if it was computed in "
+        "float32: --candidate-precision float32",
+    )

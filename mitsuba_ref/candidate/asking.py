@@ -1,0 +1,59 @@
+"""What `--candidate` names, and the question every candidate is asked."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from caster.scene import Scene
+from caster.wording import SceneError
+from mitsuba_ref.candidate.answer import PRECISIONS, Answer
+from mitsuba_ref.model import Model
+from mitsuba_ref.rays import SharedRays
+
+DEFAULT_SECONDS = 300.0  # that a command may take for one scene
+
+
+@dataclass(frozen=True)
+class Question:
+    """One scene, in the float32 numbers that Mitsuba traces, and its rays."""
+
+    scene: Scene  # as described
+    traced: Scene  # in the very numbers that are traced (candidate/traced.py)
+    model: Model
+    rays: SharedRays
+    folder: Path  # a temporary one that holds the meshes of `traced`
+
+
+class Candidate(Protocol):
+    """Somebody's ray caster."""
+
+    @property
+    def name(self) -> str:
+        """As it was named by its user."""
+
+    @property
+    def reads_xml(self) -> bool:
+        """Whether it sees the scene as plain Mitsuba does."""
+
+    def answer(self, question: Question) -> Answer:
+        """What it says of every ray. Raises NoAnswer."""
+
+
+def candidate_of(text: str, precision: str | None = None, seconds: float = DEFAULT_SECONDS) -> Candidate:
+    """package.module:function, or a command with {xml} or {toml} and {exr}.
+
+    Raises SceneError for what is neither, a function that cannot be imported, a program that is not there.
+    """
+    from mitsuba_ref.candidate.command import FIELDS, command_of
+    from mitsuba_ref.candidate.function import function_of, is_function
+
+    if precision not in (None, *PRECISIONS):
+        raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
+    if is_function(text):
+        return function_of(text, precision)
+    if any(f"{{{name}}}" in text for name in FIELDS):
+        return command_of(text, precision, seconds)
+    raise SceneError(
+        f"--candidate {text!r}: expected package.module:function, or a command such as "
+        "'my-renderer {xml} -o {exr}' ({toml} in place of {xml} for our scene file)"
+    )

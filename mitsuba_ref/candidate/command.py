@@ -1,0 +1,186 @@
+"""A candidate that is a program: it reads our scene and writes an EXR file."""
+
+import contextlib
+import os
+import shlex
+import shutil
+import signal
+import string
+import subprocess
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from caster.exr import Exr, UnreadableExr, read_exr
+from caster.wording import FileMissing, SceneError
+from mitsuba_ref.candidate.answer import Answer, NoAnswer, checked
+from mitsuba_ref.candidate.asking import Question
+from mitsuba_ref.child import watched
+from mitsuba_ref.export import export
+from mitsuba_ref.meeting import U
+
+SCENES = ("xml", "toml")
+FIELDS = (*SCENES, "exr", "width", "height")
+OWN_CAMERA = "its rays are its own camera's, and it is allowed what rounding to float32 may do to those, too"
+LAST_WORDS = 1500  # characters kept of what a program said
+
+DEPTH, NORMAL, MASK = "depth.Z", ("normal.X", "normal.Y", "normal.Z"), "A"
+
+
+def command_of(text: str, precision: str | None, seconds: float) -> "Command":
+    """Split it as a shell would; nothing else of a shell is done. Raises SceneError."""
+    try:
+        words = shlex.split(text)
+    except ValueError as error:
+        raise SceneError(f"--candidate {text!r}: {error}") from error
+    try:
+        named = {
+            field for word in words for _, field, _, _ in string.Formatter().parse(word) if field is not None
+        }
+    except ValueError as error:
+        raise SceneError(f"--candidate {text!r}: {error}; a brace that is meant is written twice") from error
+    if unknown := named - set(FIELDS):
+        known = ", ".join(f"{{{name}}}" for name in FIELDS)
+        raise SceneError(f"--candidate {text!r}: {{{min(unknown)}}} stands for nothing; known are {known}")
+    if "exr" not in named or not named & set(SCENES):
+        raise SceneError(
+            f"--candidate {text!r}: expected {{exr}}, the file to write, and {{xml}} or {{toml}}, the scene"
+        )
+    if shutil.which(words[0]) is None:
+        raise SceneError(f"--candidate {text!r}: there is no program '{words[0]}' to run")
+    return Command(text, tuple(words), "xml" in named, "toml" in named, precision, seconds)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A program, run once a scene, without a shell, in the folder that the user is in."""
+
+    name: str
+    words: tuple[str, ...]
+    reads_xml: bool
+    reads_toml: bool
+    precision: str | None
+    seconds: float
+
+    def answer(self, question: Question) -> Answer:
+        """Write the scene, run the program, read its picture. Raises NoAnswer."""
+        film, folder = question.scene.film, question.folder
+        names = {"exr": folder / "candidate.exr", "width": film.width, "height": film.height}
+        if self.reads_xml:
+            names["xml"] = self._xml(question)
+        if self.reads_toml:
+            names["toml"] = folder / "scene.toml"
+            (folder / "scene.toml").write_text(question.traced.to_toml(), encoding="utf-8")
+        self._run([word.format(**names) for word in self.words])
+        exr = self._picture(folder / "candidate.exr", question)
+        return answer_in(exr, question, precision=self.precision, as_exported=self.reads_xml)
+
+    def _xml(self, question: Question) -> Path:
+        camera = question.scene.camera
+        exported = export(question.scene, question.model)
+        if "<sensor" not in exported.xml:
+            raise NoAnswer(
+                f"Mitsuba has no {camera.type} camera, so the XML has none; read {{toml}} for this scene"
+            )
+        return exported.write(question.folder)
+
+    def _run(self, words: list[str]) -> None:
+        said = ""
+        try:
+            child = subprocess.Popen(
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
+        try:
+            with watched(child):
+                said = child.communicate(timeout=self.seconds)[0].decode("utf-8", "replace")
+        except subprocess.TimeoutExpired as late:
+            words_so_far = _ended(child)
+            raise NoAnswer(f"killed after {self.seconds:g} s{_last(words_so_far)}") from late
+        finally:
+            _ended(child)
+        if child.returncode:
+            raise NoAnswer(f"{_exit(child.returncode)}{_last(said)}")
+
+    def _picture(self, path: Path, question: Question) -> Exr:
+        try:
+            exr = read_exr(path)
+        except UnreadableExr as error:
+            raise NoAnswer(f"the program ended well, but its picture cannot be read: {error}") from error
+        except FileMissing as error:
+            raise NoAnswer("the program ended well, but wrote no {exr}") from error
+        film, (x0, y0, x1, y1) = question.scene.film, question.scene.film.window
+        if exr.data_window not in ((x0, y0, x1, y1), (0, 0, x1 - x0, y1 - y0)):
+            raise NoAnswer(
+                f"the picture shows pixels {exr.data_window}, expected {(x0, y0, x1, y1)} of the film of "
+                f"{film.width} x {film.height}"
+            )
+        return exr
+
+
+def answer_in(exr: Exr, question: Question, **more: object) -> Answer:
+    """What an EXR in our channels says: depth along the ray from the eye, geometric normal, mask. Raises NoAnswer."""
+    channels = exr.channels
+    if DEPTH not in channels:
+        has = ", ".join(channels) or "none"
+        raise NoAnswer(
+            f"the picture has no channel {DEPTH}, the distance from the eye along the ray; it has {has}"
+        )
+    some = [name for name in NORMAL if name in channels]
+    if some and len(some) < len(NORMAL):
+        raise NoAnswer(f"the picture has {', '.join(some)}, but not all of {', '.join(NORMAL)}")
+    for name in (DEPTH, *some):
+        if channels[name].dtype != np.float32:
+            raise NoAnswer(f"channel {name} holds {channels[name].dtype}, expected float32: half has 11 bits")
+    rays = question.rays
+    depth = channels[DEPTH].ravel().astype(np.float64)
+    n = np.stack([channels[name].ravel() for name in some], axis=1).astype(np.float64) if some else None
+    length = np.linalg.norm(rays.d.astype(np.float64), axis=1)
+    with np.errstate(invalid="ignore"):
+        t = (depth - rays.start) / length
+    if MASK in channels:
+        covered = channels[MASK].ravel() != 0
+        contradicts = (covered & np.isposinf(depth)) | (~covered & np.isfinite(depth) & (depth != 0.0))
+        if contradicts.any():
+            i = int(np.argmax(contradicts))
+            raise NoAnswer(
+                f"A and {DEPTH} contradict each other at {int(contradicts.sum())} pixels, first number {i}: A is "
+                f"{channels[MASK].ravel()[i]:g}, depth {depth[i]:.9g}; a miss has A 0 and depth inf"
+            )
+        t = np.where(covered, t, np.inf)
+        depth = np.where(covered, depth, np.inf)
+    # From the eye to where the shared ray starts, and rounded to float32 as it was stored.
+    with np.errstate(invalid="ignore"):
+        stored = np.where(np.isfinite(depth), U * np.abs(depth) / length, 0.0)
+    found = checked(t, n, len(t), precision=more.pop("precision", None) or "float32", **more)  # type: ignore[arg-type]
+    return replace(found, t_off=stored, own_camera=True, notes=(OWN_CAMERA,))
+
+
+def _ended(child: subprocess.Popen[bytes]) -> str:
+    """Kill it and what it started; its words."""
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # gone
+        os.killpg(child.pid, signal.SIGKILL)
+    try:
+        return (child.communicate(timeout=5.0)[0] or b"").decode("utf-8", "replace")
+    except (subprocess.TimeoutExpired, ValueError):
+        return ""
+
+
+def _exit(code: int) -> str:
+    if code >= 0:
+        return f"the program ended with exit code {code}"
+    try:
+        return f"the program was ended by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"the program was ended by signal {-code}"
+
+
+def _last(words: str) -> str:
+    words = "".join(c if c in "\n\t" or c.isprintable() else " " for c in words).strip()
+    return f"; its last words:\n{words[-LAST_WORDS:]}" if words else "; it said nothing"

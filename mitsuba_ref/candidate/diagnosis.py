@@ -1,0 +1,249 @@
+"""What is wrong with a candidate: sentences, each with the pixels it is true of, by trying what people get wrong.
+
+Nothing here decides whether a pixel passes; it only says of those that do not what their numbers look like.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from mitsuba_ref.camera_reference import axes
+from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement, meets_again
+from mitsuba_ref.export import camera_reference
+from mitsuba_ref.judge import CODE
+from mitsuba_ref.meeting import Meetings, dot, norm, unit
+from mitsuba_ref.pixels import apart
+from mitsuba_ref.scene_check import pixel_centers
+from mitsuba_ref.verdict import FAILING, OURS_WRONG, REFERENCE_WRONG, UNDECIDED
+
+# A supposition is told where it predicts the number to this share of itself: far beyond rounding in float32, far below
+# any of the faults that are told apart here.
+LIKE = 1e-4
+BESIDE = 10 * LIKE  # two numbers that are so far apart are not alike
+MOST = 0.5  # a shift of the whole picture is told where it predicts so many of the pixels that fail
+TRIED = 4096  # pixels that suppositions about cameras are tried at
+
+
+class Diagnosis(NamedTuple):
+    """Each sentence and the rows of the picture, ascending, that it is true of; each failing row has one."""
+
+    said: Mapping[str, np.ndarray]
+
+    def of(self, row: int) -> str:
+        """The sentence of one row."""
+        return next(what for what, rows in self.said.items() if row in rows)
+
+
+class Failing(NamedTuple):
+    """The rows where the candidate is wrong by an exact answer, and what would be right there."""
+
+    rows: np.ndarray  # (m,)
+    hit: np.ndarray  # (m,) bool, exactly
+    t: np.ndarray  # (m,) exact, inf on a miss
+    prim: np.ndarray  # (m,) -1 on a miss
+    at: Meetings  # (m,) there, as the candidate may see it
+
+
+def diagnose(judge: CandidateJudge, judgement: CandidateJudgement) -> Diagnosis:
+    """The first sentence that is true of each pixel that fails, in the order of `suppositions`."""
+    said: dict[str, np.ndarray] = {}
+    left = judgement.is_class(*FAILING)
+    unlisted = [row for row, case in judgement.cases.items() if case is None]
+    left[unlisted] = True
+
+    def say(what: str, rows: np.ndarray) -> None:
+        mine = rows[left[rows]]
+        if len(mine):
+            said[what] = np.union1d(said.get(what, np.zeros(0, np.int64)), mine)
+            left[mine] = False
+
+    for why, broken in judge.answer.broken.items():
+        say(f"no answer: {why}", np.flatnonzero(broken))
+    say("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.answer.hit))
+    of_mitsuba = judgement.classes == CODE[REFERENCE_WRONG]
+    say("the candidate is right, and Mitsuba wrong in no known way", np.flatnonzero(of_mitsuba))
+    say("exact arithmetic gave no answer", np.flatnonzero(judgement.classes == CODE[UNDECIDED]))
+    wrong = np.flatnonzero(left & (judgement.classes == CODE[OURS_WRONG]))
+    if len(wrong):
+        failing = _failing(judge, judgement, wrong)
+        for what, rows in suppositions(judge, failing):
+            say(what, rows)
+    say("not what is there, in no way that is recognised", np.flatnonzero(left))
+    return Diagnosis(said)
+
+
+def _failing(judge: CandidateJudge, judgement: CandidateJudgement, rows: np.ndarray) -> Failing:
+    answers = [judgement.exact.of(row) for row in rows]
+    t = np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
+    prim = np.array([-1 if a is None else a.prim for a in answers])
+    return Failing(rows, prim >= 0, t, prim, meets_again(judge, rows, prim, t))
+
+
+def suppositions(judge: CandidateJudge, failing: Failing) -> Iterator[tuple[str, np.ndarray]]:
+    """(sentence, rows it is true of), what says most first."""
+    yield from _shifted(judge, failing)
+    yield from _missed(judge, failing)
+    hit = judge.answer.hit[failing.rows] & failing.hit
+    there = Failing(
+        failing.rows[hit], failing.hit[hit], failing.t[hit], failing.prim[hit], failing.at.taken(hit)
+    )
+    if len(there.rows):
+        yield from _wrong_t(judge, there)
+        yield from _wrong_normal(judge, there)
+
+
+def _missed(judge: CandidateJudge, failing: Failing) -> Iterator[tuple[str, np.ndarray]]:
+    rows, says = failing.rows, judge.answer.hit[failing.rows]
+    missed = rows[~says & failing.hit]
+    if len(missed) and judge.answer.hit.any():
+        at = np.flatnonzero(~says & failing.hit)
+        lines = judge.o[missed], judge.d[missed]
+        met = judge.model.meet(failing.prim[at], *lines, judge.answer.ku, ours=True)
+        begins_inside = np.unique(met.pair[(met.at.t < 0.0) & met.at.possible])
+        what = "missed: the surface's first root is behind the ray's origin, and the second one was not tried"
+        yield what, missed[begins_inside]
+    if len(missed):
+        everything = not judge.answer.hit.any()
+        yield ("the candidate misses everything" if everything else "missed; exact arithmetic hits"), missed
+    yield "a hit; exact arithmetic misses", rows[says & ~failing.hit]
+
+
+def _wrong_t(judge: CandidateJudge, f: Failing) -> Iterator[tuple[str, np.ndarray]]:
+    """Rows where t is not what it should be."""
+    t, d = judge.answer.t[f.rows], judge.d[f.rows]
+    t_off = np.broadcast_to(judge.answer.t_off, judge.answer.t.shape)[f.rows]
+    off = ~(np.abs(t - f.t) <= f.at.t_error + t_off)
+    root = off & _other_root(judge, f, t)
+    yield "another root of the surface that is hit first, such as the far one", f.rows[root]
+    if judge.scene.camera.type != "ray":
+        cosine = unit(d) @ axes(judge.scene.camera)[2]
+        what = "depth along z, the view axis, in place of t along the ray"
+        yield what, f.rows[_in_place_of(t, f.t, cosine, off)]
+    what = "distance in place of t, which counts in lengths of d"
+    yield what, f.rows[_in_place_of(t, f.t, norm(d), off)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(off, t / f.t - 1.0, 0.0)
+    if not off.any():
+        return
+    middle = float(np.median(share[off]))
+    same = off & (np.abs(share - middle) <= 0.01 * abs(middle))
+    if same.sum() > MOST * off.sum() and same.sum() > 1:
+        yield f"t is {1.0 + middle:.7g} times what it should be", f.rows[same]
+    behind = off & (share > BESIDE) & _some_surface(judge, f, t)
+    yield "a surface that lies behind the first one", f.rows[behind]
+    for some, word in ((off & (share < 0.0), "before"), (off & (share > 0.0), "behind")):
+        if some.any():
+            span = f"{np.abs(share[some]).min():.2g} to {np.abs(share[some]).max():.2g} of itself"
+            yield f"t is off: {word} what is hit, by {span}", f.rows[some]
+
+
+def _in_place_of(t: np.ndarray, right: np.ndarray, factor: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """(m,) bool: t looks like `factor` times what is right; where the factor is nearly 1, only if others show it."""
+    fits = off & _like(t, right * factor)
+    telling = fits & (np.abs(factor - 1.0) > BESIDE)
+    return fits if telling.sum() > MOST * off.sum() else telling
+
+
+def _wrong_normal(judge: CandidateJudge, f: Failing) -> Iterator[tuple[str, np.ndarray]]:
+    """Rows where t is right."""
+    n = judge.answer.n
+    if n is None:
+        return
+    n = n[f.rows]
+    towards = dot(f.at.n, judge.d[f.rows]) > 0.0
+    opposite = apart(n, -f.at.n) <= LIKE
+    yield (
+        "the normal is turned towards the ray; geometric normals point outside, whoever looks",
+        f.rows[opposite & towards],
+    )
+    yield "the normal is turned round", f.rows[opposite]
+    shading = (apart(n, f.at.sh_n) <= LIKE) & (apart(f.at.sh_n, f.at.n) > BESIDE)
+    yield "the interpolated normal in place of the geometric one", f.rows[shading]
+    off = apart(n, f.at.n)
+    off = off[np.isfinite(off)]
+    if len(off):
+        yield f"the normal is off by {off.min():.2g} to {off.max():.2g} of its length", f.rows
+
+
+def _like(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        near: np.ndarray = np.abs(a - b) <= LIKE * np.abs(b)
+    return near
+
+
+def _other_root(judge: CandidateJudge, f: Failing, t: np.ndarray) -> np.ndarray:
+    """(m,) bool: t is a root of the same primitive, though not the first."""
+    met = judge.model.meet(f.prim, judge.o[f.rows], judge.d[f.rows], judge.answer.ku, ours=True)
+    found = np.zeros(len(t), bool)
+    with np.errstate(invalid="ignore"):
+        fits = _like(t[met.pair], met.at.t) & ~_like(met.at.t, f.t[met.pair]) & met.at.possible
+    found[met.pair[fits]] = True
+    return found
+
+
+def _some_surface(judge: CandidateJudge, f: Failing, t: np.ndarray) -> np.ndarray:
+    """(m,) bool: some other surface on the ray is at t."""
+    rows = f.rows[:TRIED]
+    possible = judge.bracket.possible_hits(judge.o[rows], judge.d[rows], judge.t_max[rows])
+    found = np.zeros(len(t), bool)
+    found[possible.ray[_like(t[possible.ray], possible.at.t)]] = True
+    return found
+
+
+STEP = 0.125  # of a pixel, over which the slopes of t are taken
+EXPLAINS = 0.1  # a shift has to leave less than this of what there is to explain
+
+
+def _shifted(judge: CandidateJudge, failing: Failing) -> Iterator[tuple[str, np.ndarray]]:
+    """A picture that was taken beside the centres of its pixels: the shift that explains most of t, if it does."""
+    there = np.flatnonzero(failing.hit & judge.answer.hit[failing.rows])
+    there = there[:: max(1, len(there) // TRIED)]
+    rows, prim, right = failing.rows[there], failing.prim[there], failing.t[there]
+    t = judge.answer.t[rows]
+    with np.errstate(invalid="ignore"):
+        told = np.abs(t - right) > 0.0
+    if told.sum() < FEWEST:
+        return
+
+    def seen(x: float, y: float) -> np.ndarray:
+        return _seen_from(judge, rows, prim, right, (x, y))
+
+    x = y = 0.0
+    for _ in range(3):  # Newton: slopes at where the last step led
+        here = seen(x, y)
+        slopes = np.column_stack([seen(x + STEP, y) - here, seen(x, y + STEP) - here]) / STEP
+        fine = told & np.isfinite(slopes).all(axis=1) & np.isfinite(here)
+        fine &= np.abs(t - here) <= np.quantile(np.abs(t - here)[fine], 0.8) if fine.any() else fine
+        if fine.sum() < FEWEST:
+            return
+        step = np.linalg.lstsq(slopes[fine], (t - here)[fine], rcond=None)[0]
+        x, y = x + float(step[0]), y + float(step[1])
+        if not max(abs(x), abs(y)) < FARTHEST:
+            return
+    with np.errstate(invalid="ignore"):
+        explained = np.abs(t - seen(x, y)) <= EXPLAINS * np.abs(t - right)
+    if max(abs(x), abs(y)) > STEP / 4 and (explained & told).sum() > MOST * told.sum():
+        what = (
+            f"seen from beside the pixels' centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down"
+        )
+        yield what, failing.rows
+
+
+FEWEST = 16  # pixels that a shift is told by
+FARTHEST = 4.0  # pixels
+
+
+def _seen_from(
+    judge: CandidateJudge, rows: np.ndarray, prim: np.ndarray, t: np.ndarray, step: tuple[float, float]
+) -> np.ndarray:
+    """(m,) t of the same primitives along rays through another place of their pixels, the root nearest to t."""
+    scene = judge.scene
+    x, y = pixel_centers(scene)
+    rays = camera_reference(scene.camera).rays(scene.camera, scene.film, x[rows] + step[0], y[rows] + step[1])
+    o = rays.o + rays.t_min[:, None] * rays.d
+    met = judge.model.meet(prim, o, rays.d, judge.answer.ku, ours=True)
+    found = np.full(len(rows), np.nan)
+    order = np.argsort(-np.abs(met.at.t - t[met.pair]), kind="stable")  # the nearest comes last, and stays
+    found[met.pair[order]] = met.at.t[order]
+    return found

@@ -1,0 +1,125 @@
+"""A candidate that is a Python function: function(scene, o, d) -> (t, n)."""
+
+import importlib
+import re
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from caster.wording import SceneError
+from mitsuba_ref.candidate.answer import PRECISIONS, Answer, NoAnswer, checked
+from mitsuba_ref.candidate.asking import Question
+
+DOTTED = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
+OURS = (str(Path(__file__).parent), "<frozen importlib")  # whose calls say nothing of a candidate
+LAST_CALLS = 4  # of a traceback, on one line each
+
+# A candidate that ends the program would end it with its own exit code, which may be 0.
+STOPS = (Exception, SystemExit)
+
+# Scenes are judged several at a time; nobody said that a candidate may be called from two threads at once.
+_one_at_a_time = threading.Lock()
+
+
+def is_function(text: str) -> bool:
+    """Whether this is package.module:function."""
+    return DOTTED.fullmatch(text) is not None
+
+
+def function_of(text: str, precision: str | None = None) -> "Function":
+    """Import it; the current folder comes first, as for `python -m`. Raises SceneError."""
+    module, _, path = text.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        found: Any = importlib.import_module(module)
+    except STOPS as error:  # a module may raise what it likes
+        raise SceneError(f"--candidate {text}: cannot import {module}: {_told(error)}") from error
+    for name in path.split("."):
+        if not hasattr(found, name):
+            raise SceneError(f"--candidate {text}: {module} has no '{path}'")
+        found = getattr(found, name)
+    if not callable(found):
+        raise SceneError(f"--candidate {text}: expected a function, got {type(found).__name__}")
+    return function_called(found, text, precision)
+
+
+def function_called(call: Callable[..., Any], name: str = "", precision: str | None = None) -> "Function":
+    """A function as a candidate; its attribute `precision` counts where none is asked for. Raises SceneError."""
+    name = name or getattr(call, "__name__", type(call).__name__)
+    declared = precision or getattr(call, "precision", None)
+    if declared not in (None, *PRECISIONS):
+        raise SceneError(f"{name}.precision: expected {' or '.join(PRECISIONS)}, got {declared!r}")
+    return Function(name, call, declared)
+
+
+@dataclass(frozen=True)
+class Function:
+    """function(scene, o, d) -> (t, n). Its attribute `precision`, or the option, says float32 or float64."""
+
+    name: str
+    call: Callable[[Any, np.ndarray, np.ndarray], Any]
+    precision: str | None = None  # None: that of the arrays it returns
+    reads_xml: bool = False
+
+    def answer(self, question: Question) -> Answer:
+        """Ask about the rays that there are, float64 arrays of float32 values; a hit beyond t_max is a miss.
+
+        Raises NoAnswer.
+        """
+        rays = question.rays
+        there = rays.t_max >= 0.0
+        o, d = (a[there].astype(np.float64) for a in (rays.o, rays.d))
+        returned = self._called(question, o, d)
+        if not isinstance(returned, tuple | list) or len(returned) != 2:
+            raise NoAnswer(f"{self.name}: expected two arrays (t, n), got {_shown(returned)}")
+        try:
+            t, n = returned
+            some = checked(t, n, int(there.sum()), precision=self.precision)
+        except NoAnswer as error:
+            raise NoAnswer(f"{self.name}: {error}") from error
+        return _for_all(some, there, rays.t_max.astype(np.float64))
+
+    def _called(self, question: Question, o: np.ndarray, d: np.ndarray) -> Any:
+        try:
+            with _one_at_a_time:
+                return self.call(question.traced, o, d)
+        except STOPS as error:
+            raise NoAnswer(f"{self.name} raised {_told(error)}") from error
+
+
+def _for_all(some: Answer, there: np.ndarray, t_max: np.ndarray) -> Answer:
+    """An answer about the rays that there are -> about all pixels; what lies beyond t_max is not there."""
+
+    def spread(values: np.ndarray, nothing: float) -> np.ndarray:
+        whole = np.full((len(there), *values.shape[1:]), nothing, values.dtype)
+        whole[there] = values
+        return whole
+
+    t = spread(some.t, np.inf)
+    t[there & (t > t_max)] = np.inf
+    n = None if some.n is None else np.where(np.isposinf(t)[:, None], 0.0, spread(some.n, 0.0))
+    broken = {why: spread(rows, False) for why, rows in some.broken.items()}
+    return Answer(t, n, some.precision, broken, hints=some.hints)
+
+
+def _told(error: BaseException) -> str:
+    """The exception, and the last calls that led there."""
+    calls = [call for call in traceback.extract_tb(error.__traceback__) if not call.filename.startswith(OURS)]
+    where = "".join(
+        f"\n  {call.filename}:{call.lineno}, in {call.name}: {call.line}" for call in calls[-LAST_CALLS:]
+    )
+    return f"{type(error).__name__}: {error}{where}"
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"one array of shape {value.shape}"
+    return f"{len(value)} of them" if isinstance(value, tuple | list) else type(value).__name__

@@ -1,0 +1,236 @@
+"""The class of every pixel of a candidate: Mitsuba names the surface, float64 says where it is, and exact arithmetic
+who is right where that may matter (docs/method.md, "Candidates")."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from time import perf_counter
+
+import numpy as np
+
+from caster.rendering import Aovs, film_window
+from caster.scene import Scene
+from mitsuba_ref.adjudication import Adjudication, ask, ties_taken, worth_asking
+from mitsuba_ref.bounds import meetings_of
+from mitsuba_ref.bracket import ANY_SHAPE, MISSED, NOTHING_SAID, Bracket, Claims
+from mitsuba_ref.candidate.aimed import AimedModel, seen_by
+from mitsuba_ref.candidate.answer import Answer
+from mitsuba_ref.candidate.exact_share import Shares, shares_of
+from mitsuba_ref.cases import case_of
+from mitsuba_ref.exact import ExactAnswer, Oracle
+from mitsuba_ref.judge import CODE, EXACT, VAGUE
+from mitsuba_ref.measuring import Measure
+from mitsuba_ref.meeting import KU, Meetings
+from mitsuba_ref.model import Model
+from mitsuba_ref.pixels import apart, flat, share_of_bound
+from mitsuba_ref.rays import SharedRays
+from mitsuba_ref.reference import Witness, aovs_of
+from mitsuba_ref.verdict import (
+    AGREE,
+    EXPLAINED,
+    OURS_WRONG,
+    OUT_OF_DOMAIN,
+    REFERENCE_WRONG,
+    TIE,
+    UNDECIDED,
+)
+
+CLAIMED = ("depth", "position", "normal", "shading_normal", "shape_id")  # of the reference
+
+
+@dataclass(frozen=True)
+class CandidateJudgement:
+    """One row a pixel."""
+
+    classes: np.ndarray  # (n,) index into CLASSES; OURS_WRONG is said of the candidate
+    ratios: Mapping[str, np.ndarray]  # (n,) error over bound of each check
+    exact: Adjudication
+    cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known case
+    exact_seconds: float
+
+    def is_class(self, *names: str) -> np.ndarray:
+        """(n,) bool: pixels of one of these classes."""
+        return np.isin(self.classes, [CODE[name] for name in names])
+
+
+class CandidateJudge:
+    """One scene, what Mitsuba and a candidate say of it, about to be judged."""
+
+    def __init__(self, scene: Scene, model: Model, rays: SharedRays, witness: Witness, answer: Answer):
+        self.scene, self.model, self.rays = scene, model, rays
+        self.witness, self.answer = witness, answer
+        self.o, self.d = rays.o.astype(np.float64), rays.d.astype(np.float64)
+        self.t_max = rays.t_max.astype(np.float64)
+        self.view = seen_by(answer, scene, model)
+        self.prim = named_by(witness, model)
+        self.mine = meetings_of(
+            self.view, self.prim, (self.o, self.d), witness.t, answer.ku, ours=not answer.as_exported
+        )
+        self.at = meetings_of(model, self.prim, (self.o, self.d), witness.t, KU, ours=False)
+
+    @cached_property
+    def reference(self) -> Aovs:
+        window = film_window(self.scene)
+        return aovs_of(self.witness, self.rays, (window.height, window.width), CLAIMED)
+
+    @cached_property
+    def bracket(self) -> Bracket:
+        """What rounding allows the candidate."""
+        view = self.view.looking_closer() if isinstance(self.view, AimedModel) else self.view
+        return Bracket(view, self.answer.ku, ours=not self.answer.as_exported)
+
+    @cached_property
+    def theirs(self) -> Bracket:
+        """What rounding allows Mitsuba."""
+        return Bracket(self.model, KU, ours=False)
+
+    @cached_property
+    def oracle(self) -> Oracle:
+        return Oracle(self.model.packed)
+
+    def judge(self) -> CandidateJudgement:
+        """Plain agreement first; then everybody against the exact answer."""
+        answer, ratios = self.answer, self._ratios()
+        within = np.all([ratio <= 1.0 for ratio in ratios.values()], axis=0)
+        vague = self._vague()
+        plain = within & ~answer.is_broken & ~vague & self._reference_fits()
+        certain = self.mine.certain & self.at.certain
+        rows = worth_asking(plain, answer.hit, certain, self._shape())
+        rows = rows[self.t_max[rows] >= 0.0]
+        start = perf_counter()
+        answers = ask(self.oracle, self.o[rows], self.d[rows], self.t_max[rows])
+        seconds = perf_counter() - start
+        share = shares_of(self, rows, answers)
+        exact = Adjudication(rows, answers, share.best)
+        classes = np.where(plain, CODE[AGREE], CODE[UNDECIDED])
+        classes[rows] = self._settled(classes[rows], exact, share, vague[rows])
+        no_ray = (self.t_max < 0.0) & answer.hit
+        classes[answer.is_broken | no_ray] = CODE[OURS_WRONG]
+        ratios[EXACT] = np.zeros(len(classes))
+        ratios[EXACT][rows] = np.where(exact.answered, exact.share, 0.0)
+        for name in ratios:
+            ratios[name][answer.is_broken] = np.inf
+        cases = self._cases(np.flatnonzero(classes == CODE[REFERENCE_WRONG]), exact)
+        return CandidateJudgement(classes, ratios, exact, cases, seconds)
+
+    def claims(self, rows: np.ndarray) -> Claims:
+        """What the candidate says of some pixels: no shape, no shading normal, no position."""
+        answer = self.answer
+        shape = np.where(answer.hit[rows], ANY_SHAPE, MISSED)
+        n = NOTHING_SAID if answer.n is None else answer.n[rows]
+        t_off = np.broadcast_to(answer.t_off, answer.t.shape)[rows]
+        return Claims(answer.t[rows], shape, n, t_off=t_off)
+
+    def _shape(self) -> tuple[int, int]:
+        window = film_window(self.scene)
+        return window.height, window.width
+
+    def _ratios(self) -> dict[str, np.ndarray]:
+        """(n,) of each check: the candidate against the surface that Mitsuba names, where float64 has it."""
+        answer, mine = self.answer, self.mine
+        both = answer.hit & self.witness.hit
+        with np.errstate(invalid="ignore"):
+            depth = share_of_bound(np.abs(answer.t - mine.t), mine.t_error + answer.t_off)
+        depth = np.where(mine.possible, depth, np.inf)
+        found = {
+            "mask": np.where(answer.hit == self.witness.hit, 0.0, np.inf),
+            "depth": np.where(both, depth, 0.0),
+        }
+        if answer.n is not None:
+            turned = share_of_bound(apart(answer.n, mine.n), mine.n_error)
+            found["normal"] = np.where(both, turned, 0.0)
+        return found
+
+    def _vague(self) -> np.ndarray:
+        """(n,) bool: where t has no bound, or agreement of normals says nothing (VAGUE)."""
+        both: np.ndarray = self.answer.hit & self.witness.hit
+        return both & ~((self.mine.n_error <= VAGUE) & np.isfinite(self.mine.t_error))
+
+    def _reference_fits(self) -> np.ndarray:
+        """(n,) bool: Mitsuba's own answer is at the surface that it names, so that naming it tells something."""
+        at, witness = self.at, self.witness
+        with np.errstate(invalid="ignore"):
+            fits = at.possible & (np.abs(witness.t - at.t) <= at.t_error) & (witness.t > 0.0)
+            fits &= apart(flat(self.reference, "normal"), at.n) <= at.n_error
+        return np.where(witness.hit, fits, True)
+
+    def _settled(
+        self, classes: np.ndarray, exact: Adjudication, share: Shares, vague: np.ndarray
+    ) -> np.ndarray:
+        """The classes of the pixels that exact arithmetic was asked about."""
+        rows, classes = exact.rows, classes.copy()
+        disputed = classes != CODE[AGREE]
+        right = exact.right
+        lost = np.flatnonzero(exact.answered & ~right)
+        if len(lost):
+            classes[lost] = self._excused(rows[lost], [exact.answers[int(i)] for i in lost])
+        other = np.flatnonzero(right & disputed)
+        if len(other):
+            answers = [exact.answers[int(i)] for i in other]
+            classes[other] = self._mitsubas(rows[other], vague[other], answers)
+        classes[right & disputed & ~share.of_first] = CODE[TIE]
+        classes[~exact.answered] = CODE[UNDECIDED]
+        return classes
+
+    def _excused(self, rows: np.ndarray, answers: Sequence[ExactAnswer | None]) -> np.ndarray:
+        """Where the candidate is not exactly right: whether its own rounding allows what it says."""
+        claims = self.claims(rows)
+        found = self.bracket.judge(self.o[rows], self.d[rows], self.t_max[rows], claims)
+        allowed = found.allowed & ((claims.shape == MISSED) | (claims.t > 0.0))
+        classes = np.full(len(rows), CODE[OURS_WRONG])
+        lost = np.zeros(len(rows), bool)
+        if isinstance(self.view, AimedModel):
+            prim = np.array([-1 if answer is None else answer.prim for answer in answers])
+            t = np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
+            lost = self.view.is_lost(prim, self.d[rows], t)
+        classes[found.open | lost] = CODE[OUT_OF_DOMAIN]
+        classes[allowed] = CODE[EXPLAINED]
+        return classes
+
+    def _mitsubas(
+        self, rows: np.ndarray, vague: np.ndarray, answers: Sequence[ExactAnswer | None]
+    ) -> np.ndarray:
+        """Where the candidate is exactly right and does not plainly agree with Mitsuba: what becomes of Mitsuba."""
+        o, d = self.o[rows], self.d[rows]
+        claims = self._reference_claims(rows)
+        found = self.theirs.judge(o, d, self.t_max[rows], claims)
+        allowed = found.allowed & ((claims.shape < 0) | (claims.t > 0.0))
+        classes = np.full(len(rows), CODE[REFERENCE_WRONG])
+        classes[found.open | (allowed & vague)] = CODE[OUT_OF_DOMAIN]
+        classes[allowed & ~vague] = CODE[EXPLAINED]
+        classes[ties_taken(self.model, o, d, claims, answers, VAGUE)] = CODE[TIE]
+        return classes
+
+    def _reference_claims(self, rows: np.ndarray) -> Claims:
+        names = ("shape_id", "normal", "shading_normal", "position")
+        return Claims(self.witness.t[rows], *(flat(self.reference, name)[rows] for name in names))
+
+    def _cases(self, rows: np.ndarray, exact: Adjudication) -> dict[int, int | None]:
+        """Which known case of Mitsuba each pixel is where it is wrong."""
+        if not len(rows):
+            return {}
+        answers = [answer for answer in map(exact.of, rows) if answer is not None]
+        lines = self.o[rows], self.d[rows], self.t_max[rows]
+        prims = [int(self.prim[row]) for row in rows]
+        measured = Measure(self.model, self.oracle).all_of(
+            lines, self._reference_claims(rows), answers, prims
+        )
+        return {int(row): case_of(each) for row, each in zip(rows, measured, strict=True)}
+
+
+def named_by(witness: Witness, model: Model) -> np.ndarray:
+    """(n,) the number in the scene of what Mitsuba says is hit, -1 on a miss.
+
+    Of a shape with a stand-in, whose triangles Mitsuba counts by itself, the first primitive.
+    """
+    shape = witness.shape_id
+    first, last = model.packed.first[shape], model.packed.first[shape + 1]
+    prim = first + witness.answer.prim
+    prim = np.where((prim >= first) & (prim < last), prim, first)
+    return np.where(witness.hit & (shape >= 0), prim, -1).astype(np.int32)
+
+
+def meets_again(judge: CandidateJudge, rows: np.ndarray, prim: np.ndarray, t: np.ndarray) -> Meetings:
+    """Where rays of the picture meet these primitives as the candidate may see it, the root nearest to t."""
+    line = judge.o[rows], judge.d[rows]
+    return meetings_of(judge.view, prim, line, t, judge.answer.ku, ours=not judge.answer.as_exported)

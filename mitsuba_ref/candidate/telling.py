@@ -1,0 +1,76 @@
+"""What a candidate says of a pixel, in words, beside what Mitsuba and exact arithmetic say of it."""
+
+import numpy as np
+
+from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement
+from mitsuba_ref.exact import ExactAnswer
+from mitsuba_ref.judge import EXACT
+from mitsuba_ref.pixels import flat
+from mitsuba_ref.telling import both, exact_words
+from mitsuba_ref.verdict import CLASSES, Failure, pixel_of
+
+
+def failure_at(judge: CandidateJudge, judgement: CandidateJudgement, row: int, why: str) -> Failure:
+    """One pixel that fails."""
+    x, y = pixel_of(judge.scene, row)
+    ratios = {name: float(ratio[row]) for name, ratio in judgement.ratios.items()}
+    telling = {name: share for name, share in ratios.items() if name != EXACT and not share <= 1.0}
+    check = max(telling or ratios, key=lambda name: ratios[name])
+    exact = exact_words(judge.scene, judge.model.packed, asked(judge, judgement, row)) + exact_normal(
+        judge, judgement, row
+    )
+    verdict = CLASSES[int(judgement.classes[row])]
+    return Failure(
+        x,
+        y,
+        verdict,
+        check,
+        ratios[check],
+        candidate_words(judge, row),
+        mitsuba_words(judge, row),
+        exact,
+        why,
+    )
+
+
+def candidate_words(judge: CandidateJudge, row: int) -> str:
+    """t and normal, to the bit where that may matter, and the ray."""
+    answer = judge.answer
+    told = [f"t {both(float(answer.t[row]))}" if answer.hit[row] else "miss"]
+    if answer.n is not None and answer.hit[row]:
+        told.append(f"n ({numbers(answer.n[row])})")
+    told += [why for why, rows in answer.broken.items() if rows[row]]
+    told.append(f"along o ({numbers(judge.o[row])}), d ({numbers(judge.d[row])})")
+    return ", ".join(told)
+
+
+def mitsuba_words(judge: CandidateJudge, row: int) -> str:
+    shape = int(judge.witness.shape_id[row])
+    if shape < 0:
+        return "miss"
+    n = numbers(flat(judge.reference, "normal")[row])
+    return f"{judge.scene.shape_names()[shape]} at t {both(float(judge.witness.t[row]))}, n ({n})"
+
+
+def exact_normal(judge: CandidateJudge, judgement: CandidateJudgement, row: int) -> str:
+    """Normals are not exact: float64's at the surface that is hit exactly."""
+    from mitsuba_ref.candidate.judge import meets_again
+
+    answer = judgement.exact.of(row)
+    if answer is None or answer.t is None or judge.answer.n is None:
+        return ""
+    one = np.array([row])
+    at = meets_again(judge, one, np.array([answer.prim]), np.array([float(answer.t)]))
+    return f", n ({numbers(at.n[0])})"
+
+
+def asked(judge: CandidateJudge, judgement: CandidateJudgement, row: int) -> ExactAnswer | None:
+    """The exact answer of a row, asked for now if it was not before; none where there is no ray."""
+    known = judgement.exact.of(row)
+    if known is not None or judge.t_max[row] < 0.0:
+        return known
+    return judge.oracle.ask(judge.o[row], judge.d[row], 0.0, float(judge.t_max[row]))
+
+
+def numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.9g}" for value in values)

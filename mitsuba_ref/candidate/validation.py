@@ -1,0 +1,190 @@
+"""A scene through a candidate, Mitsuba and exact arithmetic to its verdict."""
+
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from caster.packing import Packed, pack
+from caster.placing import as_float32
+from caster.scene import Scene
+from mitsuba_ref.camera_reference import clip_planes
+from mitsuba_ref.candidate.answer import FLOAT32, Answer, NoAnswer
+from mitsuba_ref.candidate.asking import Candidate, Question
+from mitsuba_ref.candidate.diagnosis import Diagnosis, diagnose
+from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement
+from mitsuba_ref.candidate.pictures import write_pictures
+from mitsuba_ref.candidate.telling import failure_at
+from mitsuba_ref.candidate.traced import traced_scene
+from mitsuba_ref.export import limits
+from mitsuba_ref.jobs import Crash
+from mitsuba_ref.judge import CODE
+from mitsuba_ref.meeting import KU, KU_OURS
+from mitsuba_ref.model import model_of
+from mitsuba_ref.rays import share
+from mitsuba_ref.reference import consult
+from mitsuba_ref.scene_check import SceneCheck
+from mitsuba_ref.scene_checks import check_camera, check_sensor
+from mitsuba_ref.shape_checks import check_geometry, check_placement
+from mitsuba_ref.verdict import (
+    AGREE,
+    CLASSES,
+    FAILING,
+    OURS_WRONG,
+    SHOWN,
+    UNLISTED,
+    Failure,
+    Finding,
+    SceneVerdict,
+    pixel_of,
+)
+from mitsuba_ref.worker import DEFAULT_TIMEOUT, Ask, ask
+
+# Of the checks of a scene, those of what a candidate is handed; the others are about our own caster.
+CHECKS: tuple[Callable[[Scene], SceneCheck], ...] = (check_placement, check_geometry, check_camera)
+
+# What `validate` judges of ours, and no candidate gives.
+NEVER_GIVEN = ("position", "shading_normal", "shape_id", "diffuse")
+
+
+def validate_candidate(
+    candidate: Candidate,
+    scene: Scene,
+    name: str,
+    path: str = "",
+    *,
+    folder: Path | None = None,
+    timeout: float = DEFAULT_TIMEOUT,
+    ask: Ask = ask,
+    keep: bool = False,
+) -> SceneVerdict:
+    """The verdict of one scene; arguments as of `validate_scene`. What the candidate does wrong is in the verdict."""
+    start = time.perf_counter()
+
+    def ended(problem: str) -> SceneVerdict:
+        x0, y0, x1, y1 = scene.film.window
+        return SceneVerdict(
+            name,
+            path,
+            (x1 - x0) * (y1 - y0),
+            problem=problem,
+            seconds=time.perf_counter() - start,
+            size=(scene.film.width, scene.film.height),
+            candidate=candidate.name,
+            unjudged=NEVER_GIVEN,
+        )
+
+    packed = pack(scene, as_float32)
+    scene, limited = with_far_plane(scene, packed) if candidate.reads_xml else (scene, ())
+    rays = share(scene)
+    model = model_of(scene, packed, rays)
+    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as place:
+        where = Path(place)
+        question = Question(scene, traced_scene(scene, packed, where), model, rays, where)
+        try:
+            answer = candidate.answer(question)
+        except NoAnswer as error:
+            return ended(f"the candidate gave no answer to judge: {error}")
+    witness = consult(scene, model, rays, lights=False, timeout=timeout, ask=ask)
+    if isinstance(witness, Crash):
+        return ended(f"Mitsuba ended without an answer ({witness.exit}): {witness.words}".strip())
+    judge = CandidateJudge(scene, model, rays, witness, answer)
+    judgement = judge.judge()
+    if folder:
+        write_pictures(folder, name, judge, judgement)
+    hit = answer.hit | witness.hit
+    diagnosis = diagnose(judge, judgement)
+    return SceneVerdict(
+        name,
+        path,
+        len(answer.t),
+        hit_pixels=int(hit.sum()),
+        counts=_counts(judgement, hit),
+        ratios=_ratios(judgement),
+        checks=(*(check(scene) for check in CHECKS), check_sensor(scene, witness)),
+        failures=tuple(_failures(judge, judgement, diagnosis)),
+        versions=witness.answer.versions,
+        seconds=time.perf_counter() - start,
+        reference_seconds=witness.answer.seconds,
+        size=(scene.film.width, scene.film.height),
+        adjudicated=len(judgement.exact.rows),
+        exact_seconds=judgement.exact_seconds,
+        cases=_cases(judgement),
+        candidate=candidate.name,
+        precision=answer.precision,
+        unjudged=_unjudged(answer),
+        findings=tuple(_findings(judge, diagnosis)),
+        notes=(*answer.notes, *limited, *_hints(answer, judgement)),
+    )
+
+
+def with_far_plane(scene: Scene, packed: Packed) -> tuple[Scene, tuple[str, ...]]:
+    """The scene as the XML has it, and what that leaves out: Mitsuba's sensors end somewhere, and a plane does not."""
+    model = model_of(scene, packed, share(scene))
+    if np.isfinite(model.boxes).all() or getattr(scene.camera, "far", 0.0) is not None:
+        return scene, ()
+    far = clip_planes(scene.camera, limits(scene, model))["far_clip"]
+    camera = scene.camera.model_copy(update={"far": far})
+    return scene.model_copy(update={"camera": camera}), (PLANES_END,)
+
+
+PLANES_END = "in the XML, planes end at the sensor's far plane, and nothing is judged beyond it"
+
+
+def _unjudged(answer: Answer) -> tuple[str, ...]:
+    missing = ("normal",) if answer.n is None else ()
+    return (*missing, *NEVER_GIVEN)
+
+
+def _hints(answer: Answer, judgement: CandidateJudgement) -> tuple[str, ...]:
+    """What may help where pixels fail: bounds are as wide as the round-off they are made of."""
+    wrong = judgement.is_class(OURS_WRONG)[judgement.exact.rows]
+    if not judgement.is_class(*FAILING).any():
+        return ()
+    shares = judgement.exact.share[wrong]
+    if answer.hints or answer.precision == FLOAT32 or not len(shares) or shares.max() > KU / KU_OURS:
+        return answer.hints
+    return (
+        "every pixel that is wrong by the bounds of float64 is right by those of float32; if that will do: "
+        "--candidate-precision float32",
+    )
+
+
+def _counts(judgement: CandidateJudgement, hit: np.ndarray) -> dict[str, int]:
+    """Hit pixels of each class; one that fails counts, whether anybody hit there or not."""
+    counted = hit | judgement.is_class(*FAILING)
+    numbers = np.bincount(judgement.classes[counted], minlength=len(CLASSES))
+    return dict(zip(CLASSES, map(int, numbers), strict=True))
+
+
+def _ratios(judgement: CandidateJudgement) -> dict[str, float]:
+    agreeing = judgement.classes == CODE[AGREE]
+    return {name: float(ratio[agreeing].max(initial=0.0)) for name, ratio in judgement.ratios.items()}
+
+
+def _cases(judgement: CandidateJudgement) -> dict[str, int]:
+    numbers = sorted(judgement.cases.values(), key=lambda case: (case is None, case))
+    return dict(Counter(UNLISTED if case is None else str(case) for case in numbers))
+
+
+def _findings(judge: CandidateJudge, diagnosis: Diagnosis) -> Sequence[Finding]:
+    """Each sentence once, with the pixels it is said of, most first."""
+    found = [
+        Finding(len(rows), what, *pixel_of(judge.scene, int(rows[0])))
+        for what, rows in diagnosis.said.items()
+    ]
+    return sorted(found, key=lambda finding: -finding.pixels)
+
+
+def _failures(
+    judge: CandidateJudge, judgement: CandidateJudgement, diagnosis: Diagnosis
+) -> Sequence[Failure]:
+    """Some of the pixels that fail: the first of each thing that is wrong, then others in order."""
+    unlisted = np.array([row for row, case in judgement.cases.items() if case is None], np.int64)
+    rows = np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
+    first = [int(each[0]) for each in sorted(diagnosis.said.values(), key=lambda each: -len(each))]
+    order = list(dict.fromkeys([*first, *rows[:SHOWN].tolist()]))[:SHOWN]
+    return [failure_at(judge, judgement, row, diagnosis.of(row)) for row in order]

@@ -1,0 +1,73 @@
+"""The options of `validate` that put somebody's ray caster in the place of ours."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from caster.wording import SceneError
+
+if TYPE_CHECKING:
+    from mitsuba_ref.campaign import JudgeEntry
+    from mitsuba_ref.candidate.asking import Candidate
+
+SECONDS = 300.0  # mitsuba_ref.candidate.asking.DEFAULT_SECONDS, which --help need not load
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("somebody's ray caster in the place of ours (docs/candidates.md)")
+    group.add_argument(
+        "--candidate",
+        metavar="X",
+        help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
+        "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height})",
+    )
+    group.add_argument(
+        "--candidate-precision",
+        metavar="P",
+        choices=("float32", "float64"),
+        help="what it computes in, which its bounds follow from; default: the type of what it returns",
+    )
+    group.add_argument(
+        "--candidate-timeout",
+        metavar="S",
+        type=seconds,
+        default=SECONDS,
+        help=f"seconds that a command may take for one scene; default {SECONDS:g}",
+    )
+
+
+def seconds(text: str) -> float:
+    """A number > 0, or an error in argparse's way."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a number of seconds > 0, got '{text}'")
+    return value
+
+
+def asked(args: argparse.Namespace) -> Candidate | None:
+    """The candidate that was asked for; None: ours is judged. Raises SceneError for one that cannot be asked."""
+    if args.candidate is None:
+        return None
+    if args.resume:
+        raise SceneError(
+            "--resume: not with --candidate, whose program may have changed since; judge all scenes, or take shards"
+        )
+    from mitsuba_ref.candidate.asking import candidate_of
+
+    return candidate_of(args.candidate, args.candidate_precision, args.candidate_timeout)
+
+
+def judge_of(candidate: Candidate, *, keep: bool) -> JudgeEntry:
+    """How a scene is judged with a candidate in our place. keep: with what the verdict rests on."""
+    from dataclasses import replace
+    from functools import partial
+
+    from mitsuba_ref.campaign import judge_entry
+    from mitsuba_ref.candidate.validation import validate_candidate
+
+    judge = partial(judge_entry, validate=partial(validate_candidate, candidate), keep=keep)
+    return lambda entry, folder: replace(judge(entry, folder), candidate=candidate.name)

@@ -1,0 +1,138 @@
+"""Candidates for the tests: ours through the door, and what people get wrong, one fault at a time."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import caster
+from caster.scene import Scene
+
+Given = tuple[Any, Any]
+Trace = Callable[[Scene, np.ndarray, np.ndarray], Given]
+
+
+def ours(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    hits = caster.cast(scene, o, d)
+    return hits.t.copy(), hits.normal.copy()
+
+
+def ours_rounded(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours(scene, o, d)
+    return t.astype(np.float32), n.astype(np.float32)
+
+
+def far_root(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    """Of the only ball."""
+    (ball,) = scene.shapes
+    away = o - np.array(ball.center)
+    b, c = (away * d).sum(axis=1), (away * away).sum(axis=1) - ball.radius**2
+    a = (d * d).sum(axis=1)
+    inside = b * b > a * c
+    t = np.where(inside, (-b + np.sqrt(np.maximum(b * b - a * c, 0.0))) / a, np.inf)
+    return t, away + np.where(inside, t, 0.0)[:, None] * d
+
+
+def flipped_normal(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours(scene, o, d)
+    return t, -n
+
+
+def normal_towards_the_ray(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours(scene, o, d)
+    return t, np.where(((n * d).sum(axis=1) > 0.0)[:, None], -n, n)
+
+
+def shading_normal(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    hits = caster.cast(scene, o, d)
+    return hits.t, hits.surface.sh_n
+
+
+def seen_from_pixel_corners(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    """Half a pixel to the right and down: where the sample (x + 1, y + 1) is taken for the centre."""
+    from mitsuba_ref.camera_reference import looking
+    from mitsuba_ref.cameras.pinhole import tangents
+
+    film, across = scene.film, tangents(scene.camera, scene.film)
+    y, x = (axis.ravel() + 1.0 for axis in np.indices((film.height, film.width)))
+    right, up = (2 * x / film.width - 1) * across[0], (1 - 2 * y / film.height) * across[1]
+    return ours(scene, o, looking(scene.camera, np.column_stack([right, up, np.ones(len(x))])))
+
+
+def one_nan(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours(scene, o, d)
+    t[np.flatnonzero(np.isfinite(t))[7]] = np.nan
+    return t, n
+
+
+def all_nan(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    return np.full(len(o), np.nan), np.full((len(o), 3), np.nan)
+
+
+def one_missed_edge_pixel(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours(scene, o, d)
+    t[np.flatnonzero(np.isfinite(t))[0]] = np.inf
+    return t, n
+
+
+def one_hit_beside_the_edge(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours(scene, o, d)
+    first = np.flatnonzero(np.isfinite(t))[0]
+    t[first - 1], n[first - 1] = t[first], n[first]
+    return t, n
+
+
+def t_off_by_a_ten_thousandth(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours(scene, o, d)
+    return t * (1 + 1e-4), n
+
+
+def t_off_by_a_ten_thousandth_in_float32(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = t_off_by_a_ten_thousandth(scene, o, d)
+    return t.astype(np.float32), n.astype(np.float32)
+
+
+def float32_called_float64(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours_rounded(scene, o, d)
+    return t.astype(np.float64), n.astype(np.float64)
+
+
+def all_misses(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    return np.full(len(o), np.inf), np.zeros((len(o), 3))
+
+
+def depth_along_z(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    from mitsuba_ref.camera_reference import axes
+
+    t, n = ours(scene, o, d)
+    return t * (d @ axes(scene.camera)[2]), n
+
+
+def the_last_surface(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    """What lies behind the first hit, where something does."""
+    t, n = ours(scene, o, d)
+    hit = np.flatnonzero(np.isfinite(t))
+    behind = caster.cast(scene, o[hit] + 1.000001 * t[hit, None] * d[hit], d[hit])
+    there = np.isfinite(behind.t)
+    rows = hit[there]
+    t[rows], n[rows] = 1.000001 * t[rows] + behind.t[there], behind.normal[there]
+    return t, n
+
+
+def negative_t(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours(scene, o, d)
+    return np.where(np.isfinite(t), -t, t), n
+
+
+def normals_of_no_length(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours(scene, o, d)
+    return t, 0.0 * n
+
+
+def normals_of_any_length(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    t, n = ours(scene, o, d)
+    return t, 37.5 * n
+
+
+def without_normals(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
+    return ours(scene, o, d)[0], None

@@ -1,0 +1,228 @@
+"""A candidate that is a program: what it reads, what it may write, and every way in which it may fail."""
+
+import shlex
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import caster
+from caster.channels import channels_of
+from caster.exr import Exr
+from caster.scene import Scene, load_scene
+from caster.wording import SceneError
+from mitsuba_ref import child
+from mitsuba_ref.candidate.answer import Answer
+from mitsuba_ref.candidate.asking import Question, candidate_of
+from mitsuba_ref.candidate.command import answer_in
+from mitsuba_ref.candidate.validation import validate_candidate
+from mitsuba_ref.table import failure
+from mitsuba_ref.verdict import OURS_WRONG, OUT_OF_DOMAIN, SceneVerdict
+
+SCENES = Path(__file__).parents[2] / "scenes"
+PYTHON = shlex.quote(sys.executable)
+RENDER = f"{PYTHON} -m caster render {{toml}} -o {{exr}} --aov depth,normal"
+
+# A renderer of Mitsuba's own: the sensor of the XML, the intersections, and depth from the eye.
+MITSUBA = """
+import sys
+import numpy as np
+import mitsuba as mi
+mi.set_variant("scalar_rgb")
+from caster.exr import write_exr
+scene = mi.load_file(sys.argv[1], optimize=False)
+sensor = scene.sensors()[0]
+width, height = sensor.film().crop_size()
+eye = np.array(sensor.world_transform().translation(), np.float64).ravel()
+depth, normal = np.full((height, width), np.inf), np.zeros((height, width, 3))
+for y, x in np.ndindex(height, width):
+    ray, _ = sensor.sample_ray(0, 0.5, mi.Point2f((x + 0.5) / width, (y + 0.5) / height), 0.5)
+    si = scene.ray_intersect(ray)
+    if si.is_valid():
+        start = (np.array(ray.o, np.float64) - eye) @ np.array(ray.d, np.float64)
+        depth[y, x], normal[y, x] = si.t + start, si.n
+channels = {"depth.Z": depth, "A": np.isfinite(depth)}
+write_exr(sys.argv[2], channels | {f"normal.{axis}": normal[..., c] for c, axis in enumerate("XYZ")})
+"""
+
+
+def small(name: str) -> Scene:
+    return load_scene(SCENES / f"{name}.toml").with_film(width=16, height=12)
+
+
+@pytest.fixture
+def judged(ask):
+    def judge(command: str, scene: Scene, seconds: float = 60.0) -> SceneVerdict:
+        return validate_candidate(candidate_of(command, None, seconds), scene, "scene", ask=ask)
+
+    return judge
+
+
+# ---- right ----
+
+
+@pytest.mark.parametrize("name", ["cornell-box", "near-far-clip", "fisheye", "far-from-origin"])
+def test_our_own_command_passes(judged, name):
+    found = judged(RENDER, small(name))
+    assert found.ok, failure(found)
+    assert found.precision == "float32" and any("own camera" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("name", ["every-shape", "orthographic-clip", "spheres-on-plane"])
+def test_a_program_that_reads_the_xml_passes(judged, tmp_path, name):
+    (tmp_path / "program.py").write_text(MITSUBA)
+    found = judged(f"{PYTHON} {tmp_path / 'program.py'} {{xml}} {{exr}}", small(name))
+    assert found.ok, failure(found)
+
+
+class OwnCamera:
+    """Our render, which shoots its own rays, without a program."""
+
+    name, reads_xml = "own camera", False
+
+    def answer(self, question: Question) -> Answer:
+        aovs = caster.render(question.traced, aovs=("depth", "normal"))
+        channels = {name: values.astype(np.float32) for name, values in channels_of(aovs).items()}
+        window = question.scene.film.window
+        return answer_in(Exr(channels, {}, window, window), question)
+
+
+@pytest.mark.parametrize(("size", "lost"), [(1e-3, True), (1.0, False)])
+def test_what_is_smaller_than_the_cameras_rounding_is_out_of_domain(ask, size, lost):
+    """At (-830, -535, 2156) an eye is known to 5e-4."""
+    turned = {"rotate": {"axis": [1, 2, 3], "degrees": 40}}
+    place = [{"scale": size}, turned, {"translate": [-830.0, -535.0, 2156.0]}]
+    ball = caster.Icosphere(subdivisions=1, face_normals=True, to_world=place)
+    eye, aim = (-830.0004, -535.0003, 2156 + 3 * size), (-830.0004, -535.0003, 2156)
+    camera = caster.Orthographic(eye=eye, look_at=aim, width=3 * size)
+    scene = Scene(film=caster.Film(width=24, height=18), camera=camera, shapes=[ball])
+    found = validate_candidate(OwnCamera(), scene, "scene", ask=ask)
+    assert found.ok and found.counts[OURS_WRONG] == 0, failure(found)
+    assert (found.counts[OUT_OF_DOMAIN] > 0) is lost
+
+
+def test_a_camera_that_the_xml_cannot_have_is_said(judged):
+    found = judged(f"{PYTHON} -c pass {{xml}} {{exr}}", small("fisheye"))
+    assert not found.ok and "Mitsuba has no fisheye camera, so the XML has none; read {toml}" in found.problem
+
+
+# ---- wrong ----
+
+WRITE = """
+import sys
+import numpy as np
+from caster.exr import write_exr
+exr, width, height = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+depth, normal = np.full((height, width), np.inf), np.zeros((height, width))
+channels = {"depth.Z": depth, "A": np.isfinite(depth)} | {f"normal.{axis}": normal for axis in "XYZ"}
+"""
+SAVE = "\nwrite_exr(exr, channels)\n"
+
+FAILING = [
+    (
+        "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
+        "the program was ended by SIGSEGV; it said nothing",
+    ),
+    ("print('no licence'); raise SystemExit(3)", "ended with exit code 3; its last words:\nno licence"),
+    ("import time; print('slow', flush=True); time.sleep(60)", "killed after 1 s; its last words:\nslow"),
+    ("pass", "ended well, but wrote no {exr}"),
+    ("import sys; open(sys.argv[1], 'w')", "cannot be read"),
+    (WRITE + SAVE + "open(exr, 'r+').truncate(400)", "a damaged or truncated EXR"),
+    (WRITE + "del channels['depth.Z']" + SAVE, "the picture has no channel depth.Z"),
+    (WRITE + "del channels['normal.Y']" + SAVE, "has normal.X, normal.Z, but not all of"),
+    (
+        WRITE + "channels = {n: a[:-1] for n, a in channels.items()}" + SAVE,
+        "expected (0, 0, 16, 12) of the film",
+    ),
+    (WRITE + "channels['A'] = 0 * normal + 1" + SAVE, "A and depth.Z contradict each other at 192 pixels"),
+    (
+        "import sys, numpy as np, OpenEXR; h = np.ones((12, 16), np.float16)\n"
+        "OpenEXR.File({}, {'depth.Z': h}).write(sys.argv[1])",
+        "channel depth.Z holds float16, expected float32",
+    ),
+    (
+        "import sys, numpy as np, OpenEXR; h = np.ones((12, 16), np.float32)\n"
+        "OpenEXR.File([OpenEXR.Part({}, {'depth.Z': h}, n) for n in 'ab']).write(sys.argv[1])",
+        "a multi-part EXR",
+    ),
+]
+
+
+@pytest.mark.parametrize(("program", "says"), FAILING, ids=[says for _, says in FAILING])
+def test_no_picture_to_judge_is_a_problem_and_never_a_pass(judged, tmp_path, program, says):
+    (tmp_path / "program.py").write_text(program)
+    seconds = 1.0 if "sleep" in program else 60.0
+    command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{width}} {{height}} {{toml}}"
+    found = judged(command, small("one-sphere"), seconds)
+    assert not found.ok and says in found.problem and "FAIL" in failure(found)
+
+
+def test_a_picture_that_misses_everything_fails(judged, tmp_path):
+    (tmp_path / "program.py").write_text(WRITE + SAVE)
+    command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{width}} {{height}} {{toml}}"
+    found = judged(command, small("one-sphere"))
+    assert found.counts[OURS_WRONG] == found.hit_pixels > 50
+    assert found.findings[0].what == "the candidate misses everything"
+
+
+def test_a_picture_whose_depth_is_off_by_a_hundred_thousandth_fails(judged, tmp_path):
+    """What its own camera excuses is far less."""
+    (tmp_path / "program.py").write_text(
+        "import subprocess, sys\nfrom caster.exr import read_exr, write_exr\n"
+        "subprocess.run([sys.executable, '-m', 'caster', 'render', sys.argv[1], '-o', sys.argv[2], '--aov', "
+        "'depth,normal'], check=True)\n"
+        "exr = read_exr(sys.argv[2]); exr.channels['depth.Z'] *= 1.00001; write_exr(sys.argv[2], exr.channels)\n"
+    )
+    found = judged(f"{PYTHON} {tmp_path / 'program.py'} {{toml}} {{exr}}", small("cornell-box"))
+    assert found.counts[OURS_WRONG] > 0.9 * found.hit_pixels, failure(found)
+
+
+# ---- what cannot be asked ----
+
+UNASKABLE = [
+    ("renderer", "expected package.module:function, or a command"),
+    ("no.such.module:trace", "cannot import no.such.module: ModuleNotFoundError"),
+    ("math:no_such", "math has no 'no_such'"),
+    ("math:pi", "expected a function, got float"),
+    ("no-such-program {xml} -o {exr}", "there is no program 'no-such-program' to run"),
+    ("true {xml}", "expected {exr}, the file to write"),
+    ("true {exr}", "{xml} or {toml}, the scene"),
+    ("true {xml} {exr} {samples}", "{samples} stands for nothing"),
+    ("true '{xml} {exr}", "No closing quotation"),
+    ("true {xml {exr}", "{xml {exr}"),
+]
+
+
+@pytest.mark.parametrize(("text", "says"), UNASKABLE, ids=[text for text, _ in UNASKABLE])
+def test_what_cannot_be_asked_is_said_before_any_work(text, says):
+    with pytest.raises(SceneError) as caught:
+        candidate_of(text)
+    assert says in str(caught.value) and "--candidate" in str(caught.value)
+
+
+def test_a_program_ends_with_the_run_that_started_it(judged, tmp_path):
+    """Ctrl-C reaches the judge alone: it stops what it has started."""
+    (tmp_path / "program.py").write_text(
+        f"open({str(tmp_path / 'started')!r}, 'w')\nimport time; time.sleep(60)"
+    )
+    command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{toml}}"
+    found: list[SceneVerdict] = []
+    work = threading.Thread(target=lambda: found.append(judged(command, small("one-sphere"))))
+    work.start()
+    try:
+        while not (tmp_path / "started").exists() and work.is_alive():
+            time.sleep(0.01)
+        child.stop_all()
+        work.join(10.0)
+    finally:
+        child.start_again()
+    assert not work.is_alive() and "ended by SIGKILL" in found[0].problem
+
+
+def test_a_program_is_not_run_by_a_shell(judged, tmp_path):
+    scene = small("one-sphere")
+    found = judged(f"{PYTHON} -c 'import sys; sys.exit(sys.argv[1])' '$HOME;' {{exr}} {{toml}}", scene)
+    assert "its last words:\n$HOME;" in found.problem

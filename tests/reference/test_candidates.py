@@ -1,0 +1,286 @@
+"""A candidate that is right passes, and one that is wrong fails and is told what is wrong, where."""
+
+import importlib.util
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import candidates
+import numpy as np
+import pytest
+
+from caster.exr import read_exr
+from caster.scene import Scene, load_scene
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.candidate.function import Function, function_of
+from mitsuba_ref.candidate.validation import NEVER_GIVEN, validate_candidate
+from mitsuba_ref.jobs import Answer, Crash, Job
+from mitsuba_ref.junit import junit
+from mitsuba_ref.table import failure, summary
+from mitsuba_ref.validation import validate
+from mitsuba_ref.verdict import EXPLAINED, OURS_WRONG, TIE, SceneVerdict, Verdict
+
+ROOT = Path(__file__).parents[2]
+SCENES = sorted((ROOT / "scenes").glob("*.toml"))
+WORKED = ROOT / "docs" / "candidates"
+TOO_MANY = {"hills-131072-triangles", "two-thousand-spheres"}  # for a loop over all of them
+
+Judged = Callable[..., SceneVerdict]
+
+
+def small(name: str, width: int = 24, height: int = 18) -> Scene:
+    return load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=width, height=height)
+
+
+def worked(name: str) -> object:
+    """A module of docs/candidates, as `--candidate docs.candidates.NAME:trace` finds it from the root."""
+    spec = importlib.util.spec_from_file_location(name, WORKED / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def judged(ask) -> Judged:
+    """What is found about a candidate; Mitsuba is asked about a scene once, however many candidates see it."""
+    known: dict[tuple, Answer | Crash] = {}
+
+    def remembered(job: Job, timeout: float) -> Answer | Crash:
+        key = (job.xml.read_text(), job.o.tobytes(), job.d.tobytes())
+        if key not in known:
+            known[key] = ask(job, timeout)
+        return known[key]
+
+    def judge(trace: candidates.Trace, scene: Scene, precision: str | None = None) -> SceneVerdict:
+        return validate_candidate(
+            Function(trace.__name__, trace, precision), scene, "scene", "scenes/scene.toml", ask=remembered
+        )
+
+    return judge
+
+
+# ---- who is right ----
+
+
+def supported(scene: Scene) -> bool:
+    """By docs/candidates/plain.py."""
+    shapes = scene.shapes
+    flat = not any(shape.type in ("disk", "cylinder") for shape in shapes)
+    return flat and not any(shape.type == "sphere" and shape.to_world for shape in shapes)
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_ours_through_the_candidates_door_and_a_plain_float32_caster_pass(judged, path):
+    scene = small(path.stem, 16, 12)
+    tried = [candidates.ours, candidates.ours_rounded]
+    if supported(scene) and path.stem not in TOO_MANY:
+        tried.append(worked("plain").trace)
+    for trace, precision in zip(tried, ("float64", "float32", "float32"), strict=False):
+        found = judged(trace, scene)
+        assert found.ok, failure(found)
+        assert found.precision == precision and found.counts[OURS_WRONG] == 0
+        assert found.unjudged == NEVER_GIVEN
+
+
+def test_the_plain_caster_is_tried_on_many_scenes():
+    tried = [path.stem for path in SCENES if supported(load_scene(path)) and path.stem not in TOO_MANY]
+    assert len(tried) >= 15 and {"far-small-spheres", "shared-edges-cube", "spheres-on-plane"} <= set(tried)
+
+
+def test_normals_are_directions(judged):
+    assert judged(candidates.normals_of_any_length, small("cornell-box")).ok
+
+
+def test_what_is_not_given_is_not_judged_and_said_so(judged):
+    found = judged(candidates.without_normals, small("one-sphere"))
+    assert found.ok and found.unjudged == ("normal", *NEVER_GIVEN) and "normal" not in found.ratios
+    told = summary(Verdict((found,)), 1.0)
+    assert "not judged: normal, position, shading normal, shape id, diffuse" in told
+    assert "candidate:  without_normals, held to the bounds of float64" in told
+
+
+# ---- who is wrong ----
+
+EVERYWHERE = 0.99  # of the hit pixels
+
+FAULTS = [
+    (candidates.far_root, "one-sphere", EVERYWHERE, "another root of the surface that is hit first"),
+    (candidates.flipped_normal, "cornell-box", EVERYWHERE, "the normal is turned round"),
+    (candidates.normal_towards_the_ray, "inside-sphere", 0.5, "turned towards the ray"),
+    (candidates.shading_normal, "torus-smooth", 0.3, "the interpolated normal in place of the geometric one"),
+    (candidates.seen_from_pixel_corners, "one-sphere", EVERYWHERE, "by (+0.50, +0.50) of a pixel"),
+    (candidates.seen_from_pixel_corners, "cornell-box", EVERYWHERE, "by (+0.50, +0.50) of a pixel"),
+    (candidates.one_nan, "one-sphere", 1, "no answer: t is NaN"),
+    (candidates.all_nan, "one-sphere", EVERYWHERE, "no answer: t is NaN"),
+    (candidates.one_missed_edge_pixel, "one-sphere", 1, "missed; exact arithmetic hits"),
+    (candidates.one_hit_beside_the_edge, "one-sphere", 1, "a hit; exact arithmetic misses"),
+    (candidates.t_off_by_a_ten_thousandth, "cornell-box", EVERYWHERE, "t is 1.0001 times what it should be"),
+    (candidates.t_off_by_a_ten_thousandth_in_float32, "cornell-box", EVERYWHERE, "t is 1.0001 times"),
+    (candidates.float32_called_float64, "cornell-box", EVERYWHERE, "t is off"),
+    (candidates.all_misses, "one-sphere", EVERYWHERE, "the candidate misses everything"),
+    (candidates.depth_along_z, "one-sphere", EVERYWHERE, "depth along z, the view axis"),
+    (candidates.depth_along_z, "triangles", EVERYWHERE, "depth along z, the view axis"),
+    (candidates.the_last_surface, "closest-of-several", 0.1, "a surface that lies behind the first one"),
+    (candidates.negative_t, "one-sphere", EVERYWHERE, "no answer: t is negative"),
+    (
+        candidates.normals_of_no_length,
+        "one-sphere",
+        EVERYWHERE,
+        "no answer: the normal has no length on a hit",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("trace", "scene", "share", "says"), FAULTS, ids=[f"{fault[0].__name__}, {fault[1]}" for fault in FAULTS]
+)
+def test_a_planted_fault_fails_and_is_named(judged, trace, scene, share, says):
+    """share: how many of the hit pixels are wrong, or 1 pixel."""
+    found = judged(trace, small(scene))
+    wrong = found.counts[OURS_WRONG]
+    assert not found.ok and not found.problem
+    assert wrong == 1 if share == 1 else wrong >= share * found.hit_pixels
+    told = failure(found)
+    (first, *_) = found.findings
+    assert says in first.what and f"{first.pixels} pixels, first ({first.x}, {first.y}): {first.what}" in told
+    assert sum(finding.pixels for finding in found.findings) == wrong
+    assert (found.failures[0].x, found.failures[0].y) == (first.x, first.y)
+    assert f"{wrong} candidate wrong of {found.hit_pixels} hit pixels" in told and "ours" not in told
+
+
+def test_float32_in_a_float64_array_is_told_the_way_out(judged):
+    scene = small("cornell-box")
+    found = judged(candidates.float32_called_float64, scene)
+    assert "--candidate-precision float32" in failure(found)
+    assert judged(candidates.float32_called_float64, scene, "float32").ok
+
+
+def test_a_verdict_speaks_of_the_candidate_to_programs_too(judged):
+    found = Verdict((judged(candidates.flipped_normal, small("cornell-box")),))
+    told = found.to_dict()
+    (scene,) = told["scenes"]
+    assert told["candidate"] == scene["candidate"] == "flipped_normal" and scene["precision"] == "float64"
+    assert told["counts"]["candidate_wrong"] == scene["counts"]["candidate_wrong"] > 100
+    assert "ours_wrong" not in json.dumps(told) and scene["unjudged"] == list(NEVER_GIVEN)
+    assert {failure["verdict"] for failure in scene["failures"]} == {"candidate_wrong"}
+    assert all("candidate" in failure and "ours" not in failure for failure in scene["failures"])
+    assert scene["findings"][0]["what"] == "the normal is turned round"
+    assert "candidate=flipped_normal" in junit(found) and "candidate_wrong=" in junit(found)
+
+
+def all_misses_in_float32(scene, o, d):
+    return np.full(len(o), np.inf, np.float32), np.zeros((len(o), 3), np.float32)
+
+
+@pytest.mark.parametrize("name", ["shared-edges-icosphere", "shared-edges-cube"])
+def test_a_leak_at_an_edge_that_faces_share_is_no_rounding(judged, name):
+    """Pixel centres lie on edges, exactly: there no face is certain to be hit, yet one of two is."""
+    scene = small(name, 25, 25)
+    right = judged(candidates.ours_rounded, scene)
+    assert right.ok and right.counts[EXPLAINED] + right.counts[TIE] > 5
+    found = judged(all_misses_in_float32, scene)
+    assert found.counts[EXPLAINED] <= 0.01 * found.hit_pixels  # where corners meet, nothing is promised
+    assert found.counts[OURS_WRONG] >= 0.99 * found.hit_pixels
+
+
+# ---- no answer at all ----
+
+
+def raising(scene, o, d):
+    raise RuntimeError("no such shape")
+
+
+def leaving(scene, o, d):
+    raise SystemExit(0)
+
+
+ANSWERS = [
+    (raising, "raised RuntimeError: no such shape"),
+    (leaving, "raised SystemExit: 0"),
+    (lambda scene, o, d: np.zeros(len(o)), "expected two arrays (t, n), got one array of shape (432,)"),
+    (lambda scene, o, d: None, "expected two arrays (t, n), got NoneType"),
+    (lambda scene, o, d: (np.zeros(7), None), "t: expected shape (n,) = (432,), got (7,)"),
+    (lambda scene, o, d: (np.zeros((len(o), 1)), None), "t: expected shape (n,) = (432,), got (432, 1)"),
+    (lambda scene, o, d: (np.zeros(len(o)), o[:, :2]), "n: expected shape (n, 3) = (432, 3), got (432, 2)"),
+    (lambda scene, o, d: (np.zeros(len(o), int), None), "t: expected float32 or float64 numbers, got int64"),
+    (
+        lambda scene, o, d: (np.zeros(len(o), np.float16), None),
+        "expected float32 or float64 numbers, got float16",
+    ),
+    (lambda scene, o, d: ([None] * len(o), None), "t: expected float32 or float64 numbers, got object"),
+]
+
+
+@pytest.mark.parametrize(("trace", "says"), ANSWERS, ids=[says for _, says in ANSWERS])
+def test_an_answer_of_another_form_is_a_problem_and_never_a_pass(judged, trace, says):
+    found = judged(trace, small("one-sphere"))
+    assert not found.ok and says in found.problem and says in failure(found)
+    assert not Verdict((found,)).ok
+
+
+def test_a_candidate_may_write_into_the_arrays_that_it_gets(judged):
+    def careless(scene, o, d):
+        answer = candidates.ours(scene, o, d)
+        o[:], d[:] = np.nan, 0.0
+        return answer
+
+    assert judged(careless, small("one-sphere")).ok
+
+
+def test_python_may_name_the_function_itself():
+    found = validate(small("one-sphere"), candidate=candidates.flipped_normal)
+    assert not found.ok and found.candidate == "flipped_normal"
+
+
+def test_the_command_line_has_exit_codes_files_and_a_precision(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    one = ["validate", "scenes/one-sphere.toml", "--size", "24", "18", "--candidate"]
+    assert (
+        main(
+            [*one, "docs.candidates.plain:trace", "--out", str(tmp_path), "--candidate-precision", "float32"]
+        )
+        == 0
+    )
+    assert "cand." in capsys.readouterr().out
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"verdict.json"} | {
+        f"one-sphere.{part}.exr" for part in ("candidate", "reference", "verdict")
+    }
+    picture = read_exr(tmp_path / "one-sphere.candidate.exr").channels
+    assert {"A", "depth.Z", "normal.X"} <= picture.keys() and picture["A"].sum() > 50
+    assert main([*one, "docs.candidates.textbook:trace", "--candidate-precision", "float64"]) == 0
+    assert main([*one[:1], "scenes/inside-sphere.toml", *one[2:], "docs.candidates.textbook:trace"]) == 1
+    assert "first root is behind the ray's origin" in capsys.readouterr().out
+    assert main([*one, "nothing"]) == 2
+    assert "expected package.module:function, or a command" in capsys.readouterr().err
+
+
+# ---- the worked examples ----
+
+
+def test_the_textbook_caster_is_right_on_a_ball_and_told_what_is_wrong_inside_of_one(judged):
+    trace = worked("textbook").trace
+    assert judged(trace, small("one-sphere")).ok
+    far = judged(trace, small("far-small-spheres"))  # b^2 - 4 a c cancels
+    assert not far.ok and "right by those of float32" in failure(far)
+    found = judged(trace, small("inside-sphere"))
+    assert not found.ok
+    assert found.findings[0].what.startswith("missed: the surface's first root is behind the ray's origin")
+    assert found.findings[0].pixels > 0.5 * found.hit_pixels
+
+
+@pytest.mark.parametrize("name", ["trimesh_embree", "open3d_scene"])
+def test_the_peers_pass(judged, name):
+    """The run's header names those that are not installed."""
+    package = {"trimesh_embree": "embreex", "open3d_scene": "open3d"}[name]
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"{package} is not installed: pip install 'ray-reference[peers]'")
+    module = worked(name)
+    trace = getattr(module, "trace_with_our_normals", module.trace)
+    assert judged(trace, small("torus-smooth"), getattr(trace, "precision", None)).ok
+
+
+def test_a_function_is_found_from_the_current_folder(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    assert function_of("docs.candidates.textbook:trace").name == "docs.candidates.textbook:trace"
