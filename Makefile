@@ -48,6 +48,12 @@ bench: $(INSTALLED) ## run time against error: writes docs/performance.md and it
 	@mkdir -p docs/performance
 	@$(BIN)/mitsuba-ref bench --report docs --json docs/performance/run.json $(ARGS)
 
+docs: $(INSTALLED) ## pages and pictures that are made from sources: API, an edge case, every shape, the sheet of scenes
+	@$(BIN)/python docs/api.py
+	@$(BIN)/python docs/debugging.py
+	@$(BIN)/python docs/picture.py
+	@$(BIN)/caster sheet scenes -o docs/scenes.png --columns 9
+
 guard: $(INSTALLED) ## whether this tree renders slower than commit BASE did: fails beyond 1.25 times as long
 	@test -n "$(BASE)" || { echo 'which commit? make guard BASE=HEAD~1' >&2; exit 2; }
 	@$(BIN)/python benchmarks/revisions.py "$(BASE)" $(ARGS)

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from mitsuba_ref import variants
+from mitsuba_ref.bounds import meetings_of
 from mitsuba_ref.exact import ExactAnswer
 from mitsuba_ref.export import export, shape_ids
 from mitsuba_ref.jobs import Answer, Crash, Job
 from mitsuba_ref.judge import Judge
+from mitsuba_ref.meeting import KU, KU_OURS
 from mitsuba_ref.worker import ask_all
 
 MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_use_robust_intersections
@@ -27,10 +29,13 @@ class Saying:
     shape: str  # "miss" on a miss
     prim: int  # within its shape, -1 on a miss
     t: float
-    right: bool | None = None  # whether that is one of the surfaces that are hit exactly; None: nobody knows
+    right: bool | None = (
+        None  # one of the surfaces that are hit exactly, with t within its bound; None: nobody knows
+    )
     off: float | None = None  # t less the exact one; None on a miss, or where another surface is hit
     ulps: float | None = None  # the same, in units of the last place of the format it computes in
     format: str = ""  # which that is
+    share: float | None = None  # of the bound that its format has on t here
     problem: str = ""  # why it says nothing
 
 
@@ -106,9 +111,18 @@ def _held(said: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | 
     if not right or exact.t is None or not np.isfinite(said[3]):
         return Saying(*said, right=right, format=name)
     off = exact.t.off(said[3]) * -exact.t.compare(said[3])
+    bound = _bound(judge, exact, said[3], ours=kind is np.float64)
+    share = abs(off) / bound if bound > 0.0 else (0.0 if off == 0.0 else np.inf)
     with np.errstate(over="ignore", under="ignore"):
         ulp = float(np.spacing(np.abs(np.asarray(float(exact.t)).astype(kind))))
-    return Saying(*said, right=right, off=off, ulps=off / ulp if np.isfinite(ulp) else None, format=name)
+    ulps = off / ulp if np.isfinite(ulp) else None
+    return Saying(*said, right=share <= 1.0, off=off, ulps=ulps, format=name, share=share)
+
+
+def _bound(judge: Judge, exact: ExactAnswer, t: float, *, ours: bool) -> float:
+    """How far t may be off at what is hit exactly, for our arithmetic or Mitsuba's."""
+    prim, line, ku = np.array([exact.prim]), (judge.o, judge.d), KU_OURS if ours else KU
+    return float(meetings_of(judge.model, prim, line, np.array([t]), ku, ours=ours).t_error[0])
 
 
 def lines(found: tuple[Saying, ...]) -> Iterator[str]:
@@ -132,7 +146,8 @@ def _where(each: Saying) -> str:
 def _off_words(each: Saying) -> str:
     if each.ulps is None:
         return ""
-    return f", {each.ulps:+.3g} ulps of {each.format}" if each.ulps else f", exact in {each.format}"
+    beyond = f", {each.share:.3g}x its bound" if each.right is False and each.share is not None else ""
+    return f", {each.ulps:+.3g} ulps of {each.format}{beyond}" if each.ulps else f", exact in {each.format}"
 
 
 def recorded(each: Saying) -> dict[str, Any]:

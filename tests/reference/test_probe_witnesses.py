@@ -72,6 +72,28 @@ def test_a_witness_is_off_by_so_many_units_of_its_own_last_place(said):
     assert formats == {"ours": "float64", "mitsuba": "float32"}
 
 
+@pytest.mark.parametrize(
+    ("kind", "off", "right"),
+    [
+        (np.float64, 1e-15, True),
+        (np.float64, 1e-12, False),
+        (np.float32, 1e-7, True),
+        (np.float32, 1e-5, False),
+    ],
+)
+def test_a_witness_on_the_right_surface_at_a_wrong_distance_is_wrong(probed, kind, off, right):
+    from mitsuba_ref.judging import judge_of
+    from mitsuba_ref.witnesses import _held, _place, lines
+
+    judge = judge_of(caster.load_scene(probed / "edge.toml"))
+    exact = judge.oracle.ask(judge.o[0], judge.d[0], t_max=judge.t_max[0])
+    t = float(exact.t) * (1.0 + off)
+    saying = _held(("somebody", *_place(judge, exact.prim), t), judge, exact, kind)
+    assert saying.right is right and (saying.share <= 1.0) is right
+    (line,) = lines((saying,))
+    assert ("WRONG" in line and "x its bound" in line) is not right
+
+
 def test_a_pixel_without_a_ray_has_no_witnesses():
     from mitsuba_ref.witnesses import lines
 
