@@ -13,7 +13,7 @@ INSTALLED := .venv/installed-$(HERE)
 
 unexport PYTHONPATH PYTHONHOME
 .DELETE_ON_ERROR:
-.PHONY: help install validate test lint stress bench guard fuzz faults nightly clean
+.PHONY: help install validate test lint docs stress bench guard fuzz faults nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
