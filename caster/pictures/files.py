@@ -31,10 +31,15 @@ def write_picture(path: str, pixels: Array, about: Mapping[str, str] = {}) -> No
 
     Raises OutputError.
     """
+    write_bytes(path, encoded(pixels, SUFFIXES[Path(path).suffix.lower()], about))
+
+
+def encoded(pixels: Array, kind: str, about: Mapping[str, str] = {}) -> bytes:
+    """(h, w, 3) bytes as a file of one of the kinds of SUFFIXES."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    kind, options = SUFFIXES[Path(path).suffix.lower()], {}
+    options: dict[str, Any] = {}
     if kind == "PNG":
         info = PngInfo()
         for key, text in about.items():
@@ -42,7 +47,7 @@ def write_picture(path: str, pixels: Array, about: Mapping[str, str] = {}) -> No
         options = {"pnginfo": info, "optimize": True}
     out = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(pixels)).save(out, kind, **options)
-    write_bytes(path, out.getvalue())
+    return out.getvalue()
 
 
 def read_picture(path: str) -> Array:

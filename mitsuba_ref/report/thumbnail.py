@@ -1,11 +1,10 @@
 """A small picture of a scene."""
 
 import base64
-import struct
-import zlib
 
 import numpy as np
 
+from caster.pictures.files import encoded
 from caster.rendering import Aovs
 
 WIDTH, HEIGHT = 96, 72  # at most, in pixels: shown at half of that, sharp on a screen of twice the density
@@ -14,11 +13,11 @@ BACKGROUND = (40, 44, 52)
 
 
 def thumbnail(aovs: Aovs) -> str:
-    """The diffuse picture, or the normals of one that is dark, as a data URI."""
+    """The diffuse picture, the normals of one that is dark or not given, or else depth, as a data URI."""
     image = _shades(aovs)
     small = _halved(np.where(aovs.hit[..., None], image, np.array(BACKGROUND) / 255.0))
     levels = np.round(np.round(small * (LEVELS - 1)) * (255 / (LEVELS - 1))).astype(np.uint8)
-    return "data:image/png;base64," + base64.b64encode(png(levels)).decode("ascii")
+    return "data:image/png;base64," + base64.b64encode(encoded(levels, "PNG")).decode("ascii")
 
 
 def _shades(aovs: Aovs) -> np.ndarray:
@@ -29,8 +28,20 @@ def _shades(aovs: Aovs) -> np.ndarray:
         if brightest > 0.0:
             bright: np.ndarray = np.clip(shown / brightest, 0.0, 1.0) ** (1.0 / 2.2)
             return bright
-    turned: np.ndarray = np.clip(0.5 + 0.5 * np.nan_to_num(aovs["normal"]), 0.0, 1.0)
-    return turned
+    if "normal" in aovs:
+        turned: np.ndarray = np.clip(0.5 + 0.5 * np.nan_to_num(aovs["normal"]), 0.0, 1.0)
+        return turned
+    return _near_is_light(aovs)
+
+
+def _near_is_light(aovs: Aovs) -> np.ndarray:
+    """Depth, where nothing else is given."""
+    depth = aovs["depth"]
+    told = depth[np.isfinite(depth)]
+    near, far = (told.min(), told.max()) if len(told) else (0.0, 0.0)
+    with np.errstate(invalid="ignore"):
+        gray = np.nan_to_num(1.0 - 0.85 * (depth - near) / (far - near or 1.0), nan=0.0)
+    return np.repeat(np.clip(gray, 0.0, 1.0)[..., None], 3, axis=-1)
 
 
 def _halved(image: np.ndarray) -> np.ndarray:
@@ -41,17 +52,3 @@ def _halved(image: np.ndarray) -> np.ndarray:
     tall, wide = padded.shape[0] // step, padded.shape[1] // step
     mean: np.ndarray = padded.reshape(tall, step, wide, step, 3).mean(axis=(1, 3))
     return mean
-
-
-def png(image: np.ndarray) -> bytes:
-    """(h, w, 3) uint8 as a PNG file, each row as what it differs by from the one above."""
-    height, width, _ = image.shape
-    up = np.diff(image.reshape(height, -1), axis=0, prepend=np.zeros((1, 3 * width), np.uint8))
-    lines = np.concatenate([np.full((height, 1), 2, np.uint8), up], axis=1)
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes(), 9)), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, data) for kind, data in chunks)
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
