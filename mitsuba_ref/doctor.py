@@ -30,7 +30,8 @@ PEERS = (
     Part("embreex", "embreex", "4.4", RIVAL, needed=False),
     Part("trimesh", "trimesh", "4.6", RIVAL, needed=False),
 )
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox")
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
+BROWSERS = (*CHROMIUM, "firefox")
 PROBE_SECONDS = 60  # an import takes well under a second; a Mitsuba that hangs is a finding, too
 # door.describe() -> {"variants": [the variants that work here], "libllvm": the path in use, or None}
 PROBE = "import json; from mitsuba_ref import door; print(json.dumps(door.describe()))"

@@ -1,6 +1,7 @@
 """What this run could use, said in its header, and a marker for each folder of tests."""
 
 import importlib.util
+import shutil
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,10 @@ PEERS = ("open3d", "embreex")
 NO_PEER = "is not installed, its example of docs/candidates is not tested"
 
 
+# Firefox, which doctor also takes for a browser, opens reports, but is not what the tests drive.
+NO_CHROMIUM = "no Chromium: tests/report is skipped where it opens pages (apt install chromium)"
+
+
 def pytest_configure(config: pytest.Config) -> None:
     for kind, what in KINDS.items():
         config.addinivalue_line("markers", f"{kind}: {what} (everything in tests/{kind})")
@@ -29,17 +34,19 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_report_header() -> list[str]:
     """What is missing is named here: no test is skipped for it in silence."""
-    from mitsuba_ref.doctor import report
+    from mitsuba_ref.doctor import CHROMIUM, report
 
     found = {finding.name: finding for finding in report()}
     old = (
         OLD_LLVM if OLD_LLVM.exists() else "none: an abort of Mitsuba's own is not tested, a synthetic one is"
     )
     peers = ", ".join(f"{name} {'found' if importlib.util.find_spec(name) else NO_PEER}" for name in PEERS)
+    chromium = next(filter(None, map(shutil.which, CHROMIUM)), NO_CHROMIUM)
     return [
         *(f"{name}: {found[name].detail}" for name in NAMED_IN_HEADER),
         f"libLLVM that aborts: {old}",
         f"peers: {peers}",
+        f"reports: {chromium}",
     ]
 
 
