@@ -83,6 +83,8 @@ def test_the_workflow_hangs_together():
     assert uses["actions/download-artifact"]["with"]["pattern"] == "shard-*"
     assert uses["actions/cache"]["with"]["path"] == "~/.cache/caster"
     assert all("run" in step or "uses" in step for step in steps())
+    (page,) = [step["with"]["path"] for step in steps() if step.get("with", {}).get("archive") is False]
+    assert any(run.endswith(f"--html {page}") for run in runs), "what is shown as it is, a step writes"
 
 
 def test_our_own_workflow_parses_too():
