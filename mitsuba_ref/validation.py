@@ -17,7 +17,7 @@ from mitsuba_ref.judging import judge_of
 from mitsuba_ref.pictures import write_pictures
 from mitsuba_ref.pixels import flat
 from mitsuba_ref.reasons import reason
-from mitsuba_ref.report.seen import Seen
+from mitsuba_ref.report.of_ours import SeenOfOurs
 from mitsuba_ref.scene_checks import CHECKS_WITHOUT_REFERENCE, check_sensor
 from mitsuba_ref.storing import Stored, store_all
 from mitsuba_ref.telling import asked, exact_words
@@ -119,7 +119,7 @@ def validate_scene(
         not_stored=stored.left_out,
         failing_by={check: len(rows) for check, rows in by_check.items()},
         worst_by={check: _failure(judge, judgement, int(rows[0]), check) for check, rows in by_check.items()},
-        seen=Seen(judge, judgement) if keep else None,
+        seen=SeenOfOurs(judge, judgement) if keep else None,
     )
 
 

@@ -1,11 +1,13 @@
-"""Make the pictures of docs/report.md: python docs/report/pictures.py [FOLDER | INDEX.html]
+"""Make the pictures of docs/report.md: python docs/report/pictures.py [FOLDER | INDEX.html | --candidate]
 
 All scenes are judged, one with a fault that is planted, into FOLDER; an INDEX.html of an earlier run is opened as is.
+--candidate makes the picture of docs/candidates.md: the textbook caster inside a sphere.
 """
 
 import shutil
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +18,10 @@ from playwright.sync_api import Browser, sync_playwright
 from caster import load_scene
 from caster.view import View
 from mitsuba_ref import campaign, judging
+from mitsuba_ref.candidate.asking import candidate_of
+from mitsuba_ref.candidate.validation import validate_candidate
 from mitsuba_ref.pair import our_view
-from mitsuba_ref.report.writing import Report
+from mitsuba_ref.report.writing import Report, write_report
 from mitsuba_ref.verdict import pixel_of
 
 HERE = Path(__file__).parent
@@ -26,6 +30,7 @@ FAULTY, PIXEL = "every-shape", (192, 174)  # there, t of the primitive at this p
 MOST_BYTES = 300_000  # of a picture
 WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 420, "height": 800}
 
+Shot = tuple[str, str, dict[str, int], str, str]
 # Name, place in the report, screen, theme and keys.
 SHOTS = (
     ("index", "", WIDE, "light", ""),
@@ -34,9 +39,16 @@ SHOTS = (
     ("wipe", "#s=cornell-box&a=diffuse&v=wipe&x=96&y=120", WIDE, "dark", ""),
     ("narrow", f"#s={FAULTY}&x=192&y=174&a=normal", NARROW, "light", ""),
 )
+CANDIDATE, INSIDE = "docs.candidates.textbook:trace", "inside-sphere"
+OF_CANDIDATE = (
+    ("../candidates/report", f"#s={INSIDE}&x=60&y=128&a=depth", {"width": 1240, "height": 800}, "dark", ""),
+)
 
 
 def main() -> None:
+    if sys.argv[1:] == ["--candidate"]:
+        shoot(candidate_report_into(Path(tempfile.mkdtemp())), OF_CANDIDATE)
+        return
     if len(sys.argv) > 1 and Path(sys.argv[1]).is_file():
         shoot(Path(sys.argv[1]))
         return
@@ -55,6 +67,13 @@ def report_into(folder: Path) -> Path:
     return report.index
 
 
+def candidate_report_into(folder: Path) -> Path:
+    """Run from the top of the tree, where the candidate is found."""
+    path = f"scenes/{INSIDE}.toml"
+    verdict = validate_candidate(candidate_of(CANDIDATE), load_scene(path), INSIDE, path, keep=True)
+    return write_report(folder, [verdict], 1)
+
+
 def faulty_view(scene: object, rays: object) -> View:
     view = our_view(scene, rays)
     if (scene.film.width, scene.film.height, len(scene.shapes)) != FAULTY_SCENE:
@@ -70,10 +89,10 @@ _faulty = load_scene(SCENES / f"{FAULTY}.toml")
 FAULTY_SCENE = (_faulty.film.width, _faulty.film.height, len(_faulty.shapes))
 
 
-def shoot(index: Path) -> None:
+def shoot(index: Path, shots: Sequence[Shot] = SHOTS) -> None:
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        for shot in SHOTS:
+        for shot in shots:
             picture(browser, index, *shot)
         browser.close()
 
@@ -83,7 +102,7 @@ def picture(
 ) -> None:
     page = browser.new_page(viewport=size, color_scheme=theme)
     page.goto(f"{index.resolve().as_uri()}{place}")
-    page.wait_for_selector("#pixel section >> nth=4" if place else ".row")
+    page.wait_for_selector("#pixel section >> nth=2" if place else ".row")
     for key in keys:
         page.keyboard.press(key)
     page.wait_for_timeout(500)

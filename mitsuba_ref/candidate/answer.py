@@ -9,6 +9,7 @@ import numpy as np
 from mitsuba_ref.meeting import KU, KU_OURS
 
 FLOAT32, FLOAT64 = "float32", "float64"
+NOT_FINITE = "the normal is not finite on a hit"
 PRECISIONS = {FLOAT32: KU, FLOAT64: KU_OURS}  # K times the unit round-off, as Model.meet takes it
 
 
@@ -65,7 +66,7 @@ def checked(t: Any, n: Any, count: int, *, precision: str | None = None, **more:
         n = n.astype(np.float64)
         length = np.linalg.norm(np.where(np.isfinite(n), n, 0.0), axis=1)
         whole = np.isfinite(n).all(axis=1)
-        broken["the normal is not finite on a hit"] = hit & ~whole
+        broken[NOT_FINITE] = hit & ~whole
         broken["the normal has no length on a hit"] = hit & whole & (length == 0.0)
         fine = hit & whole & (length > 0.0)
         n = np.where(fine[:, None], n / np.where(fine, length, 1.0)[:, None], 0.0)

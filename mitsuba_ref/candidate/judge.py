@@ -48,9 +48,22 @@ class CandidateJudgement:
     cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known case
     exact_seconds: float
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.ratios)
+
+    def ratio(self, name: str) -> np.ndarray:
+        """(n,) error over bound of a check, `exact` included."""
+        return self.ratios[name]
+
     def is_class(self, *names: str) -> np.ndarray:
         """(n,) bool: pixels of one of these classes."""
         return np.isin(self.classes, [CODE[name] for name in names])
+
+    def is_right(self, row: int) -> bool:
+        """Whether exact arithmetic was asked about a row, and the candidate has its answer."""
+        place = self.exact.place.get(row)
+        return place is not None and bool(self.exact.right[place])
 
 
 class CandidateJudge:

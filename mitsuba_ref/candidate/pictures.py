@@ -8,6 +8,7 @@ from caster import __version__
 from caster.channels import channels_of, provenance
 from caster.exr import write_exr
 from caster.rendering import Aovs
+from mitsuba_ref.candidate.answer import NOT_FINITE
 from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement
 from mitsuba_ref.verdict import CANDIDATE_WRONG, CLASSES, OURS_WRONG
 
@@ -32,10 +33,13 @@ def write_pictures(folder: Path, name: str, judge: CandidateJudge, judgement: Ca
 
 
 def candidate_aovs(judge: CandidateJudge) -> Aovs:
-    """What the candidate said, as pictures; depth counts from the eye, as the reference's."""
+    """What the candidate said, as pictures; depth counts from the eye, as the reference's.
+
+    A normal that is not finite is NaN."""
     answer, shape = judge.answer, judge.reference.hit.shape
     length = np.linalg.norm(judge.d, axis=1)
     images = {"depth": (judge.rays.start + answer.t * length).reshape(shape)}
     if answer.n is not None:
-        images["normal"] = answer.n.reshape(*shape, 3)
+        none = answer.broken.get(NOT_FINITE, np.zeros(len(answer.t), bool))
+        images["normal"] = np.where(none[:, None], np.nan, answer.n).reshape(*shape, 3)
     return Aovs(images, answer.hit.reshape(shape))

@@ -17,6 +17,7 @@ from mitsuba_ref.candidate.asking import Candidate, Question
 from mitsuba_ref.candidate.diagnosis import Diagnosis, diagnose
 from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement
 from mitsuba_ref.candidate.pictures import write_pictures
+from mitsuba_ref.candidate.seen import SeenOfCandidate
 from mitsuba_ref.candidate.telling import failure_at
 from mitsuba_ref.candidate.traced import traced_scene
 from mitsuba_ref.export import limits
@@ -118,6 +119,7 @@ def validate_candidate(
         unjudged=_unjudged(answer),
         findings=tuple(_findings(judge, diagnosis)),
         notes=(*answer.notes, *limited, *_hints(answer, judgement)),
+        seen=SeenOfCandidate(judge, judgement, diagnosis) if keep else None,
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from importlib import resources
 from typing import Any
 
-from mitsuba_ref.verdict import CLASSES
+from mitsuba_ref.verdict import UNLISTED
 
 # Plain scripts, in this order, in one scope: a page opened from a file may not load modules.
 SCRIPTS = (
@@ -48,17 +48,19 @@ def _part(name: str) -> str:
 
 def _plain_table(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> str:
     """All verdicts for a browser that runs no scripts; the scripts take the thumbnails from it."""
-    heads = ["", "verdict", "scene", "hit", *(name.replace("_", " ") for name in CLASSES), "worst", "seconds"]
+    classes = [name for name in run["classes"] if name != UNLISTED]
+    heads = ["", "verdict", "scene", "hit", *(name.replace("_", " ") for name in classes), "worst", "seconds"]
     head = "".join(f'<th scope="col">{head}</th>' for head in heads)
     failing_first = sorted(enumerate(rows), key=lambda each: bool(each[1]["ok"]))
-    body = "\n".join(_plain_row(place, row) for place, row in failing_first)
+    body = "\n".join(_plain_row(place, row, classes) for place, row in failing_first)
+    judged = f"candidate {run['candidate']}: " if run["candidate"] else ""
     return (
-        f'<table id="plain"><caption>{html.escape(run["summary"])}</caption>'
+        f'<table id="plain"><caption>{html.escape(judged + run["summary"])}</caption>'
         f"<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody></table>\n"
     )
 
 
-def _plain_row(place: int, row: dict[str, Any]) -> str:
+def _plain_row(place: int, row: dict[str, Any], classes: Sequence[str]) -> str:
     picture = f'<img src="{row["thumbnail"]}" alt="" loading="lazy">' if row["thumbnail"] else ""
     check, ratio = row["worst"]
     worst = f"{ratio:.3g} {check.replace('_', ' ')}" if check and isinstance(ratio, float) else "-"
@@ -67,7 +69,7 @@ def _plain_row(place: int, row: dict[str, Any]) -> str:
         name += f"<pre>{html.escape(row['says'])}</pre>"
     counts = [
         f"{row['hit']}",
-        *(f"{row['counts'][each]}" for each in CLASSES),
+        *(f"{row['counts'][each]}" for each in classes),
         worst,
         f"{row['seconds']:.1f}",
     ]

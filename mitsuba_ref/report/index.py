@@ -19,7 +19,7 @@ def row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any]:
         "crashed": bool(verdict.problem),
         "size": list(verdict.size),
         "hit": verdict.hit_pixels,
-        "counts": verdict.counts,
+        "counts": {verdict.called(name): count for name, count in verdict.counts.items()},
         "unlisted": verdict.cases.get(UNLISTED, 0),
         "failing": verdict.failing,
         "asked": verdict.adjudicated,

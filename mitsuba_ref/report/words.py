@@ -7,13 +7,12 @@ import numpy as np
 
 from mitsuba_ref.exact import ExactAnswer
 from mitsuba_ref.judge import CODE
-from mitsuba_ref.reasons import WHY, reason
 from mitsuba_ref.report.arrays import coarse, packed
 from mitsuba_ref.report.seen import Seen
 from mitsuba_ref.telling import hit_words
 from mitsuba_ref.verdict import AGREE, CLASSES, FAILING
 
-MOST = 4096  # pixels of a scene whose class is given a reason, the failing first: more are of the same few reasons
+MOST = 1 << 16  # pixels of a scene whose class is given a reason, the failing first: half a second of work
 
 
 class Vocabulary:
@@ -37,12 +36,12 @@ def reasons(seen: Seen) -> dict[str, Any]:
     fails = judgement.is_class(*FAILING)[rows] | unlisted
     rows = rows[np.argsort(~fails, kind="stable")]
     said, texts = rows[:MOST], Vocabulary()
-    why = texts.numbers_of(reason(seen.judge, judgement, int(row)) for row in said)
+    why = texts.numbers_of(seen.why(int(row)) for row in said)
     return {
         "rows": packed(said.astype(np.int32)),
         "why": packed(why),
         "texts": list(texts.numbers),
-        "always": {CLASSES.index(name): text for name, text in WHY.items()},
+        "always": {CLASSES.index(name): text for name, text in seen.always.items()},
         "left_out": len(rows) - len(said),
     }
 
@@ -63,7 +62,7 @@ def exact_answers(seen: Seen) -> dict[str, Any]:
 
 
 def _words(seen: Seen, answer: ExactAnswer | None) -> str:
-    return hit_words(seen.judge.scene, seen.judge.model.packed, answer)
+    return hit_words(seen.scene, seen.packed, answer)
 
 
 def _t(answer: ExactAnswer | None) -> float:

@@ -14,7 +14,7 @@ from mitsuba_ref.report import one_file
 from mitsuba_ref.report.assembling import as_json, page
 from mitsuba_ref.report.index import row
 from mitsuba_ref.report.record import LAYERS, record
-from mitsuba_ref.verdict import CLASSES, UNLISTED, SceneVerdict
+from mitsuba_ref.verdict import CANDIDATE_WRONG, CLASSES, OURS_WRONG, UNLISTED, SceneVerdict
 
 # One file: what a browser opens within two seconds on a small machine, and mail and CI servers take.
 MOST_BYTES = 25_000_000
@@ -44,6 +44,7 @@ class Report:
         """path: a folder, or a file if it ends in .html. Raises OutputError where nothing can be written."""
         self.path, self.asked = Path(path), asked
         self.one_file = self.path.suffix.lower() == ".html"
+        self.candidate = ""  # who is judged in the place of ours, as the verdicts say
         self.rows: list[dict[str, Any]] = []
         self._kept: dict[str, Kept] = {}
         self._lock = threading.Lock()
@@ -78,6 +79,7 @@ class Report:
     def add(self, verdict: SceneVerdict) -> None:
         """A scene whose turn it is in the list; the list is written now and then. Raises OutputError."""
         kept = self._kept.get(verdict.name, NOTHING_KEPT)
+        self.candidate = self.candidate or verdict.candidate
         self.rows.append(row(verdict, kept.file, kept.thumbnail))
         if not self.one_file and time.monotonic() - self._written > SECONDS_BETWEEN:
             self.write()
@@ -107,10 +109,12 @@ class Report:
         said = f"{passed} of {len(self.rows)} scenes pass"
         if len(self.rows) < self.asked:
             said += f"; {self.asked - len(self.rows)} of {self.asked} were not judged"
+        wrong = CANDIDATE_WRONG if self.candidate else OURS_WRONG
         return {
             "summary": said,
+            "candidate": self.candidate,
             "asked": self.asked,
-            "classes": [*CLASSES, UNLISTED],
+            "classes": [*(wrong if name == OURS_WRONG else name for name in CLASSES), UNLISTED],
             "one_file": self.one_file,
             "most_bytes": MOST_BYTES,
             "left_out": {},

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import planted
 import pytest
+import textbook_pages
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from mitsuba_ref.doctor import CHROMIUM
 from mitsuba_ref.verdict import SceneVerdict, Verdict
 
-CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 # As root, as in containers, Chromium does not start with its sandbox; and it opens nothing here but our own files.
 OPTIONS = ["--no-sandbox"]
 SIZE = {"width": 1280, "height": 800}
@@ -76,6 +77,12 @@ def verdicts() -> dict[str, SceneVerdict]:
         "crashed", "scenes/crashed.toml", 480, problem="Mitsuba ended (SIGSEGV): <b>words</b>"
     )
     return {"good": planted.good(), "bad": bad, "crashed": crashed}
+
+
+@pytest.fixture(scope="session")
+def judged() -> dict[str, SceneVerdict]:
+    """The textbook caster of docs/candidates, in several settings."""
+    return textbook_pages.verdicts()
 
 
 @pytest.fixture(scope="session")

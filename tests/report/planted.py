@@ -9,6 +9,8 @@ import pytest
 from caster import Ambient, Diffuse, Film, Pinhole, Plane, Scene, Sphere
 from caster.view import View
 from mitsuba_ref import judging
+from mitsuba_ref.candidate.function import function_called
+from mitsuba_ref.candidate.validation import validate_candidate
 from mitsuba_ref.export import shape_ids
 from mitsuba_ref.jobs import Answer, Job
 from mitsuba_ref.pair import our_view
@@ -25,6 +27,7 @@ OURS_WRONG, REFERENCE_MISSES, NAN, INFINITE = (
 )  # x, y of pixels that are hit
 
 Plant = Callable[[Answer], None]
+Trace = Callable[[Scene, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray | None]]
 
 
 def scene() -> Scene:
@@ -78,6 +81,16 @@ def judged(name: str, plant: Plant = lambda answer: None) -> SceneVerdict:
         return answer
 
     return validate_scene(asked, name, f"scenes/{name}.toml", ask=ask, keep=True)
+
+
+def judged_candidate(name: str, trace: Trace, asked: Scene) -> SceneVerdict:
+    """Somebody's ray caster in the place of ours, which is the reference, rounded."""
+
+    def ask(job: Job, timeout: float) -> Answer:
+        return rounded_answer(asked, job)
+
+    candidate = function_called(trace, f"docs.candidates.{name}:trace")
+    return validate_candidate(candidate, asked, name, f"scenes/{name}.toml", ask=ask, keep=True)
 
 
 def rounded_answer(asked: Scene, job: Job) -> Answer:

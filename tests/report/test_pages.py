@@ -107,7 +107,7 @@ def test_a_scene_without_an_answer_has_its_words(visit, folder):
 def test_numbers_are_those_that_were_compared_to_the_bit(visit, folder, verdicts):
     page = visit(folder, at(planted.OURS_WRONG)).page
     ready(page)
-    row, pair = planted.row_of(planted.OURS_WRONG), verdicts["bad"].seen.judge.pair
+    row, pair = planted.row_of(planted.OURS_WRONG), verdicts["bad"].seen
     for layer in ("depth", "normal", "shading_normal", "position", "diffuse"):
         text = section(page, layer.replace("_", " ")).inner_text()
         sides = np.column_stack(
@@ -140,7 +140,7 @@ def test_every_number_of_the_pictures_comes_back(visit, folder, verdicts):
     """What the page unpacks, against the arrays: all pixels of all layers, both sides."""
     page = visit(folder, at(planted.NAN, a="position", v="ours", z=96)).page
     ready(page)
-    pair = verdicts["bad"].seen.judge.pair
+    pair = verdicts["bad"].seen
     for y, x in np.argwhere(pair.ours.hit)[::97]:
         page.evaluate(f"location.hash = '{at((x, y), a='position')}'")
         page.wait_for_selector(f"#pixel .xy:text-is('{x}, {y}')")
@@ -179,7 +179,7 @@ def test_nan_and_infinity_are_words_and_colours_of_their_own(visit, folder):
     assert color_at(page, "reference", planted.REFERENCE_MISSES) == [38, 42, 49]
 
 
-def color_at(page, pane, pixel):
+def color_at(page, pane, pixel, size=(planted.WIDTH, planted.HEIGHT)):
     """The colour in the middle of a pixel, as the pane shows it."""
     x, y = pixel
     script = """([which, x, y, width, height]) => {
@@ -190,7 +190,7 @@ def color_at(page, pane, pixel):
         return [...canvas.getContext("2d").getImageData(px, py, 1, 1).data].slice(0, 3);
     }"""
     page.wait_for_timeout(100)  # the next frame
-    return page.evaluate(script, [pane, x, y, planted.WIDTH, planted.HEIGHT])
+    return page.evaluate(script, [pane, x, y, *size])
 
 
 def test_a_fault_is_a_red_pixel_and_the_next_bad_one(visit, folder):
@@ -270,13 +270,13 @@ def test_one_file_says_where_it_rounds(visit, one_file, verdicts):
     x, y = planted.OURS_WRONG
     page = visit(one_file, at((x, y), "good", a="depth")).page
     ready(page)
-    pair = verdicts["good"].seen.judge.pair
+    pair = verdicts["good"].seen
     sides = [np.float32(flat(aovs, "depth")[planted.row_of((x, y))]) for aovs in (pair.ours, pair.reference)]
     text = section(page, "depth").inner_text()
     assert NUMBERS.findall(text) == [float(value).hex() for value in sides] and "Rounded to float32" in text
     exact = visit(one_file, at((x, y), BAD, a="depth")).page
     ready(exact)
-    mine = flat(verdicts["bad"].seen.judge.pair.ours, "depth")[planted.row_of((x, y))]
+    mine = flat(verdicts["bad"].seen.ours, "depth")[planted.row_of((x, y))]
     text = section(exact, "depth").inner_text()
     assert float(mine).hex() in text and "Rounded" not in text
 

@@ -91,7 +91,9 @@ def test_a_run_that_is_cut_off_has_its_page(tmp_path):
 
 def test_no_text_ends_its_script():
     evil = "</script><script>alert(1)</script><!--\u2028"
-    text = "".join(page({"summary": evil, "classes": []}, rows_of(replace(FAILING, name=evil))))
+    text = "".join(
+        page({"summary": evil, "candidate": evil, "classes": []}, rows_of(replace(FAILING, name=evil)))
+    )
     assert text.count("<script") == 3 and "alert(1)<" not in text and "\u2028" not in as_json(evil)
     assert json.loads(as_json(evil)) == evil
 
@@ -99,7 +101,7 @@ def test_no_text_ends_its_script():
 def test_every_script_of_the_page_is_in_it():
     files = {each.name for each in (resources.files("mitsuba_ref.report") / "page").iterdir()}
     assert {f"{name}.js" for name in SCRIPTS} | {"page.html", "page.css"} == files
-    text = "".join(page({"summary": "", "classes": []}, []))
+    text = "".join(page({"summary": "", "candidate": "", "classes": []}, []))
     assert not re.findall(r"https?://|\bfetch\(|\bimport\b|new Worker|\beval\(", text)
 
 

@@ -45,6 +45,7 @@ const CLASS_COLORS = {
   reference_wrong: [200, 90, 255],
   out_of_domain: [90, 90, 255],
   ours_wrong: [255, 0, 0],
+  candidate_wrong: [255, 0, 0],
   undecided: [255, 255, 0],
   unlisted: [255, 105, 180],
 };
@@ -56,6 +57,7 @@ const CATEGORIES = {
   inf: { color: [0, 235, 255], words: "+infinity" },
   neginf: { color: [120, 255, 60], words: "\u2212infinity" },
   oneSide: { color: [255, 225, 90], words: "hit on one side only" },
+  noShare: { color: [128, 134, 142], words: "hit on one side only" }, // among shares, where yellow is a number
   beyond: { color: [255, 70, 60], words: "beyond the bound" },
   unbounded: { color: [255, 170, 200], words: "no bound holds (infinite)" },
 };

@@ -4,7 +4,8 @@ const KEYS = [
   ["scenes", [["/", "find"], ["j k", "next, previous scene"], ["Enter", "open"], ["Esc", "back to the list"]]],
   ["layers", [["1 \u2026 9", "depth, normal, shading normal, position, diffuse, shape, primitive, hit, all checks"]]],
   ["views", [
-    ["Shift", "hold: the reference in the place of ours"], ["g", "all pictures"], ["o", "ours"], ["r", "reference"],
+    ["Shift", `hold: the reference in the place of ${THE_JUDGED}`], ["g", "all pictures"],
+    ["o", JUDGED], ["r", "reference"],
     ["d", "difference"], ["x", "difference over bound"], ["l", "class"], ["w", "wipe"], ["b", "blink"],
   ]],
   ["pixels", [

@@ -1,6 +1,6 @@
 // All that is known of one pixel.
 
-let inspected = new Map(); // layer name -> its data, as far as unpacked
+let inspected = new Map(); // layer name -> its data, `share CHECK` -> its shares, as far as unpacked
 let shownPixel = "";
 
 /** The pixel under the pointer, or else the pinned one. */
@@ -19,8 +19,8 @@ function hintHtml(record) {
     : record.unlike.length
       ? `<kbd>n</kbd> goes to the next of ${plural(record.unlike.length, "pixel")} that pass without agreeing.` : "";
   return `<h2>No pixel is pinned</h2><p>Point at a pixel to read it, click to pin it. ${next}</p>
-<p class="note">Hold <kbd>Shift</kbd> to see the reference in the place of ours. The wheel zooms, dragging pans, and
-<kbd>?</kbd> lists the keys.</p>`;
+<p class="note">Hold <kbd>Shift</kbd> to see the reference in the place of ${THE_JUDGED}. The wheel zooms,
+dragging pans, and <kbd>?</kbd> lists the keys.</p>`;
 }
 
 const plural = (count, what) => `${grouped(count)} ${what}${count === 1 ? "" : "s"}`;
@@ -34,39 +34,51 @@ ${escaped(why(record, row))}</p>
 ${factsHtml(record, row)}
 <div class="replay"><code>${escaped(replayOf(record, x, y))}</code>
 <button type="button" data-do="copy" title="copy (c)">copy</button></div>
-${inspectorLayers(row).map((layer) => layerHtml(record, row, layer)).join("")}`;
+${RUN.candidate ? `<p class="note">The candidate again: <code>${escaped(record.scene.replay)}</code></p>` : ""}
+${inspectorLayers(row).map((layer) => layerHtml(record, row, layer)).join("")}${notGivenHtml(record)}`;
 }
 
 function why(record, row) {
   const { reasons } = record.about, said = record.reasons.get(row);
   if (said) return reasons.texts[said[0]];
-  return reasons.always[record.classes[row]] ?? "the reason is not kept for so many pixels: ask probe";
+  return reasons.always[record.classes[row]] ?? "the reason is not kept for so many pixels";
 }
 
 /** Shapes and the exact answer. */
 function factsHtml(record, row) {
-  const facts = [["ours", shapeWords(record, row, "ours", 1)], ["reference", shapeWords(record, row, "reference", 2)]];
+  const facts = [["ours", sideWords(record, row, "ours", 1)], ["reference", sideWords(record, row, "reference", 2)]];
   const answer = record.exact.get(row);
   if (answer) {
     const [t, share, words] = answer, at = Number.isFinite(t) ? `<br>t ${numberHtml(t)}` : "";
     const said = escaped(record.about.exact.texts[words]);
-    facts.push(["exact", `${said}${at}<br>ours uses ${brief(share)} \u00d7 its bound`]);
+    const how = Number.isNaN(t) ? "" : share === Infinity ? `no bound allows ${RUN.candidate ? "what the candidate says" : "ours"}`
+      : `${JUDGED} uses ${brief(share)} \u00d7 its bound`;
+    facts.push(["exact", `${said}${at}<br>${how}`]);
   } else {
     facts.push(["exact", "was not asked here"]);
   }
-  const others = ["mask", "shape_id", "on_surface", "exact"].filter((name) => inspected.has(name))
-    .map((name) => [name, inspected.get(name)[row]]);
+  const others = ["mask", "shape_id", "on_surface", "exact"].filter((name) => inspected.has(`share ${name}`))
+    .map((name) => [name, inspected.get(`share ${name}`)[row]]);
   const used = ([name, share]) =>
     `<span class="${share > 1 ? "bad" : ""}">${spaced(name)} ${share === Infinity ? "fails" : brief(share)}</span>`;
   if (others.length) facts.push(["checks", others.map(used).join(", ")]);
-  return `<dl>${facts.map(([term, words]) => `<dt class="side-${term}">${term}</dt><dd>${words}</dd>`).join("")}</dl>`;
+  const entry = ([term, words]) => `<dt class="side-${term}">${sideName(term)}</dt><dd>${words}</dd>`;
+  return `<dl>${facts.map(entry).join("")}</dl>`;
 }
 
-function shapeWords(record, row, side, bit) {
+/** What one side hits, and at which t where that is kept. */
+function sideWords(record, row, side, bit) {
   if (!(record.hits[row] & bit)) return "miss";
-  if (!record.has("ids")) return "hit";
-  const shape = record[`shape_${side}`][row], prim = record[`prim_${side}`][row];
-  return `${escaped(record.about.shapes[shape] ?? `shape ${shape}`)}, prim ${prim}`;
+  const t = record[`t_${side}`], shape = record[`shape_${side}`]?.[row], prim = record[`prim_${side}`]?.[row];
+  const what = shape === undefined ? "hit" : `${record.about.shapes[shape] ?? `shape ${shape}`}, prim ${prim}`;
+  return escaped(what) + (t ? `<br>t ${numberHtml(t[row])}` : "");
+}
+
+/** What there is to judge, and is not given, once for all. */
+function notGivenHtml(record) {
+  const names = record.verdict.unjudged ?? [];
+  const words = names.map((name) => LAYERS.find((layer) => layer.name === name)?.words ?? spaced(name)).join(", ");
+  return words && `<section><p class="note">Not given by the candidate, and not judged: ${words}.</p></section>`;
 }
 
 /** The layer that is looked at first, then those beyond their bound, then the others that hold floats. */
@@ -78,32 +90,36 @@ function inspectorLayers(row) {
 
 function layerHtml(record, row, layer) {
   const data = inspected.get(layer.name);
-  if (!data) return "";
+  if (!data || notGiven(record, layer)) return "";
   if (data.missing)
     return `<section><h3>${layer.words}</h3><p class="note">left out, for want of room in one file</p></section>`;
   if (record.hits[row] === 0) return "";
   const names = CHANNELS[layer.kind], both = record.hits[row] === 3;
-  const rows = names.map((name, c) => channelHtml(name, data, c * data.count + row, both)).join("");
+  const rows = names.map((name, c) => channelHtml(name, data, c * data.count + row, record.hits[row])).join("");
   const note = record.about.exactly ? "" : '<p class="note">Rounded to float32, for want of room in one file.</p>';
-  return `<section><h3>${layer.words} ${both ? boundHtml(data, row) : "<small>not compared</small>"}</h3><table>
-<thead><tr><th></th><th scope="col" class="side-ours">ours</th>
+  return `<section><h3>${layer.words} ${both ? boundHtml(record, data, row) : "<small>not compared</small>"}</h3><table>
+<thead><tr><th></th><th scope="col" class="side-ours">${JUDGED}</th>
 <th scope="col" class="side-reference">reference</th></tr></thead>
 <tbody>${rows}</tbody></table>${note}</section>`;
 }
 
-function boundHtml(data, row) {
+/** A candidate is held to its own arithmetic's bound from the surface itself, as float64 has it. */
+function boundHtml(record, data, row) {
   if (!data.ratio) return "";
   const share = data.ratio[row];
-  const bound = data.alone?.[row] ? "float64\u2019s bound" : data.bound ? `bound ${brief(data.bound[row])}` : "its bound";
+  const bound = data.own ? `${record.verdict.precision}\u2019s bound ${brief(data.own[row])}`
+    : data.alone?.[row] ? "float64\u2019s bound" : data.bound ? `bound ${brief(data.bound[row])}` : "its bound";
   const used = `${brief(share)} \u00d7 ${bound}`;
   const words = share === Infinity ? "no bound holds" : used;
   return `<small class="${share > 1 ? "bad" : ""}">${words}</small>`;
 }
 
-function channelHtml(name, data, at, both) {
+/** hits: 1 for ours, 2 for the reference; on a miss there is no number to show. */
+function channelHtml(name, data, at, hits) {
   const ours = data.ours[at], reference = data.reference[at];
-  return `<tr><th scope="row" rowspan="2">${name}</th><td>${numberHtml(ours)}</td><td>${numberHtml(reference)}</td></tr>
-<tr class="apart"><td colspan="2">${both ? apartWords(ours, reference) : "hit on one side only"}</td></tr>`;
+  const shown = (value, bit) => (hits & bit ? numberHtml(value) : '<span class="number odd">miss</span>');
+  return `<tr><th scope="row" rowspan="2">${name}</th><td>${shown(ours, 1)}</td><td>${shown(reference, 2)}</td></tr>
+<tr class="apart"><td colspan="2">${hits === 3 ? apartWords(ours, reference) : "hit on one side only"}</td></tr>`;
 }
 
 function numberHtml(value) {

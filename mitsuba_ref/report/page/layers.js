@@ -32,10 +32,19 @@ function isThere(record, layer) {
   return record.has(layer.name === "all" ? "ratio" : layer.name);
 }
 
-/** {ours, reference, channels, ratio, bound, alone}: channel after channel; null for what is not there. */
+/** What the candidate does not give, in words; "" of what is given. */
+function notGiven(record, layer) {
+  const unjudged = record.verdict.unjudged ?? [];
+  return RUN.candidate && (unjudged.includes(layer.name) || layer.name === "prim_id")
+    ? `the candidate gives no ${layer.words}: not judged` : "";
+}
+
+/** {ours, reference, channels, ratio, bound, alone, own}: channel after channel; null for what is not there. */
 async function layerData(record, layer) {
   const count = record.classes.length;
-  const data = { layer, count, channels: 1, ours: null, reference: null, ratio: null, bound: null, alone: null, missing: "" };
+  const data = { layer, count, channels: 1, missing: notGiven(record, layer) };
+  for (const name of ["ours", "reference", "ratio", "bound", "alone", "own"]) data[name] = null;
+  if (data.missing && layer.kind !== "id") return data;
   if (!isThere(record, layer)) {
     data.missing = `${layer.words}: left out, for want of room in one file`;
   } else if (isFloat(layer)) {
@@ -46,6 +55,7 @@ async function layerData(record, layer) {
     if (part.ratio) data.ratio = await record.array(layer.name, "ratio");
     if (part.bound) data.bound = await record.array(layer.name, "bound");
     if (part.alone) data.alone = await record.array(layer.name, "alone");
+    if (part.own) data.own = await record.array(layer.name, "own");
   } else if (layer.name === "all") {
     data.ratio = await record.array("ratio", "ratio");
   } else if (layer.name === "hit") {
@@ -53,7 +63,7 @@ async function layerData(record, layer) {
     data.reference = record.hits.map((bits) => bits >> 1);
   } else {
     const which = layer.name === "shape_id" ? "shape" : "prim";
-    data.ours = record[`${which}_ours`];
+    data.ours = record[`${which}_ours`] ?? null;
     data.reference = record[`${which}_reference`];
   }
   if (!data.ratio && layer.check && record.about.shares?.[layer.check])
@@ -62,15 +72,15 @@ async function layerData(record, layer) {
   return data;
 }
 
-/** What colours span: quantiles of what both sides hit. Infinite and NaN take no part. */
+/** What colours span: quantiles of what the reference hits. Infinite and NaN take no part. */
 function rangesOf(record, data) {
   const shown = Array.from({ length: data.channels }, () => []), apart = [], sizes = [];
   for (let i = 0; i < data.count; i++) {
-    if (record.hits[i] !== 3) continue;
+    if (!(record.hits[i] & 2)) continue;
     for (let c = 0; c < data.channels; c++) {
       const at = c * data.count + i, value = data.reference[at], d = data.ours[at] - value;
       if (Number.isFinite(value)) shown[c].push(value), sizes.push(Math.abs(value));
-      if (Number.isFinite(d)) apart.push(Math.abs(d));
+      if (record.hits[i] === 3 && Number.isFinite(d)) apart.push(Math.abs(d));
     }
   }
   const difference = quantile(apart, 0.99) || quantile(apart, 1) || quantile(sizes, 0.5) * 2 ** -24 || 1;

@@ -1,9 +1,9 @@
 // Layers as colours. Each painter gives an RGBA image and a legend of what it used.
 
 const PICTURES = {
-  ours: { words: "ours", paint: (record, data) => paintSide(record, data, "ours", 1) },
+  ours: { words: JUDGED, paint: (record, data) => paintSide(record, data, "ours", 1) },
   reference: { words: "reference", paint: (record, data) => paintSide(record, data, "reference", 2) },
-  difference: { words: "ours \u2212 reference", paint: paintDifference },
+  difference: { words: `${JUDGED} \u2212 reference`, paint: paintDifference },
   ratio: { words: "difference over bound", paint: paintRatio },
   class: { words: "class", paint: paintClasses },
 };
@@ -38,6 +38,7 @@ const oddity = (value) => (Number.isNaN(value) ? "nan" : value > 0 ? "inf" : "ne
 const mapped = (colors, share) => colors[Math.round(255 * Math.min(1, Math.max(0, share)))];
 
 function paintSide(record, data, side, bit) {
+  if (!data[side]) return null;
   const canvas = new Canvas(record), numbers = data[side];
   const colorOf = sideColors(data, numbers);
   for (let i = 0; i < data.count; i++) {
@@ -115,6 +116,7 @@ function paintRatio(record, data) {
     if (ratio[i] === Infinity) canvas.category(i, "unbounded");
     else if (ratio[i] > 1) canvas.category(i, "beyond");
     else if (record.hits[i] === 0) canvas.category(i, "miss");
+    else if (record.hits[i] !== 3 && isFloat(data.layer)) canvas.category(i, "noShare");
     else canvas.put(i, mapped(SEQUENTIAL, 1 + Math.log2(ratio[i]) / OCTAVES));
   }
   const ticks = [0.001, 0.01, 0.1, 1].map((share) => [1 + Math.log2(share) / OCTAVES, String(share)]);

@@ -91,7 +91,7 @@ class Pane {
     const why = missing || (layer.name === "all" ? "no picture of all checks together: see difference over bound"
       : this.which === "ratio" && !layer.check ? `no check compares the ${layer.words}`
       : "left out, for want of room in one file");
-    this.context.fillStyle = getComputedStyle(this.element).color;
+    this.context.fillStyle = getComputedStyle(this.stage).color;
     this.context.font = "13px system-ui, sans-serif";
     this.context.textAlign = "center";
     wrapped(why, Math.floor(this.width / 7)).forEach((line, i) =>

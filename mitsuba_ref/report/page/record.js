@@ -7,6 +7,11 @@ const awaited = new Map(); // name -> function that takes what a script of the f
 
 RUN.scenes.forEach((scene, i) => { scene.place = i; });
 
+// Who is judged: our own caster, or a candidate in its place. Inside, and in addresses, that side is "ours".
+const JUDGED = RUN.candidate ? "candidate" : "ours";
+const THE_JUDGED = RUN.candidate ? "the candidate" : "ours"; // in a sentence
+const sideName = (side) => (side === "ours" ? JUDGED : side);
+
 window.ray_reference_scene = (name, parts) => awaited.get(name)?.(parts);
 
 /** Everything about one scene, unpacked when it is asked for. */
@@ -48,8 +53,8 @@ class SceneRecord {
     this.reasons = await byRow(this, "about/reasons", ["why"]);
     this.exact = await byRow(this, "about/exact", ["t", "share", "words"]);
     if (this.has("ids")) {
-      for (const name of ["shape_ours", "shape_reference", "prim_ours", "prim_reference"])
-        this[name] = await this.array("ids", name);
+      const like = { t_ours: "t_reference" };
+      for (const name of Object.keys(this.part("ids"))) this[name] = await this.array("ids", name, like[name]);
     }
     this.failing = rowsOf(this.classes, (code) => FAILING.has(RUN.classes[code]));
     this.unlike = rowsOf(this.classes, (code) => code !== 0);
@@ -68,7 +73,7 @@ class SceneRecord {
   }
 }
 
-const FAILING = new Set(["ours_wrong", "undecided", "unlisted"]);
+const FAILING = new Set(["ours_wrong", "candidate_wrong", "undecided", "unlisted"]);
 
 /** Row -> its numbers, of a part that speaks of some pixels. */
 async function byRow(record, part, names) {
@@ -139,7 +144,8 @@ function loadedParts(scene) {
 }
 
 function noPictures(scene) {
-  if (scene.crashed) return "There are no pictures: the reference gave no answer.";
+  const silent = RUN.candidate ? "there is no answer to judge" : "the reference gave no answer";
+  if (scene.crashed) return `There are no pictures: ${silent}.`;
   if (RUN.left_out[scene.name]) return `Left out: one file holds ${RUN.most_bytes / 1e6} MB. --html FOLDER has all.`;
   return "No pictures of this scene were kept.";
 }

@@ -54,8 +54,6 @@ function paintAll(record, data) {
   looking.data = data;
   looking.bitmaps = {};
   for (const [name, { paint }] of Object.entries(PICTURES)) {
-    const sided = name === "ours" || name === "reference" || name === "difference";
-    if (sided && !data.ours) continue;
     const painted = paint(record, data);
     if (!painted) continue;
     const bitmap = document.createElement("canvas");
@@ -74,7 +72,7 @@ async function inspectAll(record, mine) {
     drawSoon();
   }
   const shares = record.about.shares ?? {};
-  for (const name of Object.keys(shares)) inspected.set(name, await record.array("about/shares", name));
+  for (const name of Object.keys(shares)) inspected.set(`share ${name}`, await record.array("about/shares", name));
   if (mine === turn) drawSoon();
 }
 
@@ -97,6 +95,7 @@ function layOut() {
 function fillHead(scene) {
   byId("scene-name").textContent = scene.name;
   byId("scene-mark").innerHTML = markHtml(scene);
+  byId("scene-who").textContent = byId("scene-who").title = RUN.candidate && `candidate ${RUN.candidate}`;
   const at = shownScenes.findIndex((each) => each.name === scene.name);
   byId("scene-place").textContent = at < 0 ? "" : `${at + 1} of ${shownScenes.length}`;
   document.title = `${scene.name} \u2013 ray-reference`;

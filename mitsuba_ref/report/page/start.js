@@ -43,7 +43,7 @@ function buildTools() {
   byId("layers").innerHTML = LAYERS.map((layer, i) =>
     `<button type="button" data-layer="${layer.name}"><kbd>${i + 1}</kbd>${layer.words}</button>`).join("");
   const views = {
-    all: ["g", "all"], ours: ["o", "ours"], reference: ["r", "reference"], difference: ["d", "difference"],
+    all: ["g", "all"], ours: ["o", JUDGED], reference: ["r", "reference"], difference: ["d", "difference"],
     ratio: ["x", "over bound"], class: ["l", "class"], wipe: ["w", "wipe"], blink: ["b", "blink"],
   };
   byId("views").innerHTML = Object.entries(views).map(([name, [key, words]]) =>
@@ -59,6 +59,10 @@ function buildFilters() {
 
 function fillBanner() {
   byId("total").textContent = RUN.summary;
+  byId("who").textContent = byId("who").title = RUN.candidate && `candidate ${RUN.candidate}`;
+  byId("wiped").textContent = JUDGED;
+  byId("wipe").setAttribute("aria-label", `wipe between ${JUDGED} and reference`);
+  if (RUN.candidate) byId("status").querySelector("[value=crash]").textContent = "no answer";
   byId("total").className = RUN.scenes.length === RUN.asked && RUN.scenes.every((scene) => scene.ok) ? "good" : "bad";
   const sums = {};
   for (const scene of RUN.scenes) for (const [name, count] of countsOf(scene)) sums[name] = (sums[name] ?? 0) + count;

@@ -9,9 +9,18 @@ function fillSummary(record) {
 <table>${countsOf(scene).filter(([, count]) => count).map(countHtml).join("")}</table>
 <p>${grouped(verdict.adjudicated)} asked of exact arithmetic. ${held} of ${verdict.checks.length} checks of the scene hold.</p>
 ${broken.length ? `<ul>${broken.map(brokenHtml).join("")}</ul>` : ""}
-${worst ? `<h3>Worst failing pixels</h3><ol>${worst}</ol>` : ""}
+${foundHtml(verdict)}
+${worst ? `<h3>${RUN.candidate ? "Some" : "Worst"} failing pixels</h3><ol>${worst}</ol>` : ""}
 ${left ? `<p class="note">Left out of this one file: ${left.map(spaced).join(", ")}.</p>` : ""}
-<p class="note">${escaped(versions)}</p>`;
+${(verdict.notes ?? []).map((note) => `<p class="note">${escaped(note)}</p>`).join("")}
+<p class="note">${escaped(RUN.candidate ? `held to the bounds of ${verdict.precision}; ${versions}` : versions)}</p>`;
+}
+
+/** What is wrong with a candidate, most first. */
+function foundHtml(verdict) {
+  const each = ({ pixels, what, x, y }) => `<li>${plural(pixels, "pixel")}, first
+<a href="${escaped(address({ x, y }))}" data-x="${x}" data-y="${y}">${x}, ${y}</a>: ${escaped(what)}</li>`;
+  return verdict.findings?.length ? `<h3>What is wrong</h3><ul>${verdict.findings.map(each).join("")}</ul>` : "";
 }
 
 function countHtml([name, count]) {

@@ -1,0 +1,117 @@
+"""The page of a candidate's run in a browser: the textbook caster of docs/candidates, with its mistake."""
+
+import re
+
+import numpy as np
+import pytest
+import textbook_pages
+from test_pages import NUMBERS, color_at, section
+
+from mitsuba_ref.pixels import flat
+from mitsuba_ref.verdict import Verdict
+
+SIZE = (textbook_pages.WIDTH, textbook_pages.HEIGHT)
+
+
+@pytest.fixture(scope="module")
+def report(judged, tmp_path_factory):
+    return Verdict(tuple(judged.values())).write_html(tmp_path_factory.mktemp("candidate") / "report.html")
+
+
+def place(scene, row, layer):
+    return f"#s={scene}&x={row % SIZE[0]}&y={row // SIZE[0]}&a={layer}"
+
+
+def test_the_list_names_the_candidate(visit, report):
+    page = visit(report).page
+    assert page.inner_text("#who") == "candidate docs.candidates.inside:trace"
+    assert "candidate wrong" in page.locator(".row .classes").first.inner_text()
+    assert "ours" not in page.inner_text("#app").lower()
+    page.select_option("#class", "candidate_wrong")
+    assert page.locator(".row .name a").all_inner_texts() == ["inside", "single"]
+
+
+def test_a_root_that_is_not_tried_is_red_pixels_one_after_the_other(visit, report, judged):
+    """All that is hit through the far root of the shell, where the camera is inside, is missed."""
+    seen = judged["inside"].seen
+    page = visit(report, "#s=inside&a=depth").page
+    page.wait_for_selector(".pane.class .legend >> text=candidate wrong")
+    failing = np.flatnonzero(~seen.ours.hit.ravel() & seen.reference.hit.ravel())
+    row = int(failing[0])
+    pixel = row % SIZE[0], row // SIZE[0]
+    assert color_at(page, "class", pixel, SIZE) == [255, 0, 0]
+    assert color_at(page, "ours", pixel, SIZE) == [38, 42, 49]  # a miss
+    assert color_at(page, "difference", pixel, SIZE) == [255, 225, 90]
+    assert color_at(page, "ratio", pixel, SIZE) == [128, 134, 142]  # no share of a bound there
+    page.keyboard.press("n")
+    page.wait_for_selector("#pixel .class >> text=candidate wrong")
+    assert page.inner_text("#pixel .xy") == f"{pixel[0]}, {pixel[1]}"
+    assert "the second one was not tried" in page.inner_text("#pixel .class")
+    exact = seen.judgement.exact.of(row)
+    facts = page.inner_text("#pixel dl")
+    assert f"shell, prim 0 (inside)\nt {float(exact.t)!r}" in facts and float(exact.t).hex() in facts
+    assert float(seen.judge.witness.t[row]).hex() in facts and "candidate\nmiss" in facts
+    versions = "scalar, ours rounded"  # of what stands in for Mitsuba here
+    assert "ours" not in page.inner_text("#scene").replace(versions, "")
+    assert (
+        "mitsuba-ref validate scenes/inside.toml --candidate docs.candidates.inside:trace"
+        in page.inner_text("#pixel")
+    )
+    page.keyboard.press("n")
+    page.wait_for_timeout(60)  # the next frame
+    assert page.inner_text("#pixel .xy") == f"{failing[1] % SIZE[0]}, {failing[1] // SIZE[0]}"
+
+
+def test_the_inspector_has_the_candidates_numbers_to_the_bit(visit, report, judged):
+    page = visit(report).page
+    for name, layers in {"inside": ("depth", "normal"), "single": ("depth",)}.items():
+        seen, precision = judged[name].seen, judged[name].precision
+        row = int(np.flatnonzero(seen.ours.hit.ravel())[0])
+        page.evaluate(f"location.hash = '{place(name, row, 'depth')}'")
+        page.wait_for_selector("#pixel section:has-text('Not given by the candidate')")
+        page.wait_for_selector(f"#pixel section >> text=/\u00d7 {precision}\u2019s bound/")
+        for layer in layers:
+            sides = [np.atleast_1d(flat(aovs, layer)[row]) for aovs in (seen.ours, seen.reference)]
+            text = section(page, layer).inner_text()
+            assert NUMBERS.findall(text) == [float(value).hex() for value in np.column_stack(sides).ravel()]
+            assert "ulp of float32" in text or "the same number" in text
+        t = float(textbook_pages.RETURNED[name][row])
+        facts = page.inner_text("#pixel dl")
+        assert re.search(rf"candidate\s+hit\s+t {re.escape(repr(t))}\s+{re.escape(t.hex())}", facts)
+    assert t == np.float32(t), "the last one is a float32 number"
+
+
+def test_what_is_not_given_is_said_and_not_drawn(visit, report):
+    page = visit(report, "#s=single&a=normal").page
+    page.wait_for_selector("#summary >> text=held to the bounds of float32")
+    assert page.locator(".pane.ours .legend").inner_text() == ""
+    page.wait_for_timeout(100)  # the next frame
+    painted, lightest = page.evaluate(PAINTED)
+    assert 0.0 < painted < 0.1 and lightest > 180, (
+        "light words on what stays dark in both themes, and no picture"
+    )
+    page.click("[data-layer=shape_id]")
+    page.wait_for_selector(".pane.reference .legend >> text=a colour a number")
+    assert page.locator(".pane.ours .legend").inner_text() == ""
+    page.locator(".pane.ours canvas").click(position={"x": 60, "y": 60})
+    words = page.inner_text("#pixel section:has-text('Not given')")
+    assert "normal, position, shading normal, shape, diffuse" in words
+
+
+# Of our canvas: the share of it that is not clear, and the lightest green of that.
+PAINTED = """() => {
+    const canvas = document.querySelector(".pane.ours canvas");
+    const {data} = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    const drawn = [...data.keys()].filter((i) => i % 4 === 1 && data[i + 2] > 0);
+    return [(4 * drawn.length) / data.length, drawn.reduce((most, i) => Math.max(most, data[i]), 0)];
+}"""
+
+
+def test_no_answer_is_words_and_what_is_not_kept_is_no_number(visit, report):
+    """A scene that passes is rounded in one file, without the shares of its checks."""
+    page = visit(report, "#s=silent").page
+    assert "there is no answer to judge" in page.inner_text("#told")
+    assert "expected two arrays (t, n)" in page.inner_text("#told")
+    page.evaluate("location.hash = '#s=outside&x=12&y=10&a=shape_id'")
+    page.wait_for_selector("#pixel section >> text=Not given")
+    assert "checks" not in page.inner_text("#pixel dl") and "inf" not in page.inner_text("#pixel")

@@ -1,0 +1,67 @@
+"""The textbook caster of docs/candidates, with its mistake, before the judge at a small size."""
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import planted
+
+from caster.scene import Scene, load_scene
+from mitsuba_ref.verdict import SceneVerdict
+
+ROOT = Path(__file__).parents[2]
+WIDTH, HEIGHT = 20, 16
+FILE = ROOT / "docs/candidates/textbook.py"
+
+
+def trace(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    spec = importlib.util.spec_from_file_location("textbook", FILE)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    found: tuple[np.ndarray, np.ndarray] = module.trace(scene, o, d)
+    return found
+
+
+def trace_depth_in_float32(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, None]:
+    return trace(scene, o, d)[0].astype(np.float32), None
+
+
+RETURNED: dict[str, np.ndarray] = {}  # candidate -> its t, as it returned them
+
+
+def remembered(name: str, call: planted.Trace) -> planted.Trace:
+    def asked(*given: Any) -> tuple[np.ndarray, np.ndarray | None]:
+        t, n = call(*given)
+        RETURNED[name] = t.copy()
+        return t, n
+
+    return asked
+
+
+NO_NORMAL, NO_T = (11, 9), (12, 9)  # x, y of planted.scene(), on the ball
+
+
+def trace_with_gaps(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    t, n = trace(scene, o, d)
+    n = n.copy()
+    n[planted.row_of(NO_NORMAL), 1] = np.inf
+    t[planted.row_of(NO_T)] = np.nan
+    return t, n
+
+
+def inside_sphere() -> Scene:
+    return load_scene(ROOT / "scenes/inside-sphere.toml").with_film(width=WIDTH, height=HEIGHT)
+
+
+def verdicts() -> dict[str, SceneVerdict]:
+    """The camera inside a sphere, which it does not see; a scene without that; no normals, in float32; no answer."""
+    return {
+        "inside": planted.judged_candidate("inside", remembered("inside", trace), inside_sphere()),
+        "outside": planted.judged_candidate("outside", trace, planted.scene()),
+        "single": planted.judged_candidate(
+            "single", remembered("single", trace_depth_in_float32), inside_sphere()
+        ),
+        "silent": planted.judged_candidate("silent", lambda *given: None, planted.scene()),
+    }
