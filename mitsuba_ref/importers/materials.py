@@ -1,5 +1,6 @@
 """<bsdf> -> a diffuse material of ours, or the nearest there is to it."""
 
+from itertools import count
 from typing import Any
 
 from mitsuba_ref.importers.building import Building
@@ -26,11 +27,18 @@ def material_of(out: Building, shape: Node) -> str:
 def _added(out: Building, node: Node) -> str:
     if id(node) not in out.materials:
         materials = out.data["material"]
-        name = node.id if node.id.isprintable() and node.id else f"material-{len(materials)}"
+        name = node.id if node.id.isprintable() and node.id else _new_name(out)
         out.materials[id(node)] = name
         materials[name] = _made(out, node)
         out.places["material", name] = node.place
     return out.materials[id(node)]
+
+
+def _new_name(out: Building) -> str:
+    """One that no material has, and no element that may become one."""
+    made, ids = out.data["material"], out.document.by_id
+    names = map("material-{}".format, count(len(made)))
+    return next(name for name in names if name not in made and name not in ids)
 
 
 def _made(out: Building, node: Node) -> dict[str, Any]:

@@ -77,7 +77,9 @@ def _field_of_view(out: Building, node: Node, width: int, height: int) -> dict[s
     try:
         focal = float(text)
     except ValueError:
-        out.error(node, f"focal_length must be a length in mm such as 50mm, got '{text}'")
+        focal = math.nan
+    if not 0.0 < focal < math.inf:
+        out.error(node, f"focal_length must be a length > 0 in mm such as 50mm, got '{text}'")
         focal = 50.0
     return {"fov": math.degrees(2.0 * math.atan(0.5 * DIAGONAL_MM / focal)), "fov_axis": "diagonal"}
 

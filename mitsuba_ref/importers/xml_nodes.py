@@ -64,9 +64,8 @@ def parse(text: str, file: str) -> Node:
         open_nodes.append(node)
 
     def refuse(*_: object) -> None:
-        place = Place(file, parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
         raise SceneError(
-            told([Remark(place, "a document type is no part of a scene: remove it")], {file: text})
+            told([Remark(here(), "a document type is no part of a scene: remove it")], {file: text})
         )
 
     parser.StartElementHandler = begin

@@ -191,6 +191,8 @@ ERRORS = [
     ('name="radius" value="0.5"', 'name="radius" value="-"', "float radius: value must be a number, got '-'"),
     ('name="radius" value="0.3"', 'name="radius" value="0"', "radius must be a length > 0, got 0"),
     ('value="50"', 'value="180"', "fov must be an angle > 0 and < 180 degrees, got 180"),
+    ('float name="fov" value="50"', 'string name="focal_length" value="0mm"', "must be a length > 0 in mm"),
+    ('float name="fov" value="50"', 'string name="focal_length" value="infmm"', "must be a length > 0 in mm"),
     ('integer name="height"', 'float name="height"', "height must be a <integer>, got <float>"),
     (
         '"perspective"',
@@ -241,6 +243,23 @@ def test_what_goes_on_without_end_is_refused(folder, content, says):
     (folder / "scene.xml").write_text(f'<scene version="3.0.0">{sensor}{content}</scene>')
     with pytest.raises(SceneError, match=re.escape(says)):
         import_xml(str(folder / "scene.xml"))
+
+
+@pytest.mark.parametrize("named_first", [True, False])
+def test_a_material_without_a_name_takes_that_of_no_other(folder, named_first):
+    """material-0 and material-1 are what the first two without a name would be called."""
+    plain = "".join(ball_of('<bsdf type="diffuse">', grey) for grey in (0.125, 0.25))
+    ids = "".join(ball_of(f'<bsdf type="diffuse" id="material-{i}">', 0.5 + i / 4) for i in (0, 1))
+    sensor = '<sensor type="perspective"><float name="fov" value="40"/></sensor>'
+    shapes = ids + plain if named_first else plain + ids
+    (folder / "scene.xml").write_text(f'<scene version="3.0.0">{sensor}{shapes}</scene>')
+    scene = import_xml(str(folder / "scene.xml")).scene
+    greys = [scene.materials[shape.material].reflectance[0] for shape in scene.shapes]
+    assert greys == ([0.5, 0.75, 0.125, 0.25] if named_first else [0.125, 0.25, 0.5, 0.75])
+
+
+def ball_of(bsdf, grey):
+    return f'<shape type="sphere">{bsdf}<rgb name="reflectance" value="{grey}"/></bsdf></shape>'
 
 
 def test_a_missing_mesh_is_exit_code_4(folder):
