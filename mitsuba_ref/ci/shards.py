@@ -10,7 +10,7 @@ from caster.exits import NOT_COMPARABLE
 from caster.rendering import film_window
 from caster.wording import SceneError
 from mitsuba_ref.campaign import Entry
-from mitsuba_ref.verdict import Verdict
+from mitsuba_ref.verdict import SceneVerdict, Verdict
 
 
 class Shard(NamedTuple):
@@ -73,6 +73,7 @@ def merged(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, list[str]]:
         if shard.part in seen:
             raise DifferentRuns(f"{place}: shard {shard} once more; it is in {seen[shard.part]}")
         seen[shard.part] = place
+    check_alike(parts)
     count = shard_in(first, first_place, len(parts)).parts
     scenes = {}
     for place, part in parts:
@@ -88,6 +89,23 @@ def merged(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, list[str]]:
     whole = replace(whole, scenes=tuple(scenes[name] for name in names if name in scenes))
     missing = [f"shard {number}/{count} is missing" for number in range(1, count + 1) if number not in seen]
     return whole, missing
+
+
+def check_alike(parts: Sequence[tuple[str, Verdict]]) -> None:
+    """Raise DifferentRuns unless all scenes were judged with the same candidate, and with the same --size or none."""
+    told = [
+        (place, f"judged {scene.candidate or 'ours'}", f"has films of {film_of(scene)}")
+        for place, part in parts
+        for scene in part.scenes
+    ]
+    for place, *words in told:
+        for mine, others in zip(words, told[0][1:], strict=True):
+            if mine != others:
+                raise DifferentRuns(f"{place}: it {mine}, and {told[0][0]} {others}")
+
+
+def film_of(scene: SceneVerdict) -> str:
+    return f"{scene.size[0]} x {scene.size[1]}" if scene.resized else "the scenes' own sizes"
 
 
 def shard_in(part: Verdict, place: str, parts: int) -> Shard:

@@ -66,6 +66,12 @@ def shard(which, *names, left=(), ok=True, **more):
     return Verdict(scenes, len(names) + len(left), (*names, *left), which, NAMES, **{"code": "c0", **more})
 
 
+def of(which, **more):
+    """The shard of b and d, judged otherwise."""
+    part = shard(which, "b", "d")
+    return replace(part, scenes=tuple(replace(scene, **more) for scene in part.scenes))
+
+
 def write(file, verdict):
     with open(file, "w", encoding="utf-8") as out:
         json.dump(verdict.to_dict(), out, allow_nan=False)
@@ -126,6 +132,11 @@ def test_a_scene_that_fails_or_was_left_in_its_shard_fails_the_whole(folder, cap
         (shard("2/2", "a", "b"), "scene a is in another shard, too"),
         (shard("2/2", "b", "e"), "scenes that the run did not select: e"),
         (shard("2/2", "b", "d", code="c1"), "it was judged by other code than 1.json"),
+        (of("2/2", candidate="mine:trace"), "2.json: it judged mine:trace, and 1.json judged ours"),
+        (
+            of("2/2", resized=True),
+            "2.json: it has films of 12 x 10, and 1.json has films of the scenes' own sizes",
+        ),
         (replace(shard("", "b", "d"), selected=()), "expected a shard, got a run that was not divided"),
     ],
 )
