@@ -7,6 +7,7 @@ import shutil
 import signal
 import string
 import subprocess
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,15 +15,17 @@ import numpy as np
 
 from caster.exr import Exr, UnreadableExr, read_exr
 from caster.wording import FileMissing, SceneError
-from mitsuba_ref.candidate.answer import Answer, NoAnswer, checked
+from mitsuba_ref.candidate.answer import FLOAT32, Answer, NoAnswer, checked
 from mitsuba_ref.candidate.asking import Question
 from mitsuba_ref.child import watched
 from mitsuba_ref.export import export
 from mitsuba_ref.meeting import U
+from mitsuba_ref.verdict import pixel_of
 
 SCENES = ("xml", "toml")
 FIELDS = (*SCENES, "exr", "width", "height")
 OWN_CAMERA = "its rays are its own camera's, and it is allowed what rounding to float32 may do to those, too"
+TWICE = "a brace that is meant is written twice"
 LAST_WORDS = 1500  # characters kept of what a program said
 
 DEPTH, NORMAL, MASK = "depth.Z", ("normal.X", "normal.Y", "normal.Z"), "A"
@@ -35,11 +38,13 @@ def command_of(text: str, precision: str | None, seconds: float) -> "Command":
     except ValueError as error:
         raise SceneError(f"--candidate {text!r}: {error}") from error
     try:
-        named = {
-            field for word in words for _, field, _, _ in string.Formatter().parse(word) if field is not None
-        }
+        fields = [field for word in words for field in string.Formatter().parse(word) if field[1] is not None]
     except ValueError as error:
-        raise SceneError(f"--candidate {text!r}: {error}; a brace that is meant is written twice") from error
+        raise SceneError(f"--candidate {text!r}: {error}; {TWICE}") from error
+    for _, name, form, conversion in fields:
+        if form or conversion:
+            raise SceneError(f"--candidate {text!r}: {{{name}}} is a name and nothing behind it; {TWICE}")
+    named = {name for _, name, _, _ in fields if name is not None}
     if unknown := named - set(FIELDS):
         known = ", ".join(f"{{{name}}}" for name in FIELDS)
         raise SceneError(f"--candidate {text!r}: {{{min(unknown)}}} stands for nothing; known are {known}")
@@ -124,9 +129,29 @@ class Command:
         return exr
 
 
-def answer_in(exr: Exr, question: Question, **more: object) -> Answer:
+def answer_in(
+    exr: Exr, question: Question, *, precision: str | None = None, as_exported: bool = False
+) -> Answer:
     """What an EXR in our channels says: depth along the ray from the eye, geometric normal, mask. Raises NoAnswer."""
-    channels = exr.channels
+    normal = _checked_names(exr.channels)
+    rays = question.rays
+    depth = exr.channels[DEPTH].ravel().astype(np.float64)
+    n = np.stack([exr.channels[name].ravel() for name in normal], axis=1) if normal else None
+    length = np.linalg.norm(rays.d.astype(np.float64), axis=1)
+    with np.errstate(invalid="ignore"):
+        t = (depth - rays.start) / length
+    if MASK in exr.channels:
+        covered = _covered(exr.channels[MASK].ravel(), depth, question)
+        t, depth = (np.where(covered, values, np.inf) for values in (t, depth))
+    # From the eye to where the shared ray starts, and rounded to float32 as it was stored.
+    with np.errstate(invalid="ignore"):
+        stored = np.where(np.isfinite(depth), U * np.abs(depth) / length, 0.0)
+    found = checked(t, n, len(t), precision=precision or FLOAT32, as_exported=as_exported)
+    return replace(found, t_off=stored, own_camera=True, notes=(OWN_CAMERA,))
+
+
+def _checked_names(channels: Mapping[str, np.ndarray]) -> list[str]:
+    """The channels of the normal, none if it is not given. Raises NoAnswer."""
     if DEPTH not in channels:
         has = ", ".join(channels) or "none"
         raise NoAnswer(
@@ -138,28 +163,21 @@ def answer_in(exr: Exr, question: Question, **more: object) -> Answer:
     for name in (DEPTH, *some):
         if channels[name].dtype != np.float32:
             raise NoAnswer(f"channel {name} holds {channels[name].dtype}, expected float32: half has 11 bits")
-    rays = question.rays
-    depth = channels[DEPTH].ravel().astype(np.float64)
-    n = np.stack([channels[name].ravel() for name in some], axis=1).astype(np.float64) if some else None
-    length = np.linalg.norm(rays.d.astype(np.float64), axis=1)
-    with np.errstate(invalid="ignore"):
-        t = (depth - rays.start) / length
-    if MASK in channels:
-        covered = channels[MASK].ravel() != 0
-        contradicts = (covered & np.isposinf(depth)) | (~covered & np.isfinite(depth) & (depth != 0.0))
-        if contradicts.any():
-            i = int(np.argmax(contradicts))
-            raise NoAnswer(
-                f"A and {DEPTH} contradict each other at {int(contradicts.sum())} pixels, first number {i}: A is "
-                f"{channels[MASK].ravel()[i]:g}, depth {depth[i]:.9g}; a miss has A 0 and depth inf"
-            )
-        t = np.where(covered, t, np.inf)
-        depth = np.where(covered, depth, np.inf)
-    # From the eye to where the shared ray starts, and rounded to float32 as it was stored.
-    with np.errstate(invalid="ignore"):
-        stored = np.where(np.isfinite(depth), U * np.abs(depth) / length, 0.0)
-    found = checked(t, n, len(t), precision=more.pop("precision", None) or "float32", **more)  # type: ignore[arg-type]
-    return replace(found, t_off=stored, own_camera=True, notes=(OWN_CAMERA,))
+    return some
+
+
+def _covered(mask: np.ndarray, depth: np.ndarray, question: Question) -> np.ndarray:
+    """(n,) bool: hit, by the mask. Raises NoAnswer where depth says otherwise; 0 is no depth, and may be a miss's."""
+    covered: np.ndarray = mask != 0
+    missed = np.isposinf(depth) | (~covered & (depth == 0.0))
+    contradicts = (covered == missed) | ~np.isfinite(mask)
+    if contradicts.any():
+        i = int(np.argmax(contradicts))
+        raise NoAnswer(
+            f"A and {DEPTH} contradict each other at {int(contradicts.sum())} pixels, first "
+            f"{pixel_of(question.scene, i)}: A is {mask[i]:g}, depth {depth[i]:.9g}; a miss has A 0 and depth inf"
+        )
+    return covered
 
 
 def _ended(child: subprocess.Popen[bytes]) -> str:

@@ -138,6 +138,12 @@ FAILING = [
         "expected (0, 0, 16, 12) of the film",
     ),
     (WRITE + "channels['A'] = 0 * normal + 1" + SAVE, "A and depth.Z contradict each other at 192 pixels"),
+    (WRITE + "depth[2, 3] = np.nan" + SAVE, "at 1 pixels, first (3, 2): A is 0, depth nan"),
+    (WRITE + "depth[2, 3] = -np.inf" + SAVE, "at 1 pixels, first (3, 2): A is 0, depth -inf"),
+    (
+        WRITE + "depth[2, 3] = 1.0; channels['A'] = np.where(np.isfinite(depth), np.nan, 0.0)" + SAVE,
+        "at 1 pixels, first (3, 2): A is nan, depth 1",
+    ),
     (
         "import sys, numpy as np, OpenEXR; h = np.ones((12, 16), np.float16)\n"
         "OpenEXR.File({}, {'depth.Z': h}).write(sys.argv[1])",
@@ -193,6 +199,9 @@ UNASKABLE = [
     ("true {xml} {exr} {samples}", "{samples} stands for nothing"),
     ("true '{xml} {exr}", "No closing quotation"),
     ("true {xml {exr}", "{xml {exr}"),
+    ("true {xml} {exr:d}", "{exr} is a name and nothing behind it"),
+    ("true {xml} {exr!z}", "{exr} is a name and nothing behind it"),
+    ("true {xml} {exr:{size}}", "a brace that is meant is written twice"),
 ]
 
 
