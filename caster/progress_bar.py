@@ -3,6 +3,7 @@
 It counts work. It uses no colour, so that NO_COLOR has nothing to forbid.
 """
 
+import io
 import os
 import shutil
 import sys
@@ -32,7 +33,7 @@ class Bar:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.what, self.total, self.unit = what, total, unit
-        self.stream = sys.stderr if stream is None else stream
+        self.stream = stream or sys.stderr or io.StringIO()  # a closed standard error is None: nobody is told
         self.live = self.stream.isatty() and os.environ.get("TERM") != "dumb"
         self.clock, self.start = clock, clock()
         self.next = self.start + (QUIET if self.live else PLAIN)

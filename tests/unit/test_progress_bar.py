@@ -135,6 +135,16 @@ def test_a_terminal_that_cannot_move_its_cursor_is_as_a_pipe(terminal, monkeypat
     assert not Bar("rendering", 1, "rays", terminal[0]).live
 
 
+def test_where_standard_error_is_closed_work_goes_on(monkeypatch):
+    monkeypatch.setattr("sys.stderr", None)
+    clock = Clock()
+    bar = Bar("rendering", 10, "rays", clock=clock)
+    clock.now = PLAIN
+    bar.add(5)
+    bar.close()
+    assert bar.done == 5 and not bar.live
+
+
 def test_there_is_no_colour_for_no_color_to_forbid(terminal):
     stream, read = terminal
     clock = Clock()
