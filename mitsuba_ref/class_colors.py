@@ -1,4 +1,9 @@
-"""The colour of each class of a pixel, wherever classes are drawn."""
+"""The colour of each class of a pixel, wherever classes are drawn, and its name, as files of classes carry them.
+
+The report's page has the same, and one more for what is unlisted (report/page/colors.js, which a test compares).
+"""
+
+from collections.abc import Sequence
 
 from mitsuba_ref.verdict import CLASSES
 
@@ -13,6 +18,14 @@ COLORS = {
 }
 
 
-def in_words() -> str:
-    """ "0 #467850, 1 ...": code and colour of each class, as files of verdicts carry it."""
-    return ", ".join(f"{code} #{bytes(COLORS[name]).hex()}" for code, name in enumerate(CLASSES))
+def in_hex(name: str) -> str:
+    """ "#467850"."""
+    return f"#{bytes(COLORS[name]).hex()}"
+
+
+def attributes(names: Sequence[str] = CLASSES) -> dict[str, str]:
+    """What an EXR file with the channel class.I says of its codes. names: what the classes are called there."""
+    return {
+        "caster/classes": ", ".join(f"{code} {name}" for code, name in enumerate(names)),
+        "caster/class_colors": ", ".join(f"{code} {in_hex(name)}" for code, name in enumerate(CLASSES)),
+    }

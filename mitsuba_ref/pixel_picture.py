@@ -15,6 +15,7 @@ from caster.packing import Packed
 from caster.placing import as_float32
 from caster.rendering import look
 from caster.scene import Scene
+from mitsuba_ref.class_colors import in_hex
 from mitsuba_ref.jobs import Crash
 from mitsuba_ref.judge import CODE, Judge
 from mitsuba_ref.judging import judge_of
@@ -28,16 +29,6 @@ INSIDE = 81  # rays across a pixel, odd, so that one of them is the pixel's own
 STEPS = 12  # of the direction, each way
 MISS = -1
 
-# Colours after Okabe and Ito (2008), which people of any colour vision tell apart.
-CLASS_COLORS = {
-    "agree": "#cfe8dc",
-    "explained": "#E69F00",
-    "tie": "#56B4E9",
-    "reference_wrong": "#CC79A7",
-    "out_of_domain": "#0072B2",
-    "ours_wrong": "#D55E00",
-    "undecided": "#F0E442",
-}
 SURFACES = ("#8cc8ec", "#f0c060", "#6fc7a8", "#dfb0c8", "#f5ee9a", "#7aa6c9", "#e79a68", "#bbbbbb")
 NOTHING = "#ffffff"
 
@@ -86,7 +77,7 @@ def draw_classes(ax: Any, scene: Scene, x: int, y: int) -> dict[str, str]:
     seen = {}
     for row, column in np.ndindex(hit.shape):
         name = CLASSES[classes[row, column]] if hit[row, column] or classes[row, column] else "miss"
-        color = CLASS_COLORS.get(name, NOTHING)
+        color = NOTHING if name == "miss" else in_hex(name)
         seen[name.replace("_", " ")] = color
         ax.add_patch(square(x0 + column, y0 + row, 1.0, facecolor=color, edgecolor="white", lw=1.0))
     ax.add_patch(square(x, y, 1.0, fill=False, edgecolor="black", lw=1.5))

@@ -14,13 +14,14 @@ from caster.exr import Window, read_exr, write_exr
 from caster.rendering import film_window
 from caster.scene import Scene
 from caster.wording import SceneError
+from mitsuba_ref import class_colors
 from mitsuba_ref.jobs import Crash
 from mitsuba_ref.judge import CODE, Judge
 from mitsuba_ref.model import model_of
 from mitsuba_ref.pair import our_view, pair_up
 from mitsuba_ref.rays import share
 from mitsuba_ref.reference import aovs_of, consult
-from mitsuba_ref.verdict import CLASSES, EXCUSED, TIE
+from mitsuba_ref.verdict import EXCUSED, TIE
 
 # Beside the images, what the judge said of each pixel on approval: on edges and ties another answer is right as well.
 CLASS = "class.I"
@@ -91,7 +92,7 @@ def rendered(scene: Scene, path: str, *, variant: str | None, command: str) -> R
     versions = versions | {"libllvm": Path(versions.get("libllvm", "none")).name, "command": command}
     about = provenance(scene, __version__, Path(path).name)
     about |= {PREFIX + name: version for name, version in versions.items()}
-    about["caster/classes"] = ", ".join(f"{code} {name}" for code, name in enumerate(CLASSES))
+    about |= class_colors.attributes()
     channels = {name: as_stored(plane) for name, plane in channels_of(images).items()}
     channels[CLASS] = classes.reshape(shape).astype(np.uint32)
     return Reference(channels, about, scene.film.window, (0, 0, scene.film.width, scene.film.height))

@@ -4,32 +4,26 @@ from pathlib import Path
 
 import numpy as np
 
-from caster import __version__
-from caster.channels import channels_of, provenance
-from caster.exr import write_exr
+from caster.channels import channels_of
 from caster.rendering import Aovs
+from mitsuba_ref import class_colors
 from mitsuba_ref.candidate.answer import NOT_FINITE
 from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement
-from mitsuba_ref.verdict import CANDIDATE_WRONG, CLASSES, OURS_WRONG
+from mitsuba_ref.pictures import class_map, write_all
+from mitsuba_ref.verdict import CANDIDATE_WRONG, CLASSES, FAILING, OURS_WRONG
 
 
 def write_pictures(folder: Path, name: str, judge: CandidateJudge, judgement: CandidateJudgement) -> None:
     """NAME.candidate.exr, NAME.reference.exr and NAME.verdict.exr. Raises OutputError."""
-    shape = judge.reference.hit.shape
+    hit = judge.answer.hit | judge.witness.hit | judgement.is_class(*FAILING)
     ratio = np.max(list(judgement.ratios.values()), axis=0)
-    verdict = {"class.I": judgement.classes.reshape(shape).astype(np.uint32), "ratio.Y": ratio.reshape(shape)}
-    names = [CANDIDATE_WRONG if text == OURS_WRONG else text for text in CLASSES]
-    codes = {"caster/classes": ", ".join(f"{code} {text}" for code, text in enumerate(names))}
-    about = provenance(judge.scene, __version__, name) | codes
     pictures = {
         "candidate": channels_of(candidate_aovs(judge)),
         "reference": channels_of(judge.reference),
-        "verdict": verdict,
+        "verdict": class_map(hit.reshape(judge.reference.hit.shape), judgement.classes, ratio),
     }
-    film = (0, 0, judge.scene.film.width, judge.scene.film.height)
-    for which, channels in pictures.items():
-        path = folder / f"{name}.{which}.exr"
-        write_exr(path, channels, about, data_window=judge.scene.film.window, display_window=film)
+    names = [CANDIDATE_WRONG if text == OURS_WRONG else text for text in CLASSES]
+    write_all(folder, name, judge.scene, pictures, class_colors.attributes(names))
 
 
 def candidate_aovs(judge: CandidateJudge) -> Aovs:

@@ -249,6 +249,11 @@ def test_the_command_line_has_exit_codes_files_and_a_precision(tmp_path, monkeyp
     }
     picture = read_exr(tmp_path / "one-sphere.candidate.exr").channels
     assert {"A", "depth.Z", "normal.X"} <= picture.keys() and picture["A"].sum() > 50
+    classes = read_exr(tmp_path / "one-sphere.verdict.exr")
+    assert (classes.channels["A"] >= picture["A"]).all() and "5 candidate_wrong" in classes.provenance[
+        "caster/classes"
+    ]
+    assert "5 #ff0000" in classes.provenance["caster/class_colors"]
     assert main([*one, "docs.candidates.textbook:trace", "--candidate-precision", "float64"]) == 0
     assert main([*one[:1], "scenes/inside-sphere.toml", *one[2:], "docs.candidates.textbook:trace"]) == 1
     assert "first root is behind the ray's origin" in capsys.readouterr().out

@@ -8,12 +8,13 @@ from importlib import resources
 import pytest
 
 from caster.whole_files import OutputError
+from mitsuba_ref import class_colors
 from mitsuba_ref.report import one_file
 from mitsuba_ref.report.assembling import SCRIPTS, as_json, page
 from mitsuba_ref.report.index import row
 from mitsuba_ref.report.writing import MOST_BYTES, Report
 from mitsuba_ref.table import failure
-from mitsuba_ref.verdict import Failure, SceneVerdict, Verdict
+from mitsuba_ref.verdict import CLASSES, Failure, SceneVerdict, Verdict
 
 FAILURE = Failure(3, 4, "ours_wrong", "depth", 41.0, "a", "b", "c", "by exact arithmetic, ours is wrong")
 FAILING = SceneVerdict("two words", "scenes/two words.toml", 100, 100, failures=(FAILURE,))
@@ -153,3 +154,13 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path):
 def test_a_verdict_writes_itself(tmp_path):
     assert Verdict((FAILING, PASSING), asked=2).write_html(tmp_path / "r") == tmp_path / "r" / "index.html"
     assert Verdict((PASSING,)).write_html(tmp_path / "r.html") == tmp_path / "r.html"
+
+
+def test_classes_have_the_same_colours_on_the_page_as_in_files():
+    script = (resources.files("mitsuba_ref.report") / "page/colors.js").read_text(encoding="utf-8")
+    listed = script.partition("const CLASS_COLORS = {")[2].partition("}")[0]
+    found = {
+        name: tuple(map(int, rgb.split(","))) for name, rgb in re.findall(r"(\w+): \[([^\]]+)\]", listed)
+    }
+    assert found.keys() == {*CLASSES, "unlisted"} and len(set(found.values())) == len(found)
+    assert {name: found[name] for name in CLASSES} == class_colors.COLORS
