@@ -1,14 +1,15 @@
 """What each witness says of a pixel, in words: shape and t, in decimal and to the bit."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from caster.packing import Packed
 from caster.scene import Scene
+from mitsuba_ref.adjudication import Adjudication
 from mitsuba_ref.cases import NAMES
-from mitsuba_ref.exact import ExactAnswer
+from mitsuba_ref.exact import ExactAnswer, Oracle
 from mitsuba_ref.judge import Judge, Judgement
 from mitsuba_ref.pixels import flat
 from mitsuba_ref.verdict import CLASSES, REFERENCE_WRONG, UNLISTED
@@ -117,8 +118,26 @@ def _head(judge: Judge, judgement: Judgement, row: int, source: str) -> Iterator
     yield ""
 
 
-def asked(judge: Judge, judgement: Judgement, row: int) -> ExactAnswer | None:
-    """The exact answer of a row, asked for now if it was not before."""
+class Asking(Protocol):
+    """Who judges, ours or a candidate: float64 rays, and the oracle for them."""
+
+    o: np.ndarray
+    d: np.ndarray
+    t_max: np.ndarray
+
+    @property
+    def oracle(self) -> Oracle: ...
+
+
+class Answered(Protocol):
+    """What was judged, with the exact answers that it rests on."""
+
+    @property
+    def exact(self) -> Adjudication: ...
+
+
+def asked(judge: Asking, judgement: Answered, row: int) -> ExactAnswer | None:
+    """The exact answer of a row, asked for now if it was not before; none where there is no ray."""
     known = judgement.exact.of(row)
     if known is not None or judge.t_max[row] < 0.0:
         return known

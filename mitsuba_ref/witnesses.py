@@ -16,6 +16,7 @@ from mitsuba_ref.export import export, shape_ids
 from mitsuba_ref.jobs import Answer, Crash, Job
 from mitsuba_ref.judge import Judge
 from mitsuba_ref.meeting import KU, KU_OURS
+from mitsuba_ref.telling import both
 from mitsuba_ref.worker import ask_all
 
 MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_use_robust_intersections
@@ -135,7 +136,7 @@ def lines(found: tuple[Saying, ...]) -> Iterator[str]:
             yield f"{head}  {each.problem}"
             continue
         verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
-        t = f"t {each.t!r} {each.t.hex()}" if np.isfinite(each.t) else ""
+        t = f"t {both(each.t)}" if np.isfinite(each.t) else ""
         yield f"{head}  {verdict}  {_where(each):<{hit}}  {t}{_off_words(each)}".rstrip()
 
 

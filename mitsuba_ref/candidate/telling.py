@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement
-from mitsuba_ref.exact import ExactAnswer
+from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement, meets_again
 from mitsuba_ref.judge import EXACT
 from mitsuba_ref.pixels import flat
-from mitsuba_ref.telling import both, exact_words
+from mitsuba_ref.telling import asked, both, exact_words
 from mitsuba_ref.verdict import CLASSES, Failure, pixel_of
 
 
@@ -54,22 +53,12 @@ def mitsuba_words(judge: CandidateJudge, row: int) -> str:
 
 def exact_normal(judge: CandidateJudge, judgement: CandidateJudgement, row: int) -> str:
     """Normals are not exact: float64's at the surface that is hit exactly."""
-    from mitsuba_ref.candidate.judge import meets_again
-
     answer = judgement.exact.of(row)
     if answer is None or answer.t is None or judge.answer.n is None:
         return ""
     one = np.array([row])
     at = meets_again(judge, one, np.array([answer.prim]), np.array([float(answer.t)]))
     return f", n ({numbers(at.n[0])})"
-
-
-def asked(judge: CandidateJudge, judgement: CandidateJudgement, row: int) -> ExactAnswer | None:
-    """The exact answer of a row, asked for now if it was not before; none where there is no ray."""
-    known = judgement.exact.of(row)
-    if known is not None or judge.t_max[row] < 0.0:
-        return known
-    return judge.oracle.ask(judge.o[row], judge.d[row], 0.0, float(judge.t_max[row]))
 
 
 def numbers(values: np.ndarray) -> str:
