@@ -51,6 +51,3 @@ class Node:
     @property
     def children(self) -> list["Node"]:
         return [item for item in self.items if isinstance(item, Node)]
-
-
-DEEPEST = 64  # blocks in blocks; each takes a few frames of Python's stack

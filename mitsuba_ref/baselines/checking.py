@@ -43,7 +43,8 @@ COLORS = ("R", "G", "B")
 
 @dataclass(frozen=True)
 class Checked:
-    """What came of it. refused: nothing was compared, since the reference is missing, altered or stale."""
+    """What came of it. refused: approving anew is the way out, of a reference that is missing, altered or stale, or
+    whose bits Mitsuba gives no more."""
 
     name: str
     reference: str

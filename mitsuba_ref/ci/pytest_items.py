@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mitsuba_ref.verdict import SceneVerdict
 
 # The checks of a pixel, then those of a scene, by the names that a verdict has. Named here as well, since loading the
-# judge loads the kernels (tests/unit/test_pytest_plugin.py compares).
+# judge loads the kernels (tests/reference/test_pytest_plugin.py compares).
 PIXEL_CHECKS = (
     "mask",
     "shape_id",

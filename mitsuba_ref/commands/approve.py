@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from mitsuba_ref.campaign import Entry
 
 HELP = "render reference EXRs with Mitsuba, show what changed in them, and write them once that is approved"
-MODES = ("missing", "changed", "all")  # of mitsuba_ref.baselines.approval
+# Named here too, since loading what approves loads the kernels (tests/unit/test_cli_help.py compares).
+MODES = ("missing", "changed", "all")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

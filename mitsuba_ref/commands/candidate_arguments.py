@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from mitsuba_ref.campaign import JudgeEntry
     from mitsuba_ref.candidate.asking import Candidate
 
-SECONDS = 300.0  # mitsuba_ref.candidate.asking.DEFAULT_SECONDS, which --help need not load
+# Named here too, since loading the judge loads the kernels (tests/unit/test_cli_help.py compares).
+SECONDS = 300.0
+PRECISIONS = ("float32", "float64")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--candidate-precision",
         metavar="P",
-        choices=("float32", "float64"),
+        choices=PRECISIONS,
         help="what it computes in, which its bounds follow from; default: the type of what it returns",
     )
     group.add_argument(

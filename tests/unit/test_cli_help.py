@@ -5,6 +5,9 @@ import re
 from caster.aovs import BY_NAME
 from caster.commands import render
 from caster.rendering import DEFAULT_AOVS
+from mitsuba_ref.baselines import approval
+from mitsuba_ref.candidate import answer, asking
+from mitsuba_ref.commands import approve, candidate_arguments
 from mitsuba_ref.commands import render as reference_render
 from mitsuba_ref.reference import GIVEN
 
@@ -23,3 +26,12 @@ def test_both_renderers_write_the_same_channels_unless_told():
 
 def test_every_default_exists():
     assert set(re.split(",", render.DEFAULT)) <= set(BY_NAME)
+
+
+def test_the_modes_of_approval_are_those_that_it_knows():
+    assert approve.MODES == approval.MODES
+
+
+def test_a_candidate_gets_the_seconds_and_has_the_precisions_that_help_names():
+    assert candidate_arguments.SECONDS == asking.DEFAULT_SECONDS
+    assert tuple(answer.PRECISIONS) == candidate_arguments.PRECISIONS
