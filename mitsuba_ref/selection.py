@@ -1,42 +1,13 @@
-"""Which scenes a run is about: files and folders, and an expression over their names."""
+"""Which scenes a run is about: an expression over their names. Files and folders: caster.commands.scene_arguments."""
 
-import os
 import re
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
-from caster.wording import FileMissing, SceneError
+from caster.wording import SceneError
 
-SUFFIXES = (".toml", ".json")
 TOKENS = re.compile(r"\s*([()]|[^\s()]+)")
 
 Predicate = Callable[[str], bool]
-
-
-def scene_files(places: Iterable[str]) -> list[str]:
-    """Scene files, as given or inside the folders given, sorted within each. Raises FileMissing."""
-    found: list[str] = []
-    for place in places:
-        path = Path(place)
-        if path.is_dir():
-            found += [str(file) for file in sorted(path.iterdir()) if file.suffix.lower() in SUFFIXES]
-        elif path.is_file():
-            found.append(place)
-        else:
-            raise FileMissing(f"{place}: expected a scene file or a folder of them, found nothing")
-    return list({os.path.realpath(file): file for file in reversed(found)}.values())[::-1]
-
-
-def names_of(files: Sequence[str]) -> list[str]:
-    """What to call each: its stem, or its whole path where another file has the same stem."""
-    stems = Counter(Path(file).stem for file in files)
-    return [Path(file).stem if stems[Path(file).stem] == 1 else path_as_name(file) for file in files]
-
-
-def path_as_name(file: str) -> str:
-    """A path that may be the name of a file."""
-    return file.replace(os.sep, "-").lstrip(".-")
 
 
 def matching(expression: str | None) -> Predicate:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Iterator
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.wording import SceneError
+from caster.wording import FileMissing, SceneError
 
 if TYPE_CHECKING:
     from caster.scene import Scene
 
 SCENE_FILE = "a scene file, .toml or .json"
+SUFFIXES = (".toml", ".json")  # of the files of a folder that are scenes
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +54,31 @@ def load(args: argparse.Namespace) -> Scene:
         return scene
     with blamed_on("--size", *args.size):
         return scene.with_film(width=args.size[0], height=args.size[1])
+
+
+def scene_files(places: Iterable[str]) -> list[str]:
+    """Scene files, as given or inside the folders given, sorted within each. Raises FileMissing."""
+    found: list[str] = []
+    for place in places:
+        path = Path(place)
+        if path.is_dir():
+            found += [str(file) for file in sorted(path.iterdir()) if file.suffix.lower() in SUFFIXES]
+        elif path.is_file():
+            found.append(place)
+        else:
+            raise FileMissing(f"{place}: expected a scene file or a folder of them, found nothing")
+    return list({os.path.realpath(file): file for file in reversed(found)}.values())[::-1]
+
+
+def names_of(files: Sequence[str]) -> list[str]:
+    """What to call each: its stem, or its whole path where another file has the same stem."""
+    stems = Counter(Path(file).stem for file in files)
+    return [Path(file).stem if stems[Path(file).stem] == 1 else path_as_name(file) for file in files]
+
+
+def path_as_name(file: str) -> str:
+    """A path that may be the name of a file."""
+    return file.replace(os.sep, "-").lstrip(".-")
 
 
 @contextlib.contextmanager

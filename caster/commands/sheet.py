@@ -2,12 +2,10 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from caster.commands.render import thread_count
-from caster.commands.scene_arguments import add_mesh_dirs, blamed_on
+from caster.commands.scene_arguments import add_mesh_dirs, blamed_on, names_of, scene_files
 from caster.exits import NOTHING_SELECTED, OK
-from caster.wording import FileMissing, SceneError
 
 HELP = "render scene files as small pictures on one labelled sheet"
 
@@ -35,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render and write. Raises SceneError, FileMissing, OutputError."""
-    from caster.pictures.contact import columns_for, named, thumbnail
+    from caster.pictures.contact import columns_for, thumbnail
     from caster.pictures.files import check_picture_name, write_picture
     from caster.pictures.layout import sheet
     from caster.progress import announced, kinds_in
@@ -52,27 +50,10 @@ def run(args: argparse.Namespace) -> int:
         return NOTHING_SELECTED
     scenes = [load_scene(file, args.mesh_dir) for file in files]  # all errors before any picture
     pictures = []
-    for file, scene, name in zip(
-        files, scenes, named(files, [Path(file).stem for file in files]), strict=True
-    ):
+    for file, scene, name in zip(files, scenes, names_of(files), strict=True):
         with blamed_on(file), announced(kinds_in(scene)):
             pictures.append(thumbnail(scene, name, args.side, args.aov, args.threads))
     about = {"Description": ", ".join(picture.name for picture in pictures)}
     write_picture(args.output, sheet(pictures, args.columns or columns_for(len(pictures))), about)
     print(f"{args.output}: {len(pictures)} scenes")
     return OK
-
-
-def scene_files(paths: list[str]) -> list[str]:
-    """The files themselves, and the .toml and .json files of folders. Raises FileMissing."""
-    found: list[str] = []
-    for path in paths:
-        if Path(path).is_dir():
-            found += sorted(str(file) for file in Path(path).iterdir() if file.suffix in (".toml", ".json"))
-        elif Path(path).exists():
-            found.append(path)
-        else:
-            raise FileMissing(f"{path}: no such scene file or folder")
-    if len(found) != len(set(found)):
-        raise SceneError(f"{' '.join(paths)}: the same scene file is there twice")
-    return found

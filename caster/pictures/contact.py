@@ -1,7 +1,5 @@
 """A small picture of each of many scenes."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from caster.pictures.views import Picture, view
@@ -30,8 +28,3 @@ def thumbnail(
 def columns_for(count: int, ratio: float = 1.5) -> int:
     """So many that a sheet of square cells is about `ratio` times as wide as high."""
     return max(1, round(float(np.sqrt(ratio * count))))
-
-
-def named(paths: Sequence[str], stems: Sequence[str]) -> list[str]:
-    """Labels: the names of the files, or their paths where two have the same name."""
-    return [stem if stems.count(stem) == 1 else path for path, stem in zip(paths, stems, strict=True)]

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.commands.scene_arguments import add_mesh_dirs, blamed_on
+from caster.commands.scene_arguments import add_mesh_dirs, blamed_on, names_of, scene_files
 from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.wording import SceneError
 from mitsuba_ref.ci import arguments as ci
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
 def selected(args: argparse.Namespace) -> list[Entry]:
     """The scenes, loaded. Raises SceneError with all that is wrong with all of them."""
-    from mitsuba_ref.selection import matching, names_of, scene_files
+    from mitsuba_ref.selection import matching
 
     fits = matching(args.expression)
     files = [file for file in scene_files(args.scenes) if fits(Path(file).stem)]

@@ -219,8 +219,7 @@ def test_classes_have_the_colours_and_names_that_their_file_gives_them(folder, c
         ("render s.toml --preview gone/p.png", 4, "cannot write"),
         ("preview gone.exr", 4, "gone.exr: no such file"),
         ("preview s.toml -o p.png", 4, "s.toml: expected an EXR image"),
-        ("sheet gone", 4, "gone: no such scene file or folder"),
-        ("sheet s.toml s.toml", 2, "the same scene file is there twice"),
+        ("sheet gone", 4, "gone: expected a scene file or a folder of them, found nothing"),
         ("sheet s.toml --aov deep", 2, "aov 'deep': unknown"),
     ],
 )
@@ -241,7 +240,7 @@ def test_an_aov_that_a_file_lacks_is_named(folder, capsys):
 
 def test_a_sheet_of_scenes_shows_each_in_its_size(folder, capsys):
     (folder / "dark.toml").write_text(SCENE)
-    assert main(["sheet", ".", "-o", "all.png", "--side", "12", "--columns", "2"]) == 0
+    assert main(["sheet", ".", "s.toml", "-o", "all.png", "--side", "12", "--columns", "2"]) == 0
     assert capsys.readouterr().out == "all.png: 2 scenes\n"
     found = read_picture("all.png")
     assert found.shape == (8 + LABEL, 2 * 12 + GAP, 3)

@@ -1,9 +1,10 @@
-"""Which scenes `validate` is about: files, folders, and -k."""
+"""Which scenes a command is about: files, folders, and -k."""
 
 import pytest
 
+from caster.commands.scene_arguments import scene_files
 from caster.wording import FileMissing, SceneError
-from mitsuba_ref.selection import matching, scene_files
+from mitsuba_ref.selection import matching
 
 NAMES = ("teapot", "mesh-tea", "mesh", "sphere")
 
