@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from caster.findings import problems_of
 from caster.mesh_reach import Reach, find_meshes
 from caster.scene_model import Scene
-from caster.scene_text import Kind, parse, report
+from caster.scene_text import Kind, parse, report, text_of
 from caster.wording import FileMissing, SceneError
 
 KINDS: dict[str, Kind] = {".toml": "toml", ".json": "json"}
@@ -26,7 +26,7 @@ def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str
     kind = KINDS.get(Path(where).suffix.lower())
     if kind is None:
         raise SceneError(f"{where}: unknown scene format: expected a file ending in {' or '.join(KINDS)}")
-    return scene_from_text(_text_of(where), kind, where, folder=Path(where).parent, mesh_dirs=mesh_dirs)
+    return scene_from_text(text_of(where), kind, where, folder=Path(where).parent, mesh_dirs=mesh_dirs)
 
 
 def scene_from_text(
@@ -51,13 +51,3 @@ def scene_from_text(
         raise kind_of_error(report([*problems, *missing], text, kind, origin))
     scene._folder = reach.folder.resolve()
     return scene
-
-
-def _text_of(where: str) -> str:
-    try:
-        return Path(where).read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{where}: not a text in UTF-8: byte {error.start + 1} is none of it") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileMissing(f"{where}: cannot read this scene file: {reason}") from None

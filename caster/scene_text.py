@@ -4,14 +4,27 @@ import json
 import re
 import tomllib
 from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
 from typing import Any, Literal
 
 from caster.locate import Positions, Span
 from caster.problems import Problem
-from caster.wording import SceneError
+from caster.wording import FileMissing, SceneError
 
 Kind = Literal["toml", "json"]
 LINE_SHOWN = 100  # characters of a line that are shown around the place of an error
+
+
+def text_of(path: str | PathLike[str]) -> str:
+    """The text of a scene file of any kind. Raises FileMissing, or SceneError for bytes that are no UTF-8."""
+    try:
+        return Path(path).read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path}: not a text in UTF-8: byte {error.start + 1} is none of it") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileMissing(f"{path}: cannot read this scene file: {reason}") from None
 
 
 def parse(text: str, kind: Kind, origin: str) -> tuple[Any, list[Problem]]:

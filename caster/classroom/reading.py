@@ -15,7 +15,7 @@ from caster.findings import problems_of
 from caster.mesh_reach import Reach, find_meshes
 from caster.problems import Problem
 from caster.scene_model import Scene
-from caster.scene_text import shown
+from caster.scene_text import shown, text_of
 from caster.wording import FileMissing, SceneError
 
 
@@ -44,7 +44,7 @@ def load_course_scene(
     width, height: of the film, in pixels. shade_back: surfaces are lit from behind, too. shadows: cast shadows.
     Raises FileMissing for a file that cannot be read, SceneError with every error and its line for the rest.
     """
-    text = _text_of(path)
+    text = text_of(path)
     parser = Parser(text)
     made = build(parser.sections(), width, height)
     for material in made.data["material"].values():
@@ -88,13 +88,3 @@ def _in_order(faults: Iterable[Fault]) -> list[Fault]:
 
 def _told(faults: Iterable[Fault], text: str, origin: str) -> str:
     return "\n".join(shown(at.span, said, text, origin) for at, said in _in_order(dict.fromkeys(faults)))
-
-
-def _text_of(path: str | PathLike[str]) -> str:
-    try:
-        return Path(path).read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{path}: not a text in UTF-8: byte {error.start + 1} is none of it") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileMissing(f"{path}: cannot read this scene file: {reason}") from None

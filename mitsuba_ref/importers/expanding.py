@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from caster.wording import FileMissing, SceneError, suggestion
+from caster.scene_text import text_of
+from caster.wording import FileMissing, suggestion
 from mitsuba_ref.importers.places import Place, Remark
 from mitsuba_ref.importers.xml_nodes import Node, parse
 
@@ -42,7 +43,7 @@ def expand(path: str, given: Mapping[str, str]) -> Document:
 
 
 def _read(document: Document, path: str, depth: int) -> None:
-    text = document.texts[path] = _text_of(path)
+    text = document.texts[path] = text_of(path)
     root = parse(text, path)
     if root.tag != "scene":
         document.errors.append(Remark(root.place, f"expected <scene>, got <{root.tag}>"))
@@ -121,13 +122,3 @@ def followed(document: Document, node: Node) -> Node | None:
     if error not in document.errors:
         document.errors.append(error)
     return None
-
-
-def _text_of(path: str) -> str:
-    try:
-        return Path(path).read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{path}: not a text in UTF-8: byte {error.start + 1} is none of it") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileMissing(f"{path}: cannot read this scene file: {reason}") from None
