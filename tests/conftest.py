@@ -1,5 +1,6 @@
 """What this run could use, said in its header, and a marker for each folder of tests."""
 
+import contextlib
 import importlib.util
 import shutil
 from pathlib import Path
@@ -55,3 +56,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         folder = item.path.relative_to(TESTS).parts[0] if item.path.is_relative_to(TESTS) else ""
         if folder in KINDS:
             item.add_marker(folder)
+
+
+@pytest.fixture
+def warm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Standard error is as it is once kernels are compiled, also in the first run after an edit."""
+    monkeypatch.setattr("caster.progress.announced", lambda what: contextlib.nullcontext())

@@ -8,6 +8,8 @@ from caster.classroom.drawing import bytes_of, depth_picture, draw, normal_pictu
 from caster.classroom.reading import load_course_scene
 from caster.pictures.files import read_picture
 
+pytestmark = pytest.mark.usefixtures("warm")
+
 PERSPECTIVE = "PerspectiveCamera { center 0 0 10 direction 0 0 -1 up 0 1 0 angle 90 }"
 ORTHOGRAPHIC = "OrthographicCamera { center 0 0 10 direction 0 0 -1 up 0 1 0.7 size 4 }"
 WHITE = "Materials { numMaterials 1 Material { diffuseColor 1 1 1 } }"

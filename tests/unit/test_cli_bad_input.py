@@ -9,6 +9,8 @@ import pytest
 
 from caster.__main__ import main
 
+pytestmark = pytest.mark.usefixtures("warm")
+
 ROOT = Path(__file__).resolve().parents[2]
 CAMERA = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
 SPHERE = '[[shape]]\ntype = "sphere"\n'

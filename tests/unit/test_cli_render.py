@@ -16,6 +16,8 @@ from caster.aovs import AOVS
 from caster.channels import aovs_of
 from caster.hits import packed
 
+pytestmark = pytest.mark.usefixtures("warm")
+
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = """
 [film]

@@ -23,6 +23,8 @@ from caster.pictures.files import SUFFIXES, label, read_picture
 from caster.pictures.layout import GAP, LABEL, sheet
 from caster.pictures.views import CHECK, CHECKER, NOT_FINITE, PAINTERS, Picture, checker, view
 
+pytestmark = pytest.mark.usefixtures("warm")
+
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = """
 [film]
