@@ -7,6 +7,7 @@ import contextlib
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,9 +72,14 @@ def scene_files(places: Iterable[str]) -> list[str]:
 
 
 def names_of(files: Sequence[str]) -> list[str]:
-    """What to call each: its stem, or its whole path where another file has the same stem."""
+    """What to call each: its stem, or its whole path where another file has the same stem. No two are the same."""
     stems = Counter(Path(file).stem for file in files)
-    return [Path(file).stem if stems[Path(file).stem] == 1 else path_as_name(file) for file in files]
+    names: dict[str, None] = {}
+    for file in files:
+        name = Path(file).stem if stems[Path(file).stem] == 1 else path_as_name(file)
+        numbered = (f"{name}-{number}" for number in count(2))  # ../scenes/a.toml and scenes/a.toml
+        names[next(each for each in chain([name], numbered) if each not in names)] = None
+    return list(names)
 
 
 def path_as_name(file: str) -> str:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from caster.commands.scene_arguments import scene_files
+from caster.commands.scene_arguments import names_of, scene_files
 from caster.wording import FileMissing, SceneError
 from mitsuba_ref.selection import matching
 
@@ -86,3 +86,16 @@ def test_a_place_that_is_not_there_is_named(tmp_path):
         FileMissing, match=r"nowhere: expected a scene file or a folder of them, found nothing"
     ):
         scene_files([str(tmp_path / "nowhere")])
+
+
+@pytest.mark.parametrize(
+    ("files", "names"),
+    [
+        (["s/a.toml", "s/b.toml"], ["a", "b"]),
+        (["s/a.toml", "t/a.toml"], ["s-a.toml", "t-a.toml"]),
+        (["s/a.toml", "../s/a.toml", "../../s/a.toml"], ["s-a.toml", "s-a.toml-2", "s-a.toml-3"]),
+    ],
+)
+def test_no_two_scenes_have_the_same_name(files, names):
+    """They name the files of --out: one would be written over the other."""
+    assert names_of(files) == names
