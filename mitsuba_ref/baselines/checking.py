@@ -81,7 +81,10 @@ def _ours(entry: Entry, path: Path, before: Reference, args: argparse.Namespace,
     scene, ours = entry.scene, place / f"{entry.name}.exr"
     film = (0, 0, scene.film.width, scene.film.height)
     about = provenance(scene, __version__, entry.path)
-    left_out = np.isin(before.channels[CLASS], EITHER_WAY)
+    left_out, hit = np.isin(before.channels[CLASS], EITHER_WAY), before.channels["A"] != 0.0
+    if hit.any() and not (hit & ~left_out).any():
+        why = f"nothing to compare: more than one answer is right at all {hit.sum()} pixels that are hit"
+        return Checked(entry.name, str(path), False, (why,))
     images, geometry, light = held_to_bounds(scene, before)
     shown = {CLASS: before.channels[CLASS]}
     for name, plane in images.items():

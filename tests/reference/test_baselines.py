@@ -13,6 +13,7 @@ from mitsuba_ref import child
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.baselines.changes import changes
 from mitsuba_ref.baselines.reference_file import AOVS, CLASS, stored
+from mitsuba_ref.verdict import CLASSES
 
 BALL = """# A ball.
 [film]
@@ -206,6 +207,19 @@ def test_what_is_beyond_its_bound_fails(here, capsys, channel, factor, says):
     replaced(here, "ball", **{channel: plane})
     code, out, _ = said(capsys, "check", "scenes")
     assert code == 1 and f"FAIL  ball  {says}: " in out and f"({x}, {y})" in out and "PASS  mesh" in out
+
+
+def test_a_reference_with_no_pixel_to_compare_is_no_pass(here, capsys):
+    """One pixel that may be compared is enough, and then it is."""
+    before = stored(here / "refs/ball.exr")
+    explained = np.full_like(before.channels[CLASS], CLASSES.index("explained"))
+    replaced(here, "ball", **{CLASS: explained})
+    code, out, _ = said(capsys, "check", "scenes", "-k", "ball")
+    assert code == 1 and "FAIL  ball  nothing to compare: more than one answer is right at all " in out
+    y, x = np.argwhere(before.channels["A"] != 0)[5]
+    explained[y, x] = CLASSES.index("agree")
+    replaced(here, "ball", **{CLASS: explained})
+    assert said(capsys, "check", "scenes", "-k", "ball")[0] == 0
 
 
 def test_a_reference_that_is_missing_is_no_pass(here, capsys):
