@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import shutil
+import signal
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,9 @@ NO_CHROMIUM = "no Chromium: tests/report is skipped where it opens pages (apt in
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # Ignored, as in a job that a shell began in the background, it would be ignored by the children of tests, too.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     for kind, what in KINDS.items():
         config.addinivalue_line("markers", f"{kind}: {what} (everything in tests/{kind})")
 
