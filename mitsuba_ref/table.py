@@ -170,6 +170,7 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
     path = shlex.quote(scene.path or "SCENE")
     if pixel is None:
         candidate = f" --candidate {shlex.quote(scene.candidate)}" if scene.candidate else ""
+        candidate += f" --candidate-precision {scene.precision}" if scene.precision else ""
         return f"mitsuba-ref validate {path}{size}{candidate}"
     return f"mitsuba-ref probe {path} {pixel[0]} {pixel[1]}{size}"
 

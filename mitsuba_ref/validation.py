@@ -1,7 +1,6 @@
 """A scene through both sides to its verdict."""
 
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from caster.rendering import Aovs, film_window
 from caster.scene import Scene, load_scene
 from mitsuba_ref.bias import check_bias, statistics
 from mitsuba_ref.jobs import Crash
-from mitsuba_ref.judge import CODE, EXACT, Judge, Judgement
+from mitsuba_ref.judge import EXACT, Judge, Judgement
 from mitsuba_ref.judging import judge_of
 from mitsuba_ref.pictures import write_pictures
 from mitsuba_ref.pixels import flat
@@ -20,13 +19,12 @@ from mitsuba_ref.reasons import reason
 from mitsuba_ref.report.of_ours import SeenOfOurs
 from mitsuba_ref.scene_checks import CHECKS_WITHOUT_REFERENCE, check_sensor
 from mitsuba_ref.storing import Stored, store_all
+from mitsuba_ref.summing import cases_of, counts_of, ratios_of
 from mitsuba_ref.telling import asked, exact_words
 from mitsuba_ref.verdict import (
-    AGREE,
     CLASSES,
     FAILING,
     SHOWN,
-    UNLISTED,
     Failure,
     SceneVerdict,
     Verdict,
@@ -102,8 +100,8 @@ def validate_scene(
         path,
         len(pair.t),
         hit_pixels=int(hit.sum()),
-        counts=_counts(judgement, hit),
-        ratios=_ratios(judgement),
+        counts=counts_of(judgement, hit),
+        ratios=ratios_of(judgement),
         checks=(*checks, check_sensor(scene, pair.witness), check_bias(errors)),
         failures=tuple(_failures(judge, judgement)),
         versions=pair.witness.answer.versions,
@@ -113,7 +111,7 @@ def validate_scene(
         allowed={name: check.ratio for name, check in scene.checks.items()},
         adjudicated=len(judgement.exact.rows),
         exact_seconds=judgement.exact_seconds,
-        cases=_cases(judgement),
+        cases=cases_of(judgement),
         statistics=errors,
         reproducers=stored.files,
         not_stored=stored.left_out,
@@ -121,25 +119,6 @@ def validate_scene(
         worst_by={check: _failure(judge, judgement, int(rows[0]), check) for check, rows in by_check.items()},
         seen=SeenOfOurs(judge, judgement) if keep else None,
     )
-
-
-def _cases(judgement: Judgement) -> dict[str, int]:
-    """How many pixels where the reference is wrong are of which known case."""
-    numbers = sorted(judgement.cases.values(), key=lambda case: (case is None, case))
-    return dict(Counter(UNLISTED if case is None else str(case) for case in numbers))
-
-
-def _counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
-    """Hit pixels of each class; one that fails counts, whether anybody hit there or not."""
-    counted = hit | judgement.is_class(*FAILING)
-    numbers = np.bincount(judgement.classes[counted], minlength=len(CLASSES))
-    return dict(zip(CLASSES, map(int, numbers), strict=True))
-
-
-def _ratios(judgement: Judgement) -> dict[str, float]:
-    """The largest ratio of each check among the pixels that agree."""
-    agreeing = judgement.classes == CODE[AGREE]
-    return {name: float(judgement.ratio(name)[agreeing].max(initial=0.0)) for name in judgement.names}
 
 
 def _failures(judge: Judge, judgement: Judgement) -> Sequence[Failure]:

@@ -58,7 +58,7 @@ def load(args: argparse.Namespace) -> Scene:
 
 
 def scene_files(places: Iterable[str]) -> list[str]:
-    """Scene files, as given or inside the folders given, sorted within each. Raises FileMissing."""
+    """Scene files, as given or inside the folders given, sorted within each. Raises FileMissing, SceneError."""
     found: list[str] = []
     for place in places:
         path = Path(place)
@@ -68,7 +68,17 @@ def scene_files(places: Iterable[str]) -> list[str]:
             found.append(place)
         else:
             raise FileMissing(f"{place}: expected a scene file or a folder of them, found nothing")
+    for file in found:
+        check_name(file)
     return list({os.path.realpath(file): file for file in reversed(found)}.values())[::-1]
+
+
+def check_name(file: str) -> None:
+    """Raises SceneError for a name that no text file can hold: verdicts and pages name their scenes."""
+    try:
+        file.encode("utf-8")
+    except UnicodeEncodeError:
+        raise SceneError(f"{file!a}: expected a file name in UTF-8, got other bytes; rename it") from None
 
 
 def names_of(files: Sequence[str]) -> list[str]:

@@ -2,7 +2,6 @@
 
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from mitsuba_ref.candidate.telling import failure_at
 from mitsuba_ref.candidate.traced import traced_scene
 from mitsuba_ref.export import limits
 from mitsuba_ref.jobs import Crash
-from mitsuba_ref.judge import CODE
 from mitsuba_ref.meeting import KU, KU_OURS
 from mitsuba_ref.model import model_of
 from mitsuba_ref.rays import share
@@ -30,13 +28,11 @@ from mitsuba_ref.reference import consult
 from mitsuba_ref.scene_check import SceneCheck
 from mitsuba_ref.scene_checks import check_camera, check_sensor
 from mitsuba_ref.shape_checks import check_geometry, check_placement
+from mitsuba_ref.summing import cases_of, counts_of, ratios_of
 from mitsuba_ref.verdict import (
-    AGREE,
-    CLASSES,
     FAILING,
     OURS_WRONG,
     SHOWN,
-    UNLISTED,
     Failure,
     Finding,
     SceneVerdict,
@@ -103,8 +99,8 @@ def validate_candidate(
         path,
         len(answer.t),
         hit_pixels=int(hit.sum()),
-        counts=_counts(judgement, hit),
-        ratios=_ratios(judgement),
+        counts=counts_of(judgement, hit),
+        ratios=ratios_of(judgement),
         checks=(*(check(scene) for check in CHECKS), check_sensor(scene, witness)),
         failures=tuple(_failures(judge, judgement, diagnosis)),
         versions=witness.answer.versions,
@@ -113,7 +109,7 @@ def validate_candidate(
         size=(scene.film.width, scene.film.height),
         adjudicated=len(judgement.exact.rows),
         exact_seconds=judgement.exact_seconds,
-        cases=_cases(judgement),
+        cases=cases_of(judgement),
         candidate=candidate.name,
         precision=answer.precision,
         unjudged=_unjudged(answer),
@@ -153,23 +149,6 @@ def _hints(answer: Answer, judgement: CandidateJudgement) -> tuple[str, ...]:
         "every pixel that is wrong by the bounds of float64 is right by those of float32; if that will do: "
         "--candidate-precision float32",
     )
-
-
-def _counts(judgement: CandidateJudgement, hit: np.ndarray) -> dict[str, int]:
-    """Hit pixels of each class; one that fails counts, whether anybody hit there or not."""
-    counted = hit | judgement.is_class(*FAILING)
-    numbers = np.bincount(judgement.classes[counted], minlength=len(CLASSES))
-    return dict(zip(CLASSES, map(int, numbers), strict=True))
-
-
-def _ratios(judgement: CandidateJudgement) -> dict[str, float]:
-    agreeing = judgement.classes == CODE[AGREE]
-    return {name: float(ratio[agreeing].max(initial=0.0)) for name, ratio in judgement.ratios.items()}
-
-
-def _cases(judgement: CandidateJudgement) -> dict[str, int]:
-    numbers = sorted(judgement.cases.values(), key=lambda case: (case is None, case))
-    return dict(Counter(UNLISTED if case is None else str(case) for case in numbers))
 
 
 def _findings(judge: CandidateJudge, diagnosis: Diagnosis) -> Sequence[Finding]:

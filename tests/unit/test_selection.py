@@ -1,5 +1,8 @@
 """Which scenes a command is about: files, folders, and -k."""
 
+import os
+from pathlib import Path
+
 import pytest
 
 from caster.commands.scene_arguments import names_of, scene_files
@@ -99,3 +102,11 @@ def test_a_place_that_is_not_there_is_named(tmp_path):
 def test_no_two_scenes_have_the_same_name(files, names):
     """They name the files of --out: one would be written over the other."""
     assert names_of(files) == names
+
+
+def test_a_file_name_that_is_no_utf_8_is_told(tmp_path):
+    file = os.fsdecode(bytes(tmp_path) + b"/\xff.toml")
+    Path(file).write_text("")
+    for place in (file, str(tmp_path)):
+        with pytest.raises(SceneError, match=r"udcff\.toml': expected a file name in UTF-8"):
+            scene_files([place])
