@@ -10,6 +10,7 @@ SCREEN, INTEGERS, BOXES, BUNDLE = (
     f"{KERNELS}/{name}.py" for name in ("screen", "integers", "tree", "bundle")
 )
 PLANAR, QUADRIC, EXACT_ROOT = (f"{KERNELS}/exact_{name}.py" for name in ("planar", "quadric", "root"))
+SPANS, LANES, VECTORS = f"{KERNELS}/spans.py", f"{KERNELS}/lanes.py", f"{KERNELS}/compiling/vectors.py"
 CASTING, HITS, PLACING = "caster/casting.py", "caster/hits.py", "caster/placing.py"
 SPHERE, CYLINDER, DISK, PLANE = (
     f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane")
@@ -40,7 +41,7 @@ def fault(what: str, family: str, examples: int, kinds: str, *edits: tuple[str, 
 
 UNPADDED = (
     (TREE, "return tree.reach * (max(abs(o[0]), abs(o[1]), abs(o[2])) + tree.extent)", "return 0.0"),
-    (TREE, "FAR_PADDING = 1.0 + 2.0 * (3.0 * 2.0**-53) / (1.0 - 3.0 * 2.0**-53)", "FAR_PADDING = 1.0"),
+    (LANES, "FAR_PADDING = 1.0 + 2.0 * (3.0 * 2.0**-53) / (1.0 - 3.0 * 2.0**-53)", "FAR_PADDING = 1.0"),
     (BOXES, "return x + (abs(x) * ULP32 + SMALLEST32)", "return x"),
 )
 
@@ -83,8 +84,8 @@ FAULTS = (
         4,
         "culling missed prim",
         *UNPADDED,
-        (TREE, "LATEST) if near <= far", "LATEST) if near < far"),
-        (BUNDLE, "<= min(far * FAR_PADDING, limit)", "< min(far * FAR_PADDING, limit)"),
+        (VECTORS, 'fcmp_ordered("<=", enter, leave)', 'fcmp_ordered("<", enter, leave)'),
+        (TREE, "while entries[top - 1] > limit:", "while entries[top - 1] >= limit:"),
     ),
     fault("slabs unpadded", "edges", 24, "culling missed prim", *UNPADDED),
     fault(
@@ -228,7 +229,7 @@ FAULTS = (
         "pictures",
         4,
         "culling",
-        (SCREEN, "MARGIN = 2.0**-10", "MARGIN = -0.5"),
+        (SPANS, "MARGIN = 2.0**-10", "MARGIN = -0.5"),
     ),
     fault(
         "boxes of ellipsoids around half of them",
