@@ -7,9 +7,11 @@ import shutil
 import signal
 import string
 import subprocess
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -91,27 +93,27 @@ class Command:
         return exported.write(question.folder)
 
     def _run(self, words: list[str]) -> None:
-        said = ""
-        try:
-            child = subprocess.Popen(
-                words,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
-        except OSError as error:
-            raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
-        try:
-            with watched(child):
-                said = child.communicate(timeout=self.seconds)[0].decode("utf-8", "replace")
-        except subprocess.TimeoutExpired as late:
-            words_so_far = _ended(child)
-            raise NoAnswer(f"killed after {self.seconds:g} s{_last(words_so_far)}") from late
-        finally:
-            _ended(child)
-        if child.returncode:
-            raise NoAnswer(f"{_exit(child.returncode)}{_last(said)}")
+        # A file, since a pipe would stay open as long as anything that the program leaves behind.
+        with tempfile.TemporaryFile() as said:
+            try:
+                child = subprocess.Popen(
+                    words,
+                    stdin=subprocess.DEVNULL,
+                    stdout=said,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                )
+            except OSError as error:
+                raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
+            try:
+                with watched(child):
+                    child.wait(self.seconds)
+            except subprocess.TimeoutExpired as late:
+                raise NoAnswer(f"killed after {self.seconds:g} s{_last(_read(said))}") from late
+            finally:
+                _end(child)
+            if child.returncode:
+                raise NoAnswer(f"{_exit(child.returncode)}{_last(_read(said))}")
 
     def _picture(self, path: Path, question: Question) -> Exr:
         try:
@@ -180,14 +182,17 @@ def _covered(mask: np.ndarray, depth: np.ndarray, question: Question) -> np.ndar
     return covered
 
 
-def _ended(child: subprocess.Popen[bytes]) -> str:
-    """Kill it and what it started; its words."""
+def _end(child: subprocess.Popen[bytes]) -> None:
+    """Kill it and what it started."""
     with contextlib.suppress(ProcessLookupError, PermissionError):  # gone
         os.killpg(child.pid, signal.SIGKILL)
-    try:
-        return (child.communicate(timeout=5.0)[0] or b"").decode("utf-8", "replace")
-    except (subprocess.TimeoutExpired, ValueError):
-        return ""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        child.wait(5.0)
+
+
+def _read(said: IO[bytes]) -> str:
+    said.seek(0)
+    return said.read().decode("utf-8", "replace")
 
 
 def _exit(code: int) -> str:

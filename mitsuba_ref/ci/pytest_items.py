@@ -174,6 +174,8 @@ def problem(found: SceneVerdict | str, check: str) -> str:
 
     if check == VERDICT:
         return "" if found.ok else failure(found)
+    if not found.has_evidence and not found.failing:
+        return nothing_to_say(failure(found))
     if check in PIXEL_CHECKS:
         return pixel_failure(found, check) if found.failing_by.get(check) else ""
     return "\n".join(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from caster.whole_files import check_folder, check_writable, write_text, written_aside
+from caster.whole_files import OutputError, check_folder, check_writable, write_text, written_aside
 from mitsuba_ref.report import one_file
 from mitsuba_ref.report.assembling import as_json, page
 from mitsuba_ref.report.index import row
@@ -37,12 +37,18 @@ class Kept(NamedTuple):
 NOTHING_KEPT = Kept("", "", {})
 
 
+def refuse_page_of_others(index: Path) -> None:
+    """Raises OutputError for a file that is there and is no report."""
+    if index.is_file() and b"<title>ray-reference" not in index.read_bytes()[:4096]:
+        raise OutputError(f"{index}: is there already, and is no report of validate; choose another folder")
+
+
 class Report:
     """Where verdicts become pages. `keep` may be called from several threads, the others from one."""
 
     def __init__(self, path: str | Path, asked: int) -> None:
         """path: a folder, or a file if it ends in .html. Raises OutputError where nothing can be written."""
-        self.path, self.asked = Path(path), asked
+        self.path, self.asked = Path(path).absolute(), asked
         self.one_file = self.path.suffix.lower() == ".html"
         self.candidate = ""  # who is judged in the place of ours, as the verdicts say
         self.rows: list[dict[str, Any]] = []
@@ -54,6 +60,7 @@ class Report:
             self._aside = tempfile.TemporaryDirectory(prefix="mitsuba-ref-report-")
             self.data = Path(self._aside.name)
         else:
+            refuse_page_of_others(self.path / "index.html")
             self.data = check_folder(check_folder(self.path) / "data")
 
     @property

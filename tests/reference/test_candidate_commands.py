@@ -1,6 +1,8 @@
 """A candidate that is a program: what it reads, what it may write, and every way in which it may fail."""
 
+import os
 import shlex
+import subprocess
 import sys
 import threading
 import time
@@ -15,7 +17,7 @@ from caster.exr import Exr
 from caster.scene import Scene, load_scene
 from caster.wording import SceneError
 from mitsuba_ref import child
-from mitsuba_ref.candidate.answer import Answer
+from mitsuba_ref.candidate.answer import Answer, NoAnswer
 from mitsuba_ref.candidate.asking import Question, candidate_of
 from mitsuba_ref.candidate.command import answer_in
 from mitsuba_ref.candidate.validation import validate_candidate
@@ -235,3 +237,41 @@ def test_a_program_is_not_run_by_a_shell(judged, tmp_path):
     scene = small("one-sphere")
     found = judged(f"{PYTHON} -c 'import sys; sys.exit(sys.argv[1])' '$HOME;' {{exr}} {{toml}}", scene)
     assert "its last words:\n$HOME;" in found.problem
+
+
+ROOT = Path(__file__).resolve().parents[2]
+
+ENDS = """
+import ctypes, os
+def exits(scene, o, d):
+    os._exit(0)
+def exits_in_c(scene, o, d):
+    ctypes.CDLL(None).exit(0)
+"""
+
+
+@pytest.mark.parametrize("function", ["exits", "exits_in_c"])
+def test_a_function_that_ends_the_process_is_no_pass_and_leaves_no_earlier_verdict(tmp_path, function):
+    (tmp_path / "ends.py").write_text(ENDS)
+    earlier = tmp_path / "verdict.json"
+    earlier.write_text('{"ok": true}')
+    os.utime(earlier, (0, 0))
+    words = ["validate", str(ROOT / "scenes/one-sphere.toml"), "--size", "8", "8", "--json", str(earlier)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
+    done = subprocess.run(
+        [sys.executable, "-m", "mitsuba_ref", *words, "--candidate", f"ends:{function}"],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1 and "the candidate ended the process, exit 0" in done.stderr
+    assert not earlier.exists()
+
+
+def test_a_program_that_leaves_another_behind_is_not_waited_for(tmp_path):
+    """The one that is left behind holds on to what the program printed to."""
+    (tmp_path / "leaves.sh").write_text("sleep 600 &\necho said\nexit 3\n")
+    candidate = candidate_of("sh {toml} {exr}", None, 60.0)
+    with pytest.raises(NoAnswer, match=r"(?s)exit code 3.*said"):
+        candidate._run(["sh", str(tmp_path / "leaves.sh")])

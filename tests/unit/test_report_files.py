@@ -162,5 +162,13 @@ def test_classes_have_the_same_colours_on_the_page_as_in_files():
     found = {
         name: tuple(map(int, rgb.split(","))) for name, rgb in re.findall(r"(\w+): \[([^\]]+)\]", listed)
     }
+    assert found.pop("candidate_wrong") == found["ours_wrong"]  # the same class, of another's caster
     assert found.keys() == {*CLASSES, "unlisted"} and len(set(found.values())) == len(found)
     assert {name: found[name] for name in CLASSES} == class_colors.COLORS
+
+
+def test_a_page_of_others_is_left_alone(tmp_path):
+    (tmp_path / "index.html").write_text("<title>my notes</title>")
+    with pytest.raises(OutputError, match="is no report of validate"):
+        Report(tmp_path, 1)
+    assert (tmp_path / "index.html").read_text() == "<title>my notes</title>"
