@@ -223,7 +223,7 @@ class Verdict:
     names: tuple[str, ...] = ()  # theirs, as far as they are known
     shard: str = ""  # such as "2/4": these are the scenes of one of several runs
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
-    code: str = ""  # a hash of the sources that judged
+    code: str = ""  # a hash of the sources that judged; of one of several runs, of all their scenes, too
 
     @property
     def candidate(self) -> str:

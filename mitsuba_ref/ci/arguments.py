@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,12 +72,18 @@ def judge_of(args: argparse.Namespace, judge: JudgeEntry) -> JudgeEntry:
     return Kept(Path(args.out), judge, resume=args.resume).judge
 
 
-def about(args: argparse.Namespace, every: tuple[str, ...]) -> dict[str, Any]:
-    """What a verdict says of its run. every: names of the scenes of all shards."""
+def about(args: argparse.Namespace, every: Sequence[Entry]) -> dict[str, Any]:
+    """What a verdict says of its run. every: the scenes of all shards."""
     from mitsuba_ref.ci.resuming import code_hash
 
-    part = {"shard": str(args.shard), "selected": every} if args.shard else {}
-    return {"code": code_hash(), **part}
+    if not args.shard:
+        return {"code": code_hash()}
+    # The scenes are a part of it, so that shards of other scenes of the same names are not put together.
+    told = hashlib.sha256(code_hash().encode())
+    for entry in every:
+        told.update(f"\0{entry.name}\0{entry.scene.sha256()}".encode())
+    names = tuple(entry.name for entry in every)
+    return {"code": told.hexdigest(), "shard": str(args.shard), "selected": names}
 
 
 def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:

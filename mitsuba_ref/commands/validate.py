@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"nothing selected: no scene file{fits} in {', '.join(args.scenes)}", file=sys.stderr)
         return NOTHING_SELECTED
     check_outputs(args)
-    every = tuple(entry.name for entry in entries)
+    every = entries
     entries = ci.part_of(entries, args)
     candidate = candidate_arguments.asked(args)  # one that cannot be asked is said before any work
     from mitsuba_ref import variants

@@ -1,5 +1,6 @@
 """Shards: every scene in exactly one, alike every time, about as large; and put together, nothing may be missing."""
 
+import argparse
 import json
 import random
 from dataclasses import replace
@@ -10,6 +11,7 @@ from made_verdicts import scene as made
 import caster
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.campaign import Entry
+from mitsuba_ref.ci.arguments import about
 from mitsuba_ref.ci.reading import read_verdict, verdict_of
 from mitsuba_ref.ci.shards import Shard, chosen
 from mitsuba_ref.verdict import Finding, Verdict
@@ -131,7 +133,7 @@ def test_a_scene_that_fails_or_was_left_in_its_shard_fails_the_whole(folder, cap
         (replace(shard("2/2", "b", "d"), selected=("a", "b", "c")), "expected a shard of the same run"),
         (shard("2/2", "a", "b"), "scene a is in another shard, too"),
         (shard("2/2", "b", "e"), "scenes that the run did not select: e"),
-        (shard("2/2", "b", "d", code="c1"), "it was judged by other code than 1.json"),
+        (shard("2/2", "b", "d", code="c1"), "it is of other code or other scenes than 1.json"),
         (of("2/2", candidate="mine:trace"), "2.json: it judged mine:trace, and 1.json judged ours"),
         (
             of("2/2", resized=True),
@@ -176,3 +178,11 @@ def test_a_verdict_on_a_candidate_comes_back_from_json_as_it_was():
     record = json.loads(json.dumps(whole.to_dict()))
     assert record["counts"]["candidate_wrong"] == 1 and record["candidate"] == "mine:trace"
     assert verdict_of(record) == whole
+
+
+def test_shards_of_other_scenes_of_the_same_names_are_of_different_runs(tmp_path):
+    args = argparse.Namespace(shard=Shard(1, 2))
+    entries = [Entry(caster.load_scene("scenes/one-sphere.toml"), "a", "a.toml")]
+    other = [Entry(caster.load_scene("scenes/one-sphere.toml").with_film(width=8, height=8), "a", "a.toml")]
+    assert about(args, entries) == about(args, list(entries)) and about(args, entries)["selected"] == ("a",)
+    assert about(args, entries)["code"] != about(args, other)["code"]
