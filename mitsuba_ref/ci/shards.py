@@ -69,9 +69,7 @@ def merged(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, list[str]]:
                 f"{place}: expected a shard of the same run as {first_place}, got one of another"
             )
         if part.code != first.code:
-            raise DifferentRuns(
-                f"{place}: it is of other code or other scenes than {first_place}"
-            )
+            raise DifferentRuns(f"{place}: it is of other code or other scenes than {first_place}")
         if shard.part in seen:
             raise DifferentRuns(f"{place}: shard {shard} once more; it is in {seen[shard.part]}")
         seen[shard.part] = place
