@@ -169,7 +169,7 @@ def _words(scene: Scene, aovs: Aovs, check: str, i: int) -> str:
     shape = int(flat(aovs, "shape_id")[i])
     name = scene.shape_names()[shape] if shape >= 0 else "miss"
     words = f"{name} at depth {float(flat(aovs, 'depth')[i])!r}"
-    if check in ("normal", "shading_normal", "diffuse"):
-        value = ", ".join(f"{v:.9g}" for v in flat(aovs, check)[i])
+    if check in ("position", "normal", "shading_normal", "diffuse"):
+        value = ", ".join(f"{v:.9g}" if check != "position" else repr(float(v)) for v in flat(aovs, check)[i])
         words += f", {check} ({value})"
     return words
