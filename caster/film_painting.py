@@ -35,9 +35,8 @@ NUMBERS = ("shape_id", "prim_id")
 FIELDS = {"position": P, "normal": N, "shading_normal": SH_N, "uv": UV}
 
 Painter = Callable[[Room, Box], None]
-Told = (
-    Callable[[int], None] | None
-)  # hears of the pixels that have been painted, a number at a time, from any thread
+# Hears of the pixels that have been painted, a number at a time, from any thread.
+Told = Callable[[int], None] | None
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,11 @@ MARK = "MITSUBA_REF_SUPERVISED"  # in the environment of the one that is looked 
 PATIENCE = (
     20.0  # seconds for the scenes that are being judged to end, and to be written down, after an interruption
 )
-# sys.exit is heard by `main`; os._exit and C's exit() end the process before it says so.
+# sys.exit is heard by `main`; os._exit and C's exit() end the process before its code is told. What it exits with does
+# not count: what the candidate left for the end of the process may change that.
 SOURCE = (
     "import os, sys; sys.path[:] = {path!r}; from mitsuba_ref.__main__ import main; code = main(sys.argv[1:]); "
-    "os.write({fd}, b'done'); sys.exit(code)"
+    "os.write({fd}, b'%d' % code); sys.exit(code)"
 )
 
 
@@ -47,9 +48,9 @@ def run(words: Sequence[str]) -> int:
     finally:
         os.set_blocking(receive, False)  # what the candidate began may still hold the other end
         with os.fdopen(receive, "rb") as pipe:
-            whole = pipe.read() == b"done"
-    if whole or code == INTERRUPTED:
-        return code
+            told = pipe.read()
+    if told or code == INTERRUPTED:
+        return int(told or code)
     for path in outputs(words):  # of an earlier run: they would pass for this one's
         if path.is_file() and path.stat().st_mtime < began:
             path.unlink()

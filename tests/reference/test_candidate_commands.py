@@ -242,11 +242,15 @@ def test_a_program_is_not_run_by_a_shell(judged, tmp_path):
 ROOT = Path(__file__).resolve().parents[2]
 
 ENDS = """
-import ctypes, os
+import atexit, ctypes, os
+import numpy as np
 def exits(scene, o, d):
     os._exit(0)
 def exits_in_c(scene, o, d):
     ctypes.CDLL(None).exit(0)
+def exits_later(scene, o, d):
+    atexit.register(os._exit, 0)
+    return np.full(len(o), np.inf), o
 """
 
 
@@ -267,6 +271,22 @@ def test_a_function_that_ends_the_process_is_no_pass_and_leaves_no_earlier_verdi
     )
     assert done.returncode == 1 and "the candidate ended the process, exit 0" in done.stderr
     assert not earlier.exists()
+
+
+def test_a_function_that_ends_the_process_after_the_verdict_does_not_change_it(tmp_path):
+    (tmp_path / "ends.py").write_text(ENDS)
+    words = [
+        "validate",
+        str(ROOT / "scenes/one-sphere.toml"),
+        "--size",
+        "8",
+        "8",
+        "--candidate",
+        "ends:exits_later",
+    ]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
+    done = subprocess.run([sys.executable, "-m", "mitsuba_ref", *words], env=environment, cwd=tmp_path)
+    assert done.returncode == 1
 
 
 def test_a_program_that_leaves_another_behind_is_not_waited_for(tmp_path):
