@@ -150,12 +150,15 @@ class CheckItem(pytest.Item):
             raise CheckFailed(words)
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """The text alone; a traceback only for what nobody foresaw."""
+        """The text alone, and its first line in the summary; a traceback only for what nobody foresaw."""
         from caster.wording import SceneError
 
-        if isinstance(excinfo.value, (CheckFailed, SceneError)):
-            return str(excinfo.value)
-        return super().repr_failure(excinfo, style)
+        if not isinstance(excinfo.value, (CheckFailed, SceneError)):
+            return super().repr_failure(excinfo, style)
+        shown: Any = excinfo.getrepr(style="value")
+        if shown.reprcrash is not None:  # its message is the line of the summary, which pytest cuts, but not under CI
+            shown.reprcrash.message = str(excinfo.value).partition("\n")[0]
+        return shown
 
     def reportinfo(self) -> tuple[Path, None, str]:
         return self.path, None, f"{self.path.stem}: {self.name}"

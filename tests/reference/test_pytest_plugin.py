@@ -109,15 +109,27 @@ def test_the_names_are_those_of_the_judge(judged):
     assert tuple(check.name for check in judged(scene).checks) == SCENE_CHECKS
 
 
-def test_a_scene_that_fails_one_check_fails_that_test_with_its_replay(folder):
+@pytest.mark.parametrize(
+    ("service", "words"), [(False, ()), (True, ()), (True, ("-p", "xdist.plugin", "-n", "2"))]
+)
+def test_a_scene_that_fails_one_check_fails_that_test_with_its_replay(folder, monkeypatch, service, words):
+    monkeypatch.setenv("CI", "true") if service else monkeypatch.delenv("CI", raising=False)
+    monkeypatch.delenv(
+        "BUILD_NUMBER", raising=False
+    )  # pytest takes either for a service that wants all the words
     folder.makeini("[pytest]\nmitsuba_ref_size = 20 16\n")
-    found = run(folder, "--mitsuba-ref", "scenes")
+    found = run(folder, "--mitsuba-ref", "scenes", *words, inside=not words)
     found.assert_outcomes(passed=2 * len(NAMES) - 2, failed=2)
     text = found.stdout.str()
     assert re.search(r"FAIL  strict  depth: \d+ of \d+ hit pixels, worst ", text)
     assert text.count("replay:    mitsuba-ref probe scenes/strict.toml ") == 2 and " --size 20 16" in text
     assert "FAILED scenes/strict.toml::depth - FAIL  strict  depth: " in text
     assert "FAILED scenes/strict.toml::verdict" in text and "Traceback" not in text
+    summary = text[text.index("short test summary info") :].splitlines()
+    assert [line.partition(" ")[0] for line in summary[1:-1]] == [
+        "FAILED",
+        "FAILED",
+    ]  # a line each, even there
     assert "mitsuba-ref: films of 20 x 16" in text
 
 
