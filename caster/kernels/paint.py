@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from caster.kernels.jit import inlined, jit
+from caster.kernels.lanes import LANES
 from caster.kernels.protocol import facing, normal, plain_normal
 from caster.kernels.tile import DOUBT, DX, DY, DZ, NX, NY, NZ, OX, OY, OZ, PLACE, WIDTH, T, lane
 
@@ -34,6 +35,15 @@ def paint_seen(tile: Any, box: Any, hit: Any, doubt: Any, depth: Any) -> None:
 
 
 @jit
+def paint_nothing(box: Any, depth: Any) -> None:
+    """Of a tile where nothing can be seen, the one image that is not empty to begin with."""
+    if depth.size > 0:
+        for y in range(box[1], box[3]):
+            for x in range(box[0], box[2]):
+                depth[y, x] = math.inf
+
+
+@jit
 def paint_numbers(tile: Any, box: Any, table: Any, image: Any) -> None:
     """table[place] of what was hit; the image stays as it is elsewhere."""
     x0, y0, x1, y1 = box
@@ -56,7 +66,7 @@ def paint_albedo(tile: Any, box: Any, shapes: Any, table: Any, image: Any) -> No
                     image[y, x0 + x, c] = table[shapes[place], c]
 
 
-FLAT = 2  # numbers of what `facing` says of a primitive whose normal is the same all over
+FLAT = 2  # members of what `facing` says of a primitive whose normal is the same all over
 
 
 @jit
@@ -70,9 +80,8 @@ def paint_normals(prims: Any, places: Any, reach: float, tile: Any, box: Any, im
         first = lane((y - y0) * WIDTH)
         x, stop = 0, x1 - x0
         while x < stop:
-            place, end = tile[PLACE + first + lane(x)], x + 1
-            while end < stop and tile[PLACE + first + lane(end)] == place:
-                end += 1
+            place = tile[PLACE + first + lane(x)]
+            end = end_of_run(tile, PLACE + first, x, stop)
             if places[0] <= place < places[1]:
                 k = int(place) - places[0]
                 paint_run(prims, k, facing(prims, k, reach), tile, first, image, (y, x0, x, end))
@@ -80,6 +89,22 @@ def paint_normals(prims: Any, places: Any, reach: float, tile: Any, box: Any, im
                 for i in range(x0 + x, x0 + end):
                     image[y, i, 0], image[y, i, 1], image[y, i, 2] = 0.0, 0.0, 0.0
             x = end
+
+
+@inlined
+def end_of_run(tile: Any, row: Any, x: int, stop: int) -> int:
+    """Where what a row of the tile has at x ends, `stop` at the latest."""
+    value, end = tile[row + lane(x)], x + 1
+    while end < stop and tile[row + lane(end)] == value:
+        end += 1
+        while end - x >= LANES and end + LANES <= stop:  # a long one: several at once
+            alike = 0
+            for j in range(lane(LANES)):
+                alike += 1 if tile[row + lane(end) + j] == value else 0
+            if alike < LANES:
+                break
+            end += LANES
+    return end
 
 
 @inlined

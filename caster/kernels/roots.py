@@ -6,7 +6,19 @@ from typing import Any, NamedTuple
 from caster.kernels.exact_root import times_power
 from caster.kernels.jit import inlined, jit
 from caster.kernels.protocol import Vec3
-from caster.kernels.vec import TINY, U, along, answer, direction, dot, row_sizes, size, sure_within, unit
+from caster.kernels.vec import (
+    TINY,
+    U,
+    about_one,
+    along,
+    answer,
+    direction,
+    dot,
+    row_sizes,
+    scaled,
+    size,
+    sure_within,
+)
 
 # The bounds are of second order in the error of d over d's length, which has to be below 1/32 for them to hold.
 STEADY = 2.0**-10
@@ -126,25 +138,31 @@ def way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
         e = min(-math.frexp(r)[1], ROOM - math.frexp(largest)[1])  # so that all squares are numbers
         f, r = (times_power(f[0], e), times_power(f[1], e), times_power(f[2], e)), math.ldexp(r, e)
         reach = times_power(reach, e)
-    return off_the_approach(f, along_d, reach, r)
+    return by_length(about_one(off_the_approach(f, along_d, reach, r)))
+
+
+@inlined
+def by_length(v: Vec3) -> Vec3:
+    """v at length 1, for a v whose square is a number; a power of two in it changes no bit."""
+    return scaled(1.0 / math.sqrt(dot(v, v)), v)
 
 
 @inlined
 def plain_way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     """The same bits, for r from SMALL to LARGE and an f below LARGE."""
     along_d = direction(d)
-    return off_the_approach(f, along_d, t * dot(d, along_d), r)
+    return by_length(off_the_approach(f, along_d, t * dot(d, along_d), r))
 
 
 @inlined
 def straight_way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     """The same bits once more, for a d that is its own `direction`."""
-    return off_the_approach(f, d, t * dot(d, d), r)
+    return by_length(off_the_approach(f, d, t * dot(d, d), r))
 
 
 @inlined
 def off_the_approach(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
-    """The unit vector from the centre of |p| = r to f + t d, d being of length 1.
+    """From the centre of |p| = r to f + t d, d being of length 1: about r long.
 
     From the closest approach, g off the centre, and half the chord h: by that a ball that is smaller than the rounding
     of t keeps its shape. h^2 = r^2 - g^2 is off by u / h, so where h < g, t tells it better.
@@ -159,7 +177,8 @@ def off_the_approach(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     out = along(closest, side * told, d)
     back = along(closest, side * r, d)
     there = size(out) > 0.0
-    return unit((out[0] if there else back[0], out[1] if there else back[1], out[2] if there else back[2]))
+    out = out[0] if there else back[0], out[1] if there else back[1], out[2] if there else back[2]
+    return out
 
 
 @jit
