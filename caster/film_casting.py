@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from caster.casting import bases, decide_doubtful, ids_by_place
 from caster.kernels.jit import implements
 from caster.kernels.nearest import Nearest, Rays, no_hits
-from caster.kernels.protocol import project_ball
+from caster.kernels.protocol import bent, project, project_ball
 from caster.kernels.screen import cast_own_origins, cast_shared_origin
 from caster.kernels.spans import (
     DRAWERS,
@@ -20,8 +20,11 @@ from caster.kernels.spans import (
     count_in_tiles,
     find_pictures,
     find_spans,
+    find_spans_around,
     find_spans_of_balls,
+    find_spans_of_bent_faces,
     find_spans_of_faces,
+    list_seen,
     sort_into_tiles,
 )
 from caster.kernels.tile import HEIGHT, WIDTH, Box, load_rays, new_tile, store_nearest
@@ -32,6 +35,18 @@ from caster.shapes.sphere import Spheres
 from caster.threads import in_bands, in_turns, thread_count
 
 MANY = 4096  # points or primitives: to look for fewer takes less time than a second thread takes to begin
+
+
+class Others(NamedTuple):
+    """What is known of rays that start where a camera's do."""
+
+    off_centre: float  # how many pixels they may pass from the centres
+    longest: float  # no d is longer, but for a few u
+
+
+OWN = Others(0.0, 1.0)
+
+NOWHERE = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -62,7 +77,7 @@ def find_nearest_on_film(
     """
     origin = float(np.abs(rays.o).max(initial=0.0))
     longest = max(1.0, float(np.abs(rays.d).sum(axis=1).max(initial=0.0)))
-    kinds = sorted_kinds(packed, camera, window, origin, threads, off_centre, longest)
+    kinds = sorted_kinds(packed, camera, window, origin, threads, Others(off_centre, longest))
     cast = cast_shared_origin if shares_origin else cast_own_origins
     nearest, doubt = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
     ids = ids_by_place(packed)
@@ -126,34 +141,42 @@ def sorted_kinds(
     window: Window,
     origin: float,
     threads: int | None = None,
-    off_centre: float = 0.0,
-    longest: float = 1.0,
+    others: Others | None = None,
 ) -> list[Sorted]:
     """Where to look for each primitive.
 
-    origin: the largest |coordinate| of a ray's origin; off_centre: how far from the centres of pixels rays may pass;
-    longest: no d is longer, but for a few u.
+    origin: the largest |coordinate| of a ray's origin; others: of rays that are not the camera's own.
     """
+    off_centre, longest = others or OWN
 
     def sort(kind: Kind, base: int) -> Sorted:
         slack = REACH * (origin + kind.extent) if kind.bounded else 0.0
         reach, number = (slack, MARGIN + off_centre), len(kind.ids)
-        triangles = isinstance(kind.prims, Triangles)
+        pictured = implements(project, type(camera))
+        straight = pictured and not implements(bent, type(camera))
+        triangles = pictured and isinstance(kind.prims, Triangles)
         points = kind.prims.vertices if triangles else np.empty((0, 3))
         faces = kind.prims.faces if triangles else np.empty((0, 3), np.int32)
         pixels, pictures = np.empty((number, 4), np.int32), np.empty((len(points), 4))
-        spans = Spans(pixels, np.empty(number), faces, pictures, camera.forward, 1.0 / longest)
+        forward = camera.forward if straight and not others else NOWHERE
+        spans = Spans(pixels, np.empty(number), faces, pictures, forward, 1.0 / longest)
+        about = kind.prims, camera, window, spans, reach
         if triangles:
             find = partial(find_pictures, points, camera, window, pictures, reach)
             in_bands(find, len(points), threads, least=MANY)
+        if triangles and straight:
             find = partial(find_spans_of_faces, window, spans, reach)
+        elif triangles:
+            find = partial(find_spans_of_bent_faces, *about)
         elif isinstance(kind.prims, Spheres) and implements(project_ball, type(camera)):
-            find = partial(find_spans_of_balls, kind.prims, camera, window, spans, reach)
+            find = partial(find_spans_of_balls, *about)
         else:
-            find = partial(find_spans, kind.prims, camera, window, spans, reach)
+            find = partial(find_spans if straight else find_spans_around, *about)
         in_bands(find, number, threads, least=MANY)
         # the eye is no farther from a point than sqrt(3) times the largest coordinates together
         farthest = 2.0 * (origin + kind.extent) if kind.bounded else 1.0
+        if not straight:  # a picture's edges are not where lines between its corners are
+            spans = spans._replace(faces=faces[:0])
         return _into_tiles(kind, base, window, spans, farthest, threads)
 
     return [sort(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
@@ -164,18 +187,16 @@ def _into_tiles(
 ) -> Sorted:
     """farthest: no depth is larger. Several threads count and sort a part of the primitives each."""
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
-    bits, number = spans.near.view(np.int64), len(spans.near)
-    last = int(np.float64(farthest).view(np.int64))
-    # Few enough to be sorted outright are, since large ones may hide many.
-    queue = np.argsort(spans.near, kind="stable") if number < MANY else np.empty(0)
-    about = spans.pixels, bits, last, queue.astype(np.int32), across
+    bits, queue = spans.near.view(np.int64), _seen_on_film(spans, threads)
+    last, number = int(np.float64(farthest).view(np.int64)), len(queue)
+    about = spans.pixels, bits, last, queue, across
     workers = max(1, min(thread_count(threads), number // MANY))
     parts = [(i, number * i // workers, number * (i + 1) // workers) for i in range(workers)]
-    counts, seen = np.zeros((workers, across * down * DRAWERS), np.int64), [0] * workers
+    counts = np.zeros((workers, across * down * DRAWERS), np.int64)
 
     def count(part: tuple[int, int, int]) -> None:
         i, start, stop = part
-        seen[i] = count_in_tiles(*about, counts[i], start, stop)
+        count_in_tiles(*about, counts[i], start, stop)
 
     in_turns(lambda: count, parts, workers)
     # in each drawer of each tile, what the first part has comes first: the same order for any number of threads
@@ -189,4 +210,17 @@ def _into_tiles(
 
     runs = np.append(starts[0, ::DRAWERS], len(order))
     in_turns(lambda: sort, parts, workers)
-    return Sorted(kind, spans, (base, base + number), sum(seen), runs, order)
+    return Sorted(kind, spans, (base, base + len(spans.near)), number, runs, order)
+
+
+def _seen_on_film(spans: Spans, threads: int | None) -> np.ndarray:
+    """Primitives that are looked for anywhere, int32; few are put in order outright, since large ones may hide many."""
+    number = len(spans.near)
+    queue, counts = np.empty(number, np.int32), dict[int, int]()
+
+    def collect(start: int, stop: int) -> None:
+        counts[start] = list_seen(spans.pixels, start, stop, queue)
+
+    in_bands(collect, number, threads, least=MANY)
+    found = np.concatenate([queue[:0], *(queue[at : at + counts[at]] for at in sorted(counts))])
+    return found[np.argsort(spans.near[found], kind="stable")] if number < MANY else found

@@ -19,7 +19,7 @@ from caster.film_shading import Room, Shading, material_tables
 from caster.kernels.film import film_from_one_point, film_in_one_direction
 from caster.kernels.gather import shoot_at
 from caster.kernels.nearest import new_rays
-from caster.kernels.paint import paint_albedo, paint_normals, paint_numbers, paint_seen
+from caster.kernels.paint import paint_albedo, paint_normals, paint_nothing, paint_numbers, paint_seen
 from caster.kernels.screen import cast_own_origins, cast_shared_origin
 from caster.kernels.shade import SH_N, UV, N, P, find_surfaces_in_tile, paint_fields
 from caster.kernels.spans import Window
@@ -81,7 +81,7 @@ def paint_film(
     dtype: type[np.floating] = np.float64,
     told: Told = None,
 ) -> Painted:
-    """The AOVs as planned, by the cullings "screen" (for cameras that keep straight lines straight) or "bvh"."""
+    """The AOVs as planned, by the cullings "screen" (for cameras that can tell where they show a ball) or "bvh"."""
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: _blank(name, window, dtype) for name in aovs if name != "hit"}
@@ -138,6 +138,9 @@ def _paint_by_steps(canvas: Canvas, plan: Plan, kinds: list[Sorted] | None, reac
         painters.append(shading)
 
     def work(number: int, box: Box, room: Room) -> None:
+        if kinds is not None and not any(it.runs[number] < it.runs[number + 1] for it in kinds):
+            paint_nothing(box, depth)
+            return
         shoot_rays(canvas.camera, canvas.window, box, room.tile)
         seek(number, box, room.tile)
         for paint in painters:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from caster.casting import Culling
 from caster.kernels.jit import implements
-from caster.kernels.protocol import project
+from caster.kernels.protocol import project, project_ball
 from caster.scene import Scene
 
 FROM_SURFACES = ("position", "shading_normal", "uv")
@@ -49,7 +49,9 @@ def culling_for(camera: Any) -> tuple[Culling, str]:
             "screen",
             "the camera keeps straight lines straight, so each primitive stays in its picture's box",
         )
-    return "bvh", "the camera bends straight lines, so rays go through a tree of boxes"
+    if implements(project_ball, type(camera)):
+        return "screen", "each primitive stays in the picture of a ball around it"
+    return "bvh", "the camera has no picture of a primitive, so rays go through a tree of boxes"
 
 
 def _shading(scene: Scene, aovs: Sequence[str]) -> Step:

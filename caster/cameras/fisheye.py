@@ -4,10 +4,19 @@ import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
 from caster.fields import Camera, WideFieldOfView
-from caster.kernels.camera_circle import film_circle, mixed, on_circle
-from caster.kernels.jit import implement
-from caster.kernels.protocol import Vec3, ray
-from caster.kernels.vec import unit
+from caster.kernels.angles import sine_and_cosine
+from caster.kernels.camera_circle import (
+    MORE,
+    anywhere,
+    film_circle,
+    looking,
+    mixed,
+    nowhere,
+    on_circle,
+    seen_ball,
+)
+from caster.kernels.jit import implement, inlined
+from caster.kernels.protocol import Vec3, bent, project, project_ball, ray
 
 
 class FisheyeRays(NamedTuple):
@@ -19,6 +28,7 @@ class FisheyeRays(NamedTuple):
     forward: Vec3  # unit
     circle: Vec3  # image circle: centre x, centre y, radius, in pixels
     half_angle: float  # radians from the axis to the rim
+    bend: float  # no second derivative of the picture is larger within NEARBY of the film
 
 
 class Fisheye(Camera):
@@ -30,17 +40,93 @@ class Fisheye(Camera):
 
     def pack(self, width: int, height: int) -> FisheyeRays:
         right, up, forward = self.frame
-        circle = film_circle(width, height)
-        return FisheyeRays(self.eye, right, up, forward, circle, math.radians(self.fov) / 2.0)
+        half = math.radians(self.fov) / 2.0
+        most = bend(half + NEARBY) if half + NEARBY < FARTHEST else math.inf
+        return FisheyeRays(self.eye, right, up, forward, film_circle(width, height), half, most)
 
 
 @implement(ray, FisheyeRays)
 def _ray(camera: Any, x: float, y: float) -> Any:
     across, above = on_circle(camera.circle, x, y)
-    distance = math.sqrt(across * across + above * above)
-    if distance == 0.0 or distance > 1.0:
-        return camera.eye, camera.forward, 0.0, math.inf if distance == 0.0 else -1.0
-    angle = distance * camera.half_angle
-    sideways = math.sin(angle) / distance
-    d = unit(mixed(camera, sideways * across, sideways * above, math.cos(angle)))
-    return camera.eye, d, 0.0, math.inf
+    square, half = across * across + above * above, 0.5 * camera.half_angle
+    inside = square <= 1.0
+    # h = half * distance is half the angle from the axis: sin 2h = 2 sin h cos h, cos 2h = 1 - 2 sin^2 h
+    h_square = half * half * (square if inside else 0.0)
+    sine, cosine = sine_and_cosine(h_square)
+    sideways = 2.0 * half * sine * cosine
+    d = mixed(camera, sideways * across, sideways * above, 1.0 - 2.0 * h_square * sine * sine)
+    return camera.eye, looking(camera, d, inside), 0.0, math.inf if inside else -1.0
+
+
+# Nearer to straight behind, where the picture of one direction is a whole circle, `project_ball` knows no bounds.
+FARTHEST = 3.1  # radians from the axis
+
+
+@implement(project_ball, FisheyeRays)
+def _project_ball(camera: Any, center: Any, r: float) -> Any:
+    """An ellipse around the picture of the centre, and a bound for how the mapping bends it.
+
+    Picture and direction are F and p; p may be `reach` from the centre c. Along the great circle from c to p,
+    F(p) = F(c) + dF(v) + R with |v| <= reach, where dF stretches v by 1 away from the axis and by angle / sin(angle)
+    across that, and |R| <= bend reach^2 / 2.
+    """
+    place, distance, valid = seen_ball(camera, center, r)
+    aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
+    angle, reach = math.atan2(aside, place[2]), math.asin(r / distance if valid else 0.0)
+    if valid and angle - reach > camera.half_angle + BESIDE:
+        return nowhere(distance - r)
+    if not valid or angle + reach > FARTHEST:
+        return anywhere(distance - r)
+    across, above = (place[0] / aside, place[1] / aside) if aside > 0.0 else (1.0, 0.0)
+    around = reach * max(angle * distance / aside, 1.0) if aside > 0.0 else reach
+    x, y, radius = camera.circle
+    pixels = radius / camera.half_angle
+    more = 0.5 * reach * reach * bend(angle + reach)
+    wide = pixels * (math.hypot(reach * across, around * above) + more)
+    high = pixels * (math.hypot(reach * above, around * across) + more)
+    x, y = x + pixels * angle * across, y - pixels * angle * above
+    return x - wide, y - high, x + wide, y + high, distance - r, True
+
+
+BESIDE = 2.0**-40  # radians; roundings of angles are below 2^-48
+STRAIGHT = 0.5  # radians, below which `bend` is taken from there: it grows with the angle, and is 0 / 0 at 0
+
+
+@inlined
+def bend(angle: float) -> float:
+    """The largest second derivative of the picture along a great circle, up to so far from the axis.
+
+    In polar coordinates, a for the angle and w for the way around the axis, a great circle at speed 1 has
+    a'' = sin a cos a w'^2 and w'' = -2 cot a a' w'. The second derivative of a (cos w, sin w) is then
+    w'^2 (sin a cos a - a) outwards and 2 a' w' (1 - a cot a) around, with |w'| <= 1 / sin a and |a' w'| <= 1 / 2 sin a.
+    """
+    a = max(angle, STRAIGHT)
+    sine, cosine = math.sin(a), math.cos(a)
+    return (a - sine * cosine) / (sine * sine) + (1.0 - a * cosine / sine) / sine
+
+
+@implement(project, FisheyeRays)
+def _project(camera: Any, p: Any) -> Any:
+    place, distance, valid = seen_ball(camera, p, 0.0)
+    aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
+    angle = math.atan2(aside, place[2])
+    if not valid or angle > FARTHEST:
+        return 0.0, 0.0, 0.0, distance, False
+    x, y, radius = camera.circle
+    pixels = radius / camera.half_angle
+    share = pixels * angle / aside if aside > 0.0 else 0.0
+    return x + share * place[0], y - share * place[1], STEEPEST * pixels / distance, distance, True
+
+
+# Around the axis, a small step is stretched by angle / sin(angle), 75 at FARTHEST; twice that for one that is not.
+STEEPEST = 150.0
+
+NEARBY = 0.1  # radians: how far apart the points of a hull may be for `bent`
+
+
+@implement(bent, FisheyeRays)
+def _bent(camera: Any, extent: float) -> Any:
+    """Angles are no larger than distances in the picture, which is shrunk nowhere; see camera_circle.MORE."""
+    pixels = camera.circle[2] / camera.half_angle
+    angle = extent / pixels
+    return MORE * camera.bend * angle * angle * pixels, 1.0 - 0.5 * angle * angle, angle <= NEARBY

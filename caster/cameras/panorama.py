@@ -4,10 +4,14 @@ import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
 from caster.fields import Camera
-from caster.kernels.camera_circle import mixed
+from caster.kernels.angles import sine_and_cosine
+from caster.kernels.camera_circle import anywhere, looking, mixed, seen_ball
 from caster.kernels.jit import implement
-from caster.kernels.protocol import Vec3, ray
-from caster.kernels.vec import unit
+from caster.kernels.protocol import Vec3, project_ball, ray
+
+# The sine of half of a ball's longitudes is its radius over the level distance. Where it nears 1, the angle is many
+# times as sensitive as the quotient, which is off by a few u: so it is made so much larger.
+POLEWARDS = 1.0 + 2.0**-40
 
 
 class PanoramaRays(NamedTuple):
@@ -33,8 +37,32 @@ class Panorama(Camera):
 
 @implement(ray, PanoramaRays)
 def _ray(camera: Any, x: float, y: float) -> Any:
-    longitude = (2.0 * (x / camera.size[0]) - 1.0) * math.pi
+    half = (
+        x / camera.size[0] - 0.5
+    ) * math.pi  # of the longitude: sin 2h = 2 sin h cos h, cos 2h = 1 - 2 sin^2 h
     latitude = (0.5 - y / camera.size[1]) * math.pi
-    level = math.cos(latitude)
-    d = unit(mixed(camera, level * math.sin(longitude), math.sin(latitude), level * math.cos(longitude)))
-    return camera.eye, d, 0.0, math.inf
+    sine, cosine = sine_and_cosine(half * half)
+    rise, level = sine_and_cosine(latitude * latitude)
+    east, ahead = 2.0 * half * sine * cosine, 1.0 - 2.0 * half * half * sine * sine
+    d = mixed(camera, level * east, latitude * rise, level * ahead)
+    return camera.eye, looking(camera, d, True), 0.0, math.inf
+
+
+@implement(project_ball, PanoramaRays)
+def _project_ball(camera: Any, center: Any, r: float) -> Any:
+    """Rows from the least to the greatest latitude; of columns all, if it holds a pole or lies behind the eye."""
+    place, distance, valid = seen_ball(camera, center, r)
+    if not valid:
+        return anywhere(distance - r)
+    level = math.sqrt(place[0] * place[0] + place[2] * place[2])
+    latitude, reach = math.atan2(place[1], level), math.asin(r / distance)
+    wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
+    top, bottom = high * (0.5 * math.pi - latitude - reach), high * (0.5 * math.pi - latitude + reach)
+    share = r * POLEWARDS / level if level > 0.0 else 1.0
+    if not share < 1.0:
+        return -math.inf, top, math.inf, bottom, distance - r, True
+    longitude, reach = math.atan2(place[0], place[2]), math.asin(share)
+    if abs(longitude) + reach > math.pi:
+        return -math.inf, top, math.inf, bottom, distance - r, True
+    x = camera.size[0] * 0.5 + wide * longitude
+    return x - wide * reach, top, x + wide * reach, bottom, distance - r, True

@@ -4,10 +4,18 @@ import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
 from caster.fields import Camera
-from caster.kernels.camera_circle import film_circle, mixed, on_circle
+from caster.kernels.camera_circle import (
+    MORE,
+    anywhere,
+    film_circle,
+    looking,
+    mixed,
+    nowhere,
+    on_circle,
+    seen_ball,
+)
 from caster.kernels.jit import implement
-from caster.kernels.protocol import Vec3, ray
-from caster.kernels.vec import unit
+from caster.kernels.protocol import Vec3, bent, project, project_ball, ray
 
 
 class ParabolicRays(NamedTuple):
@@ -39,7 +47,58 @@ class Parabolic(Camera):
 def _ray(camera: Any, x: float, y: float) -> Any:
     across, above = on_circle(camera.circle, x, y)
     square = across * across + above * above
-    d = unit(mixed(camera, 2.0 * across, 2.0 * above, 1.0 - square))
-    if square > 1.0:
-        return camera.eye, camera.forward, 0.0, -1.0
-    return camera.eye, d, 0.0, math.inf
+    inside = square <= 1.0
+    d = mixed(camera, 2.0 * across, 2.0 * above, 1.0 - square)
+    return camera.eye, looking(camera, d, inside), 0.0, math.inf if inside else -1.0
+
+
+@implement(project_ball, ParabolicRays)
+def _project_ball(camera: Any, center: Any, r: float) -> Any:
+    """A circle: the mapping is the stereographic projection, which keeps circles.
+
+    At angle a from the axis it is tan(a / 2) from the centre. The tangent of the sum of two angles is
+    (s + t) / (1 - s t) for their own tangents s and t.
+    """
+    place, distance, valid = seen_ball(camera, center, r)
+    if not valid:
+        return anywhere(distance - r)
+    if place[2] < -r:  # all of it is behind the eye
+        return nowhere(distance - r)
+    # its centre is at most 90 + 28 degrees from the axis, so no divisor is near 0
+    aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
+    share = r / distance
+    middle, wide = aside / (distance + place[2]), share / (1.0 + math.sqrt(1.0 - share * share))
+    inner, outer = (middle - wide) / (1.0 + middle * wide), (middle + wide) / (1.0 - middle * wide)
+    across, above = (place[0] / aside, place[1] / aside) if aside > 0.0 else (1.0, 0.0)
+    x, y, pixels = camera.circle
+    at, reach = 0.5 * (inner + outer) * pixels, 0.5 * (outer - inner) * pixels
+    x, y = x + at * across, y - at * above
+    return x - reach, y - reach, x + reach, y + reach, distance - r, True
+
+
+@implement(project, ParabolicRays)
+def _project(camera: Any, p: Any) -> Any:
+    place, distance, valid = seen_ball(camera, p, 0.0)
+    aside, ahead = math.sqrt(place[0] * place[0] + place[1] * place[1]), distance + place[2]
+    if not valid or aside > FARTHEST * ahead:
+        return 0.0, 0.0, 0.0, distance, False
+    x, y, pixels = camera.circle
+    share = pixels / ahead
+    return x + share * place[0], y - share * place[1], STEEPEST * pixels / distance, distance, True
+
+
+# So many radii from the middle, a small step is stretched by (1 + 20^2) / 2; twice that for a step that is not.
+FARTHEST, STEEPEST = 20.0, 401.0
+
+NEARBY = 0.1  # radians: how far apart the points of a hull may be for `bent`
+
+
+@implement(bent, ParabolicRays)
+def _bent(camera: Any, extent: float) -> Any:
+    """Angles are at most twice the distances in the picture, in radii, since nothing is shrunk by more than 2.
+
+    Along great circles the second derivative of the picture is r (1 + r^2) / 2 at r radii from the middle, at most 1.25
+    for what is within NEARBY of the film, where r < tan(pi / 4 + NEARBY / 2); see camera_circle.MORE.
+    """
+    angle = 2.0 * extent / camera.circle[2]
+    return MORE * 1.25 * angle * angle * camera.circle[2], 1.0 - 0.5 * angle * angle, angle <= NEARBY

@@ -6,7 +6,7 @@ Steps of Python are taken by one thread at a time, and waiting for one's turn co
 from typing import Any
 
 from caster.kernels.jit import inlined, jit
-from caster.kernels.paint import paint_normals, paint_seen
+from caster.kernels.paint import paint_normals, paint_nothing, paint_seen
 from caster.kernels.screen import cast_own_origins, cast_shared_origin
 from caster.kernels.tile import HEIGHT, WIDTH, Box, shoot_rays
 
@@ -31,6 +31,9 @@ def film_from_one_point(
     prims, order, runs, spans = kind
     for number in range(tiles[0], tiles[1]):
         box, run = box_of(window, number), (runs[number], runs[number + 1])
+        if run[0] == run[1]:
+            paint_nothing(box, images[2])
+            continue
         shoot_rays(camera, window, box, tile)
         cast_shared_origin(prims, order, run, spans, 0, box, tile)
         _paint(prims, spans, reach, tile, box, images)
@@ -44,6 +47,9 @@ def film_in_one_direction(
     prims, order, runs, spans = kind
     for number in range(tiles[0], tiles[1]):
         box, run = box_of(window, number), (runs[number], runs[number + 1])
+        if run[0] == run[1]:
+            paint_nothing(box, images[2])
+            continue
         shoot_rays(camera, window, box, tile)
         cast_own_origins(prims, order, run, spans, 0, box, tile)
         _paint(prims, spans, reach, tile, box, images)

@@ -242,7 +242,8 @@ class Generic:
         bodies = self.bodies
 
         def dispatch(*args: Any) -> Any:
-            return bodies[type(args[0])](*args)
+            kind = type(args[0])
+            return bodies[kind if kind in bodies else object](*args)
 
         self._dress(dispatch)
         return dispatch
@@ -252,7 +253,8 @@ class Generic:
         bodies = self.bodies
 
         def choose(*args: Any) -> Any:
-            body = bodies.get(getattr(args[0], "instance_class", None))  # type: ignore[arg-type]  # a Numba type
+            kind: Any = getattr(args[0], "instance_class", None)  # of a Numba type
+            body = bodies.get(kind, bodies.get(object))
             return body.dispatcher if isinstance(body, Kernel) else body
 
         self._dress(choose)
@@ -283,7 +285,7 @@ def _declared(stub: Function, options: dict[str, Any]) -> Function:
 
 
 def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], Function]:
-    """Register the decorated body of `function` for arguments of class `kind`."""
+    """Register the decorated body of `function` for arguments of class `kind`; object: for all without their own."""
 
     def keep(body: Function) -> Function:
         _GENERICS[function].bodies[kind] = body

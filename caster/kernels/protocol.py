@@ -7,7 +7,7 @@ Points and vectors inside kernels are tuples of three floats; arrays hold them a
 
 from typing import Any
 
-from caster.kernels.jit import generic, generic_inlined
+from caster.kernels.jit import generic, generic_inlined, implement
 
 Vec3 = tuple[float, float, float]
 
@@ -34,6 +34,19 @@ def intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> Any:
 @generic_inlined
 def passes(prims: Any, pre: Any, d: Vec3) -> Any:
     """Whether the ray is soon seen to miss the prepared primitive: True only where `intersect` would say MISS."""
+
+
+@generic_inlined
+def nearest_t(prims: Any, pre: Any, low: Vec3, high: Vec3) -> Any:
+    """No ray meets the prepared primitive at a smaller t, if all components of its d are from low to high.
+
+    inf: none meets it. A kind may do without a body for this.
+    """
+
+
+@implement(nearest_t, object)
+def _anywhere(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
+    return 0.0
 
 
 @generic_inlined
@@ -111,7 +124,17 @@ def project(camera: Any, p: Vec3) -> Any:
     """(x, y, pixels, depth, valid): where p falls on the film; a unit step of p moves it by at most so many pixels.
 
     depth: how far p is in front of where the rays start, along camera.forward, or, if negative, behind. Not valid where
-    straight edges would not stay straight. A camera without a body for this goes through the tree.
+    straight edges would not stay straight. For a camera with a body for `bent`, depth is the distance from the eye.
+    """
+
+
+@generic_inlined
+def bent(camera: Any, extent: float) -> Any:
+    """(pixels, share, valid): of a convex hull whose points' pictures are no more than `extent` pixels apart.
+
+    On the film, its picture reaches no more than so many pixels beyond the box around those, and, in general, beyond
+    any line; nothing of it is nearer than that share of the nearest point's depth. Not valid: nothing is known. A
+    camera that keeps straight lines straight has no body for this.
     """
 
 
@@ -120,5 +143,5 @@ def project_ball(camera: Any, center: Vec3, r: float) -> Any:
     """(left, top, right, bottom, depth, valid): the box around the picture of a ball, and its least depth.
 
     Tighter than that around pictures of points around it. Not valid for a ball that reaches behind the eye. A camera
-    may do without a body for this.
+    without a body for this goes through the tree.
     """

@@ -14,6 +14,7 @@ from caster.kernels.protocol import (
     hull_point,
     hull_size,
     intersect,
+    nearest_t,
     normal,
     numbers,
     passes,
@@ -63,8 +64,12 @@ class Triangles(NamedTuple):
 EDGE_ERROR = 16.0 * U
 
 # Across: n = (b - a) x (c - a) is off by 4 u Q, Q the permanent of the two (4 = 2 for the edges' rounding, 1 for the
-# products, 1 for the subtraction). With that, n . a is off by 8 u sum |a| Q and n . d by 7 u sum |d| Q, since Q >= |n|.
+# products, 1 for the subtraction). With that, n . a is off by 8 u sum |a| Q and n . d by 7 u sum |d| Q, since Q >= |n|;
+# of the latter, the largest of Q times |d|_1 is taken.
 PLANE_ERROR, SLOPE_ERROR = 9.0 * U, 8.0 * U
+
+# The error of an edge function up to which nothing here has overflowed: no number is more than 2^60 times as large.
+BOUNDED = 2.0**900
 
 
 @implement(numbers, Triangles)
@@ -78,7 +83,7 @@ def _numbers(prims: Any, k: int) -> Any:
 
 @implement(prepare, Triangles)
 def _prepare(prims: Any, prim: Any, o: Vec3) -> Any:
-    """(b x c, c x a, a x b, n, Q, n . a, errors of the edge functions and of n . a)."""
+    """(b x c, c x a, a x b, n, n . a, errors of the edge functions and of n . d over |d|_1, error of n . a)."""
     p, q, r, n, spread = prim
     a, b, c = sub(p, o), sub(q, o), sub(r, o)
     m = max(largest(a), largest(b), largest(c))
@@ -90,9 +95,9 @@ def _prepare(prims: Any, prim: Any, o: Vec3) -> Any:
         cross(c, a),
         cross(a, b),
         n,
-        spread,
         dot(n, a),
         EDGE_ERROR * (m * m) + TINY,
+        SLOPE_ERROR * largest(spread),
         height_error,
     )
 
@@ -100,35 +105,61 @@ def _prepare(prims: Any, prim: Any, o: Vec3) -> Any:
 @implement(intersect, Triangles)
 def _intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> tuple[float, float]:
     """Inside where all three edge functions have one sign; sure of it where they exceed their error."""
-    _, _, _, n, spread, height, _, height_error = pre
-    positive, negative, outside = _sides(pre, d)
-    slope = dot(n, d)
-    slope_error = (
-        SLOPE_ERROR * (abs(d[0]) * spread[0] + (abs(d[1]) * spread[1] + abs(d[2]) * spread[2])) + TINY
-    )
-    steep = (abs(slope) > 2.0 * slope_error) & (abs(slope) < math.inf)
+    _, _, _, n, height, _, slope_share, height_error = pre
+    inside, outside, bounded = _sides(pre, d)
+    slope, slope_error = dot(n, d), slope_share * size(d) + TINY
+    steep = (abs(slope) > 2.0 * slope_error) & bounded
     over = 1.0 / (slope if steep else 1.0)
     t = height * over
     # (h + e) / (s + f) - h / s = (e - t f) / (s + f), and |s + f| > |s| / 2; 3 u |t| for 1 / s and the product
     off = 2.0 * (height_error + abs(t) * slope_error) * abs(over) + 3.0 * U * abs(t)
     t, off = sure_within(t, off, t_min, t_max)
-    return answer((positive | negative) & steep, outside, t, off)
+    return answer(inside & steep, outside, t, off)
 
 
 @implement(passes, Triangles)
 def _passes(prims: Any, pre: Any, d: Vec3) -> bool:
-    return _sides(pre, d)[2]
+    return _sides(pre, d)[1]
 
 
 @inlined
 def _sides(pre: Any, d: Vec3) -> tuple[bool, bool, bool]:
-    """Whether all edge functions are sure to be positive, all negative, or some are positive and some negative."""
+    """Whether all edge functions are sure to have one sign, some sure to have another, and none to have overflowed."""
     u, v, w = dot(d, pre[0]), dot(d, pre[1]), dot(d, pre[2])
-    error = pre[6] * size(d) + TINY
-    above_u, above_v, above_w = u > error, v > error, w > error
-    below_u, below_v, below_w = u < -error, v < -error, w < -error
-    outside = (above_u | above_v | above_w) & (below_u | below_v | below_w)
-    return above_u & above_v & above_w, below_u & below_v & below_w, outside
+    error = pre[5] * size(d) + TINY
+    least, most, bounded = min(min(u, v), w), max(max(u, v), w), error < BOUNDED
+    return (least > error) | (most < -error), (most > error) & (least < -error) & bounded, bounded
+
+
+@implement(nearest_t, Triangles)
+def _nearest_t(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
+    """Where t > 0, the edge functions have the sign of n . a, as n . d has.
+
+    The bounds of `_intersect` hold for what is added up here, since it is the same for one of the box's corners.
+    """
+    _, _, _, n, height, edge_share, slope_share, height_error = pre
+    longest = max(-low[0], high[0]) + max(-low[1], high[1]) + max(-low[2], high[2])  # no |d|_1 is larger
+    side, error = math.copysign(1.0, height), edge_share * longest + TINY
+    if not (height_error < abs(height) and error < BOUNDED):
+        return 0.0
+    if min(top(side, pre[0], low, high), top(side, pre[1], low, high), top(side, pre[2], low, high)) < -error:
+        return math.inf
+    steepest = top(side, n, low, high) + slope_share * longest + TINY
+    if not steepest > 0.0:
+        return math.inf
+    return max((abs(height) - height_error) / steepest * SOONER, 0.0)
+
+
+# For the rounding of a difference, a sum and a quotient.
+SOONER = 1.0 - 2.0**-50
+
+
+@inlined
+def top(side: float, a: Vec3, low: Vec3, high: Vec3) -> float:
+    """The largest of side * a . d for d from low to high."""
+    x = max(side * a[0] * low[0], side * a[0] * high[0])
+    y = max(side * a[1] * low[1], side * a[1] * high[1])
+    return x + y + max(side * a[2] * low[2], side * a[2] * high[2])
 
 
 @jit

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from caster import Cube, Fisheye, Icosphere, Orthographic, Pinhole, Plane, Scene, Sphere
+from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Parabolic, Pinhole, Plane, Scene, Sphere
 from caster.__main__ import main
 from caster.aovs import BY_NAME
+from caster.cameras import Ray
 from caster.explain import account
 from caster.kernels.compiling.kernel_cache import COMPILED
 from caster.lights import Ambient, Directional, Point
@@ -27,8 +28,17 @@ def scene(camera=Pinhole, **more):
     return Scene(film={"width": 40, "height": 30}, camera=camera(**EYE), **parts)
 
 
+ALONG_A_RAY = scene().model_copy(update={"camera": Ray(origin=(2.0, 0.1, 6.0), direction=(0.0, 0.0, -1.0))})
+
+
 def told(a_scene, *aovs, **how):
     return account(render_film(a_scene, aovs, **how), aovs)
+
+
+@pytest.mark.parametrize("camera", [Fisheye, Panorama, Parabolic])
+def test_cameras_that_bend_lines_grow_no_tree_either(camera):
+    what = told(scene(camera), "depth", "normal")
+    assert what["culling"]["name"] == "screen" and what["trees"]["grown"] == 0
 
 
 def test_a_pinhole_without_shadows_grows_no_tree():
@@ -41,10 +51,10 @@ def test_a_pinhole_without_shadows_grows_no_tree():
 @pytest.mark.parametrize(
     ("a_scene", "aov", "reason"),
     [
-        (scene(Fisheye), "depth", "camera rays go through them"),
+        (ALONG_A_RAY, "depth", "camera rays go through them"),
         (scene(lights=[LAMP]), "diffuse", "shadow rays go through them"),
     ],
-    ids=["fisheye", "shadows"],
+    ids=["one ray", "shadows"],
 )
 def test_a_tree_is_grown_where_rays_go_through_it(a_scene, aov, reason):
     what = told(a_scene, aov)

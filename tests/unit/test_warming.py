@@ -9,7 +9,7 @@ from caster import warming
 from caster.__main__ import main
 from caster.cameras import CAMERAS
 from caster.kernels import jit
-from caster.kernels.protocol import intersect, project
+from caster.kernels.protocol import intersect, project_ball
 from caster.packing import pack
 from caster.progress import Progress, announced
 
@@ -23,8 +23,8 @@ def test_every_kind_of_primitive_and_every_camera_is_warmed():
     kinds = {type(kind.prims) for kind in pack(everything[0]).kinds}
     assert kinds == set(jit._GENERICS[intersect].bodies)
     alone = {(type(scene.camera), type(pack(scene).parts[0])) for scene in scenes if len(scene.shapes) == 1}
-    straight = {camera for camera in jit._GENERICS[project].bodies}
-    assert len(alone) == len(kinds) * len(straight) and {kind for _, kind in alone} == kinds
+    cameras = {camera for camera in jit._GENERICS[project_ball].bodies}
+    assert len(alone) == len(kinds) * len(cameras) and {kind for _, kind in alone} == kinds
 
 
 @pytest.fixture

@@ -1,0 +1,158 @@
+"""The box around the picture of a ball holds the pixels of all rays that meet it, and hardly more; `nearest_t`."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, fisheye, parabolic
+from caster.kernels.protocol import bent, intersect, nearest_t, numbers, prepare, project, project_ball, ray
+from caster.kernels.triangles import Triangles
+
+WIDTH, HEIGHT = 300, 200
+POSE: dict[str, Any] = {"eye": (0.3, -0.2, 0.7), "direction": (0.2, -0.5, 0.8), "up": (0.1, 1.0, 0.0)}
+CAMERAS = {
+    "pinhole": Pinhole(fov=80.0, principal_point=(0.1, -0.2), **POSE),
+    "orthographic": Orthographic(width=3.0, **POSE),
+    "fisheye": Fisheye(fov=180.0, **POSE),
+    "wider fisheye": Fisheye(fov=250.0, **POSE),
+    "wide fisheye": Fisheye(fov=360.0, **POSE),
+    "narrow fisheye": Fisheye(fov=30.0, **POSE),
+    "panorama": Panorama(**POSE),
+    "parabolic": Parabolic(**POSE),
+}
+ROOM = 2.0**-10  # pixels, spans.MARGIN: what roundings may take
+COUNT = 800
+
+
+def met_balls(camera: Any, rng: np.random.Generator, reach: float) -> Any:
+    """(film position, centre, radius) of balls that the ray there meets, most of them near their rim.
+
+    reach: radii are up to so many times the distance.
+    """
+    for _ in range(COUNT):
+        x, y = rng.uniform(0.0, WIDTH), rng.uniform(0.0, HEIGHT)
+        o, d, _, t_max = ray(camera, x, y)
+        if t_max < 0.0:
+            continue
+        t = 10.0 ** rng.uniform(-2, 2)
+        r = t * reach * rng.uniform(0.01, 1.0)
+        side = np.cross(d, rng.normal(size=3))
+        aside = side / np.linalg.norm(side) * r * (1.0 - 1e-9)
+        yield (x, y), tuple(np.array(o) + t * np.array(d) + aside), r
+
+
+def overlap(camera: Any, rng: np.random.Generator, reach: float) -> list[float]:
+    """How far from the nearest side of the box each film position lies, over the box's size; negative: outside."""
+    found = []
+    for (x, y), center, r in met_balls(camera, rng, reach):
+        left, top, right, bottom, depth, valid = project_ball(camera, center, r)
+        if valid and left > -math.inf:
+            inside = min(x - left, right - x, y - top, bottom - y) + ROOM
+            found.append(inside / (max(right - left, bottom - top) + ROOM))
+            assert depth <= np.linalg.norm(np.array(center) - camera.eye) - r + 1e-12 * (1.0 + r)
+    return found
+
+
+@pytest.mark.parametrize("reach", [0.001, 0.03, 0.3])
+@pytest.mark.parametrize("name", CAMERAS)
+def test_the_box_of_a_ball_holds_every_ray_that_meets_it_and_touches_some(name, reach):
+    rng = np.random.default_rng([140, list(CAMERAS).index(name)])
+    found = overlap(CAMERAS[name].pack(WIDTH, HEIGHT), rng, reach)
+    assert len(found) > COUNT // 4 and min(found) >= 0.0
+    assert np.quantile(found, 0.1) < 0.05  # a rim's nearest point is in the middle of a side for some
+
+
+def test_a_box_that_forgets_how_a_fisheye_bends_lines_is_seen(monkeypatch):
+    monkeypatch.setattr(fisheye, "bend", lambda angle: 0.0)
+    assert min(overlap(CAMERAS["fisheye"].pack(WIDTH, HEIGHT), np.random.default_rng(141), 0.3)) < 0.0
+
+
+@pytest.mark.parametrize("name", ["fisheye", "narrow fisheye", "parabolic"])
+def test_balls_that_no_ray_meets_are_nowhere(name):
+    camera = CAMERAS[name].pack(WIDTH, HEIGHT)
+    behind = np.array(camera.eye) - 5.0 * np.array(camera.forward)
+    left, top, right, bottom, _, valid = project_ball(camera, tuple(behind), 0.5)
+    assert valid and left > right and top > bottom
+
+
+@pytest.mark.parametrize("name", ["fisheye", "panorama", "parabolic"])
+@pytest.mark.parametrize("size", [1e-200, 1e-130, 1e130, 1e200, math.inf])
+def test_where_nothing_is_known_nothing_is_said(name, size):
+    """Sizes without squares, an eye in the ball, a ball without an end."""
+    camera = CAMERAS[name].model_copy(update={"eye": (0.0, 0.0, 0.0)}).pack(WIDTH, HEIGHT)
+    for r in (0.1 * size, 10.0 * size, math.inf):
+        *_, valid = project_ball(camera, (min(size, 1e300), 0.0, 0.0), r)
+        assert not valid
+
+
+def off_the_line(camera: Any, rng: np.random.Generator) -> list[float]:
+    """How far rays through edges of small triangles pass from the line through their ends, over what `bent` allows."""
+    found = []
+    for _ in range(COUNT):
+        x, y = rng.uniform(0.0, FINE * WIDTH), rng.uniform(0.0, FINE * HEIGHT)
+        o, d, _, t_max = ray(camera, x, y)
+        if t_max < 0.0:
+            continue
+        t = 10.0 ** rng.uniform(-2, 2)
+        along, across = t * 10.0 ** rng.uniform(-2, -1.4) * rng.normal(size=(2, 3))
+        corners = np.array(o) + t * np.array(d) + [along, -rng.uniform(0.5, 2.0) * along, across]
+        seen = np.array([project(camera, tuple(p)) for p in corners])
+        more, share, valid = bent(camera, math.hypot(*np.ptp(seen[:, :2], axis=0)))
+        if valid and seen[:, 4].all():
+            start, end = seen[0, :2], seen[1, :2]
+            edge, aside = end - start, (x, y) - start
+            off = abs(edge[0] * aside[1] - edge[1] * aside[0]) / math.hypot(*edge)
+            found.append(off / (more + ROOM))
+            assert seen[:, 3].min() * share <= t * (1.0 + 1e-12)
+    return found
+
+
+FINE = 10  # pixels are so much smaller, so that ROOM is little beside what is measured
+BENDING = ("fisheye", "wider fisheye", "narrow fisheye", "parabolic")
+
+
+@pytest.mark.parametrize("name", BENDING)
+def test_an_edge_is_bent_no_further_than_bent_says(name):
+    found = off_the_line(CAMERAS[name].pack(FINE * WIDTH, FINE * HEIGHT), np.random.default_rng(143))
+    assert len(found) > COUNT // 4 and max(found) <= 1.0
+    assert max(found) > 0.05  # not vacuous
+
+
+@pytest.mark.parametrize("name", BENDING)
+def test_a_bend_that_is_forgotten_is_seen(name, monkeypatch):
+    for camera in (fisheye, parabolic):
+        monkeypatch.setattr(camera, "MORE", 0.0)
+    camera = CAMERAS[name].pack(FINE * WIDTH, FINE * HEIGHT)
+    assert max(off_the_line(camera, np.random.default_rng(144))) > 1.0
+
+
+def random_triangle(rng: np.random.Generator) -> Triangles:
+    corners = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-1, 1) + rng.normal(size=3)
+    none = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros(1, bool), np.zeros(1, bool)
+    return Triangles(corners, np.array([[0, 1, 2]], np.int32), *none)
+
+
+def test_no_ray_of_a_bundle_meets_a_triangle_before_nearest_t():
+    rng, hits, never, near = np.random.default_rng(142), 0, 0, []
+    for _ in range(600):
+        prims, o = random_triangle(rng), tuple(rng.normal(size=3))
+        wide = 10.0 ** rng.uniform(-3, -0.3)
+        middle = (
+            rng.dirichlet((1.0, 1.0, 1.0)) @ prims.vertices - o if rng.random() < 0.7 else rng.normal(size=3)
+        )
+        many = middle / np.linalg.norm(middle) + wide * rng.uniform(-0.5, 0.5, (12, 3))
+        low, high = tuple(many.min(axis=0)), tuple(many.max(axis=0))
+        pre = prepare(prims, numbers(prims, 0), o)
+        least = nearest_t(prims, pre, low, high)
+        met = [
+            t
+            for t, off in (intersect(prims, pre, tuple(d), 0.0, math.inf) for d in many)
+            if 0.0 < t < math.inf
+        ]
+        assert all(t >= least for t in met), (met, least)
+        hits, never = hits + len(met), never + (least == math.inf)
+        near.extend(t / least for t in met if wide < 0.01)
+    assert hits > 2000 and never > 100
+    assert np.median(near) < 1.05  # it says something
