@@ -5,9 +5,9 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 from caster.fields import Camera
 from caster.kernels.angles import sine_and_cosine
-from caster.kernels.camera_circle import anywhere, looking, mixed, seen_ball
+from caster.kernels.camera_circle import MORE, anywhere, looking, mixed, seen_ball
 from caster.kernels.jit import implement
-from caster.kernels.protocol import Vec3, project_ball, ray
+from caster.kernels.protocol import Vec3, bent, project, project_ball, ray
 
 # The sine of half of a ball's longitudes is its radius over the level distance. Where it nears 1, the angle is many
 # times as sensitive as the quotient, which is off by a few u: so it is made so much larger.
@@ -66,3 +66,42 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
         return -math.inf, top, math.inf, bottom, distance - r, True
     x = camera.size[0] * 0.5 + wide * longitude
     return x - wide * reach, top, x + wide * reach, bottom, distance - r, True
+
+
+# Points nearer to a pole or to straight behind have no picture, but the balls around primitives do.
+POLEWARD, ASIDE = math.sin(math.pi / 3.0), math.pi - 0.3
+
+NEARBY = (
+    0.1  # radians: how far apart the points of a hull may be for `bent`; from POLEWARD on, 0.25 of longitude
+)
+
+
+@implement(project, PanoramaRays)
+def _project(camera: Any, p: Any) -> Any:
+    place, distance, valid = seen_ball(camera, p, 0.0)
+    longitude, rise = math.atan2(place[0], place[2]), place[1] / distance
+    if not valid or abs(longitude) > ASIDE or abs(rise) > POLEWARD:
+        return 0.0, 0.0, 0.0, distance, False
+    wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
+    x, y = 0.5 * camera.size[0] + wide * longitude, 0.5 * camera.size[1] - high * math.asin(rise)
+    return x, y, STEEPEST * max(wide, high) / distance, distance, True
+
+
+# A degree of longitude is at least half as long as one of latitude there; twice that for a step that is not small.
+STEEPEST = 4.0
+
+
+@implement(bent, PanoramaRays)
+def _bent(camera: Any, extent: float) -> Any:
+    """Angles are no larger than distances in the picture; see camera_circle.MORE.
+
+    Along great circles the second derivative of the longitude is at most sin a / cos^2 a at latitude a, and that of the
+    latitude tan a: 5.4 and 2.3 at pi / 3 + NEARBY.
+    """
+    wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
+    angle = extent / min(wide, high)
+    return (
+        MORE * angle * angle * math.hypot(5.4 * wide, 2.3 * high),
+        1.0 - 0.5 * angle * angle,
+        angle <= NEARBY,
+    )

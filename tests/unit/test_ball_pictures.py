@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, fisheye, parabolic
+from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, fisheye, panorama, parabolic
 from caster.kernels.protocol import bent, intersect, nearest_t, numbers, prepare, project, project_ball, ray
 from caster.kernels.triangles import Triangles
 
@@ -110,7 +110,7 @@ def off_the_line(camera: Any, rng: np.random.Generator) -> list[float]:
 
 
 FINE = 10  # pixels are so much smaller, so that ROOM is little beside what is measured
-BENDING = ("fisheye", "wider fisheye", "narrow fisheye", "parabolic")
+BENDING = ("fisheye", "wider fisheye", "narrow fisheye", "panorama", "parabolic")
 
 
 @pytest.mark.parametrize("name", BENDING)
@@ -122,7 +122,7 @@ def test_an_edge_is_bent_no_further_than_bent_says(name):
 
 @pytest.mark.parametrize("name", BENDING)
 def test_a_bend_that_is_forgotten_is_seen(name, monkeypatch):
-    for camera in (fisheye, parabolic):
+    for camera in (fisheye, panorama, parabolic):
         monkeypatch.setattr(camera, "MORE", 0.0)
     camera = CAMERAS[name].pack(FINE * WIDTH, FINE * HEIGHT)
     assert max(off_the_line(camera, np.random.default_rng(144))) > 1.0
