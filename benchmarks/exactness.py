@@ -27,10 +27,10 @@ WITHOUT_BOUNDS = (
     ),
     ("kernels/vec.py", "(t + off <= t_min) | (t - off > t_max), t, off)", "not inside, t, 0.0)"),
     ("kernels/tile.py", "tile[DOUBT + i] = 1.0 if abs(ahead) <= margin else tile[DOUBT + i]\n", "pass\n"),
-    ("kernels/triangles.py", "error = pre[6] * size(d) + TINY", "error = 0.0"),
+    ("kernels/triangles.py", "error = pre[5] * size(d) + TINY", "error = 0.0"),
     (
         "kernels/triangles.py",
-        "steep = (abs(slope) > 2.0 * slope_error) & (abs(slope) < math.inf)",
+        "steep = (abs(slope) > 2.0 * slope_error) & bounded",
         "steep = slope != 0.0",
     ),
     (

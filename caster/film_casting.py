@@ -8,24 +8,20 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from caster.casting import bases, decide_doubtful, ids_by_place
+from caster.kernels.bent_spans import find_spans_around, find_spans_of_bent_faces
+from caster.kernels.drawers import DRAWERS, count_in_tiles, sort_into_tiles
 from caster.kernels.jit import implements
 from caster.kernels.nearest import Nearest, Rays, no_hits
 from caster.kernels.protocol import bent, project, project_ball
 from caster.kernels.screen import cast_own_origins, cast_shared_origin
 from caster.kernels.spans import (
-    DRAWERS,
     MARGIN,
     Spans,
     Window,
-    count_in_tiles,
     find_pictures,
     find_spans,
-    find_spans_around,
     find_spans_of_balls,
-    find_spans_of_bent_faces,
     find_spans_of_faces,
-    list_seen,
-    sort_into_tiles,
 )
 from caster.kernels.tile import HEIGHT, WIDTH, Box, load_rays, new_tile, store_nearest
 from caster.kernels.tree import REACH
@@ -187,16 +183,18 @@ def _into_tiles(
 ) -> Sorted:
     """farthest: no depth is larger. Several threads count and sort a part of the primitives each."""
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
-    bits, queue = spans.near.view(np.int64), _seen_on_film(spans, threads)
-    last, number = int(np.float64(farthest).view(np.int64)), len(queue)
-    about = spans.pixels, bits, last, queue, across
+    bits, number = spans.near.view(np.int64), len(spans.near)
+    last = int(np.float64(farthest).view(np.int64))
+    # Few enough to be sorted outright are, since large ones may hide many.
+    queue = np.argsort(spans.near, kind="stable") if number < MANY else np.empty(0)
+    about = spans.pixels, bits, last, queue.astype(np.int32), across
     workers = max(1, min(thread_count(threads), number // MANY))
     parts = [(i, number * i // workers, number * (i + 1) // workers) for i in range(workers)]
-    counts = np.zeros((workers, across * down * DRAWERS), np.int64)
+    counts, seen = np.zeros((workers, across * down * DRAWERS), np.int64), [0] * workers
 
     def count(part: tuple[int, int, int]) -> None:
         i, start, stop = part
-        count_in_tiles(*about, counts[i], start, stop)
+        seen[i] = count_in_tiles(*about, counts[i], start, stop)
 
     in_turns(lambda: count, parts, workers)
     # in each drawer of each tile, what the first part has comes first: the same order for any number of threads
@@ -210,17 +208,4 @@ def _into_tiles(
 
     runs = np.append(starts[0, ::DRAWERS], len(order))
     in_turns(lambda: sort, parts, workers)
-    return Sorted(kind, spans, (base, base + len(spans.near)), number, runs, order)
-
-
-def _seen_on_film(spans: Spans, threads: int | None) -> np.ndarray:
-    """Primitives that are looked for anywhere, int32; few are put in order outright, since large ones may hide many."""
-    number = len(spans.near)
-    queue, counts = np.empty(number, np.int32), dict[int, int]()
-
-    def collect(start: int, stop: int) -> None:
-        counts[start] = list_seen(spans.pixels, start, stop, queue)
-
-    in_bands(collect, number, threads, least=MANY)
-    found = np.concatenate([queue[:0], *(queue[at : at + counts[at]] for at in sorted(counts))])
-    return found[np.argsort(spans.near[found], kind="stable")] if number < MANY else found
+    return Sorted(kind, spans, (base, base + number), sum(seen), runs, order)

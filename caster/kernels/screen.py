@@ -5,7 +5,8 @@ from typing import Any
 
 from caster.kernels.jit import inlined, jit
 from caster.kernels.lanes import LANES, any_reaches
-from caster.kernels.protocol import Vec3, intersect, nearest_t, numbers, prepare
+from caster.kernels.outlook import directions, farthest, reach_of
+from caster.kernels.protocol import intersect, nearest_t, numbers, prepare
 from caster.kernels.spans import corner, pixel_span
 from caster.kernels.tile import (
     DX,
@@ -18,14 +19,12 @@ from caster.kernels.tile import (
     SIZE,
     T_MAX,
     T_MIN,
-    VIEW,
     WIDTH,
     Box,
     T,
     keep_first,
     lane,
 )
-from caster.kernels.vec import add, dot, scaled, size, sub
 
 
 @inlined
@@ -79,104 +78,6 @@ def may_show_in(tile: Any, span: Box, near: float) -> bool:
     return False
 
 
-@jit
-def reach_of(tile: Any, box: Box, forward: Any) -> float:
-    """By how much a depth is at least to be multiplied for a ray of the tile to be at it: t d . forward = depth."""
-    for j in range(lane(LANES)):
-        tile[VIEW + j] = 0.0
-    for y in range(box[3] - box[1]):
-        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
-            for j in range(lane(LANES)):  # some maxima side by side, so that several are compared at once
-                i = first + j
-                ahead = tile[DX + i] * forward[0] + tile[DY + i] * forward[1] + tile[DZ + i] * forward[2]
-                tile[VIEW + j] = max(tile[VIEW + j], ahead)
-    most = 0.0
-    for j in range(lane(LANES)):
-        most = max(most, tile[VIEW + j])
-    return 1.0 / most if most > 0.0 else 0.0
-
-
-@jit
-def farthest(tile: Any, box: Box) -> float:
-    """How far a tile can be seen into anywhere: inf if only at one pixel, which is soon found."""
-    for j in range(lane(LANES)):
-        tile[VIEW + j] = 0.0
-    for y in range(box[3] - box[1]):
-        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
-            if any_reaches(tile, T + first, OFF + first, math.inf):
-                return math.inf
-            for j in range(lane(LANES)):
-                tile[VIEW + j] = max(tile[VIEW + j], tile[T + first + j] + tile[OFF + first + j])
-    far = 0.0
-    for j in range(lane(LANES)):
-        far = max(far, tile[VIEW + j])
-    return far
-
-
-@inlined
-def directions(tile: Any, box: Box, forward: Vec3) -> tuple[Vec3, Vec3]:
-    """(low, high): between which the components of all d of a tile are."""
-    if size(forward) > 0.0:
-        return between_corners(tile, box)
-    x, y, z = span_of(tile, DX, box), span_of(tile, DY, box), span_of(tile, DZ, box)
-    return (x[0], y[0], z[0]), (x[1], y[1], z[1])
-
-
-# Of the lengths of four d that are 1 within a few u, and of sums and quotients of them.
-ABOUT = 2.0**-45
-
-
-@inlined
-def between_corners(tile: Any, box: Box) -> tuple[Vec3, Vec3]:
-    """The same where straight lines stay straight and |d| = 1: d = s / |s|, s between the d of a tile's corners.
-
-    With weights w_i that add up to 1, |sum w_i d_i|^2 = 1 - sum over i < j of w_i w_j |d_i - d_j|^2, and the products
-    of two of four weights are at most 3/8 together.
-    """
-    right, below = lane(box[2] - box[0] - 1), lane((box[3] - box[1] - 1) * WIDTH)
-    a, b = vector_at(tile, lane(0)), vector_at(tile, right)
-    c, d = vector_at(tile, below), vector_at(tile, below + right)
-    low = lesser(lesser(a, b), lesser(c, d))
-    high = greater(greater(a, b), greater(c, d))
-    wide = sub(high, low)
-    shrunk = 1.0 - 0.375 * dot(wide, wide)
-    longer = (1.0 / math.sqrt(shrunk) if shrunk > 0.0 else math.inf) + ABOUT
-    less, more = (scaled(longer, low), scaled(longer, high))
-    return add(lesser(low, less), (-ABOUT, -ABOUT, -ABOUT)), add(greater(high, more), (ABOUT, ABOUT, ABOUT))
-
-
-@inlined
-def vector_at(tile: Any, i: Any) -> Vec3:
-    return tile[DX + i], tile[DY + i], tile[DZ + i]
-
-
-@inlined
-def lesser(a: Vec3, b: Vec3) -> Vec3:
-    return min(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
-
-
-@inlined
-def greater(a: Vec3, b: Vec3) -> Vec3:
-    return max(a[0], b[0]), max(a[1], b[1]), max(a[2], b[2])
-
-
-@inlined
-def span_of(tile: Any, field: Any, box: Box) -> tuple[float, float]:
-    """(least, largest) of a field, over the tile's part of a box in whole LANES."""
-    least, most = VIEW, VIEW + lane(LANES)
-    for j in range(lane(LANES)):
-        tile[least + j], tile[most + j] = math.inf, -math.inf
-    for y in range(box[3] - box[1]):
-        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
-            for j in range(lane(LANES)):  # some side by side, so that several are compared at once
-                d = tile[field + first + j]
-                tile[least + j], tile[most + j] = min(tile[least + j], d), max(tile[most + j], d)
-    low, high = math.inf, -math.inf
-    for j in range(lane(LANES)):
-        low, high = min(low, tile[least + j]), max(high, tile[most + j])
-    return low, high
-
-
 # In spans of no more pixels, what is hidden is looked for once, not in each row again: few show in part.
 FEW = 256
 
@@ -203,7 +104,7 @@ def cast_shared_origin(prims: Any, order: Any, run: Any, spans: Any, base: int, 
             if near > far or near == math.inf:
                 continue
             if not may_show_in(tile, span, near):
-                y_start = y_stop
+                y_start = y_stop  # nothing to try, but that took as long
         by_row = len(spans.faces) > 0 and x_stop - x_start >= WIDE
         for y in range(y_start, y_stop):
             start, stop = in_row(spans, k, box, span, y) if by_row else (x_start, x_stop)
@@ -214,9 +115,8 @@ def cast_shared_origin(prims: Any, order: Any, run: Any, spans: Any, base: int, 
                         t, off = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
                         keep_first(tile, i, place, t, off)
         tried += tries
-        if (
-            tried >= patience
-        ):  # worth a look at what all of this has covered, and at the tile's own directions
+        if tried >= patience:
+            # worth a look at what all of this has covered, and at the tile's own directions
             far, tried = farthest(tile, box), 0
             if far < math.inf:
                 stretch = max(stretch, reach_of(tile, box, spans.forward))

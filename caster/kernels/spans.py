@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.kernels.jit import inlined, jit
-from caster.kernels.protocol import Vec3, bent, hull_point, hull_size, project, project_ball
-from caster.kernels.tile import HEIGHT, WIDTH, Box
-from caster.kernels.vec import LARGEST_SQUARE, SMALLEST_SQUARE, along, dot, size, sub
+from caster.kernels.protocol import Vec3, hull_point, hull_size, project, project_ball
+from caster.kernels.tile import Box
 
 # A rectangle reaches so much further than the projected points on each side, plus the distance at which the
 # intersection test may still count a hit (`slack`, in scene units). The margin has to outdo the rounding of the
@@ -145,47 +144,6 @@ def find_spans_of_balls(
 
 
 @jit
-def find_spans_around(
-    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
-) -> None:
-    """The same for a camera that bends straight lines: of balls around the primitives' points."""
-    corners = hull_size(prims)
-    for k in range(start, stop):
-        keep_span_around(prims, camera, window, spans, reach, k, corners)
-
-
-@inlined
-def keep_span_around(
-    prims: Any, camera: Any, window: Any, spans: Any, reach: Any, k: int, corners: int
-) -> None:
-    """Of primitive k, which has so many points."""
-    center, r = ball_around(prims, k, corners)
-    left, top, right, bottom, least, valid = project_ball(camera, center, r + reach[0])
-    wide = reach[1] if valid else math.inf
-    box = left - wide, top - wide, right + wide, bottom + wide, least
-    keep_span(spans, k, box, math.inf, reach[0], window)
-
-
-# Roundings of a radius are some 4 u of it.
-ROUND = 1.0 + 2.0**-40
-
-
-@inlined
-def ball_around(prims: Any, k: int, corners: int) -> tuple[Vec3, float]:
-    """(centre, radius) of a ball that holds primitive k; a radius of inf for a kind without bounds."""
-    if corners == 0:
-        return (0.0, 0.0, 0.0), math.inf
-    center, square, widest = (0.0, 0.0, 0.0), 0.0, 0.0
-    for j in range(corners):
-        center = along(center, 1.0 / max(corners, 1), hull_point(prims, k, j))
-    for j in range(corners):
-        apart = sub(hull_point(prims, k, j), center)
-        square, widest = max(square, dot(apart, apart)), max(widest, size(apart))
-    plain = (square > SMALLEST_SQUARE) & (square < LARGEST_SQUARE)
-    return center, ROUND * (math.sqrt(square) if plain else widest)
-
-
-@jit
 def find_pictures(
     points: Any, camera: Any, window: Any, pictures: Any, reach: Any, start: int, stop: int
 ) -> None:
@@ -229,80 +187,3 @@ def find_spans_of_faces(window: Any, spans: Any, reach: Any, start: int, stop: i
         x0, y0, x1, y1 = keep_span(spans, k, box, deepest, reach[0], (0, 0, window.width, window.height))
         if (x1 - x0) * (y1 - y0) == 1:
             spans.pixels[k, 2] = x0 if lies_between(a, b, c, x0, y0) else x1
-
-
-@jit
-def find_spans_of_bent_faces(
-    prims: Any, camera: Any, window: Any, spans: Any, reach: Any, start: int, stop: int
-) -> None:
-    """The same for a camera that bends straight lines; of large ones, as `find_spans_around` does it."""
-    for k in range(start, stop):
-        a, b, c = corner(spans, k, 0), corner(spans, k, 1), corner(spans, k, 2)
-        left, top, right, bottom, least = around(around(around(endless(), a), b), c)
-        wide, high = right - left, bottom - top
-        more, share, valid = bent(camera, math.sqrt(wide * wide + high * high))
-        if not valid or more > wide + high:
-            keep_span_around(prims, camera, window, spans, reach, k, 3)
-            continue
-        box = left - more, top - more, right + more, bottom + more, least * share
-        x0, y0, x1, y1 = keep_span(spans, k, box, math.inf, reach[0], (0, 0, window.width, window.height))
-        if (x1 - x0) * (y1 - y0) == 1:
-            hidden = lies_between(wider(a, more), wider(b, more), wider(c, more), x0, y0)
-            spans.pixels[k, 2] = x0 if hidden else x1
-
-
-@inlined
-def wider(point: Picture, more: float) -> Picture:
-    return point[0], point[1], point[2] + more, point[3]
-
-
-@jit
-def list_seen(pixels: Any, start: int, stop: int, queue: Any) -> int:
-    """Write to queue[start:] which primitives of start..stop are looked for anywhere; how many there are."""
-    end = start
-    for k in range(start, stop):
-        queue[end] = k  # without a branch: nobody can tell what comes next
-        end += 1 if (pixels[k, 0] < pixels[k, 2]) & (pixels[k, 1] < pixels[k, 3]) else 0
-    return end - start
-
-
-# Within a tile, primitives are sorted into drawers by their least depth: by its exponent and 4 bits of the fraction.
-# The farthest 8 powers of two have drawers of their own; what is nearer, or behind, shares the first.
-DRAWERS, SHIFT = 128, 52 - 4
-
-
-@inlined
-def drawer(bits: int, last: int) -> int:
-    """Farther primitives are in later drawers; bits, last: of depths, as int64, and of the largest that may be."""
-    return min(max(DRAWERS - 1 - ((last >> SHIFT) - (bits >> SHIFT)), 0), DRAWERS - 1)
-
-
-@jit
-def count_in_tiles(
-    pixels: Any, bits: Any, last: int, queue: Any, across: int, counts: Any, start: int, stop: int
-) -> None:
-    """How many spans reach into each tile, of primitives queue[start:stop]: counts[n * DRAWERS + drawer].
-
-    Tiles go row by row, `across` in a row.
-    """
-    for place in range(start, stop):
-        k = queue[place]
-        into = drawer(bits[k], last)
-        for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
-            for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
-                counts[(y * across + x) * DRAWERS + into] += 1
-
-
-@jit
-def sort_into_tiles(
-    pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
-) -> None:
-    """Write them to order[ends[n * DRAWERS + drawer]:], for each tile n they reach into, moving that end on."""
-    for place in range(start, stop):
-        k = queue[place]
-        into = drawer(bits[k], last)
-        for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
-            for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
-                n = (y * across + x) * DRAWERS + into
-                order[ends[n]] = k
-                ends[n] += 1

@@ -35,7 +35,9 @@ from caster.kernels.vec import (
     answer,
     cross,
     dot,
+    greater,
     largest,
+    magnitude,
     permanent,
     row,
     scaled,
@@ -64,8 +66,7 @@ class Triangles(NamedTuple):
 EDGE_ERROR = 16.0 * U
 
 # Across: n = (b - a) x (c - a) is off by 4 u Q, Q the permanent of the two (4 = 2 for the edges' rounding, 1 for the
-# products, 1 for the subtraction). With that, n . a is off by 8 u sum |a| Q and n . d by 7 u sum |d| Q, since Q >= |n|;
-# of the latter, the largest of Q times |d|_1 is taken.
+# products, 1 for the subtraction). With that, n . a is off by 8 u sum |a| Q and n . d by 7 u sum |d| Q, since Q >= |n|.
 PLANE_ERROR, SLOPE_ERROR = 9.0 * U, 8.0 * U
 
 # The error of an edge function up to which nothing here has overflowed: no number is more than 2^60 times as large.
@@ -83,7 +84,7 @@ def _numbers(prims: Any, k: int) -> Any:
 
 @implement(prepare, Triangles)
 def _prepare(prims: Any, prim: Any, o: Vec3) -> Any:
-    """(b x c, c x a, a x b, n, n . a, errors of the edge functions and of n . d over |d|_1, error of n . a)."""
+    """(b x c, c x a, a x b, n, n . a, errors of the edge functions over |d|_1 and of n . d over |d|, of n . a)."""
     p, q, r, n, spread = prim
     a, b, c = sub(p, o), sub(q, o), sub(r, o)
     m = max(largest(a), largest(b), largest(c))
@@ -97,7 +98,7 @@ def _prepare(prims: Any, prim: Any, o: Vec3) -> Any:
         n,
         dot(n, a),
         EDGE_ERROR * (m * m) + TINY,
-        SLOPE_ERROR * largest(spread),
+        scaled(SLOPE_ERROR, spread),
         height_error,
     )
 
@@ -107,7 +108,7 @@ def _intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> tup
     """Inside where all three edge functions have one sign; sure of it where they exceed their error."""
     _, _, _, n, height, _, slope_share, height_error = pre
     inside, outside, bounded = _sides(pre, d)
-    slope, slope_error = dot(n, d), slope_share * size(d) + TINY
+    slope, slope_error = dot(n, d), magnitude(slope_share, d) + TINY
     steep = (abs(slope) > 2.0 * slope_error) & bounded
     over = 1.0 / (slope if steep else 1.0)
     t = height * over
@@ -138,13 +139,13 @@ def _nearest_t(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
     The bounds of `_intersect` hold for what is added up here, since it is the same for one of the box's corners.
     """
     _, _, _, n, height, edge_share, slope_share, height_error = pre
-    longest = max(-low[0], high[0]) + max(-low[1], high[1]) + max(-low[2], high[2])  # no |d|_1 is larger
-    side, error = math.copysign(1.0, height), edge_share * longest + TINY
+    most = greater(scaled(-1.0, low), high)  # no component of d is larger
+    side, error = math.copysign(1.0, height), edge_share * size(most) + TINY
     if not (height_error < abs(height) and error < BOUNDED):
         return 0.0
     if min(top(side, pre[0], low, high), top(side, pre[1], low, high), top(side, pre[2], low, high)) < -error:
         return math.inf
-    steepest = top(side, n, low, high) + slope_share * longest + TINY
+    steepest = top(side, n, low, high) + dot(slope_share, most) + TINY
     if not steepest > 0.0:
         return math.inf
     return max((abs(height) - height_error) / steepest * SOONER, 0.0)

@@ -66,6 +66,17 @@ def scaled(s: float, a: Vec3) -> Vec3:
 
 
 @jit
+def lesser(a: Vec3, b: Vec3) -> Vec3:
+    """Component by component."""
+    return min(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
+
+
+@jit
+def greater(a: Vec3, b: Vec3) -> Vec3:
+    return max(a[0], b[0]), max(a[1], b[1]), max(a[2], b[2])
+
+
+@jit
 def cross(a: Vec3, b: Vec3) -> Vec3:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 

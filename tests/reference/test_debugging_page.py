@@ -67,7 +67,7 @@ def test_pdb_stops_where_a_primitive_is_tried_and_prints_its_t(story):
     """The float64 test of triangles: the same for any shape's `intersect`."""
     module, tree, _, _ = story
     source = (ROOT / "caster/kernels/triangles.py").read_text(encoding="utf-8")
-    end = source.index("return answer((positive | negative) & steep")
+    end = source.index("return answer(inside & steep")
     line = source[:end].count("\n") + 1
     typed = (
         f"tbreak caster/kernels/triangles.py:{line}, t < 9.0 and off < 1.0\nc\np float(t), float(off)\nq\n"

@@ -163,8 +163,9 @@ def test_explain_tells_the_plan_and_what_was_left_out(folder, capsys):
 
 
 def test_explain_tells_of_trees_surfaces_and_shadows_where_there_are_any(folder, capsys):
-    bent = SCENE.replace('"pinhole"', '"fisheye"')
-    (folder / "s.toml").write_text(bent)
+    looking = 'type = "pinhole"\neye = [0.3, 0.4, 5]\nlook_at = [0, 0, 0]'
+    one_ray = SCENE.replace(looking, 'type = "ray"\norigin = [1.2, 0.5, 5]\ndirection = [0, 0, -1]')
+    (folder / "s.toml").write_text(one_ray)
     render("--explain")
     said = capsys.readouterr().out
     cube = next(kind for kind in packed(caster.load_scene("s.toml")).kinds if len(kind.ids) == 12)
@@ -174,7 +175,7 @@ def test_explain_tells_of_trees_surfaces_and_shadows_where_there_are_any(folder,
     assert re.search(
         r"shadow rays  \d+ from each hit to the lights it faces, until anything is in the way", said
     )
-    (folder / "s.toml").write_text(bent + "[shading]\nshadows = false\n")
+    (folder / "s.toml").write_text(one_ray + "[shading]\nshadows = false\n")
     render("--explain")
     assert "shadow rays  skipped: the scene switches shadows off" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""The box around the picture of a ball holds the pixels of all rays that meet it, and hardly more; `nearest_t`."""
+"""Where primitives are looked for holds the pixels of all rays that meet them, and hardly more."""
 
 import math
 from typing import Any
@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, fisheye, panorama, parabolic
+from caster.kernels.outlook import between_corners
 from caster.kernels.protocol import bent, intersect, nearest_t, numbers, prepare, project, project_ball, ray
+from caster.kernels.spans import Window
+from caster.kernels.tile import DX, DY, DZ, new_tile, shoot_rays
+from caster.kernels.tile import HEIGHT as TILE_HEIGHT
+from caster.kernels.tile import WIDTH as TILE_WIDTH
 from caster.kernels.triangles import Triangles
 
 WIDTH, HEIGHT = 300, 200
@@ -87,6 +92,12 @@ def test_where_nothing_is_known_nothing_is_said(name, size):
         assert not valid
 
 
+def fields(tile: np.ndarray, box: Any, field: Any) -> np.ndarray:
+    """A field of the pixels of a box."""
+    rows = tile[int(field) : int(field) + TILE_WIDTH * TILE_HEIGHT].reshape(TILE_HEIGHT, TILE_WIDTH)
+    return rows[: box[3] - box[1], : box[2] - box[0]]
+
+
 def off_the_line(camera: Any, rng: np.random.Generator) -> list[float]:
     """How far rays through edges of small triangles pass from the line through their ends, over what `bent` allows."""
     found = []
@@ -156,3 +167,21 @@ def test_no_ray_of_a_bundle_meets_a_triangle_before_nearest_t():
         near.extend(t / least for t in met if wide < 0.01)
     assert hits > 2000 and never > 100
     assert np.median(near) < 1.05  # it says something
+
+
+@pytest.mark.parametrize("fov", [0.01, 40.0, 120.0, 179.9])
+def test_the_directions_of_a_tile_are_between_those_of_its_corners(fov):
+    rng = np.random.default_rng(145)
+    for _ in range(20):
+        frame = {"direction": rng.normal(size=3), "up": rng.normal(size=3), "eye": (0.0, 0.0, 0.0)}
+        camera = Pinhole(fov=fov, fov_axis="larger", **frame).pack(200, 120)
+        x, y = (int(n) for n in rng.integers((0, 0), (150, 80)))
+        box = x, y, x + int(rng.integers(1, min(129, 201 - x))), y + int(rng.integers(1, min(65, 121 - y)))
+        tile = new_tile()
+        shoot_rays(camera, Window(0, 0, 200, 120), box, tile)
+        low, high = between_corners(tile, box)
+        rays = [fields(tile, box, field) for field in (DX, DY, DZ)]
+        for d, least, most in zip(rays, low, high, strict=True):
+            assert least <= d.min() and d.max() <= most
+            if fov < 50.0:
+                assert most - least < 1.3 * np.ptp(d) + 0.02 * fov / 40.0 + 1e-9
