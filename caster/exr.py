@@ -13,11 +13,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.exr_content import PREFIX, Window, attributes_of, checked_window, common_shape, storable
+from caster.exr_content import (
+    PREFIX,
+    UnreadableExr,
+    Window,
+    attributes_of,
+    checked_window,
+    common_shape,
+    storable,
+)
+from caster.exr_parts import Part, check_all_read, check_parts, names_in_whole, provenance_of
 from caster.whole_files import OutputError, written_aside
 from caster.wording import FileMissing, SceneError
 
-__all__ = ["NO_ID", "Exr", "OutputError", "UnreadableExr", "Window", "read_exr", "write_exr"]
+__all__ = ["NO_ID", "Exr", "OutputError", "Part", "UnreadableExr", "Window", "read_exr", "write_exr"]
 
 NO_ID = 0xFFFFFFFF
 """`id.shape` and `id.prim` of a pixel that hits nothing."""
@@ -26,17 +35,17 @@ MAGIC = 20000630  # the first four bytes of every EXR file, little endian
 DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four
 
 
-class UnreadableExr(FileMissing):
-    """A file that is there but is not a whole, single-part EXR image."""
-
-
 class Exr(NamedTuple):
-    """channels: name -> (h, w) float32, float16 or uint32, as stored. provenance: `caster/version` etc."""
+    """channels: name -> (h, w) float32, float16 or uint32, as stored. provenance: `caster/version` etc.
+
+    parts: of a multi-part file, which channels are of which part; none for a single-part one.
+    """
 
     channels: dict[str, np.ndarray]
     provenance: dict[str, str]
     data_window: Window
     display_window: Window
+    parts: tuple[Part, ...] = ()
 
 
 def write_exr(
@@ -79,25 +88,36 @@ def write_exr(
 
 
 def read_exr(path: str | os.PathLike[str]) -> Exr:
-    """Read every channel by name, in the type it is stored in.
+    """Read every channel by name, in the type it is stored in; of a multi-part file those of all parts.
 
-    Raises FileMissing if there is no such file, UnreadableExr if it is not a whole, single-part, flat EXR.
+    A channel of a part that names no layer (`Z`) is called after its part (`depth.Z`), but in a part `rgba`, `rgb`,
+    `beauty`, `combined` or `main`. Of several resolutions, the finest is read.
+    Raises FileMissing if there is no such file, UnreadableExr if it is not a whole, flat EXR, or if its parts are no
+    layers of one picture: of different sizes, or of several views.
     """
     path = Path(path)
-    _refuse_what_is_no_image(path)
-    part = _decoded(path)
-    header = part.header
-    data_window = _exclusive(header["dataWindow"])
+    read = _parts_of_many(path) if _is_multi_part(path) else [_decoded(path)[0]]
+    names = {part.name(): part.channels for part in read}
+    called = names_in_whole(path, names) if len(read) > 1 else {}
+    header = read[0].header
+    window = _exclusive(header["dataWindow"])
+    channels: dict[str, np.ndarray] = {}
+    parts: list[Part] = []
+    for part in read:
+        mine = {called.get((part.name(), name), name): channel for name, channel in part.channels.items()}
+        channels |= {name: _pixels(path, name, channel, window) for name, channel in mine.items()}
+        parts.append(Part(part.name(), tuple(sorted(mine))))
     return Exr(
-        {name: _pixels(path, name, channel, data_window) for name, channel in sorted(part.channels.items())},
-        {
-            key: value
-            for key, value in sorted(header.items())
-            if key.startswith(PREFIX) and isinstance(value, str)
-        },
-        data_window,
+        dict(sorted(channels.items())),
+        provenance_of(path, [_provenance(part.header) for part in read]),
+        window,
         _exclusive(header["displayWindow"]),
+        tuple(parts) if len(parts) > 1 else (),
     )
+
+
+def _provenance(header: Mapping[str, Any]) -> dict[str, str]:
+    return {key: value for key, value in header.items() if key.startswith(PREFIX) and isinstance(value, str)}
 
 
 def _inclusive(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -110,7 +130,8 @@ def _exclusive(box: Any) -> Window:
     return int(x0), int(y0), int(x1) + 1, int(y1) + 1
 
 
-def _refuse_what_is_no_image(path: Path) -> None:
+def _is_multi_part(path: Path) -> bool:
+    """Whether there are parts to be read. Raises FileMissing, and UnreadableExr for what is no flat EXR image."""
     try:
         with path.open("rb") as file:
             start = file.read(8)
@@ -123,26 +144,34 @@ def _refuse_what_is_no_image(path: Path) -> None:
     magic, flags = struct.unpack("<II", start.ljust(8, b"\0"))
     if magic != MAGIC:
         raise UnreadableExr(f"{path}: expected an EXR image, the file starts with {start[:4]!r}")
-    if flags & DEEP:
+    if flags & DEEP and not flags & MULTI_PART:
         raise UnreadableExr(f"{path}: a deep EXR has many samples a pixel; write a flat one")
-    if flags & MULTI_PART:
-        # Most readers see the first part only, and would compare that without a word.
-        raise UnreadableExr(f"{path}: a multi-part EXR; which part is meant? Write a single-part one")
+    return bool(flags & MULTI_PART)
 
 
-def _decoded(path: Path) -> Any:
+def _parts_of_many(path: Path) -> list[Any]:
+    """The library's parts of a multi-part file, all of them, once it is known that they make one picture."""
+    headers = [part.header for part in _decoded(path, header_only=True)]
+    check_parts(path, headers, _exclusive)
+    read = _decoded(path)
+    check_all_read(path, headers, [part.name() for part in read])
+    return read
+
+
+def _decoded(path: Path, *, header_only: bool = False) -> list[Any]:
+    """The library's parts. Raises UnreadableExr where there is none; one of many may be missing."""
     import OpenEXR
 
     size = path.stat().st_size
     damaged = UnreadableExr(f"{path}: a damaged or truncated EXR ({size} bytes); write it again")
     try:
         with _silenced():
-            file = OpenEXR.File(str(path), separate_channels=True)
+            file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
     except Exception as e:
         raise damaged from e
-    if len(file.parts) != 1:  # a part that fails to decode is dropped by the library
+    if not file.parts:  # a part that fails to decode is dropped by the library
         raise damaged
-    return file.parts[0]
+    return list(file.parts)
 
 
 def _pixels(path: Path, name: str, channel: Any, window: Window) -> np.ndarray:

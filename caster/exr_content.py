@@ -4,13 +4,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from caster.wording import SceneError
+from caster.wording import FileMissing, SceneError
 
 Window = tuple[int, int, int, int]
 """x0, y0, x1, y1 in pixels of the full film; x1 and y1 are the first column and row outside."""
 
 PREFIX = "caster/"
 LONGEST_NAME = 255  # bytes; the library drops a longer attribute without a word
+
+
+class UnreadableExr(FileMissing):
+    """A file that is there but is not a whole, flat EXR picture."""
 
 
 def common_shape(channels: Mapping[str, np.ndarray]) -> tuple[int, int]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.exr import NO_ID, Window, read_exr
+from caster.exr import NO_ID, Part, Window, read_exr
 from caster.pictures.histogram import bars, counts, ramp_for
 
 LONGEST_VALUE = 72  # characters of a provenance value on a terminal line; --json has all of them
@@ -52,6 +52,7 @@ def describe_exr(path: str | os.PathLike[str]) -> dict[str, Any]:
         "display_window": list(exr.display_window),
         "hit_pixels": None if mask is None else int(mask.sum()),
         "hit_channel": source or None,
+        "parts": [{"name": part.name, "channels": list(part.channels)} for part in exr.parts],
         "channels": {name: _describe(values, exr.data_window) for name, values in exr.channels.items()},
         "warnings": _warnings(exr.channels, mask, source, exr.data_window),
         "provenance": dict(exr.provenance),
@@ -64,6 +65,7 @@ def format_info(info: Mapping[str, Any], encoding: str | None = "utf-8") -> str:
         [
             f"{info['file']}  {info['width']} x {info['height']}, {info['bytes']} bytes",
             *_windows(info),
+            *_parts(info),
             _hits(info),
             "",
             *_table(info["channels"], ramp_for(encoding)),
@@ -122,6 +124,12 @@ def _windows(info: Mapping[str, Any]) -> list[str]:
     if info["data_window"] == info["display_window"] == [0, 0, info["width"], info["height"]]:
         return []
     return [f"pixels {info['data_window']} of the film {info['display_window']} (x1 and y1 are outside)"]
+
+
+def _parts(info: Mapping[str, Any]) -> list[str]:
+    """Of a multi-part file, which channels are of which part."""
+    parts = [str(Part(part["name"], tuple(part["channels"]))) for part in info["parts"]]
+    return [f"{len(parts)} parts as one picture:", *(f"  {_cut(part)}" for part in parts)] if parts else []
 
 
 def _hits(info: Mapping[str, Any]) -> str:

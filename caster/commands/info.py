@@ -8,7 +8,7 @@ HELP = "describe an EXR file: channels, ranges, NaN, inf and hit counts, histogr
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE.exr", help="a single-part EXR file")
+    parser.add_argument("file", metavar="FILE.exr", help="an EXR file; of a multi-part one, all parts")
     parser.add_argument("--json", action="store_true", help="as JSON, with all of the provenance")
 
 

@@ -54,26 +54,30 @@ SIDES = ("ours", "the reference")
 
 
 def translated(a: Exr, b: Exr, reading: Reading) -> Translated:
-    """Both files by our names and conventions. A file that says it is ours (caster/...) is taken as it is."""
+    """Both files by our names and conventions. A file that says it is ours (caster/...) is taken as it is.
+
+    So is one that has our names throughout, unless they were made of the names of its parts.
+    """
     check_maps(reading.maps, a.channels, b.channels)
     stated: list[str] = []
     files, foreign = [a, b], []
     for i, exr in enumerate(files):
+        stated += [f"{SIDES[i]}: {line}" for line in _parts_of(exr)]
         asked = mapped(reading.maps, exr.channels)
         if not asked and _is_ours(exr):
             continue
         try:
             names = _named(exr, asked)
         except Ambiguous as question:
-            return Translated(a, b, reasons=(f"{SIDES[i]}: {question}",))
+            return Translated(a, b, tuple(stated), reasons=(f"{SIDES[i]}: {question}",))
         changed = {ours: theirs for ours, theirs in names.items() if ours != theirs}
         names = {n: theirs for n, theirs in names.items() if n not in PICTURE or n in asked}
-        if changed or reading.depth or reading.miss:
+        if changed or exr.parts or reading.depth or reading.miss:
             foreign.append(i)
             files[i], told = _renamed(exr, names)
             stated += [f"{SIDES[i]}: {line}" for line in told]
     if not foreign:
-        return Translated(a, b)
+        return Translated(a, b, tuple(stated))
     try:
         for i in foreign:
             files[i], told = _converted(files[i], files[1 - i], reading, alone=1 - i not in foreign)
@@ -84,6 +88,11 @@ def translated(a: Exr, b: Exr, reading: Reading) -> Translated:
     if left:
         stated.append(f"not compared, since only one file has them: {', '.join(left)}")
     return Translated(files[0], files[1], tuple(stated), tuple(left))
+
+
+def _parts_of(exr: Exr) -> list[str]:
+    """What a multi-part file is made of, on one line; nothing of any other."""
+    return [f"{len(exr.parts)} parts as one picture: {', '.join(map(str, exr.parts))}"] if exr.parts else []
 
 
 def _is_ours(exr: Exr) -> bool:

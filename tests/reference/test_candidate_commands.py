@@ -154,7 +154,7 @@ FAILING = [
     (
         "import sys, numpy as np, OpenEXR; h = np.ones((12, 16), np.float32)\n"
         "OpenEXR.File([OpenEXR.Part({}, {'depth.Z': h}, n) for n in 'ab']).write(sys.argv[1])",
-        "a multi-part EXR",
+        "the picture has no channel depth.Z, the distance from the eye along the ray; it has a.depth.Z, b.depth.Z",
     ),
 ]
 

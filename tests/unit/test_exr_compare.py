@@ -411,7 +411,8 @@ def test_ids_stored_as_floats_are_not_comparable(tmp_path):
 def test_unusable_files_are_errors_with_exit_code_4(tmp_path):
     write_exr(tmp_path / "a.exr", EXACT)
     (tmp_path / "empty.exr").touch()
-    OpenEXR.File([OpenEXR.Part({}, {"Z": np.ones((2, 2), "f")}, name) for name in "ab"]).write(
+    eye = {"a": {"view": "left"}, "b": {"view": "right"}}
+    OpenEXR.File([OpenEXR.Part(eye[name], {"Z": np.ones((2, 2), "f")}, name) for name in "ab"]).write(
         str(tmp_path / "parts.exr")
     )
     for name, error in (("absent", FileMissing), ("empty", UnreadableExr), ("parts", UnreadableExr)):

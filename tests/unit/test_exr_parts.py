@@ -1,0 +1,242 @@
+"""Multi-part EXR files, as other programs write them: all parts are one picture, or it is said why not."""
+
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+import caster
+from caster import __version__
+from caster.__main__ import main as caster_main
+from caster.channels import channels_of, provenance
+from caster.exits import FILE, NOT_COMPARABLE
+from caster.exr import UnreadableExr, read_exr, write_exr
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.exr.compare import compare_exr
+from mitsuba_ref.exr.conventions import View
+
+SHAPE = (5, 7)
+FLAT = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+DEEP = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}
+
+
+def ramp(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=SHAPE).astype(np.float32)
+
+
+def save(path: Path, parts: dict[str, dict[str, np.ndarray]], **headers: dict) -> Path:
+    """A part for each name; headers: what else some of them say."""
+    made = [
+        OpenEXR.Part(FLAT | headers.get(name, {}), {n: a.copy() for n, a in channels.items()}, name)
+        for name, channels in parts.items()
+    ]
+    OpenEXR.File(made).write(str(path))
+    return path
+
+
+def of(*names: str) -> dict[str, np.ndarray]:
+    return {name: ramp(sum(name.encode())) for name in names}
+
+
+# ---- what channels are called ----
+
+
+@pytest.mark.parametrize(
+    ("parts", "called"),
+    [
+        ({"rgba": "RGBA", "depth": "Z", "N": "XYZ"}, "A B G N.X N.Y N.Z R depth.Z"),
+        ({"View.Depth": ["View.Depth.Z"], "View.P": ["View.P.X"]}, "View.Depth.Z View.P.X"),  # Blender
+        ({"View.Combined": "A", "diffuse": "A", "Z": "Z"}, "A Z diffuse.A"),
+        ({"depth": ["depth.Z"], "normal": "X"}, "depth.Z normal.X"),
+        ({"Part0": "Z", "subimage01": "Y"}, "Y Z"),  # what programs call parts without a name
+        ({"near": ["depth.Z"], "far": ["depth.Z"]}, "far.depth.Z near.depth.Z"),
+        ({"rgb": "Z", "beauty": "Z"}, "beauty.Z rgb.Z"),
+    ],
+    ids=str,
+)
+def test_a_channel_is_called_after_its_layer_or_else_after_its_part(tmp_path, parts, called):
+    given = {part: {n: ramp(i) for i, n in enumerate(names)} for part, names in parts.items()}
+    read = read_exr(save(tmp_path / "a.exr", given))
+    assert list(read.channels) == called.split()
+    assert [part.name for part in read.parts] == list(parts)
+    assert sorted(name for part in read.parts for name in part.channels) == called.split()
+    for part in read.parts:
+        bits = [read.channels[name].tobytes() for name in part.channels]
+        assert sorted(bits) == sorted(a.tobytes() for a in given[part.name].values())
+
+
+def test_provenance_is_that_of_all_parts_and_types_are_kept(tmp_path):
+    ids = np.arange(35, dtype=np.uint32).reshape(SHAPE)
+    told = {"caster/version": "1"}
+    path = save(tmp_path / "a.exr", {"rgba": of("A"), "id": {"shape": ids}}, rgba=told, id=told)
+    read = read_exr(path)
+    assert read.provenance == told and read.channels["id.shape"].tobytes() == ids.tobytes()
+
+
+# ---- what makes no picture ----
+
+
+def deep() -> np.ndarray:
+    samples = np.empty(SHAPE, object)
+    for i in np.ndindex(SHAPE):
+        samples[i] = np.ones(2, np.float32)
+    return samples
+
+
+TILES = OpenEXR.TileDescription()
+TILES.mode = OpenEXR.MIPMAP_LEVELS
+SMALL = {"displayWindow": ((0, 0), (6, 4)), "dataWindow": ((2, 1), (4, 2))}
+REFUSED = {
+    "sizes": (
+        {"rgba": of("A"), "depth": {"Z": np.zeros((2, 3), np.float32)}},
+        {"depth": SMALL},
+        "parts of different sizes, expected layers of one picture: pixels (x0, y0, x1, y1): "
+        "part 'rgba' shows (0, 0, 7, 5), 'depth' shows (2, 1, 5, 3)",
+    ),
+    "deep": (
+        {"rgba": of("A"), "cloud": {"Z": deep()}},
+        {"cloud": DEEP},
+        "deep data, many samples a pixel, in part 'cloud'; write flat parts",
+    ),
+    "views": (
+        {"rgba.left": of("A"), "rgba.right": of("A")},
+        {"rgba.left": {"view": "left"}, "rgba.right": {"view": "right"}},
+        "pictures of 2 views ('left', 'right')",
+    ),
+    "not decoded": (  # the library cannot read all that it writes, and leaves such parts out
+        {"rgba": of("A"), "mip": of("Z")},
+        {"mip": {"type": OpenEXR.tiledimage, "tiles": TILES}},
+        "cannot read part 'mip': damaged, truncated or of a kind not known",
+    ),
+    "contradiction": (
+        {"a": of("A"), "b": of("Z")},
+        {"a": {"caster/scene_sha256": "1"}, "b": {"caster/scene_sha256": "2"}},
+        "its parts say different things of 'caster/scene_sha256'",
+    ),
+}
+
+
+@pytest.mark.parametrize("why", REFUSED)
+def test_parts_that_make_no_picture_are_refused_by_every_command(tmp_path, capfd, why):
+    parts, headers, says = REFUSED[why]
+    path = save(tmp_path / "a.exr", parts, **headers)
+    for command in (
+        [caster_main, "info", path],
+        [main, "compare", path, path],
+        [caster_main, "preview", path],
+    ):
+        assert command[0]([str(word) for word in command[1:]]) == FILE
+        out, err = capfd.readouterr()
+        assert out == "" and err.startswith(f"{path}: ") and says in err, err
+
+
+def test_two_channels_of_one_name_are_refused(tmp_path):
+    path = save(tmp_path / "a.exr", {"a": of("b.c"), "x": of("b.c"), "a.b": of("c")})
+    with pytest.raises(UnreadableExr, match=r"two parts have a channel that would be called 'a\.b\.c'"):
+        read_exr(path)
+
+
+def test_every_truncation_is_unreadable_and_nothing_is_printed(tmp_path, capfd):
+    noise = {name: np.random.default_rng(1).random((40, 8)).astype(np.float32) for name in ("A", "Z")}
+    whole = save(tmp_path / "a.exr", {"rgba": {"A": noise["A"]}, "depth": {"Z": noise["Z"]}}).read_bytes()
+    for length in [*range(8, len(whole), 61), len(whole) - 1]:
+        (tmp_path / "a.exr").write_bytes(whole[:length])
+        with pytest.raises(UnreadableExr):
+            read_exr(tmp_path / "a.exr")
+    assert capfd.readouterr() == ("", "")
+
+
+# ---- compared ----
+
+SCENE = caster.Scene(
+    film=caster.Film(width=32, height=24),
+    camera=caster.Pinhole(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), fov=60),
+    shapes=[caster.Sphere(center=(0.3, 0, 0)), caster.Cube(to_world=[{"translate": [-2, 0.2, -1]}])],
+)
+
+
+@pytest.fixture(scope="module")
+def ours() -> dict[str, np.ndarray]:
+    given = channels_of(caster.render(SCENE, aovs=("depth", "normal", "shading_normal", "position")))
+    return {name: values.astype(np.float32) for name, values in given.items()}
+
+
+def layer(ours, name, letters="XYZ", called="XYZ"):
+    return {c: ours[f"{name}.{letter}"] for c, letter in zip(called, letters, strict=True)}
+
+
+def compared(folder, ours, parts):
+    write_exr(folder / "ours.exr", ours, provenance(SCENE, __version__))
+    return compare_exr(folder / "ours.exr", save(folder / "theirs.exr", parts))
+
+
+def by_program(ours, program):
+    """The layers of a picture, cut into parts as programs do; depth along z, 1e10 on a miss, but with Nuke's names."""
+    z = np.where(ours["A"] == 1, ours["depth.Z"] * View.of(SCENE).cosine, np.float32(1e10))
+    z = z.astype(np.float32)
+    if program == "Blender":
+        normal, position = layer(ours, "shading_normal"), layer(ours, "position")
+        given = {
+            "Combined": {"A": np.ones_like(z)},
+            "Depth": {"Z": z},
+            "Normal": normal,
+            "Position": position,
+        }
+        return {f"V.{part}": {f"V.{part}.{c}": a for c, a in each.items()} for part, each in given.items()}
+    if program == "Nuke":
+        return {
+            "rgba": {"A": ours["A"], "R": ours["A"]},
+            "depth": {"Z": z},
+            "N": layer(ours, "shading_normal"),
+        }
+    rgb = layer(ours, "shading_normal", called="RGB")
+    return {"RGBA": {"A": ours["A"]}, "Z": {"Z": z}, "N": rgb, "P": layer(ours, "position", called="RGB")}
+
+
+@pytest.mark.parametrize(
+    ("program", "groups", "says"),
+    [
+        (
+            "Blender",
+            {"depth", "shading_normal", "position"},
+            "V.Combined (A), V.Depth (Z), V.Normal (X, Y, Z)",
+        ),
+        ("Nuke", {"depth", "shading_normal"}, "3 parts as one picture: rgba (A, R), depth (Z), N (X, Y, Z)"),
+        ("Arnold", {"depth", "shading_normal", "position"}, "RGBA (A), Z (Z), N (B, G, R), P (B, G, R)"),
+    ],
+)
+def test_the_parts_of_other_programs_are_compared_layer_by_layer_and_stated(
+    tmp_path, ours, program, groups, says
+):
+    parts = by_program(ours, program)
+    result = compared(tmp_path, ours, parts)
+    text = result.format_table()
+    assert result.ok, text
+    assert {group.name for group in result.groups} == {"hit", *groups}
+    assert says in text and "depth is z along the view axis" in text
+
+
+def test_a_fault_in_the_last_part_fails(tmp_path, ours):
+    parts = by_program(ours, "Nuke")
+    y, x = np.argwhere(ours["A"] == 1)[50]
+    parts["N"]["X"] = parts["N"]["X"].copy()
+    parts["N"]["X"][y, x] += np.float32(0.01)
+    result = compared(tmp_path, ours, parts)
+    assert result.exit_code == 1 and f"({x}, {y})" in result.format_table()
+
+
+def test_two_parts_that_hold_the_same_layer_are_a_question(tmp_path, ours):
+    parts = {"near": {"depth.Z": ours["depth.Z"]}, "far": {"depth.Z": ours["depth.Z"]}}
+    result = compared(tmp_path, ours, parts)
+    assert result.exit_code == NOT_COMPARABLE
+    assert (
+        "far.depth.Z and near.depth.Z may both be the depth: --map depth=far.depth.Z" in result.format_table()
+    )
+
+
+def test_info_lists_the_parts(tmp_path, capsys):
+    path = save(tmp_path / "a.exr", {"rgba": of("R", "A"), "depth": of("Z")})
+    assert caster_main(["info", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "2 parts as one picture:\n  rgba (A, R)\n  depth (Z)\n" in out and "depth.Z  float" in out
