@@ -97,6 +97,7 @@ class SceneVerdict:
     failing_by: dict[str, int] = field(default_factory=dict)  # pixels that fail, by each check they fail
     worst_by: dict[str, Failure] = field(default_factory=dict)  # the worst of them
     inputs: str = ""  # a hash of all that the verdict depends on, where somebody asked for it
+    files: dict[str, dict[str, Any]] = field(default_factory=dict)  # written beside it: bytes and sha256
     kept: bool = False  # taken over from an earlier run of the same inputs, not judged now
     candidate: str = ""  # who was judged in the place of ours, as named; "" for ours
     precision: str = ""  # of the candidate: float32 or float64
@@ -177,6 +178,7 @@ class SceneVerdict:
             "exact_seconds": round(self.exact_seconds, 3),
             "problem": self.problem,
             "inputs": self.inputs,
+            "files": self.files,
             "kept": self.kept,
         }
         return found | self._of_candidate() if self.candidate else found

@@ -12,6 +12,7 @@ from caster.wording import SceneError
 
 if TYPE_CHECKING:
     from mitsuba_ref.campaign import Entry, JudgeEntry
+    from mitsuba_ref.ci.out_folder import OutFolder
     from mitsuba_ref.ci.shards import Shard
     from mitsuba_ref.verdict import Verdict
 
@@ -63,13 +64,22 @@ def part_of(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
     return chosen(entries, args.shard)
 
 
-def judge_of(args: argparse.Namespace, judge: JudgeEntry) -> JudgeEntry:
-    """How to come to a verdict: by what is kept in --out, and keeping it there; without --out, the given way."""
+def out_folder(args: argparse.Namespace) -> OutFolder | None:
+    """What --out names. Raises OutputError where nothing can be written."""
     if not args.out:
+        return None
+    from mitsuba_ref.ci.out_folder import OutFolder
+
+    return OutFolder(Path(args.out))
+
+
+def judge_of(args: argparse.Namespace, judge: JudgeEntry, out: OutFolder | None) -> JudgeEntry:
+    """How to come to a verdict: by what is kept in --out, and keeping it there; without --out, the given way."""
+    if out is None:
         return judge
     from mitsuba_ref.ci.resuming import Kept
 
-    return Kept(Path(args.out), judge, resume=args.resume).judge
+    return Kept(out, judge, resume=args.resume).judge
 
 
 def about(args: argparse.Namespace, every: Sequence[Entry]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ BROKEN = (AttributeError, KeyError, TypeError, ValueError)  # what a record of a
 AS_THEY_ARE = {field.name for field in fields(SceneVerdict)} - {
     "checks",
     "failures",
+    "files",
     "findings",
     "notes",
     "ratios",
@@ -79,6 +80,7 @@ def scene_of(record: dict[str, Any]) -> SceneVerdict:
             SceneCheck(each["name"], float(each["ratio"]), each["what"]) for each in record["checks"]
         ),
         failures=tuple(failure_of(each) for each in record["failures"]),
+        files=dict(record.get("files", {})),  # of older versions: not told
         ratios={name: float(ratio) for name, ratio in record["ratios"].items()},
         reproducers=tuple(record["reproducers"]),
         size=tuple(record["size"]),

@@ -16,6 +16,7 @@ from caster.whole_files import OutputError, write_text
 from caster.wording import SceneError
 from mitsuba_ref import variants
 from mitsuba_ref.campaign import Entry, JudgeEntry
+from mitsuba_ref.ci.out_folder import OutFolder
 from mitsuba_ref.ci.reading import BROKEN, scene_of
 from mitsuba_ref.reference import variant_of
 from mitsuba_ref.verdict import FORMAT, SceneVerdict
@@ -31,7 +32,6 @@ LIBRARIES = (
     "pydantic",
 )  # that a verdict may depend on
 JOURNAL = "judged.jsonl"  # a line for each scene that is done, while a run lasts; then verdict.json has them
-PICTURES = ("ours", "reference", "verdict")
 
 
 @cache
@@ -85,8 +85,9 @@ def line_of(verdict: SceneVerdict) -> str:
 class Kept:
     """Results in one folder. resume: take over what is there, if its inputs are the same."""
 
-    def __init__(self, folder: Path, judge: JudgeEntry, *, resume: bool) -> None:
-        self.folder, self.journal, self.judge_anew = folder, folder / JOURNAL, judge
+    def __init__(self, out: OutFolder, judge: JudgeEntry, *, resume: bool) -> None:
+        self.out, self.folder, self.journal = out, out.folder, out.folder / JOURNAL
+        self.judge_anew = out.recorded(judge)
         self.lock = threading.Lock()
         self.known = dict(self._read()) if resume else {}
         # Whole lines of all that is known: an interruption may overwrite verdict.json with less, and a line that was
@@ -102,16 +103,12 @@ class Kept:
             and inputs
             and known.inputs == inputs
             and not known.problem
-            and self._has_files(known)
+            and self.out.has_files(known)
         ):
-            return replace(known, kept=True)
+            return self.out.record(replace(known, kept=True))
         verdict = replace(self.judge_anew(entry, folder), inputs=inputs)
         self._write(verdict)
         return verdict
-
-    def _has_files(self, known: SceneVerdict) -> bool:
-        files = (*(f"{known.name}.{which}.exr" for which in PICTURES), *known.reproducers)
-        return all((self.folder / file).is_file() for file in files)
 
     def _write(self, verdict: SceneVerdict) -> None:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,9 +35,11 @@ def begun(args: argparse.Namespace, asked: int) -> Report | None:
 
 
 def finish(report: Report | None) -> None:
-    """Write what there is of it. Raises OutputError."""
+    """Write what there is of it, and say what went of earlier ones. Raises OutputError."""
     if report:
         try:
             report.write()
+            if words := report.sweep().words(report.data):
+                print(words, file=sys.stderr)
         finally:
             report.close()

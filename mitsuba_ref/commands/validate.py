@@ -22,6 +22,7 @@ from mitsuba_ref.commands import candidate_arguments, html_option
 if TYPE_CHECKING:
     from mitsuba_ref.campaign import Entry
     from mitsuba_ref.candidate.asking import Candidate
+    from mitsuba_ref.ci.out_folder import OutFolder
     from mitsuba_ref.report.writing import Report
     from mitsuba_ref.verdict import SceneVerdict, Verdict
 
@@ -67,10 +68,11 @@ def run(args: argparse.Namespace) -> int:
     variants.variant_for(has_quadrics=False)  # a wrong choice of variant is said before any work
     start = time.perf_counter()
     done: list[SceneVerdict] = []
+    out = ci.out_folder(args)
     html = html_option.begun(args, len(entries))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a cancelled job tidies up as after Ctrl-C
     try:
-        work_through(entries, args, done, html, candidate)
+        work_through(entries, args, done, html, candidate, out)
     finally:  # what is done is kept, whatever ends the work
         from mitsuba_ref.verdict import Verdict
 
@@ -78,6 +80,8 @@ def run(args: argparse.Namespace) -> int:
         verdict = Verdict(tuple(done), asked=len(entries), names=names, **ci.about(args, every))
         try:
             report(verdict, args, time.perf_counter() - start)
+            if out and (words := out.sweep(verdict, [entry.name for entry in every]).words(out.folder)):
+                print(words, file=sys.stderr)
         finally:
             html_option.finish(html)
     return OK if verdict.ok else DIFFERENCES
@@ -129,6 +133,7 @@ def work_through(
     done: list[SceneVerdict],
     html: Report | None,
     candidate: Candidate | None,
+    out_folder: OutFolder | None,
 ) -> None:
     """Print a row for each scene as soon as it and those before it are done. candidate: in the place of ours."""
     from mitsuba_ref import campaign, progress, table
@@ -140,11 +145,11 @@ def work_through(
     folder = Path(args.out) if args.out else None
     workers = args.workers or campaign.default_workers()
     record = html.keep if html else None
-    judge = (
-        ci.judge_of(args, partial(campaign.judge_entry, keep=html is not None))
-        if candidate is None
-        else candidate_arguments.judge_of(candidate, keep=html is not None)
-    )
+    if candidate is None:
+        judge = ci.judge_of(args, partial(campaign.judge_entry, keep=html is not None), out_folder)
+    else:
+        judge = candidate_arguments.judge_of(candidate, keep=html is not None)
+        judge = out_folder.recorded(judge) if out_folder else judge
     with closing(progress.bar_for(entries)) as bar:
         for verdict in campaign.run(entries, workers, args.maxfail, folder, judge, record):
             done.append(verdict)

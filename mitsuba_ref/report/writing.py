@@ -15,6 +15,7 @@ from mitsuba_ref.report.assembling import as_json, page
 from mitsuba_ref.report.index import row
 from mitsuba_ref.report.record import LAYERS, record
 from mitsuba_ref.verdict import CANDIDATE_WRONG, CLASSES, OURS_WRONG, UNLISTED, SceneVerdict
+from mitsuba_ref.written import Swept, Written
 
 # One file: what a browser opens within two seconds on a small machine, and mail and CI servers take.
 MOST_BYTES = 25_000_000
@@ -62,6 +63,7 @@ class Report:
         else:
             refuse_page_of_others(self.path / "index.html")
             self.data = check_folder(check_folder(self.path) / "data")
+        self._data = Written(self.data)
 
     @property
     def index(self) -> Path:
@@ -78,6 +80,7 @@ class Report:
         file = quote(verdict.name, safe=" ")
         text = one_file.aside(parts) if self.one_file else called(verdict.name, parts)
         write_text(self.data / f"{file}.js", text)
+        self._data.add(verdict.name, [f"{file}.js"])
         sizes = {name: len(text.encode()) for name, text in parts.items()}
         with self._lock:
             self._kept[verdict.name] = Kept(f"{file}.js", found.thumbnail, sizes)
@@ -105,6 +108,10 @@ class Report:
         with written_aside(self.index) as part, part.open("w", encoding="utf-8") as file:
             file.writelines(page(run, self.rows, scenes))
         self._written = time.monotonic()
+
+    def sweep(self) -> Swept:
+        """Remove the scenes of earlier reports that the page no longer leads to. Raises OutputError."""
+        return Swept() if self.one_file else self._data.sweep()
 
     def close(self) -> None:
         """Remove what lay aside."""
@@ -141,6 +148,7 @@ def write_report(path: str | Path, verdicts: Sequence[SceneVerdict], asked: int)
         for verdict in verdicts:
             report.add(report.keep(verdict))
         report.write()
+        report.sweep()
     finally:
         report.close()
     return report.index

@@ -186,12 +186,15 @@ def test_out_holds_the_verdict_and_the_pictures_it_is_about(ref, tmp_path):
     found = ref("validate", "scenes/shared-edges-cube.toml", "--size", "15", "15", "--out", out)
     assert found.returncode == 0
     files = {f"shared-edges-cube.{which}.exr" for which in ("ours", "reference", "verdict")}
-    assert {path.name for path in out.iterdir()} == {"verdict.json", *files}
+    assert {path.name for path in out.iterdir()} == {"verdict.json", "written.jsonl", *files}
     (scene,) = strict_json(out / "verdict.json")["scenes"]
     codes = read_exr(out / "shared-edges-cube.verdict.exr").channels["class.I"]
     assert np.bincount(codes.ravel(), minlength=len(CLASSES)).tolist() == list(scene["counts"].values())
     assert set(scene["counts"]) == set(CLASSES) and scene["size"] == [15, 15] and scene["resized"] is True
     assert scene["ok"] is True and scene["failures"] == [] and scene["problem"] == ""
+    assert set(scene["files"]) == files and all(
+        told["bytes"] == (out / file).stat().st_size for file, told in scene["files"].items()
+    )
     assert {check["name"] for check in scene["checks"]} >= {
         "placement",
         "camera",
@@ -226,6 +229,7 @@ def test_a_failure_is_in_json_and_junit_with_where_and_why(tmp_path):
     assert {file.name for file in (tmp_path / "html/data").iterdir()} == {
         "inside-sphere.js",
         "shared-edges-cube.js",
+        "written.jsonl",
     }
     assert "1 of 2 scenes pass" in (tmp_path / "html/index.html").read_text(encoding="utf-8")
 

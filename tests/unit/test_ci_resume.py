@@ -8,7 +8,7 @@ from made_verdicts import scene as made
 
 from mitsuba_ref import campaign
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.ci import resuming
+from mitsuba_ref.ci import out_folder, resuming
 
 CAMERA = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
 SCENE = "# {name}\n" + CAMERA + '[[shape]]\ntype = "{shape}"\n{more}'
@@ -30,8 +30,8 @@ def judged(tmp_path, monkeypatch):
         if entry.name in asked_to_fail:
             raise KeyboardInterrupt
         asked.append(entry.name)
-        for which in resuming.PICTURES:
-            (folder / f"{entry.name}.{which}.exr").write_bytes(b"")
+        for which in out_folder.PICTURES:
+            (folder / f"{entry.name}.{which}.exr").write_bytes(f"{entry.name} {which}".encode())
         return made(entry.name, ok=entry.name != "b")
 
     asked_to_fail = judge.stops = set()
@@ -89,6 +89,24 @@ def test_what_has_changed_is_judged_anew(judged, change, anew, tmp_path):
         (tmp_path / file).write_text(text.replace(old, new))
     assert judged("--resume")[1] == anew
     assert kept() == [name for name in ("a", "b", "m") if name not in anew]
+
+
+@pytest.mark.parametrize("which", out_folder.PICTURES)
+@pytest.mark.parametrize("content", [b"", b"m ", b"m anything", b"M reference"], ids=str)
+def test_a_picture_that_is_not_what_was_written_is_judged_anew(judged, which, content):
+    """Cut short, replaced, or of the same size and other bytes; a reproducer as well."""
+    judged()
+    Path(f"out/m.{which}.exr").write_bytes(content)
+    assert judged("--resume")[1] == ["m"] and kept() == ["a", "b"]
+    assert Path(f"out/m.{which}.exr").read_bytes() == f"m {which}".encode()
+
+
+def test_a_verdict_that_does_not_say_what_was_written_is_judged_anew(judged, tmp_path):
+    judged()
+    text = json.loads((tmp_path / "out/verdict.json").read_text())
+    del text["scenes"][0]["files"], text["scenes"][1]["files"]["b.verdict.exr"]
+    (tmp_path / "out/verdict.json").write_text(json.dumps(text))
+    assert judged("--resume")[1] == ["a", "b"] and kept() == ["m"]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,118 @@
+"""What runs have written into a folder, by a list of our own there: files of earlier runs can go, others never do."""
+
+import hashlib
+import json
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from caster.whole_files import OutputError, write_text
+
+LIST = "written.jsonl"  # a line for each file, added to as they are written; the last line of a file counts
+
+
+@dataclass(frozen=True)
+class Digest:
+    """What a file was when it was written."""
+
+    bytes: int
+    sha256: str
+
+    @classmethod
+    def of(cls, path: Path) -> "Digest | None":
+        """None where there is no file that can be read."""
+        try:
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+                return cls(file.tell(), digest)
+        except OSError:
+            return None
+
+    def fits(self, path: Path) -> bool:
+        """Whether the file is there, to the bit."""
+        try:
+            return path.stat().st_size == self.bytes and Digest.of(path) == self
+        except OSError:
+            return False
+
+    def to_dict(self) -> dict[str, Any]:
+        return vars(self)
+
+
+@dataclass(frozen=True)
+class Swept:
+    """What became of the files of earlier runs: names."""
+
+    removed: tuple[str, ...] = ()
+    altered: tuple[str, ...] = ()  # not what was written, so they stay
+
+    def words(self, folder: Path) -> str:
+        """On one line, "" if there is nothing to tell."""
+        told = []
+        if self.removed:
+            told.append(f"removed {len(self.removed)} files that an earlier run wrote and this one did not")
+        if self.altered:
+            told.append(f"left {len(self.altered)} that somebody altered since: {', '.join(self.altered)}")
+        return f"{folder}: {'; '.join(told)}" if told else ""
+
+
+class Written:
+    """The list of one folder. `add` may be called from several threads."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.list = folder, folder / LIST
+        self.lock = threading.Lock()
+        self.now: dict[str, Digest] = {}
+        write_text(
+            self.list, "".join(self._lines(self._known()))
+        )  # a line that was cut short would spoil the next
+
+    def add(self, scene: str, files: Iterable[str]) -> dict[str, Digest]:
+        """These of the scene are as they shall be; what is not there is left out. Raises OutputError."""
+        found = {file: digest for file in files if (digest := Digest.of(self.folder / file)) is not None}
+        try:
+            with self.lock, self.list.open("a", encoding="utf-8") as out:
+                out.writelines(self._lines({file: (scene, digest) for file, digest in found.items()}))
+                self.now |= found
+        except OSError as error:
+            raise OutputError(f"{self.list}: cannot write: {error.strerror or error}") from error
+        return found
+
+    def sweep(self, spared: Callable[[str], bool] = lambda scene: False) -> Swept:
+        """Remove what earlier runs wrote and this one did not, but for the scenes that are spared.
+
+        A file that is not listed, or is no longer what was written, is somebody else's. Raises OutputError.
+        """
+        known, removed, altered = self._known(), [], []
+        for file, (scene, digest) in sorted(known.items()):
+            path = self.folder / file
+            if file in self.now or (spared(scene) and path.exists()):
+                continue
+            del known[file]
+            if digest.fits(path):
+                path.unlink()
+                removed.append(file)
+            elif path.exists():
+                altered.append(file)
+        write_text(self.list, "".join(self._lines(known)))
+        return Swept(tuple(removed), tuple(altered))
+
+    def _known(self) -> dict[str, tuple[str, Digest]]:
+        """File -> its scene, and what it was. Lines that do not read, or lead out of the folder, count for nothing."""
+        found = {}
+        with suppress(OSError, ValueError):
+            for line in self.list.read_text(encoding="utf-8").splitlines():
+                with suppress(ValueError, KeyError, TypeError):
+                    told = json.loads(line)
+                    file = str(told["file"])
+                    if file == Path(file).name:
+                        found[file] = str(told["scene"]), Digest(int(told["bytes"]), str(told["sha256"]))
+        return found
+
+    @staticmethod
+    def _lines(files: dict[str, tuple[str, Digest]]) -> Iterator[str]:
+        for file, (scene, digest) in files.items():
+            yield json.dumps({"file": file, "scene": scene, **digest.to_dict()}) + "\n"

@@ -1,0 +1,181 @@
+"""What earlier runs left in --out and --html goes, and is counted; what anybody else put there stays."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from made_verdicts import scene as made
+
+from caster.whole_files import OutputError
+from mitsuba_ref import campaign
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.ci import out_folder
+from mitsuba_ref.report.writing import Report
+from mitsuba_ref.written import LIST, Written
+
+SCENE = (
+    '# {name}\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
+)
+REMOVED = "files that an earlier run wrote and this one did not"
+
+
+@pytest.fixture
+def judged(tmp_path, monkeypatch):
+    """Scenes a, b and c, and a judge that is made up; run(...) gives (exit code, standard error's last line)."""
+    monkeypatch.chdir(tmp_path)
+    Path("scenes").mkdir()
+    for name in "abc":
+        Path(f"scenes/{name}.toml").write_text(SCENE.format(name=name))
+    settings = {"reproducers": (), "problem": (), "stop": ()}
+
+    def judge(entry, folder, *, keep=False):
+        if entry.name in settings["stop"]:
+            raise KeyboardInterrupt
+        if entry.name in settings["problem"]:
+            return made(entry.name, ok=False, problem="crash")
+        files = tuple(f"{entry.name}.{each}.toml" for each in settings["reproducers"])
+        for file in (*files, *(f"{entry.name}.{which}.exr" for which in out_folder.PICTURES)):
+            (folder / file).write_bytes(f"{file}\n".encode())
+        return made(entry.name, reproducers=files)
+
+    monkeypatch.setattr(campaign, "judge_entry", judge)
+
+    def run(*words, **changed):
+        settings.update(reproducers=(), problem=(), stop=())
+        settings.update(changed)
+        return main(["validate", "scenes", "--out", "out", "-j", "1", *words])
+
+    return run
+
+
+def names(suffix=""):
+    return sorted(path.name for path in Path("out").iterdir() if path.name.endswith(suffix))
+
+
+@pytest.mark.parametrize("resume", [(), ("--resume",)])
+def test_files_of_a_scene_that_is_renamed_or_gone_are_removed_and_counted(judged, capsys, resume):
+    judged()
+    Path("scenes/a.toml").rename("scenes/z.toml")
+    Path("scenes/b.toml").unlink()
+    capsys.readouterr()
+    assert judged(*resume) == 0
+    assert f"out: removed 6 {REMOVED}" in capsys.readouterr().err
+    assert names(".exr") == sorted(f"{name}.{which}.exr" for name in "cz" for which in out_folder.PICTURES)
+    assert judged() == 0 and "removed" not in capsys.readouterr().err  # once
+
+
+def test_files_that_this_tool_did_not_write_or_that_were_altered_stay(judged, capsys):
+    Path("out").mkdir()
+    for file in ("a.mine.exr", "notes.txt"):
+        Path("out", file).write_text("mine")
+    judged()
+    Path("out/a.ours.exr").write_text("improved by hand")
+    Path("scenes/a.toml").unlink()
+    assert judged() == 0
+    told = capsys.readouterr().err
+    assert f"removed 2 {REMOVED}; left 1 that somebody altered since: a.ours.exr" in told
+    assert {"a.mine.exr", "notes.txt", "a.ours.exr"} < set(names()) and "a.verdict.exr" not in names()
+
+
+def test_a_reproducer_or_picture_that_is_no_longer_true_goes_with_the_verdict_it_came_with(judged, capsys):
+    judged(reproducers=("case-1.3-4",))
+    assert judged("--resume") == 0 and names(".toml") == [f"{name}.case-1.3-4.toml" for name in "abc"]  # kept
+    assert judged() == 0 and names(".toml") == []
+    assert judged(problem=("b",)) == 1
+    assert f"removed 3 {REMOVED}" in capsys.readouterr().err and not any(n.startswith("b.") for n in names())
+
+
+def test_an_interrupted_run_spares_what_it_did_not_come_to(judged, capsys):
+    judged()
+    Path("scenes/a.toml").rename("scenes/0.toml")
+    assert judged(stop=("b",)) == 130
+    assert f"removed 3 {REMOVED}" in capsys.readouterr().err  # of a, which is no scene any more
+    assert len(names(".exr")) == 9
+    assert judged("-k", "0") == 0 and len(names(".exr")) == 3
+
+
+def test_shards_in_one_folder_spare_each_other(judged, capsys):
+    for part in (1, 2, 3):
+        assert judged("--shard", f"{part}/3") == 0
+    assert len(names(".exr")) == 9 and "removed" not in capsys.readouterr().err
+
+
+def test_a_candidates_pictures_are_listed_too():
+    one = made("a")
+    assert out_folder.files_of(one)[0] == "a.ours.exr"
+    assert out_folder.files_of(replace(one, candidate="x:y"))[0] == "a.candidate.exr"
+
+
+def test_a_run_that_was_killed_leaves_a_list_that_is_read_as_far_as_it_goes(tmp_path):
+    """The list has a line cut short, one that leads out of the folder, one of another shape."""
+    folder = tmp_path / "out"
+    folder.mkdir()
+    for path in (folder / "a.exr", folder / "b.exr", tmp_path / "outside.exr"):
+        path.write_bytes(b"x")
+    first = Written(folder)
+    first.add("a", ["a.exr", "missing.exr"])
+    line = json.loads((folder / LIST).read_text())
+    others = [json.dumps(line | {"file": "../outside.exr"}), "[1]", json.dumps(line | {"file": "b.exr"})[:-9]]
+    with (folder / LIST).open("a") as file:
+        file.write("\n".join(others))
+    second = Written(folder)
+    second.add("c", ["b.exr"])
+    assert second.sweep().removed == ("a.exr",)
+    assert (tmp_path / "outside.exr").exists() and (folder / "b.exr").exists()
+    assert [json.loads(each)["file"] for each in (folder / LIST).read_text().splitlines()] == ["b.exr"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import numpy as np, OpenEXR
+from caster.exr import write_exr
+write = OpenEXR.File.write
+def half(file, path):
+    Path(path).write_bytes(b"half a picture")
+    os.kill(os.getpid(), signal.SIGKILL)
+OpenEXR.File.write = half
+write_exr(Path(sys.argv[1]) / "a.ours.exr", {"A": np.ones((4, 4))})
+"""
+
+
+def test_a_run_that_is_killed_while_it_writes_leaves_no_half_picture_under_its_name(tmp_path):
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True)
+    assert killed.returncode == -9, killed.stderr
+    assert [path.suffix for path in tmp_path.iterdir()] == [".part"]
+
+
+def test_a_folder_whose_list_cannot_be_written_is_said_before_any_work(judged, capsys):
+    Path(f"out/{LIST}").mkdir(parents=True)
+    assert (
+        judged() == OutputError.exit_code
+        and f"out/{LIST}: expected a file to write" in capsys.readouterr().err
+    )
+
+
+# ---- --html ----
+
+
+def test_a_report_keeps_no_scene_that_its_page_does_not_lead_to(tmp_path, monkeypatch):
+    monkeypatch.setattr("mitsuba_ref.report.writing.record", lambda verdict, seen, *, exact: Recorded())
+    monkeypatch.setattr(
+        "mitsuba_ref.report.writing.row", lambda verdict, *_: {"name": verdict.name, "ok": True}
+    )
+    monkeypatch.setattr("mitsuba_ref.report.writing.page", lambda *_: ["<title>ray-reference"])
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/mine.js").write_text("mine")
+    for scenes in (("a", "b c"), ("b c", "d")):
+        report = Report(tmp_path, 2)
+        for name in scenes:
+            report.add(report.keep(made(name, seen=object())))
+        report.write()
+        found = report.sweep()
+    assert found.removed == ("a.js",)
+    assert sorted(p.name for p in (tmp_path / "data").iterdir()) == ["b c.js", "d.js", "mine.js", LIST]
+
+
+class Recorded:
+    about, layers, thumbnail = {"name": "x"}, {}, ""
