@@ -226,6 +226,7 @@ class Verdict:
     shard: str = ""  # such as "2/4": these are the scenes of one of several runs
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
     code: str = ""  # a hash of the sources that judged; of one of several runs, of all their scenes, too
+    judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine, where a command judged
 
     @property
     def candidate(self) -> str:
@@ -293,6 +294,7 @@ class Verdict:
             "shard": self.shard,
             "selected": list(self.selected),
             "code": self.code,
+            "judged_with": self.judged_with,
             "counts": {self.called(name): count for name, count in self.counts.items()},
             **({"candidate": self.candidate} if self.candidate else {}),
             "adjudicated": self.adjudicated,

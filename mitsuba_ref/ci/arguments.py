@@ -85,15 +85,17 @@ def judge_of(args: argparse.Namespace, judge: JudgeEntry, out: OutFolder | None)
 def about(args: argparse.Namespace, every: Sequence[Entry]) -> dict[str, Any]:
     """What a verdict says of its run. every: the scenes of all shards."""
     from mitsuba_ref.ci.resuming import code_hash
+    from mitsuba_ref.ci.versions import judged_with
 
     if not args.shard:
-        return {"code": code_hash()}
+        return {"code": code_hash(), "judged_with": judged_with()}
     # The scenes are a part of it, so that shards of other scenes of the same names are not put together.
     told = hashlib.sha256(code_hash().encode())
     for entry in every:
         told.update(f"\0{entry.name}\0{entry.scene.sha256()}".encode())
     names = tuple(entry.name for entry in every)
-    return {"code": told.hexdigest(), "shard": str(args.shard), "selected": names}
+    shard = {"shard": str(args.shard), "selected": names}
+    return {"code": told.hexdigest(), "judged_with": judged_with(), **shard}
 
 
 def report(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:

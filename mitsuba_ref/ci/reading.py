@@ -60,7 +60,7 @@ def verdict_of(record: dict[str, Any]) -> Verdict:
     """`Verdict.to_dict`, undone."""
     scenes = tuple(scene_of(each) for each in record["scenes"])
     names = (*(scene.name for scene in scenes), *record["not_judged"])
-    about = record["shard"], tuple(record["selected"]), record["code"]
+    about = record["shard"], tuple(record["selected"]), record["code"], dict(record.get("judged_with", {}))
     found = Verdict(scenes, record["asked"], names, *about)
     if found.ok != record["ok"]:
         raise ValueError(f"it says ok: {record['ok']}, its scenes say {found.ok}")

@@ -10,6 +10,7 @@ from caster.exits import NOT_COMPARABLE
 from caster.rendering import film_window
 from caster.wording import SceneError
 from mitsuba_ref.campaign import Entry
+from mitsuba_ref.ci.versions import other_versions, together
 from mitsuba_ref.verdict import SceneVerdict, Verdict
 
 
@@ -55,10 +56,11 @@ class DifferentRuns(SceneError):  # noqa: N818 - what they are, not what somebod
     exit_code = NOT_COMPARABLE
 
 
-def merged(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, list[str]]:
+def merged(parts: Sequence[tuple[str, Verdict]], *, any_versions: bool = False) -> tuple[Verdict, list[str]]:
     """(one verdict of all, what is missing in words); parts: (where it is from, verdict).
 
-    A scene of a shard that is missing counts as not judged. Raises DifferentRuns for parts of different runs.
+    any_versions: parts that were judged with other versions are parts of one run, too. A scene of a shard that is
+    missing counts as not judged. Raises DifferentRuns for parts of different runs.
     """
     first_place, first = parts[0]
     seen: dict[int, str] = {}
@@ -68,12 +70,16 @@ def merged(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, list[str]]:
             raise DifferentRuns(
                 f"{place}: expected a shard of the same run as {first_place}, got one of another"
             )
-        if part.code != first.code:
-            raise DifferentRuns(f"{place}: it is of other code or other scenes than {first_place}")
         if shard.part in seen:
             raise DifferentRuns(f"{place}: shard {shard} once more; it is in {seen[shard.part]}")
         seen[shard.part] = place
-    check_alike(parts)
+    check_alike(parts)  # films and candidates first: they are a part of the code's hash, which cannot say so
+    for place, part in parts:
+        if part.code != first.code:
+            raise DifferentRuns(f"{place}: it is of other code or other scenes than {first_place}")
+    if not any_versions and (others := other_versions(parts)):
+        way_out = "judge all shards with the same versions, or take them together with --other-versions"
+        raise DifferentRuns("\n".join([*others, f"expected shards that were judged alike: {way_out}"]))
     count = shard_in(first, first_place, len(parts)).parts
     scenes = {}
     for place, part in parts:
@@ -85,7 +91,8 @@ def merged(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, list[str]]:
     strange = sorted(set(scenes) - set(names))
     if strange:
         raise DifferentRuns(f"scenes that the run did not select: {', '.join(strange)}")
-    whole = replace(first, shard="", selected=(), asked=len(names), names=names)
+    judged_with = together([part for _, part in parts])
+    whole = replace(first, shard="", selected=(), asked=len(names), names=names, judged_with=judged_with)
     whole = replace(whole, scenes=tuple(scenes[name] for name in names if name in scenes))
     missing = [f"shard {number}/{count} is missing" for number in range(1, count + 1) if number not in seen]
     return whole, missing

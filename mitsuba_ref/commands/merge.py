@@ -21,6 +21,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="of each shard: --json's file, or --out's folder",
     )
+    add(
+        "--other-versions",
+        action="store_true",
+        help="take shards together that were judged with different versions of Mitsuba, libLLVM or libraries, too",
+    )
     add("--json", metavar="FILE", help="write the whole verdict as JSON")
     add("--junit", metavar="FILE", help="write it as JUnit XML")
     ci.add_summary(parser)
@@ -33,12 +38,16 @@ def run(args: argparse.Namespace) -> int:
     from mitsuba_ref.ci.reading import read_verdict
     from mitsuba_ref.ci.shards import merged
     from mitsuba_ref.ci.summary import append
+    from mitsuba_ref.ci.versions import other_versions
     from mitsuba_ref.junit import junit
 
     for path in filter(None, (args.json, args.junit, args.summary_md)):
         check_writable(path)
     places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]
-    verdict, missing = merged([(place, read_verdict(place)) for place in places])
+    parts = [(place, read_verdict(place)) for place in places]
+    verdict, missing = merged(parts, any_versions=args.other_versions)
+    for words in other_versions(parts):
+        print(f"{words}: taken together, as asked", file=sys.stderr)
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)
     if args.json:
         write_text(args.json, json.dumps(verdict.to_dict(), indent=1, allow_nan=False) + "\n")

@@ -14,6 +14,7 @@ from mitsuba_ref.campaign import Entry
 from mitsuba_ref.ci.arguments import about
 from mitsuba_ref.ci.reading import read_verdict, verdict_of
 from mitsuba_ref.ci.shards import Shard, chosen
+from mitsuba_ref.ci.versions import judged_with, version_in
 from mitsuba_ref.verdict import Finding, Verdict
 
 CAMERA = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
@@ -146,6 +147,70 @@ def test_what_are_not_parts_of_one_run_are_not_put_together(folder, capsys, othe
     write("2.json", other)
     code, _, err = merged(capsys, "1.json", "2.json")
     assert code == 3 and says in err and not (folder / "all.json").exists()
+
+
+def with_versions(which, names, versions=None, **judged_with):
+    """A shard whose run and whose scenes say what they were judged with."""
+    part = shard(which, *names, judged_with=WITH | judged_with)
+    scenes = (replace(scene, versions=scene.versions | (versions or {})) for scene in part.scenes)
+    return replace(part, scenes=tuple(scenes))
+
+
+WITH = {"machine": "x86_64", "mitsuba": "3.9.1", "numpy": "2.1", "variant of triangles": "llvm_ad_rgb"}
+LLVM_19 = {"variant": "llvm_ad_rgb", "libllvm": "/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1"}
+
+
+@pytest.mark.parametrize(
+    ("other", "says"),
+    [
+        (
+            with_versions("2/2", "bd", mitsuba="3.9.0"),
+            "2.json was judged with mitsuba 3.9.0, 1.json with 3.9.1\n",
+        ),
+        (
+            with_versions("2/2", "bd", {"drjit": "1.4.0"}),
+            "2.json was judged with drjit 1.4.0, 1.json with 1.5.0\n",
+        ),
+        (with_versions("2/2", "bd", numpy="2.0"), "2.json was judged with numpy 2.0, 1.json with 2.1\n"),
+        (
+            with_versions("2/2", "bd", LLVM_19 | {"libllvm": "/opt/libLLVM-18.so.1"}),
+            "2.json was judged with libLLVM 18.1, 1.json with 19.1\n",
+        ),
+        (
+            with_versions("2/2", "bd", **{"variant of triangles": "scalar_rgb"}),
+            "2.json was judged with variant of triangles scalar_rgb, 1.json with llvm_ad_rgb\n",
+        ),
+    ],
+)
+def test_shards_of_other_versions_are_put_together_only_if_asked(folder, capsys, other, says):
+    write("1.json", with_versions("1/2", "ac", LLVM_19 | {"drjit": "1.5.0"}))
+    write("2.json", other)
+    code, _, err = merged(capsys, "1.json", "2.json")
+    assert code == 3 and says in err and "--other-versions" in err and not (folder / "all.json").exists()
+    code, out, err = merged(capsys, "1.json", "2.json", "--other-versions")
+    assert code == 0 and f"{says.strip()}: taken together, as asked" in err and "4 pass" in out
+    together = read_verdict("all.json").judged_with
+    assert together == {
+        what: " and ".join(dict.fromkeys((version, other.judged_with[what])))
+        for what, version in WITH.items()
+    }
+
+
+def test_the_same_libraries_in_other_folders_and_scenes_of_other_variants_are_alike(folder, capsys):
+    write("1.json", with_versions("1/2", "ac", LLVM_19))
+    write("2.json", with_versions("2/2", "bd", LLVM_19 | {"libllvm": "/usr/lib64/libLLVM.so.19.1"}))
+    assert merged(capsys, "1.json", "2.json")[0] == 0
+    write("2.json", with_versions("2/2", "bd", {"libllvm": "none"}))
+    assert merged(capsys, "1.json", "2.json")[0] == 0
+
+
+def test_a_run_says_what_it_judged_with(monkeypatch):
+    found = judged_with()
+    assert found["mitsuba"] == "3.9.1" and found["variant of quadrics"] == "scalar_rgb"
+    monkeypatch.setenv("MITSUBA_REF_VARIANT", "scalar_rgb")
+    assert judged_with()["variant of triangles"] == "scalar_rgb" and judged_with()["libLLVM"] == "none"
+    assert version_in("/usr/lib/llvm-19/lib/libLLVM.so.19.1") == "19.1"
+    assert about(argparse.Namespace(shard=None), [])["judged_with"] == judged_with()
 
 
 def test_a_file_that_is_no_verdict_is_told(folder, capsys):
