@@ -44,13 +44,14 @@ COLORS = ("R", "G", "B")
 @dataclass(frozen=True)
 class Checked:
     """What came of it. refused: approving anew is the way out, of a reference that is missing, altered or stale, or
-    whose bits Mitsuba gives no more."""
+    whose bits Mitsuba gives no more. missing: there is none that can be read, so nothing was checked."""
 
     name: str
     reference: str
     ok: bool
     words: tuple[str, ...]
     refused: bool = False
+    missing: bool = False
 
     def lines(self) -> Iterator[str]:
         head, *rest = self.words
@@ -64,10 +65,10 @@ def check(entry: Entry, args: argparse.Namespace, place: Path) -> Checked:
     try:
         before = stored(path)
         check_fits(before, entry.scene, args.variant)
-    except UnreadableExr as error:
-        return Checked(entry.name, str(path), False, (str(error),), refused=True)
-    except FileMissing:
-        return Checked(entry.name, str(path), False, (f"{path}: there is no reference",), refused=True)
+    except FileMissing as error:
+        words = str(error) if isinstance(error, UnreadableExr) else f"{path}: there is no reference"
+        told = (f"{words}; nothing was checked",)
+        return Checked(entry.name, str(path), False, told, refused=True, missing=True)
     except RefusedReference as error:
         return Checked(entry.name, str(path), False, (f"{path}: {error}",), refused=True)
     try:

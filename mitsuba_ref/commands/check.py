@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.exits import DIFFERENCES, FILE, NOTHING_SELECTED, OK
 
 if TYPE_CHECKING:
     from mitsuba_ref.baselines.checking import Checked
@@ -32,7 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """A row for each scene; 0 all pass, 1 some do not, 5 nothing was selected."""
+    """A row for each scene; 0 all pass, 1 some do not, 4 some have no reference that can be read, and no other fails,
+    5 nothing was selected."""
     entries, code = selection(args)
     if not entries:
         return code
@@ -53,10 +54,20 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({"ok": not failed, "scenes": [vars(checked) for checked in found]}, indent=1))
     else:
-        print(f"\n{len(found)} scenes: {len(found) - len(failed)} pass, {len(failed)} fail")
+        missing = sum(checked.missing for checked in failed)
+        counts = f"{len(found) - len(failed)} pass, {len(failed) - missing} fail"
+        unchecked = f", {missing} not checked: no reference that can be read" if missing else ""
+        print(f"\n{len(found)} scenes: {counts}{unchecked}")
         for line in way_out(args, failed):
             print(line)
-    return DIFFERENCES if failed else OK
+    return code_of(failed)
+
+
+def code_of(failed: Sequence[Checked]) -> int:
+    """A difference that was found says more than a file that is not there, and either is no pass."""
+    if not failed:
+        return OK
+    return FILE if all(checked.missing for checked in failed) else DIFFERENCES
 
 
 def way_out(args: argparse.Namespace, failed: Sequence[Checked]) -> Iterator[str]:

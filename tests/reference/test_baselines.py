@@ -222,11 +222,20 @@ def test_a_reference_with_no_pixel_to_compare_is_no_pass(here, capsys):
     assert said(capsys, "check", "scenes", "-k", "ball")[0] == 0
 
 
-def test_a_reference_that_is_missing_is_no_pass(here, capsys):
+def test_a_reference_that_is_missing_is_a_missing_file_and_no_pass(here, capsys):
+    """Not a difference: none was found. Where one was, the code says so."""
     (here / "refs/mesh.exr").unlink()
     code, out, _ = said(capsys, "check", "scenes")
-    assert code == 1 and "FAIL  mesh  refs/mesh.exr: there is no reference" in out
+    assert code == 4 and "FAIL  mesh  refs/mesh.exr: there is no reference; nothing was checked" in out
+    assert "2 scenes: 1 pass, 0 fail, 1 not checked: no reference that can be read" in out
     assert "approve it: mitsuba-ref approve scenes --references refs -k mesh" in out
+    found = json.loads(said(capsys, "check", "scenes", "--json")[1])
+    assert not found["ok"] and [scene["missing"] for scene in found["scenes"]] == [False, True]
+    (here / "scenes/ball.toml").write_text(BALL.replace("radius = 1.3", "radius = 1.31"))
+    code, out, _ = said(capsys, "check", "scenes")
+    assert code == 1 and "2 scenes: 0 pass, 1 fail, 1 not checked" in out
+    (here / "refs/ball.exr").unlink()
+    assert said(capsys, "check", "scenes")[0] == 4
 
 
 @pytest.mark.parametrize(
@@ -279,7 +288,7 @@ def test_an_altered_file_is_refused(here, capsys):
     ):
         path.write_bytes(broken)
         code, out, _ = said(capsys, "check", "scenes")
-        assert code == 1 and "FAIL  ball  " in out and "PASS  mesh" in out
+        assert code == 4 and "FAIL  ball  " in out and "PASS  mesh" in out and "nothing was checked" in out
 
 
 def test_another_variant_than_demanded_is_refused(here, capsys):
