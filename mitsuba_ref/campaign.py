@@ -11,6 +11,7 @@ from pathlib import Path
 from caster.scene import Scene
 from caster.wording import SceneError
 from mitsuba_ref import child
+from mitsuba_ref.made_of import MadeOf
 from mitsuba_ref.validation import validate_scene
 from mitsuba_ref.verdict import SceneVerdict
 
@@ -89,4 +90,4 @@ def judge_entry(
         verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep)
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
         verdict = SceneVerdict(entry.name, entry.path, problem=f"cannot be judged: {error}")
-    return replace(verdict, resized=entry.resized)
+    return replace(verdict, resized=entry.resized, made_of=MadeOf.of(entry.scene))

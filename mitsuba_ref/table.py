@@ -6,6 +6,7 @@ from urllib.parse import quote
 
 from mitsuba_ref.bias import LARGEST_Z
 from mitsuba_ref.cases import NAMES
+from mitsuba_ref.in_common import first_look, simplest
 from mitsuba_ref.meeting import K
 from mitsuba_ref.scene_check import SceneCheck
 from mitsuba_ref.verdict import (
@@ -187,6 +188,7 @@ def summary(verdict: Verdict, seconds: float) -> str:
     lines = [
         f"{verdict.asked} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
         f"{_not_run(verdict)}, in {seconds:.1f} s",
+        *_first_look(verdict),
         f"hit pixels: {', '.join(shares[:3])},",
         f"            {', '.join(shares[3:5])},",
         f"            {', '.join(shares[5:])}",
@@ -202,6 +204,15 @@ def summary(verdict: Verdict, seconds: float) -> str:
         f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed
     ]
     return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
+
+
+def _first_look(verdict: Verdict) -> Iterator[str]:
+    """Of several that fail: what they share, the simplest, and the command for its worst pixel."""
+    yield from first_look(verdict.scenes)
+    first = simplest(verdict.scenes)
+    if first is not None:
+        pixel = (first.failures[0].x, first.failures[0].y) if first.failures else None
+        yield f"            {replay(first, pixel)}"
 
 
 def _candidate_lines(verdict: Verdict) -> Iterator[str]:

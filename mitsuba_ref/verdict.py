@@ -8,6 +8,7 @@ import numpy as np
 
 from caster.scene import Scene
 from mitsuba_ref.bias import Statistics
+from mitsuba_ref.made_of import MadeOf
 from mitsuba_ref.scene_check import SceneCheck
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ class SceneVerdict:
     problem: str = ""  # why there is no comparison at all: a crash of the reference, with its words
     size: tuple[int, int] = (0, 0)  # of the film
     resized: bool = False  # another film than the scene's own
+    made_of: MadeOf = field(default_factory=MadeOf)  # of the scene, where a command judged
     allowed: dict[str, float] = field(default_factory=dict)  # the scene's own [check.AOV]: shares of bounds
     adjudicated: int = 0  # pixels that exact arithmetic was asked about
     exact_seconds: float = 0.0  # what that took, of `seconds`
@@ -156,6 +158,7 @@ class SceneVerdict:
             "ok": self.ok,
             "size": list(self.size),
             "resized": self.resized,
+            "made_of": vars(self.made_of),
             "allowed": self.allowed,
             "pixels": self.pixels,
             "hit_pixels": self.hit_pixels,
@@ -226,7 +229,7 @@ class Verdict:
     shard: str = ""  # such as "2/4": these are the scenes of one of several runs
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
     code: str = ""  # a hash of the sources that judged; of one of several runs, of all their scenes, too
-    judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine, where a command judged
+    judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine
 
     @property
     def candidate(self) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 from caster.wording import FileMissing
 from mitsuba_ref.bias import Bias, Statistics
+from mitsuba_ref.made_of import MadeOf
 from mitsuba_ref.scene_check import SceneCheck
 from mitsuba_ref.verdict import CANDIDATE_WRONG, FORMAT, OURS_WRONG, Failure, Finding, SceneVerdict, Verdict
 
@@ -17,6 +18,7 @@ AS_THEY_ARE = {field.name for field in fields(SceneVerdict)} - {
     "failures",
     "files",
     "findings",
+    "made_of",
     "notes",
     "ratios",
     "reproducers",
@@ -81,6 +83,7 @@ def scene_of(record: dict[str, Any]) -> SceneVerdict:
         ),
         failures=tuple(failure_of(each) for each in record["failures"]),
         files=dict(record.get("files", {})),  # of older versions: not told
+        made_of=MadeOf(**record.get("made_of", {})),
         ratios={name: float(ratio) for name, ratio in record["ratios"].items()},
         reproducers=tuple(record["reproducers"]),
         size=tuple(record["size"]),

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from caster.whole_files import OutputError
+from mitsuba_ref.in_common import first_look
 from mitsuba_ref.table import HEADS, failure, replay, worst_words
 from mitsuba_ref.verdict import CLASSES, Failure, SceneVerdict, Verdict
 
@@ -102,6 +103,7 @@ def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
         lines += [f"Shard {verdict.shard}.", ""]
     if kept:
         lines += [f"Kept from an earlier run, not judged anew: {kept} scenes.", ""]
+    lines += [f"- {escaped(' '.join(line.split()))}" for line in first_look(verdict.scenes)]
     lines += [f"- {escaped(versions)}" for versions in verdict.versions]
     return [*lines, ""]
 
