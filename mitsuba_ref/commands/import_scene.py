@@ -78,8 +78,10 @@ def from_course(args: argparse.Namespace) -> Imported:
     scene, back = backed(course.scene)
     where = f"{args.file}:1:1: left out: "
     moved = f"rays from infinitely far: the window stands {back:g} farther back, and depths count from there"
-    extra = [f"{where}the background color {' '.join(f'{c:g}' for c in course.background)}: ours is black"]
-    return Imported(scene, (*course.left_out, *extra, *([where + moved] if back else [])))
+    color = " ".join(f"{c:g}" for c in course.background)
+    told = [f"{where}the background color {color}: ours is black"] if any(course.background) else []
+    told += [where + moved] if back else []
+    return Imported(scene, (*course.left_out, *told))
 
 
 def parameters(words: list[str]) -> dict[str, str]:

@@ -10,11 +10,23 @@ from mitsuba_ref.importers.transforms import placed, steps_of
 from mitsuba_ref.importers.xml_nodes import Node
 
 ONE = [1.0, 1.0, 1.0]  # what an emitter sends, where it says nothing
+SENT = ("radiance", "intensity", "irradiance")  # what emitters call it
+EXACT = ("point", "directional")  # ours are the same, also if they send nothing
+
+
+def is_dark(out: Building, node: Node) -> bool:
+    """Whether an emitter says that it sends nothing: without it the picture is the same."""
+    said = next((child for child in map(node.named, SENT) if child is not None), None)
+    color = None if said is None else color_of(out, said)
+    return color is not None and not any(color)
 
 
 def add_emitter(out: Building, node: Node) -> None:
     """A point, directional or constant emitter; others are told to be left out."""
     makers = {"point": _point, "directional": _directional, "constant": _constant}
+    if node.kind not in EXACT and is_dark(out, node):
+        out.used.add(id(node))
+        return
     if node.kind not in makers:
         out.omit(node, f"{node.words()}: our lights are point, directional and ambient")
         return

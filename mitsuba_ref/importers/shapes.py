@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from mitsuba_ref.importers.building import Building
+from mitsuba_ref.importers.emitters import is_dark
 from mitsuba_ref.importers.expanding import followed
 from mitsuba_ref.importers.materials import material_of
 from mitsuba_ref.importers.transforms import Step, placed, steps_of
@@ -41,7 +42,9 @@ def add_shape(out: Building, node: Node, outer: tuple[Step, ...] = (), name: str
     for emitter in node.all("emitter", "ref"):
         target = followed(out.document, emitter)
         if target is not None and target.tag == "emitter":
-            out.used.add(id(target))
+            out.used |= {id(target), id(emitter)}
+            if is_dark(out, target):
+                continue
             out.omit(emitter, f"{target.words()} of {node.words()}: our shapes do not shine")
     out.omit_rest(node)
     label = name or node.id

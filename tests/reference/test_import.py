@@ -310,6 +310,41 @@ def test_a_text_of_the_course_is_imported_too(tmp_path, capsys, monkeypatch):
     assert depth.shape == (21, 41) and depth[10, 20] == 2.0
 
 
+@pytest.mark.parametrize(("color", "told"), [("0 0.5 0", True), ("0 0 0", False)])
+def test_a_background_of_the_course_is_told_unless_it_is_black_as_ours(
+    tmp_path, capsys, monkeypatch, color, told
+):
+    monkeypatch.chdir(tmp_path)
+    Path("s.txt").write_text(f"Background {{ color {color} }}\n" + COURSE)
+    assert main(["import", "s.txt", "-o", "s.toml"]) == 0
+    said = capsys.readouterr().out
+    assert (f"s.txt:1:1: left out: the background color {color}: ours is black\n" in said) == told
+    assert f"{1 + told} left out or changed" in said
+
+
+EMITTERS = {
+    "constant": '<emitter type="constant"><rgb name="radiance" value="{}"/></emitter><shape type="sphere"/>',
+    "area": '<shape type="sphere"><emitter type="area"><rgb name="radiance" value="{}"/></emitter></shape>',
+    "spot": '<emitter type="spot"><rgb name="intensity" value="{}"/></emitter><shape type="sphere"/>',
+    "by reference": '<emitter type="area" id="e"><spectrum name="radiance" value="{}"/></emitter>'
+    '<shape type="sphere"><ref id="e"/></shape>',
+    "point": '<emitter type="point"><rgb name="intensity" value="{}"/></emitter><shape type="sphere"/>',
+}
+
+
+@pytest.mark.parametrize("emitter", EMITTERS)
+def test_what_sends_no_light_is_not_told_as_left_out_since_nothing_is(tmp_path, emitter):
+    """Mitsuba sees the same without it. One that sends light is told of, unless ours is the same."""
+    path, found = tmp_path / "a.xml", {}
+    for value in ("0", "1e-3"):
+        inside = EMITTERS[emitter].format(value)
+        path.write_text(f'<scene version="3.0.0"><sensor type="perspective"/>{inside}</scene>')
+        found[value] = import_xml(str(path))
+    assert found["0"].left_out == () and len(found["0"].scene.shapes) == 1
+    assert len(found["0"].scene.lights) == (emitter == "point")
+    assert len(found["1e-3"].left_out) == (emitter != "point")
+
+
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
