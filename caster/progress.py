@@ -7,6 +7,7 @@ from typing import Any, TextIO
 
 from caster.kernels.jit import WORK
 from caster.scene import Scene
+from caster.terminal_line import Line
 
 HOW_LONG = "once, some 5 to 30 s"
 
@@ -41,24 +42,19 @@ class Progress:
     """Which scene is begun, and how many kernels have been compiled: one line on a terminal, else a line a scene."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
-        self.stream = stream or sys.stderr
-        self.live = self.stream.isatty()
+        self.line = Line(stream)
         self.scene, self.count = "", 0
 
     def begin(self, scene: str) -> None:
         self.scene = scene
-        self._show(scene if self.live else f"kernels for {scene}\n")
+        if self.line.live:
+            self.line.show(scene)
+        else:
+            self.line.write(f"kernels for {scene}\n")
 
     def compiling(self, kernel: str) -> None:
         self.count += 1
-        if self.live:
-            self._show(f"{self.scene}: compiling {kernel} ({self.count})")
+        self.line.show(f"{self.scene}: compiling {kernel} ({self.count})")
 
     def end(self) -> None:
-        if self.live:
-            self._show("")
-
-    def _show(self, text: str) -> None:
-        start = "\r\x1b[K" if self.live else ""
-        self.stream.write(start + text)
-        self.stream.flush()
+        self.line.erase()

@@ -3,22 +3,18 @@
 It counts work. It uses no colour, so that NO_COLOR has nothing to forbid.
 """
 
-import io
-import os
-import shutil
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
+from caster.terminal_line import Line
+
 QUIET = 1.0  # s: work that takes less says nothing on a terminal
 REDRAWN = 0.1  # s between two pictures of the line
 PLAIN = 10.0  # s between two lines where no terminal is, and before the first: logs keep them all
 WIDTH = 24  # characters of the bar
-
-ERASE = "\r\x1b[K"
 
 
 class Bar:
@@ -33,11 +29,10 @@ class Bar:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.what, self.total, self.unit = what, total, unit
-        self.stream = stream or sys.stderr or io.StringIO()  # a closed standard error is None: nobody is told
-        self.live = self.stream.isatty() and os.environ.get("TERM") != "dumb"
+        self.line = Line(stream)
         self.clock, self.start = clock, clock()
-        self.next = self.start + (QUIET if self.live else PLAIN)
-        self.done, self.extra, self.drawn = 0, "", False
+        self.next = self.start + (QUIET if self.line.live else PLAIN)
+        self.done, self.extra = 0, ""
         self.lock = threading.Lock()
 
     def add(self, count: int, extra: str = "") -> None:
@@ -47,29 +42,27 @@ class Bar:
             self.extra = extra or self.extra
             now = self.clock()
             if now >= self.next and self.done < self.total:
-                self.next = now + (REDRAWN if self.live else PLAIN)
+                self.next = now + (REDRAWN if self.line.live else PLAIN)
                 self._show(now)
 
     @contextmanager
     def aside(self) -> Iterator[None]:
         """Print something else meanwhile: the line is gone, and comes back with the next `add`."""
         with self.lock:
-            self._erase()
+            self.line.erase()
             yield
 
     def close(self) -> None:
         """Nothing is left of it on a terminal."""
         with self.lock:
-            self._erase()
+            self.line.erase()
 
     def _show(self, now: float) -> None:
         text = self.text(now - self.start)
-        if self.live:
-            columns = shutil.get_terminal_size().columns
-            self._write(ERASE + text[: columns - 1])  # a line that wraps could not be erased
-            self.drawn = True
+        if self.line.live:
+            self.line.show(text)
         else:
-            self._write(text + "\n")
+            self.line.write(text + "\n")
 
     def text(self, seconds: float) -> str:
         """rendering ████████    66 %, 2.1M of 3.1M rays, 520k rays/s, 2 s left"""
@@ -79,17 +72,8 @@ class Bar:
         if seconds > 0.0 and self.done:
             rate = self.done / seconds
             parts += [f"{short(rate)} {self.unit}/s", f"{duration((self.total - self.done) / rate)} left"]
-        bar = f" {drawn(share, self.stream.encoding)}" if self.live else ":"
+        bar = f" {drawn(share, self.line.stream.encoding)}" if self.line.live else ":"
         return f"{self.what}{bar} {', '.join(parts)}"
-
-    def _erase(self) -> None:
-        if self.drawn:
-            self._write(ERASE)
-            self.drawn = False
-
-    def _write(self, text: str) -> None:
-        self.stream.write(text)
-        self.stream.flush()
 
 
 def drawn(share: float, encoding: str | None) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.terminal_line import Line
 from caster.wording import SceneError, suggestion
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ HELP = "random scenes and rays that ask for trouble; each failure is shrunk to a
 
 DEFAULT_SECONDS = 60.0
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
-PROGRESS = "\r\033[K"  # back to the start of the line, and clear it
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -133,13 +133,13 @@ def search(args: argparse.Namespace) -> int:
         variants.variant_for(has_quadrics=False)  # a wrong choice of variant is said before any work
     if last := trace.died_in(plan.folder):
         print(f"an earlier run with this folder died, or is still running, in: {last}", file=sys.stderr)
-    campaign = Campaign(plan)
+    campaign, line = Campaign(plan), Line()
     finished = False
     try:
-        work_through(campaign)
+        work_through(campaign, line)
         finished = True
     finally:  # what is found is kept and told, whatever ends the work
-        show_progress("")
+        line.erase()
         print(report.text(campaign.outcome))
         write_json(args, report.to_dict(campaign.outcome, interrupted=not finished))
     return OK if campaign.outcome.ok else DIFFERENCES
@@ -160,18 +160,12 @@ def plan_of(args: argparse.Namespace) -> Plan:
     return Plan(args.seed, families, examples, limit, Path(args.out), args.keep, args.judge_every)
 
 
-def work_through(campaign: Campaign) -> None:
+def work_through(campaign: Campaign, line: Line) -> None:
     for outcome in campaign.run():
         total = outcome.total
-        show_progress(
+        line.show(
             f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {outcome.seconds:.0f} s"
         )
-
-
-def show_progress(line: str) -> None:
-    """On a terminal only."""
-    if sys.stderr.isatty():
-        print(f"{PROGRESS}{line}", end="", file=sys.stderr, flush=True)
 
 
 def write_json(args: argparse.Namespace, content: dict[str, Any]) -> None:
@@ -212,13 +206,13 @@ def long_run(args: argparse.Namespace) -> int:
         print("nothing selected: --rays 0 asks for no ray", file=sys.stderr)
         return NOTHING_SELECTED
     outcome = long_run.LongRun(args.seed, args.rays, tuple(args.shape) or TYPES, Path(args.out), args.keep)
-    finished = False
+    finished, line = False, Line()
     try:
         for _ in outcome.run():
-            show_progress(outcome.line())
+            line.show(outcome.line())
         finished = True
     finally:
-        show_progress("")
+        line.erase()
         print(outcome.text())
         write_json(args, outcome.to_dict(interrupted=not finished))
     return OK if outcome.ok else DIFFERENCES

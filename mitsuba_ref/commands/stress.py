@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.terminal_line import Line
 from mitsuba_ref.commands.validate import count
 from mitsuba_ref.reporting import check_report
 
@@ -89,15 +90,13 @@ class Progress:
     """One line on a terminal's stderr, written over again and again; nothing elsewhere."""
 
     def __init__(self, what: str) -> None:
-        self.what, self.there = what, sys.stderr.isatty()
+        self.what, self.line = what, Line()
 
     def __call__(self, words: str) -> None:
-        if self.there:
-            print(f"\r\x1b[K{self.what}: {words}", end="", file=sys.stderr, flush=True)
+        self.line.show(f"{self.what}: {words}")
 
     def clear(self) -> None:
-        if self.there:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+        self.line.erase()
 
 
 def report(done: list[Sweep], families: list[Family], args: argparse.Namespace) -> None:

@@ -177,12 +177,12 @@ def test_an_interruption_keeps_and_tells_what_was_done(tmp_path):
 
 
 def test_what_was_found_before_an_interruption_is_kept_and_told(fuzz, fault, monkeypatch):
-    def impatient(line):
-        if line and " 0 findings" not in line:
+    def impatient(line, text):
+        if " 0 findings" not in text:
             raise KeyboardInterrupt
 
     fault()
-    monkeypatch.setattr(command, "show_progress", impatient)
+    monkeypatch.setattr(command.Line, "show", impatient)
     code, out, err, told = fuzz("--family", "edges", "--keep", "1", "--judge-every", "0")
     assert code == 130 and err == "interrupted\n" and told["interrupted"] and not told["ok"]
     assert told["failures"] and all(each["file"] in out for each in told["failures"])

@@ -10,10 +10,13 @@ import pytest
 import caster
 from caster import progress_bar
 from caster.__main__ import main
-from caster.progress_bar import ERASE, PLAIN, QUIET, REDRAWN, WIDTH, Bar, drawn, duration, short
+from caster.progress import Progress
+from caster.progress_bar import PLAIN, QUIET, REDRAWN, WIDTH, Bar, drawn, duration, short
 from caster.rendering import render_film
+from caster.terminal_line import ERASE, Line
 from mitsuba_ref import progress
 from mitsuba_ref.campaign import Entry
+from mitsuba_ref.commands import stress
 
 SCENE = """
 [film]
@@ -132,7 +135,7 @@ def test_a_pipe_gets_whole_lines_now_and_then():
 
 def test_a_terminal_that_cannot_move_its_cursor_is_as_a_pipe(terminal, monkeypatch):
     monkeypatch.setenv("TERM", "dumb")
-    assert not Bar("rendering", 1, "rays", terminal[0]).live
+    assert not Bar("rendering", 1, "rays", terminal[0]).line.live
 
 
 def test_where_standard_error_is_closed_work_goes_on(monkeypatch):
@@ -142,7 +145,52 @@ def test_where_standard_error_is_closed_work_goes_on(monkeypatch):
     clock.now = PLAIN
     bar.add(5)
     bar.close()
-    assert bar.done == 5 and not bar.live
+    assert bar.done == 5 and not bar.line.live
+
+
+def compiling():
+    said = Progress()
+    said.begin("a scene")
+    said.compiling("k" * 50)
+    return said.end
+
+
+def sweeping():
+    said = stress.Progress("1/22 scale")
+    said("m" * 50)
+    return said.clear
+
+
+def fuzzing():
+    line = Line()
+    line.show("f" * 50)
+    return line.erase
+
+
+LINES = pytest.mark.parametrize("said", [compiling, sweeping, fuzzing])
+
+
+@LINES
+def test_every_line_is_cut_to_the_terminal_and_erased_once(terminal, monkeypatch, said):
+    """What wraps stays there for ever."""
+    stream, read = terminal
+    monkeypatch.setenv("COLUMNS", "30")
+    monkeypatch.setattr("sys.stderr", stream)
+    end = said()
+    assert len(read().rpartition(ERASE)[2]) == 29
+    end()
+    end()
+    assert read() == ERASE
+
+
+@LINES
+@pytest.mark.parametrize("where", ["closed", "dumb"])
+def test_no_line_needs_a_terminal(terminal, monkeypatch, said, where):
+    stream, read = terminal
+    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setattr("sys.stderr", None if where == "closed" else stream)
+    said()()
+    assert ERASE not in read()
 
 
 def test_there_is_no_colour_for_no_color_to_forbid(terminal):

@@ -60,7 +60,9 @@ def test_one_line_is_said_before_the_first_kernel_is_compiled(capsys, monkeypatc
     assert line.startswith("compiling the kernels for sphere, pinhole: once") and "doctor --warm" in line
 
 
-def test_a_terminal_gets_one_line_and_a_file_one_for_each_scene():
+def test_a_terminal_gets_one_line_and_a_file_one_for_each_scene(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True
