@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from caster.whole_files import OutputError, write_text
 
@@ -42,6 +42,14 @@ class Digest:
         return vars(self)
 
 
+class Listed(NamedTuple):
+    """A line of the list. told: what else is to be remembered of the file."""
+
+    scene: str
+    digest: Digest
+    told: dict[str, str]
+
+
 @dataclass(frozen=True)
 class Swept:
     """What became of the files of earlier runs: names."""
@@ -66,20 +74,33 @@ class Written:
         self.folder, self.list = folder, folder / LIST
         self.lock = threading.Lock()
         self.now: dict[str, Digest] = {}
-        write_text(
-            self.list, "".join(self._lines(self._known()))
-        )  # a line that was cut short would spoil the next
+        self.earlier = self._known()
+        write_text(self.list, "".join(self._lines(self.earlier)))  # a line cut short would spoil the next
 
-    def add(self, scene: str, files: Iterable[str]) -> dict[str, Digest]:
-        """These of the scene are as they shall be; what is not there is left out. Raises OutputError."""
+    def add(self, scene: str, files: Iterable[str], **told: str) -> dict[str, Digest]:
+        """These of the scene are as they shall be; what is not there is left out. told: to be remembered of them.
+
+        Raises OutputError.
+        """
         found = {file: digest for file in files if (digest := Digest.of(self.folder / file)) is not None}
         try:
             with self.lock, self.list.open("a", encoding="utf-8") as out:
-                out.writelines(self._lines({file: (scene, digest) for file, digest in found.items()}))
+                out.writelines(self._lines({file: Listed(scene, each, told) for file, each in found.items()}))
                 self.now |= found
         except OSError as error:
             raise OutputError(f"{self.list}: cannot write: {error.strerror or error}") from error
         return found
+
+    def as_told(self, file: str, **told: str) -> Listed | None:
+        """What an earlier run wrote and told these things of, if it is still there to the bit."""
+        known = self.earlier.get(file)
+        if (
+            known is None
+            or not told.items() <= known.told.items()
+            or not known.digest.fits(self.folder / file)
+        ):
+            return None
+        return known
 
     def sweep(self, spared: Callable[[str], bool] = lambda scene: False) -> Swept:
         """Remove what earlier runs wrote and this one did not, but for the scenes that are spared.
@@ -87,12 +108,12 @@ class Written:
         A file that is not listed, or is no longer what was written, is somebody else's. Raises OutputError.
         """
         known, removed, altered = self._known(), [], []
-        for file, (scene, digest) in sorted(known.items()):
+        for file, line in sorted(known.items()):
             path = self.folder / file
-            if file in self.now or (spared(scene) and path.exists()):
+            if file in self.now or (spared(line.scene) and path.exists()):
                 continue
             del known[file]
-            if digest.fits(path):
+            if line.digest.fits(path):
                 path.unlink()
                 removed.append(file)
             elif path.exists():
@@ -100,8 +121,8 @@ class Written:
         write_text(self.list, "".join(self._lines(known)))
         return Swept(tuple(removed), tuple(altered))
 
-    def _known(self) -> dict[str, tuple[str, Digest]]:
-        """File -> its scene, and what it was. Lines that do not read, or lead out of the folder, count for nothing."""
+    def _known(self) -> dict[str, Listed]:
+        """By the names of files. Lines that do not read, or lead out of the folder, count for nothing."""
         found = {}
         with suppress(OSError, ValueError):
             for line in self.list.read_text(encoding="utf-8").splitlines():
@@ -109,10 +130,12 @@ class Written:
                     told = json.loads(line)
                     file = str(told["file"])
                     if file == Path(file).name:
-                        found[file] = str(told["scene"]), Digest(int(told["bytes"]), str(told["sha256"]))
+                        digest = Digest(int(told["bytes"]), str(told["sha256"]))
+                        found[file] = Listed(str(told["scene"]), digest, dict(told.get("told", {})))
         return found
 
     @staticmethod
-    def _lines(files: dict[str, tuple[str, Digest]]) -> Iterator[str]:
-        for file, (scene, digest) in files.items():
-            yield json.dumps({"file": file, "scene": scene, **digest.to_dict()}) + "\n"
+    def _lines(files: dict[str, Listed]) -> Iterator[str]:
+        for file, (scene, digest, told) in files.items():
+            line = {"file": file, "scene": scene, **digest.to_dict()}
+            yield json.dumps(line | ({"told": told} if told else {})) + "\n"

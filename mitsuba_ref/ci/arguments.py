@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from mitsuba_ref.campaign import Entry, JudgeEntry
     from mitsuba_ref.ci.out_folder import OutFolder
     from mitsuba_ref.ci.shards import Shard
+    from mitsuba_ref.report.writing import Report
     from mitsuba_ref.verdict import Verdict
 
 
@@ -73,13 +74,17 @@ def out_folder(args: argparse.Namespace) -> OutFolder | None:
     return OutFolder(Path(args.out))
 
 
-def judge_of(args: argparse.Namespace, judge: JudgeEntry, out: OutFolder | None) -> JudgeEntry:
+def judge_of(
+    args: argparse.Namespace, judge: JudgeEntry, out: OutFolder | None, html: Report | None
+) -> JudgeEntry:
     """How to come to a verdict: by what is kept in --out, and keeping it there; without --out, the given way."""
     if out is None:
         return judge
     from mitsuba_ref.ci.resuming import Kept
 
-    return Kept(out, judge, resume=args.resume).judge
+    if html is None:
+        return Kept(out, judge, resume=args.resume).judge
+    return Kept(out, judge, resume=args.resume, has_page=html.holds).judge
 
 
 def about(args: argparse.Namespace, every: Sequence[Entry]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import importlib.metadata
 import json
 import platform
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -85,7 +85,16 @@ def line_of(verdict: SceneVerdict) -> str:
 class Kept:
     """Results in one folder. resume: take over what is there, if its inputs are the same."""
 
-    def __init__(self, out: OutFolder, judge: JudgeEntry, *, resume: bool) -> None:
+    def __init__(
+        self,
+        out: OutFolder,
+        judge: JudgeEntry,
+        *,
+        resume: bool,
+        has_page: Callable[[SceneVerdict], bool] = lambda verdict: True,
+    ) -> None:
+        """has_page: whether the report that was asked for has what a verdict rests on."""
+        self.has_page = has_page
         self.out, self.folder, self.journal = out, out.folder, out.folder / JOURNAL
         self.judge_anew = out.recorded(judge)
         self.lock = threading.Lock()
@@ -104,6 +113,7 @@ class Kept:
             and known.inputs == inputs
             and not known.problem
             and self.out.has_files(known)
+            and self.has_page(known)
         ):
             return self.out.record(replace(known, kept=True))
         verdict = replace(self.judge_anew(entry, folder), inputs=inputs)

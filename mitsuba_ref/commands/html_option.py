@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,12 +35,15 @@ def begun(args: argparse.Namespace, asked: int) -> Report | None:
     return Report(args.html, asked)
 
 
-def finish(report: Report | None) -> None:
-    """Write what there is of it, and say what went of earlier ones. Raises OutputError."""
+def finish(report: Report | None, not_judged: Collection[str]) -> None:
+    """Write what there is of it, and say what went of earlier ones; not of scenes that this run did not come to.
+
+    Raises OutputError.
+    """
     if report:
         try:
             report.write()
-            if words := report.sweep().words(report.data):
+            if words := report.sweep(not_judged).words(report.data):
                 print(words, file=sys.stderr)
         finally:
             report.close()

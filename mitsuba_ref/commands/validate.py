@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
             if out and (words := out.sweep(verdict, [entry.name for entry in every]).words(out.folder)):
                 print(words, file=sys.stderr)
         finally:
-            html_option.finish(html)
+            html_option.finish(html, verdict.not_judged)
     return OK if verdict.ok else DIFFERENCES
 
 
@@ -146,7 +146,7 @@ def work_through(
     workers = args.workers or campaign.default_workers()
     record = html.keep if html else None
     if candidate is None:
-        judge = ci.judge_of(args, partial(campaign.judge_entry, keep=html is not None), out_folder)
+        judge = ci.judge_of(args, partial(campaign.judge_entry, keep=html is not None), out_folder, html)
     else:
         judge = candidate_arguments.judge_of(candidate, keep=html is not None)
         judge = out_folder.recorded(judge) if out_folder else judge

@@ -71,7 +71,7 @@ def _plain_row(place: int, row: dict[str, Any], classes: Sequence[str]) -> str:
         f"{row['hit']}",
         *(f"{row['counts'][each]}" for each in classes),
         worst,
-        f"{row['seconds']:.1f}",
+        "kept" if row["kept"] else f"{row['seconds']:.1f}",
     ]
     mark = "PASS" if row["ok"] else "FAIL"
     cells = "".join(f"<td>{cell}</td>" for cell in [picture, mark, name, *counts])

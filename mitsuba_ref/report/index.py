@@ -26,6 +26,7 @@ def row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any]:
         "worst": [check, number(ratio)],
         "ratios": {name: number(share) for name, share in verdict.ratios.items()},
         "seconds": round(verdict.seconds, 2),
+        "kept": verdict.kept,
         "failed_at": sorted({each.check for each in verdict.failures} | _failed_checks(verdict)),
         "says": "" if verdict.ok else failure(verdict),
         "replay": replay(verdict),

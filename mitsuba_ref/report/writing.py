@@ -3,7 +3,7 @@
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from mitsuba_ref.report.assembling import as_json, page
 from mitsuba_ref.report.index import row
 from mitsuba_ref.report.record import LAYERS, record
 from mitsuba_ref.verdict import CANDIDATE_WRONG, CLASSES, OURS_WRONG, UNLISTED, SceneVerdict
-from mitsuba_ref.written import Swept, Written
+from mitsuba_ref.written import Listed, Swept, Written
 
 # One file: what a browser opens within two seconds on a small machine, and mail and CI servers take.
 MOST_BYTES = 25_000_000
@@ -70,20 +70,34 @@ class Report:
         """The file to open."""
         return self.path if self.one_file else self.path / "index.html"
 
+    def holds(self, verdict: SceneVerdict) -> bool:
+        """Whether what a verdict of the same inputs rests on was written here before; one file holds nothing."""
+        return verdict.pixels > PICTURES_UP_TO or self.one_file or self._of_earlier(verdict) is not None
+
+    def _of_earlier(self, verdict: SceneVerdict) -> Listed | None:
+        if self.one_file or not verdict.inputs:
+            return None
+        return self._data.as_told(file_of(verdict), inputs=verdict.inputs)
+
     def keep(self, verdict: SceneVerdict) -> SceneVerdict:
         """Write down what a verdict rests on, and give it back without. Raises OutputError."""
+        before = self._of_earlier(verdict) if verdict.kept else None
+        if before is not None:
+            self._data.add(verdict.name, [file_of(verdict)], **before.told)
+            with self._lock:
+                self._kept[verdict.name] = Kept(file_of(verdict), before.told.get("thumbnail", ""), {})
         if verdict.seen is None or verdict.pixels > PICTURES_UP_TO:
             return replace(verdict, seen=None)
         rounded = (self.one_file and verdict.ok) or verdict.pixels > EXACT_UP_TO
         found = record(verdict, verdict.seen, exact=not rounded)
         parts = {"about": as_json(found.about)} | {name: as_json(each) for name, each in found.layers.items()}
-        file = quote(verdict.name, safe=" ")
+        file = file_of(verdict)
         text = one_file.aside(parts) if self.one_file else called(verdict.name, parts)
-        write_text(self.data / f"{file}.js", text)
-        self._data.add(verdict.name, [f"{file}.js"])
+        write_text(self.data / file, text)
+        self._data.add(verdict.name, [file], inputs=verdict.inputs, thumbnail=found.thumbnail)
         sizes = {name: len(text.encode()) for name, text in parts.items()}
         with self._lock:
-            self._kept[verdict.name] = Kept(f"{file}.js", found.thumbnail, sizes)
+            self._kept[verdict.name] = Kept(file, found.thumbnail, sizes)
         return replace(verdict, seen=None)
 
     def add(self, verdict: SceneVerdict) -> None:
@@ -109,9 +123,9 @@ class Report:
             file.writelines(page(run, self.rows, scenes))
         self._written = time.monotonic()
 
-    def sweep(self) -> Swept:
-        """Remove the scenes of earlier reports that the page no longer leads to. Raises OutputError."""
-        return Swept() if self.one_file else self._data.sweep()
+    def sweep(self, spared: Collection[str] = ()) -> Swept:
+        """Remove the scenes of earlier reports that the page no longer leads to, but for these. Raises OutputError."""
+        return Swept() if self.one_file else self._data.sweep(lambda scene: scene in spared)
 
     def close(self) -> None:
         """Remove what lay aside."""
@@ -133,6 +147,11 @@ class Report:
             "most_bytes": MOST_BYTES,
             "left_out": {},
         }
+
+
+def file_of(verdict: SceneVerdict) -> str:
+    """In the folder data."""
+    return f"{quote(verdict.name, safe=' ')}.js"
 
 
 def called(name: str, parts: Mapping[str, str]) -> str:

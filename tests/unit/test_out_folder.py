@@ -13,7 +13,7 @@ from caster.whole_files import OutputError
 from mitsuba_ref import campaign
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.ci import out_folder
-from mitsuba_ref.report.writing import Report
+from mitsuba_ref.report.writing import PICTURES_UP_TO, Report
 from mitsuba_ref.written import LIST, Written
 
 SCENE = (
@@ -159,23 +159,79 @@ def test_a_folder_whose_list_cannot_be_written_is_said_before_any_work(judged, c
 # ---- --html ----
 
 
-def test_a_report_keeps_no_scene_that_its_page_does_not_lead_to(tmp_path, monkeypatch):
+@pytest.fixture
+def report(tmp_path, monkeypatch):
+    """report(scene, ...): a report on them in tmp_path, swept. What goes into its pages is made up."""
     monkeypatch.setattr("mitsuba_ref.report.writing.record", lambda verdict, seen, *, exact: Recorded())
-    monkeypatch.setattr(
-        "mitsuba_ref.report.writing.row", lambda verdict, *_: {"name": verdict.name, "ok": True}
-    )
     monkeypatch.setattr("mitsuba_ref.report.writing.page", lambda *_: ["<title>ray-reference"])
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data/mine.js").write_text("mine")
-    for scenes in (("a", "b c"), ("b c", "d")):
-        report = Report(tmp_path, 2)
-        for name in scenes:
-            report.add(report.keep(made(name, seen=object())))
-        report.write()
-        found = report.sweep()
-    assert found.removed == ("a.js",)
-    assert sorted(p.name for p in (tmp_path / "data").iterdir()) == ["b c.js", "d.js", "mine.js", LIST]
+
+    def made_of(*scenes, spared=()):
+        one = Report(tmp_path, len(scenes))
+        for each in scenes:
+            one.add(one.keep(each))
+        one.write()
+        return one, one.sweep(spared)
+
+    return made_of
 
 
 class Recorded:
-    about, layers, thumbnail = {"name": "x"}, {}, ""
+    about, layers, thumbnail = {"name": "x"}, {}, "data:a picture"
+
+
+def judged_now(name, inputs="same"):
+    return made(name, seen=object(), inputs=inputs)
+
+
+def pages(tmp_path):
+    return sorted(path.name for path in (tmp_path / "data").iterdir())
+
+
+def test_a_report_keeps_no_scene_that_its_page_does_not_lead_to(tmp_path, report):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/mine.js").write_text("mine")
+    report(judged_now("a"), judged_now("b c"))
+    assert report(judged_now("b c"), judged_now("d"))[1].removed == ("a.js",)
+    assert pages(tmp_path) == ["b c.js", "d.js", "mine.js", LIST]
+    assert report(judged_now("d"), spared=["b c"])[1].removed == ()
+
+
+def test_the_page_of_a_kept_scene_is_kept_and_says_so(tmp_path, report):
+    """Its picture and its data come from the report of the run that judged it."""
+    before, _ = report(judged_now("a"))
+    kept = replace(made("a", inputs="same"), kept=True)
+    for _ in range(2):  # also of a report that had kept it
+        assert Report(tmp_path, 1).holds(kept)
+        after, swept = report(kept)
+        assert swept.removed == () and pages(tmp_path) == ["a.js", LIST]
+        assert after.rows[0] == before.rows[0] | {"kept": True}
+    assert after.rows[0]["file"] == "a.js" and after.rows[0]["thumbnail"] == Recorded.thumbnail
+
+
+@pytest.mark.parametrize("what", ["other inputs", "no inputs", "altered", "gone", "never written"])
+def test_data_of_another_verdict_are_not_those_of_a_kept_scene(tmp_path, report, what):
+    report(judged_now("b" if what == "never written" else "a", "" if what == "no inputs" else "same"))
+    if what == "altered":
+        (tmp_path / "data/a.js").write_text("altered")
+    if what == "gone":
+        (tmp_path / "data/a.js").unlink()
+    inputs = {"other inputs": "other", "no inputs": ""}.get(what, "same")
+    kept = replace(made("a", inputs=inputs), kept=True)
+    assert not Report(tmp_path, 1).holds(kept)
+    assert report(kept)[0].rows[0]["file"] == ""
+
+
+def test_one_file_has_no_data_to_keep_and_huge_films_have_none_at_all(tmp_path):
+    kept = replace(made("a", inputs="same"), kept=True)
+    one = Report(tmp_path / "r.html", 1)
+    assert one.holds(kept) and Report(tmp_path / "page", 1).holds(replace(kept, pixels=PICTURES_UP_TO + 1))
+    one.close()
+
+
+def test_resume_judges_a_scene_anew_whose_page_is_not_there(judged, tmp_path, capsys):
+    judged()
+    assert judged("--resume", "--html", "page") == 0 and "kept" not in capsys.readouterr().out
+    assert (
+        judged("--resume", "--html", "page.html") == 0
+        and "3 scenes were not judged" in capsys.readouterr().out
+    )
