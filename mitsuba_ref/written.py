@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import secrets
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -43,10 +44,11 @@ class Digest:
 
 
 class Listed(NamedTuple):
-    """A line of the list. told: what else is to be remembered of the file."""
+    """A line of the list. run: which one wrote it; told: what else is to be remembered of the file."""
 
     scene: str
     digest: Digest
+    run: str
     told: dict[str, str]
 
 
@@ -72,7 +74,7 @@ class Written:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.list = folder, folder / LIST
-        self.lock = threading.Lock()
+        self.lock, self.run = threading.Lock(), secrets.token_hex(8)
         self.now: dict[str, Digest] = {}
         self.earlier = self._known()
         write_text(self.list, "".join(self._lines(self.earlier)))  # a line cut short would spoil the next
@@ -85,7 +87,9 @@ class Written:
         found = {file: digest for file in files if (digest := Digest.of(self.folder / file)) is not None}
         try:
             with self.lock, self.list.open("a", encoding="utf-8") as out:
-                out.writelines(self._lines({file: Listed(scene, each, told) for file, each in found.items()}))
+                out.writelines(
+                    self._lines({file: Listed(scene, each, self.run, told) for file, each in found.items()})
+                )
                 self.now |= found
         except OSError as error:
             raise OutputError(f"{self.list}: cannot write: {error.strerror or error}") from error
@@ -103,18 +107,20 @@ class Written:
         return known
 
     def sweep(self, spared: Callable[[str], bool] = lambda scene: False) -> Swept:
-        """Remove what earlier runs wrote and this one did not, but for the scenes that are spared.
+        """Remove what runs before this one wrote and this one did not, but for the scenes that are spared.
 
-        A file that is not listed, or is no longer what was written, is somebody else's. Raises OutputError.
+        A file that is not listed, or is no longer what was written, is somebody else's; what another run lists
+        meanwhile is that run's. Raises OutputError.
         """
         known, removed, altered = self._known(), [], []
         for file, line in sorted(known.items()):
             path = self.folder / file
-            if file in self.now or (spared(line.scene) and path.exists()):
+            kept = line != self.earlier.get(file) or file in self.now or spared(line.scene)
+            if kept and path.exists():
                 continue
             del known[file]
             if line.digest.fits(path):
-                path.unlink()
+                _remove(path)
                 removed.append(file)
             elif path.exists():
                 altered.append(file)
@@ -131,11 +137,21 @@ class Written:
                     file = str(told["file"])
                     if file == Path(file).name:
                         digest = Digest(int(told["bytes"]), str(told["sha256"]))
-                        found[file] = Listed(str(told["scene"]), digest, dict(told.get("told", {})))
+                        more = str(told["run"]), dict(told.get("told", {}))
+                        found[file] = Listed(str(told["scene"]), digest, *more)
         return found
 
     @staticmethod
     def _lines(files: dict[str, Listed]) -> Iterator[str]:
-        for file, (scene, digest, told) in files.items():
-            line = {"file": file, "scene": scene, **digest.to_dict()}
+        for file, (scene, digest, run, told) in files.items():
+            line = {"file": file, "scene": scene, **digest.to_dict(), "run": run}
             yield json.dumps(line | ({"told": told} if told else {})) + "\n"
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot remove what an earlier run wrote: {error.strerror or error}"
+        ) from error

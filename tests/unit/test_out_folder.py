@@ -128,6 +128,36 @@ def test_a_run_that_was_killed_leaves_a_list_that_is_read_as_far_as_it_goes(tmp_
     assert [json.loads(each)["file"] for each in (folder / LIST).read_text().splitlines()] == ["b.exr"]
 
 
+def test_what_another_run_writes_meanwhile_is_not_removed(tmp_path):
+    """Not even where it writes the same bytes that an earlier run wrote."""
+    for name in ("a", "b", "c"):
+        (tmp_path / f"{name}.exr").write_bytes(b"x")
+    Written(tmp_path).add("a", ["a.exr", "b.exr"])
+    one, other = Written(tmp_path), Written(tmp_path)
+    other.add("b", ["b.exr", "c.exr"])
+    assert one.sweep().removed == ("a.exr",)
+    assert other.sweep().removed == () and set(other.now) == {"b.exr", "c.exr"}
+    assert Written(tmp_path).sweep().removed == ("b.exr", "c.exr")
+
+
+def test_a_file_that_cannot_be_removed_is_an_output_error(judged, monkeypatch, capsys):
+    judged()
+    Path("scenes/a.toml").unlink()
+    healthy = Path.unlink
+
+    def unlink(path, *, missing_ok=False):
+        if path.suffix == ".exr":
+            raise PermissionError(13, "Permission denied")
+        healthy(path, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", unlink)
+    assert judged() == OutputError.exit_code
+    assert (
+        "out/a.ours.exr: cannot remove what an earlier run wrote: Permission denied"
+        in capsys.readouterr().err
+    )
+
+
 KILLED = """
 import os, signal, sys
 from pathlib import Path
