@@ -120,7 +120,7 @@ class Written:
                 continue
             del known[file]
             if line.digest.fits(path):
-                _remove(path)
+                remove(path)
                 removed.append(file)
             elif path.exists():
                 altered.append(file)
@@ -148,7 +148,8 @@ class Written:
             yield json.dumps(line | ({"told": told} if told else {})) + "\n"
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
+    """A file that an earlier run wrote, if it is there. Raises OutputError."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:

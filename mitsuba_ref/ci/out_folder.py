@@ -6,9 +6,10 @@ from pathlib import Path
 
 from mitsuba_ref.campaign import Entry, JudgeEntry
 from mitsuba_ref.verdict import SceneVerdict, Verdict
-from mitsuba_ref.written import Digest, Swept, Written
+from mitsuba_ref.written import Digest, Swept, Written, remove
 
 PICTURES = ("ours", "reference", "verdict")
+VERDICT = "verdict.json"
 
 
 class OutFolder:
@@ -16,6 +17,13 @@ class OutFolder:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.written = folder, Written(folder)
+
+    def begin(self) -> None:
+        """The verdict of an earlier run goes, since its files are about to; --resume has read it.
+
+        A run that is killed leaves none, and not one that looks like its own. Raises OutputError.
+        """
+        remove(self.folder / VERDICT)
 
     def recorded(self, judge: JudgeEntry) -> JudgeEntry:
         """The same way to a verdict, which then says what was written for it: bytes and sha256 of each file."""

@@ -150,6 +150,8 @@ def work_through(
     else:
         judge = candidate_arguments.judge_of(candidate, keep=html is not None)
         judge = out_folder.recorded(judge) if out_folder else judge
+    if out_folder:
+        out_folder.begin()
     with closing(progress.bar_for(entries)) as bar:
         for verdict in campaign.run(entries, workers, args.maxfail, folder, judge, record):
             done.append(verdict)

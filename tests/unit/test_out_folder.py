@@ -97,6 +97,21 @@ def test_an_interrupted_run_spares_what_it_did_not_come_to(judged, capsys):
     assert judged("-k", "0") == 0 and len(names(".exr")) == 3
 
 
+def test_no_verdict_of_an_earlier_run_is_there_while_one_goes_on(judged, monkeypatch):
+    """Who is killed leaves none, and --resume has the journal."""
+    judged()
+    judge, seen = campaign.judge_entry, []
+
+    def looking(entry, folder, *, keep=False):
+        seen.append(Path("out/verdict.json").exists())
+        return judge(entry, folder, keep=keep)
+
+    monkeypatch.setattr(campaign, "judge_entry", looking)
+    Path("scenes/a.toml").write_text(SCENE.format(name="another"))
+    assert judged("--resume") == 0 and seen == [False]
+    assert judged() == 0 and seen == [False] * 4 and Path("out/verdict.json").exists()
+
+
 def test_shards_in_one_folder_spare_each_other(judged, capsys):
     for part in (1, 2, 3):
         assert judged("--shard", f"{part}/3") == 0
