@@ -82,7 +82,9 @@ def scene_of(record: dict[str, Any]) -> SceneVerdict:
             SceneCheck(each["name"], float(each["ratio"]), each["what"]) for each in record["checks"]
         ),
         failures=tuple(failure_of(each) for each in record["failures"]),
-        files=dict(record.get("files", {})),  # of older versions: not told
+        files={
+            file: file_told(each) for file, each in record.get("files", {}).items()
+        },  # of older ones: not told
         made_of=MadeOf(**record.get("made_of", {})),
         ratios={name: float(ratio) for name, ratio in record["ratios"].items()},
         reproducers=tuple(record["reproducers"]),
@@ -107,6 +109,11 @@ def as_of_ours(record: dict[str, Any]) -> dict[str, Any]:
         failures.append(said | {"verdict": ours.get(said["verdict"], said["verdict"])})
     counts = {ours.get(name, name): count for name, count in record["counts"].items()}
     return record | {"failures": failures, "counts": counts}
+
+
+def file_told(record: dict[str, Any]) -> dict[str, Any]:
+    """What a file was when it was written."""
+    return {"bytes": int(record["bytes"]), "sha256": str(record["sha256"])}
 
 
 def failure_of(record: dict[str, Any]) -> Failure:

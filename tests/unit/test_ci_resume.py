@@ -105,8 +105,9 @@ def test_a_verdict_that_does_not_say_what_was_written_is_judged_anew(judged, tmp
     judged()
     text = json.loads((tmp_path / "out/verdict.json").read_text())
     del text["scenes"][0]["files"], text["scenes"][1]["files"]["b.verdict.exr"]
+    text["scenes"][2]["files"]["m.ours.exr"] = "of another shape"
     (tmp_path / "out/verdict.json").write_text(json.dumps(text))
-    assert judged("--resume")[1] == ["a", "b"] and kept() == ["m"]
+    assert judged("--resume")[1] == ["a", "b", "m"] and kept() == []
 
 
 @pytest.mark.parametrize(
