@@ -63,7 +63,8 @@ class Swept:
         """On one line, "" if there is nothing to tell."""
         told = []
         if self.removed:
-            told.append(f"removed {len(self.removed)} files that an earlier run wrote and this one did not")
+            files = "file" if len(self.removed) == 1 else "files"
+            told.append(f"removed {len(self.removed)} {files} that an earlier run wrote and this one did not")
         if self.altered:
             told.append(f"left {len(self.altered)} that somebody altered since: {', '.join(self.altered)}")
         return f"{folder}: {'; '.join(told)}" if told else ""

@@ -45,13 +45,15 @@ class OutFolder:
             for file in files_of(verdict)
         )
 
-    def sweep(self, verdict: Verdict, selected: Collection[str]) -> Swept:
+    def sweep(self, verdict: Verdict, selected: Collection[str] | None) -> Swept:
         """Remove what earlier runs left. Spared: scenes that are not judged yet, and those of the other shards.
 
-        selected: names of the scenes of all shards.
+        selected: names of the scenes of all shards; None for a run of some scenes, which says nothing of others.
         """
         judged = {scene.name for scene in verdict.scenes}
-        return self.written.sweep(lambda scene: scene in selected and scene not in judged)
+        return self.written.sweep(
+            lambda scene: scene not in judged and (selected is None or scene in selected)
+        )
 
 
 def files_of(verdict: SceneVerdict) -> tuple[str, ...]:

@@ -156,9 +156,8 @@ class CheckItem(pytest.Item):
         if not isinstance(excinfo.value, (CheckFailed, SceneError)):
             return super().repr_failure(excinfo, style)
         shown: Any = excinfo.getrepr(style="value")
-        if (
-            shown.reprcrash is not None
-        ):  # its message is the line of the summary, which pytest cuts, but not under CI
+        if shown.reprcrash is not None:
+            # the line of pytest's summary, which is not cut where CI is set
             shown.reprcrash.message = str(excinfo.value).partition("\n")[0]
         return shown
 

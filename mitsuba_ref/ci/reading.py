@@ -82,9 +82,7 @@ def scene_of(record: dict[str, Any]) -> SceneVerdict:
             SceneCheck(each["name"], float(each["ratio"]), each["what"]) for each in record["checks"]
         ),
         failures=tuple(failure_of(each) for each in record["failures"]),
-        files={
-            file: file_told(each) for file, each in record.get("files", {}).items()
-        },  # of older ones: not told
+        files={file: file_told(each) for file, each in record.get("files", {}).items()},
         made_of=MadeOf(**record.get("made_of", {})),
         ratios={name: float(ratio) for name, ratio in record["ratios"].items()},
         reproducers=tuple(record["reproducers"]),

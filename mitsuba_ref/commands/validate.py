@@ -80,11 +80,17 @@ def run(args: argparse.Namespace) -> int:
         verdict = Verdict(tuple(done), asked=len(entries), names=names, **ci.about(args, every))
         try:
             report(verdict, args, time.perf_counter() - start)
-            if out and (words := out.sweep(verdict, [entry.name for entry in every]).words(out.folder)):
+            names = tuple(entry.name for entry in every)
+            if out and (words := out.sweep(verdict, names if is_whole(args) else None).words(out.folder)):
                 print(words, file=sys.stderr)
         finally:
             html_option.finish(html, verdict.not_judged)
     return OK if verdict.ok else DIFFERENCES
+
+
+def is_whole(args: argparse.Namespace) -> bool:
+    """Whether all scenes of folders were asked for, so that others are gone."""
+    return not args.expression and all(Path(place).is_dir() for place in args.scenes)
 
 
 def selected(args: argparse.Namespace) -> list[Entry]:

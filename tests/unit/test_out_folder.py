@@ -43,10 +43,10 @@ def judged(tmp_path, monkeypatch):
 
     monkeypatch.setattr(campaign, "judge_entry", judge)
 
-    def run(*words, **changed):
+    def run(*words, places=("scenes",), **changed):
         settings.update(reproducers=(), problem=(), stop=())
         settings.update(changed)
-        return main(["validate", "scenes", "--out", "out", "-j", "1", *words])
+        return main(["validate", *places, "--out", "out", "-j", "1", *words])
 
     return run
 
@@ -94,7 +94,17 @@ def test_an_interrupted_run_spares_what_it_did_not_come_to(judged, capsys):
     assert judged(stop=("b",)) == 130
     assert f"removed 3 {REMOVED}" in capsys.readouterr().err  # of a, which is no scene any more
     assert len(names(".exr")) == 9
-    assert judged("-k", "0") == 0 and len(names(".exr")) == 3
+    assert judged("-k", "0") == 0 and len(names(".exr")) == 9  # some scenes say nothing of the others
+
+
+@pytest.mark.parametrize(
+    ("words", "places"), [(("-k", "a"), ("scenes",)), ((), ("scenes/a.toml",))], ids=["-k", "named"]
+)
+def test_a_run_of_some_scenes_removes_only_what_is_theirs(judged, capsys, words, places):
+    judged(reproducers=("case-1.3-4",))
+    assert judged(*words, places=places) == 0
+    assert "removed 1 file that an earlier run wrote" in capsys.readouterr().err
+    assert names(".toml") == [f"{name}.case-1.3-4.toml" for name in "bc"] and len(names(".exr")) == 9
 
 
 def test_no_verdict_of_an_earlier_run_is_there_while_one_goes_on(judged, monkeypatch):
