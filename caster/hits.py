@@ -141,7 +141,15 @@ def _scaled(rays: Rays) -> tuple[Rays, np.ndarray]:
 
 
 def _rows(a: ArrayLike, name: str) -> np.ndarray:
-    rows = np.ascontiguousarray(a, np.float64)
-    if rows.ndim != 2 or rows.shape[1] != 3:
-        raise SceneError(f"rays: {name} must have shape (n, 3), got {rows.shape}")
+    given = a if isinstance(a, np.ndarray) and a.dtype.kind == "f" else np.asarray(a, np.float64)
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise SceneError(f"rays: {name} must have shape (n, 3), got {given.shape}")
+    if given.dtype == np.float64 and given.flags.c_contiguous:
+        return given
+    rows = np.empty(given.shape)
+
+    def copy(start: int, stop: int) -> None:
+        rows[start:stop] = given[start:stop]
+
+    in_bands(copy, len(rows))
     return rows

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from caster.casting import find_any
-from caster.kernels.gather import Surfaces, find_normals_at, find_surfaces, no_surfaces
+from caster.kernels.gather import Surfaces, find_all_normals, find_normals_at, find_surfaces, no_surfaces
 from caster.kernels.light import find_arriving, find_shadow_rays
 from caster.kernels.nearest import Nearest, Rays, new_rays
 from caster.lights import Light
@@ -55,6 +55,11 @@ class View:
     @cached_property
     def normals(self) -> np.ndarray:
         """(n, 3) geometric normals of the hits alone, 0 on a miss; those of `surfaces`."""
+        if len(self.packed.parts) == 1:
+            found, (t, prim) = np.empty((len(self.hit), 3)), (self.nearest.t, self.nearest.prim)
+            find = partial(find_all_normals, self.packed.kinds[0].prims, self.rays, prim, t, found)
+            in_bands(find, len(found), self.threads)
+            return found
         out = np.zeros((len(self.hit), 3))
         for prims, where, ks in self._hits_by_kind():
             find = partial(find_normals_at, prims, ks, where, self.rays, self.nearest.t, out)

@@ -82,6 +82,16 @@ def find_normals_at(
 
 
 @jit
+def find_all_normals(prims: Any, rays: Any, prim: Any, t: Any, out: Any, start: int, stop: int) -> None:
+    """The same for all of rays start..stop, given the primitives that they hit; 0 for -1."""
+    for i in range(start, stop):
+        n = (0.0, 0.0, 0.0)
+        if prim[i] >= 0:
+            n = normal(prims, prim[i], row(rays.o, i), row(rays.d, i), t[i])
+        out[i, 0], out[i, 1], out[i, 2] = n[0], n[1], n[2]
+
+
+@jit
 def find_surfaces(
     prims: Any, ks: Any, where: Any, rays: Any, t: Any, out: Any, start: int, stop: int
 ) -> None:
