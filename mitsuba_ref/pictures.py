@@ -34,8 +34,14 @@ def class_map(told: np.ndarray, classes: np.ndarray, ratio: np.ndarray) -> Chann
     return {
         "A": told.astype(np.float32),
         "class.I": classes.reshape(told.shape).astype(np.uint32),
-        "ratio.Y": ratio.reshape(told.shape),
+        "ratio.Y": within_float32(ratio).reshape(told.shape),
     }
+
+
+def within_float32(values: np.ndarray) -> np.ndarray:
+    """Finite numbers beyond float32 as its largest: no file of ours holds more, and inf would say a miss."""
+    largest = float(np.finfo(np.float32).max)
+    return np.where(np.isfinite(values), np.clip(values, -largest, largest), values)
 
 
 def write_all(

@@ -49,7 +49,7 @@ def flat(aovs: Aovs, name: str) -> np.ndarray:
 
 def share_of_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """error / bound; inf for anything that is not a number, or where there is no bound to hold on to."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         share = np.where(error == 0.0, 0.0, error / bound)
     fine = np.isfinite(error) & np.isfinite(bound) & np.isfinite(share)
     return np.where(fine, share, np.inf)

@@ -1,7 +1,7 @@
 """What a candidate says of each ray, checked for form: before anything is compared."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from mitsuba_ref.meeting import KU, KU_OURS
 
 FLOAT32, FLOAT64 = "float32", "float64"
 NOT_FINITE = "the normal is not finite on a hit"
+LAST_WORDS = 1500  # characters kept of what somebody's code said
 PRECISIONS = {FLOAT32: KU, FLOAT64: KU_OURS}  # K times the unit round-off, as Model.meet takes it
 
 
@@ -42,6 +43,14 @@ class Answer:
         """(n,) bool: no answer at all."""
         return np.any([np.zeros(len(self.t), bool), *self.broken.values()], axis=0)
 
+    def at(self, row: int) -> "Answer":
+        """What it says of one ray."""
+        rows = slice(row, row + 1)
+        t_off = self.t_off[rows] if isinstance(self.t_off, np.ndarray) else self.t_off
+        broken = {why: found[rows] for why, found in self.broken.items() if found[row]}
+        n = None if self.n is None else self.n[rows]
+        return replace(self, t=self.t[rows], n=n, broken=broken, t_off=t_off)
+
     @property
     def ku(self) -> float:
         return PRECISIONS[self.precision]
@@ -54,8 +63,8 @@ def checked(t: Any, n: Any, count: int, *, precision: str | None = None, **more:
     and a normal that is not finite or has no length on a hit are rows without an answer. Raises NoAnswer for arrays of
     another shape or of no floating type.
     """
-    t = _floats("t", t, (count,))
-    n = None if n is None else _floats("n", n, (count, 3))
+    t = _floats("t", t, (count,), np.inf)
+    n = None if n is None else _floats("n", n, (count, 3), 0.0)
     kinds = [a.dtype for a in (t, n) if a is not None]
     hints = _hints(t, precision)
     precision = precision or (FLOAT64 if all(kind == np.float64 for kind in kinds) else FLOAT32)
@@ -64,28 +73,66 @@ def checked(t: Any, n: Any, count: int, *, precision: str | None = None, **more:
     hit = ~np.isposinf(t)
     if n is not None:
         n = n.astype(np.float64)
-        length = np.linalg.norm(np.where(np.isfinite(n), n, 0.0), axis=1)
         whole = np.isfinite(n).all(axis=1)
+        fine = hit & whole & n.any(axis=1)
         broken[NOT_FINITE] = hit & ~whole
-        broken["the normal has no length on a hit"] = hit & whole & (length == 0.0)
-        fine = hit & whole & (length > 0.0)
-        n = np.where(fine[:, None], n / np.where(fine, length, 1.0)[:, None], 0.0)
+        broken["the normal has no length on a hit"] = hit & whole & ~fine
+        n = _directions(np.where(fine[:, None], n, 0.0))
     return Answer(
         t, n, precision, {why: rows for why, rows in broken.items() if rows.any()}, hints=hints, **more
     )
 
 
-def _floats(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
+def _directions(n: np.ndarray) -> np.ndarray:
+    """Rows (n, 3) divided by their lengths, however long or short; rows of zeros stay.
+
+    First by the power of two next to the largest component, which is exact: a square may overflow, or vanish.
+    """
+    _, exponent = np.frexp(np.abs(n).max(axis=1))
+    n = np.ldexp(n, -exponent[:, None])
+    length = np.linalg.norm(n, axis=1)
+    directions: np.ndarray = n / np.where(length > 0.0, length, 1.0)[:, None]
+    return directions
+
+
+def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> np.ndarray:
+    """As a plain array in this machine's order of bytes. nothing: what stands for no value. Raises NoAnswer."""
+    expected = f"shape {'(n,)' if len(shape) == 1 else '(n, 3)'} = {shape}"
+    if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
+        masked = int(np.ma.getmaskarray(values).sum())
+        raise NoAnswer(
+            f"{name}: {masked} values are masked; say what they are, such as {name}.filled({nothing})"
+        )
     try:
         a = np.asarray(values)
-    except Exception as error:  # whatever somebody's array type raises
-        raise NoAnswer(f"{name} is no array: {error}") from error
-    expected = "(n,)" if len(shape) == 1 else "(n, 3)"
+    except KeyboardInterrupt:
+        raise
+    except (
+        BaseException
+    ) as error:  # whatever somebody's array type raises; SystemExit would end the run with a 0
+        raise NoAnswer(f"{name} is no array: {type(error).__name__}: {error_words(error)}") from error
+    if a.dtype == object and not a.shape:
+        raise NoAnswer(f"{name}: expected an array of {expected}, got {type(values).__name__}")
     if a.shape != shape:
-        raise NoAnswer(f"{name}: expected shape {expected} = {shape}, got {a.shape}")
-    if a.dtype not in (np.float32, np.float64):
+        raise NoAnswer(f"{name}: expected {expected}, got {a.shape}")
+    native = a.dtype.newbyteorder("=")
+    if native not in (np.float32, np.float64):
         raise NoAnswer(f"{name}: expected float32 or float64 numbers, got {a.dtype}")
-    return a
+    return a.astype(native, copy=False)
+
+
+def error_words(error: BaseException) -> str:
+    """What an exception of somebody else's says; even that may fail, or be very long."""
+    try:
+        words = str(error)
+    except Exception as another:
+        return f"(its message raises {type(another).__name__})"
+    return plain(words[:LAST_WORDS]) + (" ..." if len(words) > LAST_WORDS else "")
+
+
+def plain(words: str) -> str:
+    """Without what would move the cursor, change colours, or fit into no file."""
+    return "".join(c if c in "\n\t" or c.isprintable() else " " for c in words)
 
 
 def _hints(t: np.ndarray, precision: str | None) -> tuple[str, ...]:

@@ -35,6 +35,10 @@ class Candidate(Protocol):
     def reads_xml(self) -> bool:
         """Whether it sees the scene as plain Mitsuba does."""
 
+    @property
+    def takes_rays(self) -> bool:
+        """Whether it is handed rays, and so can be asked about some of them."""
+
     def answer(self, question: Question) -> Answer:
         """What it says of every ray. Raises NoAnswer."""
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from caster.exr import Exr, UnreadableExr, read_exr
 from caster.wording import FileMissing, SceneError
-from mitsuba_ref.candidate.answer import FLOAT32, Answer, NoAnswer, checked
+from mitsuba_ref.candidate.answer import FLOAT32, LAST_WORDS, Answer, NoAnswer, checked, plain
 from mitsuba_ref.candidate.asking import Question
 from mitsuba_ref.child import watched
 from mitsuba_ref.export import export
@@ -28,7 +28,6 @@ SCENES = ("xml", "toml")
 FIELDS = (*SCENES, "exr", "width", "height")
 OWN_CAMERA = "its rays are its own camera's, and it is allowed what rounding to float32 may do to those, too"
 TWICE = "a brace that is meant is written twice"
-LAST_WORDS = 1500  # characters kept of what a program said
 
 DEPTH, NORMAL, MASK = "depth.Z", ("normal.X", "normal.Y", "normal.Z"), "A"
 
@@ -69,6 +68,7 @@ class Command:
     reads_toml: bool
     precision: str | None
     seconds: float
+    takes_rays: bool = False
 
     def answer(self, question: Question) -> Answer:
         """Write the scene, run the program, read its picture. Raises NoAnswer."""
@@ -205,5 +205,5 @@ def _exit(code: int) -> str:
 
 
 def _last(words: str) -> str:
-    words = "".join(c if c in "\n\t" or c.isprintable() else " " for c in words).strip()
+    words = plain(words).strip()
     return f"; its last words:\n{words[-LAST_WORDS:]}" if words else "; it said nothing"

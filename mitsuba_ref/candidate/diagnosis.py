@@ -58,6 +58,8 @@ def diagnose(judge: CandidateJudge, judgement: CandidateJudgement) -> Diagnosis:
             said[what] = np.union1d(said.get(what, np.zeros(0, np.int64)), mine)
             left[mine] = False
 
+    for what, rows in _marked_misses(judge):
+        say(what, rows)
     for why, broken in judge.answer.broken.items():
         say(f"no answer: {why}", np.flatnonzero(broken))
     say("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.answer.hit))
@@ -71,6 +73,14 @@ def diagnose(judge: CandidateJudge, judgement: CandidateJudgement) -> Diagnosis:
             say(what, rows)
     say("not what is there, in no way that is recognised", np.flatnonzero(left))
     return Diagnosis(said)
+
+
+def _marked_misses(judge: CandidateJudge) -> Iterator[tuple[str, np.ndarray]]:
+    """A number in the place of inf: the same one wherever Mitsuba misses."""
+    rows = np.flatnonzero(~judge.witness.hit & (judge.t_max >= 0.0))
+    t = judge.answer.t[rows]
+    if len(rows) > 1 and np.isfinite(t[0]) and (t == t[0]).all():
+        yield f"t is {t[0]:.7g} where nothing is hit; a miss has t inf", rows
 
 
 def _failing(judge: CandidateJudge, judgement: CandidateJudgement, rows: np.ndarray) -> Failing:
@@ -96,7 +106,8 @@ def suppositions(judge: CandidateJudge, failing: Failing) -> Iterator[tuple[str,
 def _missed(judge: CandidateJudge, failing: Failing) -> Iterator[tuple[str, np.ndarray]]:
     rows, says = failing.rows, judge.answer.hit[failing.rows]
     missed = rows[~says & failing.hit]
-    if len(missed) and judge.answer.hit.any():
+    everything = len(judge.answer.t) > 1 and not judge.answer.hit.any()  # of one pixel, that says nothing
+    if len(missed) and not everything:
         at = np.flatnonzero(~says & failing.hit)
         lines = judge.o[missed], judge.d[missed]
         met = judge.model.meet(failing.prim[at], *lines, judge.answer.ku, ours=True)
@@ -104,7 +115,6 @@ def _missed(judge: CandidateJudge, failing: Failing) -> Iterator[tuple[str, np.n
         what = "missed: the surface's first root is behind the ray's origin, and the second one was not tried"
         yield what, missed[begins_inside]
     if len(missed):
-        everything = not judge.answer.hit.any()
         yield ("the candidate misses everything" if everything else "missed; exact arithmetic hits"), missed
     yield "a hit; exact arithmetic misses", rows[says & ~failing.hit]
 
@@ -122,7 +132,7 @@ def _wrong_t(judge: CandidateJudge, f: Failing) -> Iterator[tuple[str, np.ndarra
         yield what, f.rows[_in_place_of(t, f.t, cosine, off)]
     what = "distance in place of t, which counts in lengths of d"
     yield what, f.rows[_in_place_of(t, f.t, norm(d), off)]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         share = np.where(off, t / f.t - 1.0, 0.0)
     if not off.any():
         return
@@ -134,8 +144,7 @@ def _wrong_t(judge: CandidateJudge, f: Failing) -> Iterator[tuple[str, np.ndarra
     yield "a surface that lies behind the first one", f.rows[behind]
     for some, word in ((off & (share < 0.0), "before"), (off & (share > 0.0), "behind")):
         if some.any():
-            span = f"{np.abs(share[some]).min():.2g} to {np.abs(share[some]).max():.2g} of itself"
-            yield f"t is off: {word} what is hit, by {span}", f.rows[some]
+            yield f"t is off: {word} what is hit, by {_span(np.abs(share[some]))} of itself", f.rows[some]
 
 
 def _in_place_of(t: np.ndarray, right: np.ndarray, factor: np.ndarray, off: np.ndarray) -> np.ndarray:
@@ -163,7 +172,13 @@ def _wrong_normal(judge: CandidateJudge, f: Failing) -> Iterator[tuple[str, np.n
     off = apart(n, f.at.n)
     off = off[np.isfinite(off)]
     if len(off):
-        yield f"the normal is off by {off.min():.2g} to {off.max():.2g} of its length", f.rows
+        yield f"the normal is off by {_span(off)} of its length", f.rows
+
+
+def _span(sizes: np.ndarray) -> str:
+    """From the smallest to the largest."""
+    low, high = f"{sizes.min():.2g}", f"{sizes.max():.2g}"
+    return low if low == high else f"{low} to {high}"
 
 
 def _like(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -57,7 +57,7 @@ def shares_of(judge: "CandidateJudge", rows: np.ndarray, answers: Sequence[Exact
 
 def _over(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """error / bound; 0 where there is no bound to hold to, inf where the error is no number."""
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         share = np.where(error == 0.0, 0.0, error / bound)
     share = np.where(np.isposinf(bound) & np.isfinite(error), 0.0, share)
     return np.where(np.isnan(share), np.inf, share)

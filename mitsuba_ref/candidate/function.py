@@ -1,11 +1,14 @@
 """A candidate that is a Python function: function(scene, o, d) -> (t, n)."""
 
+import contextlib
 import importlib
+import inspect
+import os
 import re
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,15 +16,12 @@ from typing import Any
 import numpy as np
 
 from caster.wording import SceneError
-from mitsuba_ref.candidate.answer import PRECISIONS, Answer, NoAnswer, checked
+from mitsuba_ref.candidate.answer import PRECISIONS, Answer, NoAnswer, checked, error_words
 from mitsuba_ref.candidate.asking import Question
 
 DOTTED = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
 OURS = (str(Path(__file__).parent), "<frozen importlib")  # whose calls say nothing of a candidate
 LAST_CALLS = 4  # of a traceback, on one line each
-
-# A candidate that ends the program would end it with its own exit code, which may be 0.
-STOPS = (Exception, SystemExit)
 
 # Scenes are judged several at a time; nobody said that a candidate may be called from two threads at once.
 _one_at_a_time = threading.Lock()
@@ -39,8 +39,11 @@ def function_of(text: str, precision: str | None = None) -> "Function":
     if here not in sys.path:
         sys.path.insert(0, here)
     try:
-        found: Any = importlib.import_module(module)
-    except STOPS as error:  # a module may raise what it likes
+        with _as_it_was():
+            found: Any = importlib.import_module(module)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit, too, which would end the program with its own exit code
         raise SceneError(f"--candidate {text}: cannot import {module}: {_told(error)}") from error
     for name in path.split("."):
         if not hasattr(found, name):
@@ -55,7 +58,7 @@ def function_called(call: Callable[..., Any], name: str = "", precision: str | N
     """A function as a candidate; its attribute `precision` counts where none is asked for. Raises SceneError."""
     name = name or getattr(call, "__name__", type(call).__name__)
     declared = precision or getattr(call, "precision", None)
-    if declared not in (None, *PRECISIONS):
+    if declared is not None and not (isinstance(declared, str) and declared in PRECISIONS):
         raise SceneError(f"{name}.precision: expected {' or '.join(PRECISIONS)}, got {declared!r}")
     return Function(name, call, declared)
 
@@ -68,6 +71,7 @@ class Function:
     call: Callable[[Any, np.ndarray, np.ndarray], Any]
     precision: str | None = None  # None: that of the arrays it returns
     reads_xml: bool = False
+    takes_rays: bool = True
 
     def answer(self, question: Question) -> Answer:
         """Ask about the rays that there are, float64 arrays of float32 values; a hit beyond t_max is a miss.
@@ -77,22 +81,45 @@ class Function:
         rays = question.rays
         there = rays.t_max >= 0.0
         o, d = (a[there].astype(np.float64) for a in (rays.o, rays.d))
-        returned = self._called(question, o, d)
-        if not isinstance(returned, tuple | list) or len(returned) != 2:
-            raise NoAnswer(f"{self.name}: expected two arrays (t, n), got {_shown(returned)}")
-        try:
-            t, n = returned
-            some = checked(t, n, int(there.sum()), precision=self.precision)
-        except NoAnswer as error:
-            raise NoAnswer(f"{self.name}: {error}") from error
+        with _one_at_a_time, _as_it_was():
+            returned = self._called(question, o, d)
+            try:
+                some = checked(*_pair(returned), int(there.sum()), precision=self.precision)
+            except NoAnswer as error:
+                raise NoAnswer(f"{self.name}: {error}") from error
         return _for_all(some, there, rays.t_max.astype(np.float64))
 
     def _called(self, question: Question, o: np.ndarray, d: np.ndarray) -> Any:
         try:
-            with _one_at_a_time:
-                return self.call(question.traced, o, d)
-        except STOPS as error:
+            return self.call(question.traced, o, d)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise NoAnswer(f"{self.name} raised {_told(error)}") from error
+
+
+@contextlib.contextmanager
+def _as_it_was() -> Iterator[None]:
+    """Somebody's code runs here. What it prints is no result; the folder and NumPy's ways with errors stay ours."""
+    here = Path.cwd()
+    with contextlib.redirect_stdout(sys.stderr), np.errstate():
+        try:
+            yield
+        finally:
+            os.chdir(here)
+
+
+def _pair(returned: Any) -> tuple[Any, Any]:
+    """(t, n). Raises NoAnswer."""
+    if inspect.iscoroutine(returned):
+        returned.close()
+        raise NoAnswer(
+            "expected two arrays (t, n), got a coroutine; a plain function is called, no async one"
+        )
+    if not isinstance(returned, tuple | list) or len(returned) != 2:
+        raise NoAnswer(f"expected two arrays (t, n), got {_shown(returned)}")
+    t, n = returned
+    return t, n
 
 
 def _for_all(some: Answer, there: np.ndarray, t_max: np.ndarray) -> Answer:
@@ -116,7 +143,7 @@ def _told(error: BaseException) -> str:
     where = "".join(
         f"\n  {call.filename}:{call.lineno}, in {call.name}: {call.line}" for call in calls[-LAST_CALLS:]
     )
-    return f"{type(error).__name__}: {error}{where}"
+    return f"{type(error).__name__}: {error_words(error)}{where}"
 
 
 def _shown(value: Any) -> str:

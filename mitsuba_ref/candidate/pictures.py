@@ -9,7 +9,7 @@ from caster.rendering import Aovs
 from mitsuba_ref import class_colors
 from mitsuba_ref.candidate.answer import NOT_FINITE
 from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement
-from mitsuba_ref.pictures import class_map, write_all
+from mitsuba_ref.pictures import class_map, within_float32, write_all
 from mitsuba_ref.verdict import CANDIDATE_WRONG, CLASSES, FAILING, OURS_WRONG
 
 
@@ -18,7 +18,9 @@ def write_pictures(folder: Path, name: str, judge: CandidateJudge, judgement: Ca
     hit = judge.answer.hit | judge.witness.hit | judgement.is_class(*FAILING)
     ratio = np.max(list(judgement.ratios.values()), axis=0)
     pictures = {
-        "candidate": channels_of(candidate_aovs(judge)),
+        "candidate": {
+            channel: within_float32(values) for channel, values in channels_of(candidate_aovs(judge)).items()
+        },
         "reference": channels_of(judge.reference),
         "verdict": class_map(hit.reshape(judge.reference.hit.shape), judgement.classes, ratio),
     }
@@ -32,7 +34,9 @@ def candidate_aovs(judge: CandidateJudge) -> Aovs:
     A normal that is not finite is NaN."""
     answer, shape = judge.answer, judge.reference.hit.shape
     length = np.linalg.norm(judge.d, axis=1)
-    images = {"depth": (judge.rays.start + answer.t * length).reshape(shape)}
+    with np.errstate(over="ignore"):
+        depth = judge.rays.start + answer.t * length
+    images = {"depth": depth.reshape(shape)}
     if answer.n is not None:
         none = answer.broken.get(NOT_FINITE, np.zeros(len(answer.t), bool))
         images["normal"] = np.where(none[:, None], np.nan, answer.n).reshape(*shape, 3)

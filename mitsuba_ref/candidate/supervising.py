@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NoReturn, TextIO
 
 from caster.exits import DIFFERENCES, INTERRUPTED
 
@@ -17,11 +18,9 @@ MARK = "MITSUBA_REF_SUPERVISED"  # in the environment of the one that is looked 
 PATIENCE = (
     20.0  # seconds for the scenes that are being judged to end, and to be written down, after an interruption
 )
-# sys.exit is heard by `main`; os._exit and C's exit() end the process before its code is told. What it exits with does
-# not count: what the candidate left for the end of the process may change that.
 SOURCE = (
-    "import os, sys; sys.path[:] = {path!r}; from mitsuba_ref.__main__ import main; code = main(sys.argv[1:]); "
-    "os.write({fd}, b'%d' % code); sys.exit(code)"
+    "import sys; sys.path[:] = {path!r}; from mitsuba_ref.candidate.supervising import looked_after; "
+    "looked_after({fd})"
 )
 
 
@@ -29,7 +28,8 @@ def wanted(words: Sequence[str]) -> bool:
     """Whether this command line may run somebody's function in the process of the judge."""
     if os.name != "posix" or MARK in os.environ:
         return False
-    return list(words[:1]) == ["validate"] and any(word.startswith("--cand") for word in words)  # or in short
+    asks = any(word.partition("=")[0] == "--candidate" for word in words)
+    return asks and list(words[:1]) in (["validate"], ["probe"])
 
 
 def run(words: Sequence[str]) -> int:
@@ -54,8 +54,41 @@ def run(words: Sequence[str]) -> int:
     for path in outputs(words):  # of an earlier run: they would pass for this one's
         if path.is_file() and path.stat().st_mtime < began:
             path.unlink()
-    print(f"the candidate ended the process, exit {code}: nothing is judged", file=sys.stderr)
+    print(f"the candidate ended the process, {_how(code)}: nothing is judged", file=sys.stderr)
     return DIFFERENCES
+
+
+def _how(code: int) -> str:
+    if code >= 0:
+        return f"exit {code}"
+    try:
+        return f"by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"by signal {-code}"
+
+
+def looked_after(fd: int) -> NoReturn:
+    """The command line of this process, in the child; its exit code goes through fd before the process ends.
+
+    sys.exit is heard by `main`; os._exit and C's exit() end the process before its code is told. What it exits with
+    does not count: what the candidate left for the end of the process may change that.
+    """
+    from mitsuba_ref.__main__ import main
+
+    sys.stdout = results = _results()
+    code = main(sys.argv[1:])
+    os.write(fd, b"%d" % code)
+    sys.stdout = sys.__stdout__
+    results.close()
+    sys.exit(code)
+
+
+def _results() -> TextIO:
+    """A way of our own to where results go; what others print, from C as well, goes to standard error."""
+    out = sys.stdout
+    kept = os.fdopen(os.dup(1), "w", 1 if out.isatty() else -1, encoding=out.encoding, errors=out.errors)
+    os.dup2(2, 1)
+    return kept
 
 
 def _code_of(child: subprocess.Popen[bytes]) -> int:
@@ -75,7 +108,9 @@ def _code_of(child: subprocess.Popen[bytes]) -> int:
 
 
 def outputs(words: Sequence[str]) -> Iterator[Path]:
-    """The verdicts that this command line asks for."""
+    """The verdicts that this command line asks for; a pixel's goes to standard output."""
+    if list(words[:1]) != ["validate"]:
+        return
     parser = argparse.ArgumentParser(add_help=False)
     for option in ("--json", "--junit", "--out"):
         parser.add_argument(option)

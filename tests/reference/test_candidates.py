@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from mitsuba_ref.jobs import Answer, Crash, Job
 from mitsuba_ref.junit import junit
 from mitsuba_ref.table import failure, summary
 from mitsuba_ref.validation import validate
-from mitsuba_ref.verdict import EXPLAINED, OURS_WRONG, TIE, SceneVerdict, Verdict
+from mitsuba_ref.verdict import CLASSES, EXPLAINED, OURS_WRONG, TIE, SceneVerdict, Verdict
 
 ROOT = Path(__file__).parents[2]
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
@@ -187,8 +188,38 @@ def test_a_leak_at_an_edge_that_faces_share_is_no_rounding(judged, name):
 # ---- no answer at all ----
 
 
+class Leaving:
+    """What ends the program where it is taken for an array, with an exit code that says success."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise SystemExit(0)
+
+
+class Speechless(BaseException):
+    def __str__(self):
+        raise ValueError
+
+
 def raising(scene, o, d):
     raise RuntimeError("no such shape")
+
+
+def speechless(scene, o, d):
+    raise Speechless
+
+
+async def later(scene, o, d):
+    return candidates.ours(scene, o, d)
+
+
+def talkative(scene, o, d):
+    raise RuntimeError("\x1b[31m" + 100_000 * "x")
+
+
+def masked(scene, o, d):
+    """Right numbers, said not to be there."""
+    t, n = candidates.ours(scene, o, d)
+    return np.ma.masked_array(t, mask=np.isfinite(t)), n
 
 
 def leaving(scene, o, d):
@@ -209,6 +240,17 @@ ANSWERS = [
         "expected float32 or float64 numbers, got float16",
     ),
     (lambda scene, o, d: ([None] * len(o), None), "t: expected float32 or float64 numbers, got object"),
+    (lambda scene, o, d: ([10**400] * len(o), None), "t: expected float32 or float64 numbers, got object"),
+    (lambda scene, o, d: (Leaving(), None), "t is no array: SystemExit: 0"),
+    (
+        lambda scene, o, d: ((v for v in o), None),
+        "t: expected an array of shape (n,) = (432,), got generator",
+    ),
+    (lambda scene, o, d: (None, None), "t: expected an array of shape (n,) = (432,), got NoneType"),
+    (masked, "values are masked; say what they are, such as t.filled(inf)"),
+    (speechless, "raised Speechless: (its message raises ValueError)"),
+    (later, "got a coroutine; a plain function is called"),
+    (talkative, " [31mxxx"),
 ]
 
 
@@ -217,6 +259,87 @@ def test_an_answer_of_another_form_is_a_problem_and_never_a_pass(judged, trace, 
     found = judged(trace, small("one-sphere"))
     assert not found.ok and says in found.problem and says in failure(found)
     assert not Verdict((found,)).ok
+
+
+def far_normals(scene, o, d):
+    t, n = candidates.ours(scene, o, d)
+    return t, 1e300 * n
+
+
+def near_normals(scene, o, d):
+    t, n = candidates.ours(scene, o, d)
+    return t, 1e-300 * n
+
+
+def odd_arrays(scene, o, d):
+    """Read-only, in Fortran's order, of the other order of bytes, and within each other."""
+    t, n = candidates.ours(scene, o, d)
+    both = np.asfortranarray(np.column_stack([t, n]).astype(">f8"))
+    both.flags.writeable = False
+    return both[:, 0], both[:, 1:]
+
+
+def leaving_things_behind(scene, o, d):
+    """Another folder, another way with errors; and something printed."""
+    os.chdir("/")
+    np.seterr(all="raise")
+    print("not a result")
+    return candidates.ours(scene, o, d)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("trace", [far_normals, near_normals, odd_arrays, leaving_things_behind])
+def test_how_a_right_answer_is_stored_does_not_count(judged, trace, capsys):
+    here, errors = Path.cwd(), np.geterr()
+    assert judged(trace, small("one-sphere")).ok
+    assert (Path.cwd(), np.geterr()) == (here, errors) and capsys.readouterr().out == ""
+
+
+def far_normals_turned_round(scene, o, d):
+    t, n = far_normals(scene, o, d)
+    return t, -n
+
+
+def far_t(scene, o, d):
+    t, n = candidates.ours(scene, o, d)
+    return np.where(np.isfinite(t), 1e308, t), n
+
+
+def no_t(scene, o, d):
+    t, n = candidates.ours(scene, o, d)
+    return np.where(np.isfinite(t), 5e-324, t), n
+
+
+def a_miss_is_a_number(scene, o, d):
+    t, n = candidates.ours(scene, o, d)
+    return np.where(np.isfinite(t), t, 1e30), n
+
+
+def nonsense(scene, o, d):
+    rng = np.random.default_rng(5)
+    odd = np.array([np.nan, -np.inf, 1e308, -1e308, 5e-324, -0.0, 1e-300, 1.0])
+    return rng.choice(odd, len(o)), rng.choice(odd, o.shape)
+
+
+WILD = [
+    (far_normals_turned_round, "the normal is turned round"),
+    (far_t, "t is off: behind what is hit"),
+    (no_t, "t is 0 times what it should be"),
+    (a_miss_is_a_number, "t is 1e+30 where nothing is hit; a miss has t inf"),
+    (nonsense, "no answer: the normal is not finite on a hit"),
+]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("trace", "says"), WILD, ids=[trace.__name__ for trace, _ in WILD])
+def test_wild_numbers_are_wrong_in_the_ordinary_way(ask, trace, says, tmp_path):
+    """No warning, and pictures all the same: 1e308 is beyond what their files hold."""
+    candidate, scene = Function(trace.__name__, trace), small("one-sphere", 12, 9)
+    found = validate_candidate(candidate, scene, "wild", "wild.toml", ask=ask, folder=tmp_path, keep=True)
+    assert not found.problem and found.counts[OURS_WRONG] > 20 and says in found.findings[0].what
+    assert (read_exr(tmp_path / "wild.verdict.exr").channels["class.I"] == CLASSES.index(OURS_WRONG)).any()
+    assert np.isfinite(read_exr(tmp_path / "wild.candidate.exr").channels["depth.Z"]).sum() > 20
+    assert Verdict((found,)).write_html(tmp_path / "wild.html").exists()
 
 
 def test_a_candidate_may_write_into_the_arrays_that_it_gets(judged):
