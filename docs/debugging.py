@@ -120,7 +120,7 @@ def main() -> None:
         TEXT.format(
             diff=diff(),
             failing=shown(failing, lines=10),
-            probed=shown(probed, lines=16),
+            probed=shown(probed, lines=18),
             alone=alone,
             near=shown(near, start="miss"),
             stepped=shown(stepped, start="(Pdb) tbreak", lines=13),

@@ -18,7 +18,7 @@ from mitsuba_ref.exact import Oracle
 from mitsuba_ref.measuring import Measure
 from mitsuba_ref.meeting import KU, KU_OURS
 from mitsuba_ref.model import Model
-from mitsuba_ref.own import beyond_float64
+from mitsuba_ref.own import Held, beyond_float64, held
 from mitsuba_ref.pair import Pair
 from mitsuba_ref.pixels import Pixels, flat
 from mitsuba_ref.shading import Shading, hit_at, judge_diffuse, right_in_float64
@@ -105,6 +105,11 @@ class Judge:
     def oracle(self) -> Oracle:
         return Oracle(self.model.packed)
 
+    @cached_property
+    def held(self) -> tuple[Held, ...]:
+        """Our own quantities, and what float64 allows of them."""
+        return tuple(held(self.pair, self.bounds, self.point))
+
     def judge(self) -> Judgement:
         """Geometry first, then the diffuse AOV. Raises SceneError for a [check] that nothing would heed."""
         check_allowances(self.scene.checks)
@@ -123,7 +128,7 @@ class Judge:
         rows = rows[exact.are_right(rows)]
         if len(rows):
             classes[rows] = self._settle(rows, vague[rows], exact)
-        classes[beyond_float64(pair, bounds, self.point) & self.coherent] = CODE[OURS_WRONG]
+        classes[beyond_float64(self.held) & self.coherent] = CODE[OURS_WRONG]
         classes[exact.rows[~exact.answered]] = CODE[UNDECIDED]
         classes[exact.rows[exact.wrong]] = CODE[OURS_WRONG]
         shading = self._shade(classes, comparison.allowed["diffuse"])

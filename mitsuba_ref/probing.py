@@ -10,19 +10,20 @@ from caster.rendering import Aovs
 from caster.scene import Scene
 from caster.wording import SceneError
 from mitsuba_ref.bracket import latest_hits
+from mitsuba_ref.candidate.asking import Candidate
+from mitsuba_ref.candidate.pixel import CandidatePixel, candidate_at
 from mitsuba_ref.exact import ExactAnswer
 from mitsuba_ref.jobs import Crash
 from mitsuba_ref.judge import Judge, Judgement
 from mitsuba_ref.judging import judge_of
 from mitsuba_ref.pair import COMPARED
 from mitsuba_ref.pixels import flat
+from mitsuba_ref.quantities import not_judged
 from mitsuba_ref.rays import SharedRays, share
-from mitsuba_ref.reasons import reason
-from mitsuba_ref.telling import TIES_SHOWN, asked, members
+from mitsuba_ref.reasons import why
+from mitsuba_ref.telling import asked, members
 from mitsuba_ref.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, number
-from mitsuba_ref.witnesses import Saying, lines, recorded, sayings
-
-SHOWN = 12  # primitives on the terminal; --json has all
+from mitsuba_ref.witnesses import Saying, recorded, sayings
 
 
 @dataclass(frozen=True)
@@ -47,22 +48,30 @@ class PixelVerdict:
     ours: dict[str, Any]
     reference: dict[str, Any]
     exact: dict[str, Any]
-    ratios: dict[str, float]
+    ratios: dict[str, float]  # error over bound, of what was judged
+    not_judged: dict[str, str]  # the rest, and why
     possible: tuple[Possible, ...]
     versions: dict[str, str]
     problem: str = ""
     why: str = ""
     case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
-    witnesses: tuple[Saying, ...] = ()  # ours, exact, and Mitsuba in each of its variants and modes
+    witnesses: tuple[Saying, ...] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
+    candidate: CandidatePixel | None = None  # where one was asked for
 
     @property
     def ok(self) -> bool:
-        return not self.problem and self.verdict not in FAILING and self.case != UNLISTED
+        """Ours and Mitsuba's answers are explained, and so is the candidate's, if there is one."""
+        explained = not self.problem and self.verdict not in FAILING and self.case != UNLISTED
+        return explained and (self.candidate is None or self.candidate.ok)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; infinite numbers become text."""
         witnesses = [recorded(each) for each in self.witnesses]
-        plain: dict[str, Any] = _json_safe({**asdict(self), "witnesses": witnesses, "ok": self.ok})
+        found = {**asdict(self), "witnesses": witnesses, "ok": self.ok}
+        del found["candidate"]
+        if self.candidate is not None:
+            found["candidate"] = self.candidate.to_dict()
+        plain: dict[str, Any] = _json_safe(found)
         return plain
 
 
@@ -73,25 +82,30 @@ class Probed(NamedTuple):
     judgement: Judgement
 
 
-def probe(scene: Scene, x: int, y: int) -> PixelVerdict:
-    """Judge one pixel. Raises SceneError for one outside the film."""
-    return examine(scene, x, y)[0]
+def probe(scene: Scene, x: int, y: int, candidate: Candidate | None = None) -> PixelVerdict:
+    """Judge one pixel, of a candidate as well if there is one. Raises SceneError for one outside the film."""
+    return examine(scene, x, y, candidate)[0]
 
 
-def examine(scene: Scene, x: int, y: int) -> tuple[PixelVerdict, Probed | Crash]:
+def examine(
+    scene: Scene, x: int, y: int, candidate: Candidate | None = None
+) -> tuple[PixelVerdict, Probed | Crash]:
     """The same, with what it rests on."""
     film = scene.film
     if not (0 <= x < film.width and 0 <= y < film.height):
         inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
         raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
     whole = share(scene.with_film(crop=(0, 0, film.width, film.height)))  # stand-ins are cut to all rays
-    scene = scene.with_film(crop=(x, y, x + 1, y + 1))
+    asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
     judge = judge_of(scene, whole=whole)
     if isinstance(judge, Crash):
         problem = f"Mitsuba ended without an answer ({judge.exit}): {judge.words}"
-        return PixelVerdict(x, y, UNDECIDED, _ray(share(scene)), {}, {}, {}, {}, (), {}, problem), judge
+        return PixelVerdict(x, y, UNDECIDED, _ray(share(scene)), {}, {}, {}, {}, {}, (), {}, problem), judge
     pair, judgement = judge.pair, judge.judge()
     exact = asked(judge, judgement, 0)
+    theirs = None if candidate is None else candidate_at(candidate, asked_for, (x, y), pair)
+    said = sayings(judge, exact) if judge.t_max[0] >= 0.0 else ()
+    left = not_judged(judge, judgement, 0)
     found = PixelVerdict(
         x,
         y,
@@ -100,12 +114,14 @@ def examine(scene: Scene, x: int, y: int) -> tuple[PixelVerdict, Probed | Crash]
         _answer(scene, pair.ours, pair.t),
         _answer(scene, pair.reference, pair.witness.t),
         _exact(judge, exact),
-        _ratios(judgement),
+        {name: share for name, share in _ratios(judgement).items() if name not in left},
+        left,
         tuple(_possible(scene, judge)),
         pair.witness.answer.versions,
-        why=reason(judge, judgement, 0),
+        why=why(judge, judgement, 0),
         case=_case(judgement),
-        witnesses=sayings(judge, exact) if judge.t_max[0] >= 0.0 else (),
+        witnesses=said if theirs is None or theirs.saying is None else (theirs.saying, *said),
+        candidate=theirs,
     )
     return found, Probed(judge, judgement)
 
@@ -156,57 +172,6 @@ def _possible(scene: Scene, judge: Judge) -> Iterator[Possible]:
 
 def _numbers(values: Any) -> Any:
     return np.asarray(values, np.float64).tolist()
-
-
-def as_text(found: PixelVerdict, path: str) -> str:
-    """For a terminal."""
-    return "\n".join(_lines(found, path))
-
-
-def _lines(found: PixelVerdict, path: str) -> Iterator[str]:
-    yield f"pixel ({found.x}, {found.y}) of {path}: {found.verdict}"
-    if found.problem:
-        yield found.problem
-        return
-    yield f"why        {found.why}"
-    for name, value in found.ray.items():
-        yield f"ray        {name:<16}{_both(value)}"
-    yield from _exact_lines(found.exact)
-    yield from lines(found.witnesses)
-    for name in found.ours:
-        yield f"ours       {name:<16}{_both(found.ours[name])}"
-        yield f"reference  {'':<16}{_both(found.reference[name])}"
-    for name, ratio in found.ratios.items():
-        yield f"bound      {name:<16}{ratio:.3g} of it is used"
-    yield f"possible   {len(found.possible)} primitives, t and how far float32 may be off in it:"
-    for each in found.possible[:SHOWN]:
-        mark = "certain" if each.certain else ""
-        yield f"           {each.t!r:<22} +- {each.t_error:<10.3g} {each.shape}, prim {each.prim} {mark}".rstrip()
-    if len(found.possible) > SHOWN:
-        yield f"           and {len(found.possible) - SHOWN} more (--json lists them)"
-    yield f"reference  {', '.join(f'{name} {version}' for name, version in found.versions.items())}"
-
-
-def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
-    """What exact arithmetic says: t, what is hit there, and what else the ray met."""
-    if not exact:
-        yield "exact      no answer"
-        return
-    yield f"exact      t               {_both(exact['t'])}" if exact["hit"] else "exact      miss"
-    for tie in exact["ties"][:TIES_SHOWN]:
-        yield f"           hit             {tie['shape']}, prim {tie['prim']} ({tie['where']})"
-    if len(exact["ties"]) > TIES_SHOWN:
-        yield f"           and {len(exact['ties']) - TIES_SHOWN} more at the same t (--json lists them)"
-    if exact["flags"]:
-        yield f"           on the way      {', '.join(exact['flags'])}"
-
-
-def _both(value: Any) -> str:
-    """Decimal, and hex to the bit."""
-    if isinstance(value, str):
-        return value
-    values = value if isinstance(value, list) else [value]
-    return f"{'  '.join(map(repr, values))}   {'  '.join(float(v).hex() for v in values)}"
 
 
 def _json_safe(value: Any) -> Any:

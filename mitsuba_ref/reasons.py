@@ -1,6 +1,7 @@
 """Why a pixel has its class, in a sentence."""
 
 from mitsuba_ref.judge import Judge, Judgement
+from mitsuba_ref.quantities import beyond, own_shares, shares
 from mitsuba_ref.telling import case_words
 from mitsuba_ref.verdict import (
     AGREE,
@@ -20,21 +21,38 @@ WHY = {
 }
 
 
+def why(judge: Judge, judgement: Judgement, row: int) -> str:
+    """The reason, and which quantities are beyond their bounds by what factor."""
+    told = beyond(shares(judge, judgement, row))
+    return "; ".join(filter(None, (reason(judge, judgement, row), told)))
+
+
 def reason(judge: Judge, judgement: Judgement, row: int) -> str:
-    """Of one row of the picture."""
+    """Of one row of the picture; the same words for many pixels."""
     verdict = CLASSES[int(judgement.classes[row])]
     if verdict == REFERENCE_WRONG:
         case = case_words(judgement.cases.get(row))
         return f"ours is right, and Mitsuba's answer is beyond what float32 allows; {case}"
     if verdict == OURS_WRONG:
-        return _what_is_wrong(judgement, row)
+        return _what_is_wrong(judge, judgement, row)
     return WHY.get(verdict) or _what_is_open(judge, judgement, row)
 
 
-def _what_is_wrong(judgement: Judgement, row: int) -> str:
+def _what_is_wrong(judge: Judge, judgement: Judgement, row: int) -> str:
     if not judgement.exact_ratio[row] <= 1.0:
-        return "by exact arithmetic, ours is wrong"
-    return "ours is beyond what float64 rounding allows at the primitive that is hit"
+        return f"by exact arithmetic, ours is wrong: {_how(judge, judgement, row)}"
+    names = " and ".join(own_shares(judge, row)) or "diffuse"
+    return f"ours is beyond what float64 rounding allows at the primitive that is hit, in {names}"
+
+
+def _how(judge: Judge, judgement: Judgement, row: int) -> str:
+    answer, prim = judgement.exact.of(row), int(judge.pair.prim[row])
+    right = -1 if answer is None else answer.prim
+    if prim == right:
+        return "t is off"
+    if right < 0:
+        return "it hits where nothing is"
+    return "it misses what is hit" if prim < 0 else "it hits another primitive than the first one"
 
 
 def _what_is_open(judge: Judge, judgement: Judgement, row: int) -> str:

@@ -15,7 +15,7 @@ from mitsuba_ref.judge import EXACT, Judge, Judgement
 from mitsuba_ref.judging import judge_of
 from mitsuba_ref.pictures import write_pictures
 from mitsuba_ref.pixels import flat
-from mitsuba_ref.reasons import reason
+from mitsuba_ref.reasons import why
 from mitsuba_ref.report.of_ours import SeenOfOurs
 from mitsuba_ref.scene_checks import CHECKS_WITHOUT_REFERENCE, check_sensor
 from mitsuba_ref.storing import Stored, store_all
@@ -154,7 +154,7 @@ def _failure(judge: Judge, judgement: Judgement, i: int, check: str = "") -> Fai
         _words(judge.scene, aovs, check, i) for aovs in (judge.pair.ours, judge.pair.reference)
     )
     verdict, ratio = CLASSES[int(judgement.classes[i])], float(judgement.ratio(check)[i])
-    return Failure(x, y, verdict, check, ratio, ours, reference, exact, reason(judge, judgement, i))
+    return Failure(x, y, verdict, check, ratio, ours, reference, exact, why(judge, judgement, i))
 
 
 def _offended(judgement: Judgement, i: int) -> str:

@@ -19,6 +19,7 @@ from mitsuba_ref.meeting import KU, KU_OURS
 from mitsuba_ref.telling import both
 from mitsuba_ref.worker import ask_all
 
+CANDIDATE = "candidate"
 MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_use_robust_intersections
 
 
@@ -26,7 +27,7 @@ MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_u
 class Saying:
     """What one witness says of the ray, held to exact arithmetic."""
 
-    who: str  # ours, exact, or a variant of Mitsuba with its mode
+    who: str  # ours, exact, a candidate, or a variant of Mitsuba with its mode
     shape: str  # "miss" on a miss
     prim: int  # within its shape, -1 on a miss
     t: float
@@ -38,6 +39,8 @@ class Saying:
     format: str = ""  # which that is
     share: float | None = None  # of the bound that its format has on t here
     problem: str = ""  # why it says nothing
+    normal_share: float | None = None  # of the bound on the normal, where that is judged here
+    remark: str = ""  # what is odd about what it says
 
 
 def sayings(judge: Judge, answer: ExactAnswer | None) -> tuple[Saying, ...]:
@@ -112,12 +115,24 @@ def _held(said: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | 
     if not right or exact.t is None or not np.isfinite(said[3]):
         return Saying(*said, right=right, format=name)
     off = exact.t.off(said[3]) * -exact.t.compare(said[3])
-    bound = _bound(judge, exact, said[3], ours=kind is np.float64)
-    share = abs(off) / bound if bound > 0.0 else (0.0 if off == 0.0 else np.inf)
-    with np.errstate(over="ignore", under="ignore"):
-        ulp = float(np.spacing(np.abs(np.asarray(float(exact.t)).astype(kind))))
-    ulps = off / ulp if np.isfinite(ulp) else None
+    share = over(abs(off), _bound(judge, exact, said[3], ours=kind is np.float64))
+    ulps = in_ulps(off, exact, np.dtype(kind))
     return Saying(*said, right=share <= 1.0, off=off, ulps=ulps, format=name, share=share)
+
+
+def over(error: float, bound: float) -> float:
+    """error / bound, where there may be no bound to hold it to, or no error."""
+    if error == 0.0 or (np.isposinf(bound) and np.isfinite(error)):
+        return 0.0
+    return error / bound if bound > 0.0 and np.isfinite(error) else np.inf
+
+
+def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | None:
+    """off in units of the last place that the exact t has in a format; None where it has none there."""
+    assert exact.t is not None
+    with np.errstate(over="ignore", under="ignore"):
+        ulp = float(np.spacing(np.abs(np.asarray(float(exact.t)).astype(format))))
+    return off / ulp if np.isfinite(ulp) else None
 
 
 def _bound(judge: Judge, exact: ExactAnswer, t: float, *, ours: bool) -> float:
@@ -145,13 +160,21 @@ def _where(each: Saying) -> str:
 
 
 def _off_words(each: Saying) -> str:
-    if each.ulps is None:
-        return ""
-    beyond = f", {each.share:.3g}x its bound" if each.right is False and each.share is not None else ""
-    return f", {each.ulps:+.3g} ulps of {each.format}{beyond}" if each.ulps else f", exact in {each.format}"
+    """How far t is off, and what of it is beyond its bound."""
+    told = []
+    if each.ulps is not None:
+        told.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
+    if each.right is False and each.share is not None and not each.share <= 1.0:
+        told.append(f"{each.share:.3g}x its bound")
+    if each.normal_share is not None and not each.normal_share <= 1.0:
+        told.append(f"normal {each.normal_share:.3g}x its bound")
+    return "".join(f", {words}" for words in (*told, *filter(None, [each.remark])))
 
 
 def recorded(each: Saying) -> dict[str, Any]:
-    """For JSON: null where there is no t."""
+    """For JSON: null where there is no t, and only what is there of a candidate alone."""
     there = bool(np.isfinite(each.t))
-    return vars(each) | {"t": each.t if there else None, "t_hex": each.t.hex() if there else None}
+    said = dict(vars(each))
+    if each.who != CANDIDATE:
+        del said["normal_share"], said["remark"]
+    return said | {"t": each.t if there else None, "t_hex": each.t.hex() if there else None}

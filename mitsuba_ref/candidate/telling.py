@@ -2,11 +2,13 @@
 
 import numpy as np
 
+from mitsuba_ref.candidate.answer import FLOAT32, Answer
 from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement, meets_again
 from mitsuba_ref.judge import EXACT
+from mitsuba_ref.meeting import KU, KU_OURS
 from mitsuba_ref.pixels import flat
 from mitsuba_ref.telling import asked, both, exact_words
-from mitsuba_ref.verdict import CLASSES, Failure, pixel_of
+from mitsuba_ref.verdict import CLASSES, FAILING, OURS_WRONG, Failure, pixel_of
 
 
 def failure_at(judge: CandidateJudge, judgement: CandidateJudgement, row: int, why: str) -> Failure:
@@ -33,13 +35,17 @@ def failure_at(judge: CandidateJudge, judgement: CandidateJudgement, row: int, w
 
 
 def candidate_words(judge: CandidateJudge, row: int) -> str:
-    """t and normal, to the bit where that may matter, and the ray."""
-    answer = judge.answer
+    """What it says, and the ray."""
+    along = f"along o ({numbers(judge.o[row])}), d ({numbers(judge.d[row])})"
+    return f"{answer_words(judge.answer, row)}, {along}"
+
+
+def answer_words(answer: Answer, row: int) -> str:
+    """t to the bit and the normal, and what of it is no answer."""
     told = [f"t {both(float(answer.t[row]))}" if answer.hit[row] else "miss"]
     if answer.n is not None and answer.hit[row]:
         told.append(f"n ({numbers(answer.n[row])})")
     told += [why for why, rows in answer.broken.items() if rows[row]]
-    told.append(f"along o ({numbers(judge.o[row])}), d ({numbers(judge.d[row])})")
     return ", ".join(told)
 
 
@@ -59,6 +65,20 @@ def exact_normal(judge: CandidateJudge, judgement: CandidateJudgement, row: int)
     one = np.array([row])
     at = meets_again(judge, one, np.array([answer.prim]), np.array([float(answer.t)]))
     return f", n ({numbers(at.n[0])})"
+
+
+def hints(answer: Answer, judgement: CandidateJudgement) -> tuple[str, ...]:
+    """What may help where pixels fail: bounds are as wide as the round-off they are made of."""
+    wrong = judgement.is_class(OURS_WRONG)[judgement.exact.rows]
+    if not judgement.is_class(*FAILING).any():
+        return ()
+    shares = judgement.exact.share[wrong]
+    if answer.hints or answer.precision == FLOAT32 or not len(shares) or shares.max() > KU / KU_OURS:
+        return answer.hints
+    return (
+        "every pixel that is wrong by the bounds of float64 is right by those of float32; if that will do: "
+        "--candidate-precision float32",
+    )
 
 
 def numbers(values: np.ndarray) -> str:

@@ -1,29 +1,21 @@
 """A scene through a candidate, Mitsuba and exact arithmetic to its verdict."""
 
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from caster.packing import Packed, pack
-from caster.placing import as_float32
 from caster.scene import Scene
-from mitsuba_ref.camera_reference import clip_planes
-from mitsuba_ref.candidate.answer import FLOAT32, Answer, NoAnswer
-from mitsuba_ref.candidate.asking import Candidate, Question
+from mitsuba_ref.candidate.answer import Answer, NoAnswer
+from mitsuba_ref.candidate.asking import Candidate
 from mitsuba_ref.candidate.diagnosis import Diagnosis, diagnose
+from mitsuba_ref.candidate.hearing import hear
 from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement
 from mitsuba_ref.candidate.pictures import write_pictures
 from mitsuba_ref.candidate.seen import SeenOfCandidate
-from mitsuba_ref.candidate.telling import failure_at
-from mitsuba_ref.candidate.traced import traced_scene
-from mitsuba_ref.export import limits
+from mitsuba_ref.candidate.telling import failure_at, hints
 from mitsuba_ref.jobs import Crash
-from mitsuba_ref.meeting import KU, KU_OURS
-from mitsuba_ref.model import model_of
-from mitsuba_ref.rays import share
 from mitsuba_ref.reference import consult
 from mitsuba_ref.scene_check import SceneCheck
 from mitsuba_ref.scene_checks import check_camera, check_sensor
@@ -31,7 +23,6 @@ from mitsuba_ref.shape_checks import check_geometry, check_placement
 from mitsuba_ref.summing import cases_of, counts_of, ratios_of
 from mitsuba_ref.verdict import (
     FAILING,
-    OURS_WRONG,
     SHOWN,
     Failure,
     Finding,
@@ -74,17 +65,11 @@ def validate_candidate(
             unjudged=NEVER_GIVEN,
         )
 
-    packed = pack(scene, as_float32)
-    scene, limited = with_far_plane(scene, packed) if candidate.reads_xml else (scene, ())
-    rays = share(scene)
-    model = model_of(scene, packed, rays)
-    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as place:
-        where = Path(place)
-        question = Question(scene, traced_scene(scene, packed, where), model, rays, where)
-        try:
-            answer = candidate.answer(question)
-        except NoAnswer as error:
-            return ended(f"the candidate gave no answer to judge: {error}")
+    try:
+        heard = hear(candidate, scene)
+    except NoAnswer as error:
+        return ended(str(error))
+    scene, model, rays, answer = heard.scene, heard.model, heard.rays, heard.answer
     witness = consult(scene, model, rays, lights=False, timeout=timeout, ask=ask)
     if isinstance(witness, Crash):
         return ended(f"Mitsuba ended without an answer ({witness.exit}): {witness.words}".strip())
@@ -114,41 +99,14 @@ def validate_candidate(
         precision=answer.precision,
         unjudged=_unjudged(answer),
         findings=tuple(_findings(judge, diagnosis)),
-        notes=(*answer.notes, *limited, *_hints(answer, judgement)),
+        notes=(*answer.notes, *heard.limits, *hints(answer, judgement)),
         seen=SeenOfCandidate(judge, judgement, diagnosis) if keep else None,
     )
-
-
-def with_far_plane(scene: Scene, packed: Packed) -> tuple[Scene, tuple[str, ...]]:
-    """The scene as the XML has it, and what that leaves out: Mitsuba's sensors end somewhere, and a plane does not."""
-    model = model_of(scene, packed, share(scene))
-    if np.isfinite(model.boxes).all() or getattr(scene.camera, "far", 0.0) is not None:
-        return scene, ()
-    far = clip_planes(scene.camera, limits(scene, model))["far_clip"]
-    camera = scene.camera.model_copy(update={"far": far})
-    return scene.model_copy(update={"camera": camera}), (PLANES_END,)
-
-
-PLANES_END = "in the XML, planes end at the sensor's far plane, and nothing is judged beyond it"
 
 
 def _unjudged(answer: Answer) -> tuple[str, ...]:
     missing = ("normal",) if answer.n is None else ()
     return (*missing, *NEVER_GIVEN)
-
-
-def _hints(answer: Answer, judgement: CandidateJudgement) -> tuple[str, ...]:
-    """What may help where pixels fail: bounds are as wide as the round-off they are made of."""
-    wrong = judgement.is_class(OURS_WRONG)[judgement.exact.rows]
-    if not judgement.is_class(*FAILING).any():
-        return ()
-    shares = judgement.exact.share[wrong]
-    if answer.hints or answer.precision == FLOAT32 or not len(shares) or shares.max() > KU / KU_OURS:
-        return answer.hints
-    return (
-        "every pixel that is wrong by the bounds of float64 is right by those of float32; if that will do: "
-        "--candidate-precision float32",
-    )
 
 
 def _findings(judge: CandidateJudge, diagnosis: Diagnosis) -> Sequence[Finding]:

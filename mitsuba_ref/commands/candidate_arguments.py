@@ -1,4 +1,4 @@
-"""The options of `validate` that put somebody's ray caster in the place of ours."""
+"""The options of `validate` and `probe` that bring somebody's ray caster before the judge."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ SECONDS = 300.0
 PRECISIONS = ("float32", "float64")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("somebody's ray caster in the place of ours (docs/candidates.md)")
+IN_OUR_PLACE = "somebody's ray caster in the place of ours (docs/candidates.md)"
+
+
+def add_arguments(parser: argparse.ArgumentParser, title: str = IN_OUR_PLACE) -> None:
+    group = parser.add_argument_group(title)
     group.add_argument(
         "--candidate",
         metavar="X",
@@ -54,13 +57,25 @@ def asked(args: argparse.Namespace) -> Candidate | None:
     """The candidate that was asked for; None: ours is judged. Raises SceneError for one that cannot be asked."""
     if args.candidate is None:
         return None
-    if args.resume:
+    if getattr(args, "resume", False):
         raise SceneError(
             "--resume: not with --candidate, whose program may have changed since; judge all scenes, or take shards"
         )
     from mitsuba_ref.candidate.asking import candidate_of
 
     return candidate_of(args.candidate, args.candidate_precision, args.candidate_timeout)
+
+
+def again(args: argparse.Namespace) -> tuple[str, ...]:
+    """The words of these options, for a command that is to ask the same candidate; none of a command without them."""
+    if getattr(args, "candidate", None) is None:
+        return ()
+    words = ["--candidate", args.candidate]
+    if args.candidate_precision is not None:
+        words += ["--candidate-precision", args.candidate_precision]
+    if args.candidate_timeout != SECONDS:
+        words += ["--candidate-timeout", repr(args.candidate_timeout).removesuffix(".0")]
+    return tuple(words)
 
 
 def judge_of(candidate: Candidate, *, keep: bool) -> JudgeEntry:

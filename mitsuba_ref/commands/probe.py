@@ -1,4 +1,4 @@
-"""`mitsuba-ref probe`: three witnesses side by side for one pixel."""
+"""`mitsuba-ref probe`: the witnesses side by side for one pixel."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 
 from caster.commands.scene_arguments import add_pixel, add_scene, blamed_on, load
 from caster.exits import DIFFERENCES, OK
+from mitsuba_ref.commands import candidate_arguments
 
 if TYPE_CHECKING:
     from caster.scene import Scene
     from mitsuba_ref.jobs import Crash
     from mitsuba_ref.probing import Probed
 
-HELP = "one pixel: what ours, Mitsuba and exact arithmetic say, the bounds, and what may be hit"
+HELP = "one pixel: what ours, Mitsuba, exact arithmetic and a candidate say, the bounds, and what may be hit"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,10 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PNG",
         help="draw the pixel's surroundings: classes, edges in it, and beside its ray",
     )
+    candidate_arguments.add_arguments(parser, "one more witness: somebody's ray caster (docs/candidates.md)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the pixel's verdict and what it rests on; 1 when nothing explains the pixel."""
+    """Print the pixel's verdict and what it rests on; 1 when nothing explains the pixel, or the candidate's answer."""
     from caster.whole_files import check_writable
 
     scene = load(args)
@@ -42,16 +44,25 @@ def run(args: argparse.Namespace) -> int:
         check_writable(path)
     if args.picture:
         check_can_draw()
-    from mitsuba_ref.probing import as_text, examine
+    candidate = candidate_arguments.asked(args)  # one that cannot be asked is said before any work
+    from mitsuba_ref.probe_text import as_text
+    from mitsuba_ref.probing import examine
 
     with blamed_on(args.scene):
-        found, probed = examine(scene, args.x, args.y)
-    print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, args.scene))
+        found, probed = examine(scene, args.x, args.y, candidate)
+    try:
+        write_files(args, scene, probed)
+    finally:  # last, since who reads may go away after a line or two
+        print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, args.scene))
+    return OK if found.ok else DIFFERENCES
+
+
+def write_files(args: argparse.Namespace, scene: Scene, probed: Crash | Probed) -> None:
+    """Those that were asked for."""
     if args.save:
         save(args, probed)
     if args.picture:
         draw(args, scene, probed)
-    return OK if found.ok else DIFFERENCES
 
 
 def save(args: argparse.Namespace, probed: Crash | Probed) -> None:

@@ -1,6 +1,7 @@
 """Each class of a pixel is reached by a scene or by a planted fault, and what must fail does."""
 
 import json
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +22,9 @@ from mitsuba_ref.judge import CODE, Judge
 from mitsuba_ref.pair import our_view
 from mitsuba_ref.pixels import flat
 from mitsuba_ref.probing import probe
+from mitsuba_ref.quantities import not_judged
 from mitsuba_ref.rays import share
+from mitsuba_ref.reasons import why
 from mitsuba_ref.reproducer import reproducer
 from mitsuba_ref.table import failure, summary
 from mitsuba_ref.verdict import FAILING, UNLISTED, Verdict
@@ -222,7 +225,11 @@ def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_says(monkeypatc
     monkeypatch.setattr(judging, "our_view", misses)
     found = probe(scene, 0, 0)
     assert (found.verdict, found.ok, found.exact) == ("ours_wrong", False, right.exact)
-    assert found.why == "by exact arithmetic, ours is wrong"
+    assert found.why.startswith(
+        "by exact arithmetic, ours is wrong: it misses what is hit; beyond their bounds: "
+    )
+    assert found.not_judged["diffuse"] == "ours hits nothing" and "diffuse" not in found.ratios
+    assert found.not_judged["depth"] == "Mitsuba alone hits" and "mask" in found.ratios
 
 
 @pytest.mark.parametrize("name", ["normal", "shading_normal", "position"])
@@ -232,6 +239,22 @@ def test_a_surface_of_ours_beyond_float64_is_ours_wrong(cube, name):
     flat(cube.pair.ours, name)[tied] += 1e-9
     after = Judge(cube.scene, cube.model, cube.pair).judge()
     assert tied.sum() >= 10 and after.is_class("ours_wrong")[tied].all()
+    told = why(Judge(cube.scene, cube.model, cube.pair), after, int(np.flatnonzero(tied)[0]))
+    assert re.search(rf"primitive that is hit, in {name}; beyond .*\b{name} [\d.]+e\+0\dx", told)
+
+
+def test_light_is_told_as_not_judged_where_the_surface_is_wrong_or_another(cube):
+    """A share of 0 would pass for agreement."""
+    before = cube.judge()
+    agree, tie = (int(np.flatnonzero(before.is_class(name))[0]) for name in ("agree", "tie"))
+    assert not_judged(cube, before, agree) == {}
+    assert "it is what float64 gives on ours" in not_judged(cube, before, tie)["diffuse"]
+    assert why(cube, before, agree) == "every quantity is within its bound"
+    flat(cube.pair.ours, "position")[agree] += 1.0
+    wrong = Judge(cube.scene, cube.model, cube.pair)
+    after = wrong.judge()
+    assert after.ratio("diffuse")[agree] == 0.0
+    assert not_judged(wrong, after, agree) == {"diffuse": "what is hit, or where, is wrong already"}
 
 
 def test_what_nobody_can_say_is_undecided(cube, monkeypatch):

@@ -1,0 +1,152 @@
+"""`mitsuba-ref probe --candidate`: what validate found at a pixel is found again, with how far it is from right."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import candidates
+import numpy as np
+import pytest
+
+from caster.scene import Scene, load_scene
+from mitsuba_ref import probing
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.candidate import supervising
+from mitsuba_ref.candidate.asking import Candidate
+from mitsuba_ref.candidate.function import Function
+from mitsuba_ref.candidate.pixel import CandidatePixel, candidate_at
+from mitsuba_ref.candidate.validation import validate_candidate
+from mitsuba_ref.probe_text import as_text
+from mitsuba_ref.verdict import CANDIDATE_WRONG
+
+ROOT = Path(__file__).parents[2]
+HIT, MISS = (5, 4), (0, 0)  # of one-sphere
+
+
+def small(name: str = "one-sphere") -> Scene:
+    return load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=12, height=9)
+
+
+@pytest.fixture
+def at(brought):
+    """What becomes of a pixel, through Mitsuba's process that stays."""
+
+    def look(trace: candidates.Trace | Candidate, pixel=HIT, scene: Scene | None = None) -> CandidatePixel:
+        scene, (x, y) = scene or small(), pixel
+        pair = brought(scene.with_film(crop=(x, y, x + 1, y + 1))).pair
+        asked = Function(trace.__name__, trace) if callable(trace) else trace
+        return candidate_at(asked, scene, pixel, pair)
+
+    return look
+
+
+@pytest.mark.parametrize("trace", [candidates.ours, candidates.ours_rounded, candidates.without_normals])
+def test_a_right_candidate_is_right_and_how_far_off_it_is_is_told(at, trace):
+    found = at(trace)
+    assert found.ok and found.verdict == "agree" and found.saying.right and "bounds" in found.why
+    assert found.off["t_share"] < 1.0 and abs(found.off["t_ulps"]) < 2.0
+    assert found.alone == "the same, to the bit"
+    if trace is candidates.without_normals:
+        assert found.not_judged["normal"] == "the candidate gives none" and "normal" not in found.says
+    else:
+        assert found.off["normal_share"] < 1.0
+    nothing = at(trace, MISS)
+    assert nothing.ok and nothing.not_judged["depth"] == "nothing is hit" and nothing.says["hit"] is False
+
+
+def test_a_factor_on_t_is_told_in_ulps_and_in_units_of_the_bound(at):
+    found = at(candidates.t_off_by_a_ten_thousandth)
+    t = found.says["t"] / (1.0 + 1e-4)
+    assert found.off["t"] == pytest.approx(1e-4 * t) and found.off["t_ulps"] == pytest.approx(
+        1e-4 * t / np.spacing(t), rel=1e-3
+    )
+    assert re.search(r"beyond its bound: t [\d.]+e\+\d+x$", found.why) and "normal" not in found.why
+    assert found.says["t_hex"] == found.says["t"].hex() and not found.saying.right
+
+
+def test_a_normal_that_is_wrong_is_named_with_its_factor(at):
+    found = at(candidates.flipped_normal)
+    assert found.off["normal"] == pytest.approx(2.0) and found.off["t_share"] < 1.0
+    assert "the normal is turned round; beyond its bound: normal " in found.why
+
+
+@pytest.mark.parametrize("trace", [candidates.one_nan, candidates.far_root, candidates.one_missed_edge_pixel])
+def test_a_pixel_has_the_class_that_validate_gave_it(at, ask, trace):
+    """Asked about the whole picture, or a fault at its seventh hit would not be seen again."""
+    scene = small()
+    verdict = validate_candidate(Function(trace.__name__, trace), scene, "scene", ask=ask)
+    failure = verdict.failures[0]
+    found = at(trace, (failure.x, failure.y), scene)
+    assert found.verdict == CANDIDATE_WRONG and failure.verdict == "ours_wrong"
+    assert failure.reason.split(",")[0].split(" by ")[0] in found.why
+    if trace is candidates.one_nan:
+        assert found.alone.startswith("something else: ") or found.alone.startswith("no answer")
+
+
+def wrong_in_a_crowd(scene, o, d):
+    t, n = candidates.ours(scene, o, d)
+    return (t * 1.001 if len(t) > 1 else t), n
+
+
+def test_what_it_says_of_the_ray_alone_is_told_where_that_is_something_else(at):
+    found = at(wrong_in_a_crowd)
+    assert found.verdict == CANDIDATE_WRONG and found.alone.startswith("something else: t ")
+    right = at(candidates.ours).says["t"]
+    assert right.hex() in found.alone
+
+
+def raising(scene, o, d):
+    raise RuntimeError("no such shape")
+
+
+def test_no_answer_is_said_in_the_words_of_validate_and_fails(at, ask):
+    found = at(raising)
+    told = validate_candidate(Function("raising", raising), small(), "scene", ask=ask)
+    assert found.problem == told.problem and "raised RuntimeError: no such shape" in found.problem
+    assert not found.ok and found.saying.problem == "no answer"
+
+
+def test_the_text_has_the_candidate_between_ours_and_mitsuba(at, monkeypatch, brought):
+    scene = small()
+    monkeypatch.setattr(probing, "sayings", lambda *given: ())
+    monkeypatch.setattr(probing, "judge_of", lambda scene, whole: brought(scene))
+    found = probing.probe(scene, *HIT, Function("flipped", candidates.flipped_normal))
+    text = as_text(found, "a.toml")
+    head, who, why, ours, *_ = text.splitlines()
+    assert head == "pixel (5, 4) of a.toml: candidate_wrong" and ours.startswith("ours       agree: ")
+    assert who == "candidate  flipped, held to the bounds of float64" and "turned round" in why
+    rows = text.splitlines()
+    place = next(i for i, row in enumerate(rows) if row.startswith("ours       normal "))
+    assert [row.split()[0] for row in rows[place : place + 3]] == ["ours", "reference", "candidate"]
+    assert re.search(r"^its bound  normal +[\d.]+e\+\d+ of it is used$", text, re.MULTILINE)
+    assert re.search(r"^its bound  depth +0\.\d+ of it is used$", text, re.MULTILINE)
+
+
+def test_a_probe_of_a_function_is_looked_after_and_deletes_nothing():
+    words = ["probe", "--json", "scene.toml", "1", "2", "--candidate", "mine:trace"]
+    assert supervising.wanted(words) and supervising.wanted([*words[:5], "--candidate=mine:trace"])
+    assert not supervising.wanted(words[:5])
+    assert list(supervising.outputs(words)) == []  # after `validate`, --json has a file behind it
+
+
+class Closed:
+    """Standard output whose reader has gone."""
+
+    def write(self, text: str) -> int:
+        raise BrokenPipeError
+
+    def flush(self) -> None:
+        raise BrokenPipeError
+
+    def fileno(self) -> int:
+        raise OSError
+
+
+def test_files_are_written_whoever_reads_the_text(tmp_path, monkeypatch):
+    monkeypatch.setattr(probing, "sayings", lambda *given: ())
+    monkeypatch.setattr("sys.stdout", Closed())
+    saved = tmp_path / "again.toml"
+    words = ["probe", str(ROOT / "scenes/one-sphere.toml"), "5", "4", "--size", "12", "9"]
+    assert main([*words, "--save", str(saved)]) == 141
+    assert load_scene(saved).camera.type == "ray"
