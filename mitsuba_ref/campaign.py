@@ -24,6 +24,7 @@ class Entry:
     name: str
     path: str
     resized: bool = False  # by --size, which a replay has to repeat
+    options: tuple[str, ...] = ()  # others that a replay has to repeat
 
 
 JudgeEntry = Callable[[Entry, Path | None], SceneVerdict]
@@ -90,4 +91,4 @@ def judge_entry(
         verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep)
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
         verdict = SceneVerdict(entry.name, entry.path, problem=f"cannot be judged: {error}")
-    return replace(verdict, resized=entry.resized, made_of=MadeOf.of(entry.scene))
+    return replace(verdict, resized=entry.resized, options=entry.options, made_of=MadeOf.of(entry.scene))

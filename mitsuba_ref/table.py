@@ -158,6 +158,8 @@ def _problem_lines(scene: SceneVerdict) -> Iterator[str]:
     first, *rest = scene.problem.splitlines()
     yield f"FAIL  {scene.name}  {first}"
     yield from (f"      {line}" for line in rest[:WORDS_SHOWN])
+    if scene.candidate:
+        yield f"      replay:    {replay(scene)}"
 
 
 def link(report: str, scene: SceneVerdict, pixel: tuple[int, int]) -> str:
@@ -167,13 +169,31 @@ def link(report: str, scene: SceneVerdict, pixel: tuple[int, int]) -> str:
 
 def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
     """The command that shows one pixel, or else the scene, again."""
-    size = f" --size {scene.size[0]} {scene.size[1]}" if scene.resized else ""
-    path = shlex.quote(scene.path or "SCENE")
     if pixel is None:
-        candidate = f" --candidate {shlex.quote(scene.candidate)}" if scene.candidate else ""
-        candidate += f" --candidate-precision {scene.precision}" if scene.precision else ""
-        return f"mitsuba-ref validate {path}{size}{candidate}"
-    return f"mitsuba-ref probe {path} {pixel[0]} {pixel[1]}{size}"
+        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{repeated(scene)}"
+    before, after = replay_around(scene)
+    return f"{before}{pixel[0]} {pixel[1]}{after}"
+
+
+def replay_around(scene: SceneVerdict) -> tuple[str, str]:
+    """The command that shows a pixel again: what comes before its column and row, and what comes after."""
+    return f"mitsuba-ref probe {shlex.quote(scene.path or 'SCENE')} ", repeated(scene)
+
+
+def repeated(scene: SceneVerdict) -> str:
+    """The options that any command has to repeat to see the same."""
+    size = ["--size", *map(str, scene.size)] if scene.resized else []
+    return "".join(f" {shlex.quote(word)}" for word in (*size, *scene.options, *_named_candidate(scene)))
+
+
+def _named_candidate(scene: SceneVerdict) -> Iterator[str]:
+    """A candidate that Python was given, not the command line; of a function, the name alone is known."""
+    if not scene.candidate or "--candidate" in scene.options:
+        return
+    as_typed = ":" in scene.candidate or "{" in scene.candidate
+    yield from ("--candidate", scene.candidate if as_typed else f"MODULE:{scene.candidate}")
+    if scene.precision:
+        yield from ("--candidate-precision", scene.precision)
 
 
 def summary(verdict: Verdict, seconds: float) -> str:
@@ -194,7 +214,7 @@ def summary(verdict: Verdict, seconds: float) -> str:
         f"            {', '.join(shares[5:])}",
         f"exact:      {verdict.adjudicated} pixels were decided by exact arithmetic, "
         f"in {sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept):.1f} s",
-        *_candidate_lines(verdict),
+        *candidate_lines(verdict),
         *_error_lines(verdict),
         *_case_lines(verdict),
         *_stored_lines(verdict),
@@ -215,7 +235,7 @@ def _first_look(verdict: Verdict) -> Iterator[str]:
         yield f"            {replay(first, pixel)}"
 
 
-def _candidate_lines(verdict: Verdict) -> Iterator[str]:
+def candidate_lines(verdict: Verdict) -> Iterator[str]:
     """Who was judged, by which arithmetic's bounds, and what was not judged: missing evidence is said."""
     if not verdict.candidate:
         return

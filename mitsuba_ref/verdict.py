@@ -106,6 +106,7 @@ class SceneVerdict:
     unjudged: tuple[str, ...] = ()  # what there is to judge, and of this candidate was not
     findings: tuple[Finding, ...] = ()  # what is wrong with the candidate, by number of pixels
     notes: tuple[str, ...] = ()  # what else the candidate's verdict rests on
+    options: tuple[str, ...] = ()  # of the command line, beside --size, that a replay has to repeat
     # what it rests on, for write_html; None where nobody kept it
     seen: "Seen | None" = field(default=None, repr=False, compare=False)
 
@@ -183,6 +184,7 @@ class SceneVerdict:
             "inputs": self.inputs,
             "files": self.files,
             "kept": self.kept,
+            "options": list(self.options),
         }
         return found | self._of_candidate() if self.candidate else found
 
@@ -230,11 +232,12 @@ class Verdict:
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
     code: str = ""  # a hash of the sources that judged; of one of several runs, of all their scenes, too
     judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine
+    on_trial: str = ""  # the candidate that was asked for, though no scene may be done; "" for ours
 
     @property
     def candidate(self) -> str:
-        """Who was judged in the place of ours; "" for ours."""
-        return next((scene.candidate for scene in self.scenes), "")
+        """Who was judged, or to be judged, in the place of ours; "" for ours."""
+        return self.on_trial or next((scene.candidate for scene in self.scenes), "")
 
     def called(self, name: str) -> str:
         """As SceneVerdict.called."""

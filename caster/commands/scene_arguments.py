@@ -40,6 +40,11 @@ def add_mesh_dirs(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def mesh_dirs_again(args: argparse.Namespace) -> tuple[str, ...]:
+    """The words of --mesh-dir, for a command that is to see the same scene."""
+    return tuple(word for folder in args.mesh_dir for word in ("--mesh-dir", folder))
+
+
 def add_pixel(parser: argparse.ArgumentParser) -> None:
     """X and Y."""
     parser.add_argument("x", metavar="X", type=int, help="column of the pixel, 0 at the left")

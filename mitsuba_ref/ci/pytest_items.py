@@ -97,7 +97,8 @@ class Scenes:
         scene = load_scene(named, self.mesh_dirs)
         if self.size:
             scene = scene.with_film(width=self.size[0], height=self.size[1])
-        (verdict,) = run([Entry(scene, name, named, resized=bool(self.size))], workers=1)
+        options = tuple(word for folder in self.mesh_dirs for word in ("--mesh-dir", str(folder)))
+        (verdict,) = run([Entry(scene, name, named, resized=bool(self.size), options=options)], workers=1)
         return verdict
 
 

@@ -20,6 +20,7 @@ AS_THEY_ARE = {field.name for field in fields(SceneVerdict)} - {
     "findings",
     "made_of",
     "notes",
+    "options",
     "ratios",
     "reproducers",
     "seen",
@@ -63,7 +64,9 @@ def verdict_of(record: dict[str, Any]) -> Verdict:
     scenes = tuple(scene_of(each) for each in record["scenes"])
     names = (*(scene.name for scene in scenes), *record["not_judged"])
     about = record["shard"], tuple(record["selected"]), record["code"], dict(record.get("judged_with", {}))
-    found = Verdict(scenes, record["asked"], names, *about)
+    nobody_says = not any(scene.candidate for scene in scenes)
+    on_trial = record.get("candidate", "") if nobody_says else ""
+    found = Verdict(scenes, record["asked"], names, *about, on_trial=on_trial)
     if found.ok != record["ok"]:
         raise ValueError(f"it says ok: {record['ok']}, its scenes say {found.ok}")
     return found
@@ -92,6 +95,7 @@ def scene_of(record: dict[str, Any]) -> SceneVerdict:
         unjudged=tuple(record.get("unjudged", ())),
         findings=tuple(Finding(**each) for each in record.get("findings", ())),
         notes=tuple(record.get("notes", ())),
+        options=tuple(record["options"]),
     )
     if found.ok != record["ok"]:
         raise ValueError(f"{found.name} says ok: {record['ok']}, its numbers say {found.ok}")

@@ -71,6 +71,7 @@ def inputs_of(entry: Entry) -> str:
         "file": hashlib.sha256(file).hexdigest(),
         "path": entry.path,  # replays name it
         "resized": entry.resized,
+        "options": entry.options,
         "variant": variant,
         "settings": variants.settings(variant),  # libLLVM
         **surroundings(),

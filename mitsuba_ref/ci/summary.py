@@ -9,7 +9,7 @@ from pathlib import Path
 
 from caster.whole_files import OutputError
 from mitsuba_ref.in_common import first_look
-from mitsuba_ref.table import HEADS, failure, replay, worst_words
+from mitsuba_ref.table import HEADS, candidate_lines, failure, replay, worst_words
 from mitsuba_ref.verdict import CLASSES, Failure, SceneVerdict, Verdict
 
 # GitHub drops the whole summary of a step that is larger: https://docs.github.com/actions, "step isolation and limits".
@@ -47,13 +47,13 @@ def markdown(verdict: Verdict, seconds: float, limit: int = LIMIT) -> str:
     good = room.take(_row(scene) for scene in passing)
     parts = [head]
     if rows:
-        parts += [_table_head("worst pixel", "replay"), *rows, "\n"]
+        parts += [_table_head(verdict, "worst pixel", "replay"), *rows, "\n"]
     if missing:
         parts += [f"Not judged, {len(verdict.not_judged)} scenes:\n\n", *missing, "\n"]
     parts += texts
     if good:
         parts.append(f"<details><summary>{len(passing)} scenes pass</summary>\n\n")
-        parts += [_table_head("closest"), *good, "\n</details>\n"]
+        parts += [_table_head(verdict, "closest"), *good, "\n</details>\n"]
     wanted = (
         (failing, rows, "failing scenes"),
         (failing, texts, "texts of failing scenes"),
@@ -96,11 +96,13 @@ def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
     missing = verdict.asked - len(verdict.scenes)
     words += f", {missing} not judged" if missing else ""
     kept = sum(scene.kept for scene in verdict.scenes)
-    counts = ", ".join(f"{verdict.counts[name]} {name.replace('_', ' ')}" for name in CLASSES)
+    counts = ", ".join(f"{verdict.counts[name]} {verdict.called(name).replace('_', ' ')}" for name in CLASSES)
     lines = [f"## {'PASS' if verdict.ok else 'FAIL'}: {words}", ""]
     lines += [f"mitsuba-ref validate, {seconds:.1f} s. Hit pixels: {counts}.", ""]
     if verdict.shard:
         lines += [f"Shard {verdict.shard}.", ""]
+    if verdict.candidate:
+        lines += [*(f"- {escaped(line)}" for line in candidate_lines(verdict)), ""]
     if kept:
         lines += [f"Kept from an earlier run, not judged anew: {kept} scenes.", ""]
     lines += [f"- {escaped(' '.join(line.split()))}" for line in first_look(verdict.scenes)]
@@ -108,11 +110,11 @@ def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
     return [*lines, ""]
 
 
-def _table_head(*last: str) -> str:
+def _table_head(verdict: Verdict, *last: str) -> str:
     names = [
         "scene",
         "hit",
-        *(" ".join(filter(None, HEADS[name])).replace("- ", "") for name in CLASSES),
+        *(" ".join(filter(None, HEADS[verdict.called(name)])).replace("- ", "") for name in CLASSES),
         *last,
     ]
     aligned = ["---", *["---:"] * (1 + len(CLASSES)), *["---"] * len(last)]

@@ -26,13 +26,13 @@ def page_of(args: argparse.Namespace) -> str:
     return args.html if args.html.lower().endswith(SUFFIX) else str(Path(args.html) / "index.html")
 
 
-def begun(args: argparse.Namespace, asked: int) -> Report | None:
-    """The report that was asked for, empty. Raises OutputError now, and not after all the work."""
+def begun(args: argparse.Namespace, asked: int, candidate: str = "") -> Report | None:
+    """The report that was asked for, empty; candidate: as in Report. Raises OutputError now, not after the work."""
     if not args.html:
         return None
     from mitsuba_ref.report.writing import Report
 
-    return Report(args.html, asked)
+    return Report(args.html, asked, candidate)
 
 
 def finish(report: Report | None, not_judged: Collection[str]) -> None:

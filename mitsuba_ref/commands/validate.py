@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.commands.scene_arguments import add_mesh_dirs, blamed_on, names_of, scene_files
+from caster.commands.scene_arguments import add_mesh_dirs, blamed_on, mesh_dirs_again, names_of, scene_files
 from caster.exits import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.wording import SceneError
 from mitsuba_ref.ci import arguments as ci
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     start = time.perf_counter()
     done: list[SceneVerdict] = []
     out = ci.out_folder(args)
-    html = html_option.begun(args, len(entries))
+    html = html_option.begun(args, len(entries), candidate.name if candidate else "")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a cancelled job tidies up as after Ctrl-C
     try:
         work_through(entries, args, done, html, candidate, out)
@@ -77,7 +77,13 @@ def run(args: argparse.Namespace) -> int:
         from mitsuba_ref.verdict import Verdict
 
         names = tuple(entry.name for entry in entries)
-        verdict = Verdict(tuple(done), asked=len(entries), names=names, **ci.about(args, every))
+        verdict = Verdict(
+            tuple(done),
+            asked=len(entries),
+            names=names,
+            on_trial=candidate.name if candidate else "",
+            **ci.about(args, every),
+        )
         try:
             report(verdict, args, time.perf_counter() - start)
             names = tuple(entry.name for entry in every)
@@ -119,7 +125,8 @@ def entry(file: str, name: str, args: argparse.Namespace) -> Entry:
     if args.size:
         with blamed_on("--size", *args.size):
             scene = scene.with_film(width=args.size[0], height=args.size[1])
-    return Entry(scene, name, file, resized=bool(args.size))
+    options = (*mesh_dirs_again(args), *candidate_arguments.again(args))
+    return Entry(scene, name, file, resized=bool(args.size), options=options)
 
 
 def check_outputs(args: argparse.Namespace) -> None:

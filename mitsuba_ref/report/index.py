@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from mitsuba_ref.table import failure, replay
+from mitsuba_ref.table import failure, replay, replay_around
 from mitsuba_ref.verdict import UNLISTED, SceneVerdict, number
 
 
@@ -30,6 +30,7 @@ def row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any]:
         "failed_at": sorted({each.check for each in verdict.failures} | _failed_checks(verdict)),
         "says": "" if verdict.ok else failure(verdict),
         "replay": replay(verdict),
+        "replay_pixel": replay_around(verdict),
         "pixel": None if first is None else [first.x, first.y],
     }
 

@@ -47,11 +47,12 @@ def refuse_page_of_others(index: Path) -> None:
 class Report:
     """Where verdicts become pages. `keep` may be called from several threads, the others from one."""
 
-    def __init__(self, path: str | Path, asked: int) -> None:
-        """path: a folder, or a file if it ends in .html. Raises OutputError where nothing can be written."""
+    def __init__(self, path: str | Path, asked: int, candidate: str = "") -> None:
+        """path: a folder, or a file if it ends in .html. candidate: who is judged in the place of ours, where that is
+        known before any verdict says so. Raises OutputError where nothing can be written."""
         self.path, self.asked = Path(path).absolute(), asked
         self.one_file = self.path.suffix.lower() == ".html"
-        self.candidate = ""  # who is judged in the place of ours, as the verdicts say
+        self.candidate = candidate
         self.rows: list[dict[str, Any]] = []
         self._kept: dict[str, Kept] = {}
         self._lock = threading.Lock()

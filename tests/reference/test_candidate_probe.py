@@ -41,6 +41,23 @@ def at(brought):
     return look
 
 
+def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys):
+    """With the size, the candidate and its options; and Mitsuba's answers are beside the candidate's."""
+    monkeypatch.chdir(ROOT)
+    given = ["--size", "12", "9", "--candidate", "docs.candidates.textbook:trace"]
+    given += ["--candidate-precision", "float32", "--candidate-timeout", "70"]
+    assert main(["validate", "scenes/inside-sphere.toml", *given]) == 1
+    (replay,) = re.findall(r"^      replay:    mitsuba-ref (.*)", capsys.readouterr().out, re.MULTILINE)
+    assert replay.startswith("probe scenes/inside-sphere.toml 0 0 ") and shlex.split(replay)[4:] == given
+    assert main([*shlex.split(replay), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    theirs, (witness, *others) = found["candidate"], found["witnesses"]
+    assert (theirs["verdict"], theirs["ok"], theirs["precision"]) == (CANDIDATE_WRONG, False, "float32")
+    assert "first root is behind the ray's origin" in theirs["why"] and "hit or miss" in theirs["why"]
+    assert (witness["who"], witness["right"], witness["shape"]) == ("candidate", False, "miss")
+    assert all(each["right"] for each in others) and found["verdict"] == "agree" and not found["ok"]
+
+
 @pytest.mark.parametrize("trace", [candidates.ours, candidates.ours_rounded, candidates.without_normals])
 def test_a_right_candidate_is_right_and_how_far_off_it_is_is_told(at, trace):
     found = at(trace)

@@ -342,6 +342,25 @@ def test_wild_numbers_are_wrong_in_the_ordinary_way(ask, trace, says, tmp_path):
     assert Verdict((found,)).write_html(tmp_path / "wild.html").exists()
 
 
+def interrupted(scene, o, d):
+    raise KeyboardInterrupt
+
+
+def test_an_interrupted_run_names_the_candidate_though_no_scene_is_done(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(Path(__file__).parent)
+    file = tmp_path / "v.json"
+    words = ["validate", str(SCENES[0]), "--size", "8", "6", "--candidate", "test_candidates:interrupted"]
+    words += ["--json", str(file), "--html", str(tmp_path / "report"), "--junit", str(tmp_path / "j.xml")]
+    assert main(words) == 130
+    out = capsys.readouterr().out
+    assert (
+        "candidate:  test_candidates:interrupted" in out and "0 candidate wrong" in out and "ours" not in out
+    )
+    told = json.loads(file.read_text())
+    assert told["candidate"] == "test_candidates:interrupted" and "candidate_wrong" in told["counts"]
+    assert '"candidate":"test_candidates:interrupted"' in (tmp_path / "report/index.html").read_text()
+
+
 def test_a_candidate_may_write_into_the_arrays_that_it_gets(judged):
     def careless(scene, o, d):
         answer = candidates.ours(scene, o, d)

@@ -53,10 +53,10 @@ def test_a_root_that_is_not_tried_is_red_pixels_one_after_the_other(visit, repor
     assert float(seen.judge.witness.t[row]).hex() in facts and "candidate\nmiss" in facts
     versions = "scalar, ours rounded"  # of what stands in for Mitsuba here
     assert "ours" not in page.inner_text("#scene").replace(versions, "")
-    assert (
-        "mitsuba-ref validate scenes/inside.toml --candidate docs.candidates.inside:trace"
-        in page.inner_text("#pixel")
-    )
+    again = "scenes/inside.toml{} --candidate docs.candidates.inside:trace --candidate-precision float64"
+    assert f"mitsuba-ref validate {again.format('')}" in page.inner_text("#pixel")
+    pasted = page.inner_text("#pixel .replay code")
+    assert pasted == f"mitsuba-ref probe {again.format(f' {pixel[0]} {pixel[1]}')}"
     page.keyboard.press("n")
     page.wait_for_timeout(60)  # the next frame
     assert page.inner_text("#pixel .xy") == f"{failing[1] % SIZE[0]}, {failing[1] // SIZE[0]}"

@@ -238,11 +238,14 @@ def test_a_verdict_comes_back_from_json_as_it_was():
 
 def test_a_verdict_on_a_candidate_comes_back_from_json_as_it_was():
     said = {"candidate": "mine:trace", "precision": "float32", "unjudged": ("diffuse",), "notes": ("a note",)}
+    said["options"] = ("--candidate", "mine:trace")
     wrong = made("b", ok=False, findings=(Finding(1, "missed", 3, 4),), **said)
     whole = Verdict((made("a", **said), wrong), 2, ("a", "b"))
     record = json.loads(json.dumps(whole.to_dict()))
     assert record["counts"]["candidate_wrong"] == 1 and record["candidate"] == "mine:trace"
     assert verdict_of(record) == whole
+    nothing = Verdict((), 1, ("a",), on_trial="mine:trace")  # interrupted before the first scene was done
+    assert verdict_of(json.loads(json.dumps(nothing.to_dict()))) == nothing
 
 
 def test_shards_of_other_scenes_of_the_same_names_are_of_different_runs(tmp_path):

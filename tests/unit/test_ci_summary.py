@@ -43,6 +43,14 @@ def test_all_that_pass_is_a_pass_and_nothing_at_all_is_none():
     assert markdown(verdict(), 1.0).startswith("## FAIL: 0 scenes")
 
 
+def test_a_run_that_judged_a_candidate_or_was_about_to_names_it_and_never_ours():
+    said = {"candidate": "mine:trace", "precision": "float32", "unjudged": ("diffuse",)}
+    for done in (scene("good", **said), scene("bad", ok=False, **said)), ():
+        text = html.unescape(markdown(verdict(*done, names=("left",), on_trial="mine:trace"), 1.0))
+        assert "mine:trace" in text and "candidate wrong" in text and "ours wrong" not in text
+        assert not done or ("| cand. wrong |" in text and "float32" in text)
+
+
 def test_a_scene_that_was_not_judged_is_named():
     text = markdown(verdict(scene("good"), names=("left|over",)), 1.0)
     assert text.startswith("## FAIL: 2 scenes: 1 pass, 0 fail, 1 not judged\n")

@@ -34,7 +34,7 @@ ${escaped(why(record, row))}</p>
 ${factsHtml(record, row)}
 <div class="replay"><code>${escaped(replayOf(record, x, y))}</code>
 <button type="button" data-do="copy" title="copy (c)">copy</button></div>
-${RUN.candidate ? `<p class="note">The candidate again: <code>${escaped(record.scene.replay)}</code></p>` : ""}
+${RUN.candidate ? `<p class="note">The whole scene again: <code>${escaped(record.scene.replay)}</code></p>` : ""}
 ${inspectorLayers(row).map((layer) => layerHtml(record, row, layer)).join("")}${notGivenHtml(record)}`;
 }
 
@@ -139,13 +139,8 @@ function apartWords(ours, reference) {
 
 /** The command that shows this pixel again. */
 function replayOf(record, x, y) {
-  const { path } = record.verdict, size = record.verdict.resized ? ` --size ${record.verdict.size.join(" ")}` : "";
-  return `mitsuba-ref probe ${quoted(path || "SCENE")} ${x} ${y}${size}`;
-}
-
-/** For a shell. */
-function quoted(word) {
-  return /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\"'\"'")}'`;
+  const [before, after] = record.scene.replay_pixel;
+  return `${before}${x} ${y}${after}`;
 }
 
 async function copyReplay() {
