@@ -9,20 +9,19 @@ from typing import NamedTuple
 import numpy as np
 
 from mitsuba_ref.camera_reference import axes
-from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement, meets_again
-from mitsuba_ref.export import camera_reference
+from mitsuba_ref.candidate.failing import TRIED, Failing, failing_at
+from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement
+from mitsuba_ref.candidate.shift import shift_of
 from mitsuba_ref.judge import CODE
-from mitsuba_ref.meeting import Meetings, dot, norm, unit
+from mitsuba_ref.meeting import dot, norm, unit
 from mitsuba_ref.pixels import apart
-from mitsuba_ref.scene_check import pixel_centers
 from mitsuba_ref.verdict import FAILING, OURS_WRONG, REFERENCE_WRONG, UNDECIDED
 
 # A supposition is told where it predicts the number to this share of itself: far beyond rounding in float32, far below
 # any of the faults that are told apart here.
 LIKE = 1e-4
 BESIDE = 10 * LIKE  # two numbers that are so far apart are not alike
-MOST = 0.5  # a shift of the whole picture is told where it predicts so many of the pixels that fail
-TRIED = 4096  # pixels that suppositions about cameras are tried at
+MOST = 0.5  # what is said of all wrong t at once has to be true of more of them than this
 
 
 class Diagnosis(NamedTuple):
@@ -33,16 +32,6 @@ class Diagnosis(NamedTuple):
     def of(self, row: int) -> str:
         """The sentence of one row."""
         return next(what for what, rows in self.said.items() if row in rows)
-
-
-class Failing(NamedTuple):
-    """The rows where the candidate is wrong by an exact answer, and what would be right there."""
-
-    rows: np.ndarray  # (m,)
-    hit: np.ndarray  # (m,) bool, exactly
-    t: np.ndarray  # (m,) exact, inf on a miss
-    prim: np.ndarray  # (m,) -1 on a miss
-    at: Meetings  # (m,) there, as the candidate may see it
 
 
 def diagnose(judge: CandidateJudge, judgement: CandidateJudgement) -> Diagnosis:
@@ -68,7 +57,7 @@ def diagnose(judge: CandidateJudge, judgement: CandidateJudgement) -> Diagnosis:
     say("exact arithmetic gave no answer", np.flatnonzero(judgement.classes == CODE[UNDECIDED]))
     wrong = np.flatnonzero(left & (judgement.classes == CODE[OURS_WRONG]))
     if len(wrong):
-        failing = _failing(judge, judgement, wrong)
+        failing = failing_at(judge, judgement, wrong)
         for what, rows in suppositions(judge, failing):
             say(what, rows)
     say("not what is there, in no way that is recognised", np.flatnonzero(left))
@@ -83,21 +72,14 @@ def _marked_misses(judge: CandidateJudge) -> Iterator[tuple[str, np.ndarray]]:
         yield f"t is {t[0]:.7g} where nothing is hit; a miss has t inf", rows
 
 
-def _failing(judge: CandidateJudge, judgement: CandidateJudgement, rows: np.ndarray) -> Failing:
-    answers = [judgement.exact.of(row) for row in rows]
-    t = np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
-    prim = np.array([-1 if a is None else a.prim for a in answers])
-    return Failing(rows, prim >= 0, t, prim, meets_again(judge, rows, prim, t))
-
-
 def suppositions(judge: CandidateJudge, failing: Failing) -> Iterator[tuple[str, np.ndarray]]:
     """(sentence, rows it is true of), what says most first."""
-    yield from _shifted(judge, failing)
+    if (shift := shift_of(judge, failing)) is not None:
+        where = f"({shift.x:+.2f}, {shift.y:+.2f}) of a pixel to the right and down"
+        yield f"seen from beside the pixels' centres, by {where}", failing.rows
     yield from _missed(judge, failing)
     hit = judge.answer.hit[failing.rows] & failing.hit
-    there = Failing(
-        failing.rows[hit], failing.hit[hit], failing.t[hit], failing.prim[hit], failing.at.taken(hit)
-    )
+    there = failing.taken(hit)
     if len(there.rows):
         yield from _wrong_t(judge, there)
         yield from _wrong_normal(judge, there)
@@ -203,62 +185,4 @@ def _some_surface(judge: CandidateJudge, f: Failing, t: np.ndarray) -> np.ndarra
     possible = judge.bracket.possible_hits(judge.o[rows], judge.d[rows], judge.t_max[rows])
     found = np.zeros(len(t), bool)
     found[possible.ray[_like(t[possible.ray], possible.at.t)]] = True
-    return found
-
-
-STEP = 0.125  # of a pixel, over which the slopes of t are taken
-EXPLAINS = 0.1  # a shift has to leave less than this of what there is to explain
-
-
-def _shifted(judge: CandidateJudge, failing: Failing) -> Iterator[tuple[str, np.ndarray]]:
-    """A picture that was taken beside the centres of its pixels: the shift that explains most of t, if it does."""
-    there = np.flatnonzero(failing.hit & judge.answer.hit[failing.rows])
-    there = there[:: max(1, len(there) // TRIED)]
-    rows, prim, right = failing.rows[there], failing.prim[there], failing.t[there]
-    t = judge.answer.t[rows]
-    with np.errstate(invalid="ignore"):
-        told = np.abs(t - right) > 0.0
-    if told.sum() < FEWEST:
-        return
-
-    def seen(x: float, y: float) -> np.ndarray:
-        return _seen_from(judge, rows, prim, right, (x, y))
-
-    x = y = 0.0
-    for _ in range(3):  # Newton: slopes at where the last step led
-        here = seen(x, y)
-        slopes = np.column_stack([seen(x + STEP, y) - here, seen(x, y + STEP) - here]) / STEP
-        fine = told & np.isfinite(slopes).all(axis=1) & np.isfinite(here)
-        fine &= np.abs(t - here) <= np.quantile(np.abs(t - here)[fine], 0.8) if fine.any() else fine
-        if fine.sum() < FEWEST:
-            return
-        step = np.linalg.lstsq(slopes[fine], (t - here)[fine], rcond=None)[0]
-        x, y = x + float(step[0]), y + float(step[1])
-        if not max(abs(x), abs(y)) < FARTHEST:
-            return
-    with np.errstate(invalid="ignore"):
-        explained = np.abs(t - seen(x, y)) <= EXPLAINS * np.abs(t - right)
-    if max(abs(x), abs(y)) > STEP / 4 and (explained & told).sum() > MOST * told.sum():
-        what = (
-            f"seen from beside the pixels' centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down"
-        )
-        yield what, failing.rows
-
-
-FEWEST = 16  # pixels that a shift is told by
-FARTHEST = 4.0  # pixels
-
-
-def _seen_from(
-    judge: CandidateJudge, rows: np.ndarray, prim: np.ndarray, t: np.ndarray, step: tuple[float, float]
-) -> np.ndarray:
-    """(m,) t of the same primitives along rays through another place of their pixels, the root nearest to t."""
-    scene = judge.scene
-    x, y = pixel_centers(scene)
-    rays = camera_reference(scene.camera).rays(scene.camera, scene.film, x[rows] + step[0], y[rows] + step[1])
-    o = rays.o + rays.t_min[:, None] * rays.d
-    met = judge.model.meet(prim, o, rays.d, judge.answer.ku, ours=True)
-    found = np.full(len(rows), np.nan)
-    order = np.argsort(-np.abs(met.at.t - t[met.pair]), kind="stable")  # the nearest comes last, and stays
-    found[met.pair[order]] = met.at.t[order]
     return found
