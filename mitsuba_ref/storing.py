@@ -1,6 +1,6 @@
 """Reproducers of the pixels where somebody is wrong, as files."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,11 +38,16 @@ def store_all(folder: Path, name: str, judge: Judge, judgement: Judgement, sourc
     return Stored(tuple(files), left_out)
 
 
-def store(path: Path, judge: Judge, judgement: Judgement, row: int, source: str) -> bool:
-    """Write one, and say in it whether its few primitives alone show the same. Raises OutputError, SceneError."""
+def store(
+    path: Path, judge: Judge, judgement: Judgement, row: int, source: str, more: Sequence[str] = ()
+) -> bool:
+    """Write one, and say in it whether its few primitives alone show the same. more: lines of comment.
+
+    Raises OutputError, SceneError.
+    """
     found = reproducer(judge, row, lit=bool(judgement.ratio("diffuse")[row] > 1.0))
     same, words = shows_the_same(found, judge, judgement, row)
-    write_text(path, found.text([*head_of(judge, judgement, row, source), words]))
+    write_text(path, found.text([*head_of(judge, judgement, row, source), words, *more]))
     return same
 
 

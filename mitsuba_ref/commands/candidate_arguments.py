@@ -56,6 +56,9 @@ def seconds(text: str) -> float:
 def asked(args: argparse.Namespace) -> Candidate | None:
     """The candidate that was asked for; None: ours is judged. Raises SceneError for one that cannot be asked."""
     if args.candidate is None:
+        for option, given in _alone(args).items():
+            if given:
+                raise SceneError(f"{option}: expected --candidate X beside it, whose {option[12:]} it is")
         return None
     if getattr(args, "resume", False):
         raise SceneError(
@@ -64,6 +67,14 @@ def asked(args: argparse.Namespace) -> Candidate | None:
     from mitsuba_ref.candidate.asking import candidate_of
 
     return candidate_of(args.candidate, args.candidate_precision, args.candidate_timeout)
+
+
+def _alone(args: argparse.Namespace) -> dict[str, bool]:
+    """Options that say nothing without --candidate -> whether they are given."""
+    return {
+        "--candidate-precision": args.candidate_precision is not None,
+        "--candidate-timeout": args.candidate_timeout != SECONDS,
+    }
 
 
 def again(args: argparse.Namespace) -> tuple[str, ...]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +17,7 @@ from mitsuba_ref.commands import candidate_arguments
 if TYPE_CHECKING:
     from caster.scene import Scene
     from mitsuba_ref.jobs import Crash
-    from mitsuba_ref.probing import Probed
+    from mitsuba_ref.probing import PixelVerdict, Probed
 
 HELP = "one pixel: what ours, Mitsuba, exact arithmetic and a candidate say, the bounds, and what may be hit"
 
@@ -51,22 +53,32 @@ def run(args: argparse.Namespace) -> int:
     with blamed_on(args.scene):
         found, probed = examine(scene, args.x, args.y, candidate)
     try:
-        write_files(args, scene, probed)
+        write_files(args, scene, found, probed)
     finally:  # last, since who reads may go away after a line or two
         print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, args.scene))
     return OK if found.ok else DIFFERENCES
 
 
-def write_files(args: argparse.Namespace, scene: Scene, probed: Crash | Probed) -> None:
+def write_files(args: argparse.Namespace, scene: Scene, found: PixelVerdict, probed: Crash | Probed) -> None:
     """Those that were asked for."""
     if args.save:
-        save(args, probed)
+        save(args, probed, about_candidate(args, found))
     if args.picture:
         draw(args, scene, probed)
 
 
-def save(args: argparse.Namespace, probed: Crash | Probed) -> None:
-    """Write the reproducer, and say on stderr whether it shows the same."""
+def about_candidate(args: argparse.Namespace, found: PixelVerdict) -> list[str]:
+    """Comment on what a candidate makes of the ray, in a file that is about ours and Mitsuba."""
+    if found.candidate is None:
+        return []
+    words = found.candidate.problem or found.candidate.why
+    told = f"{found.candidate.verdict}: {words}".splitlines()[0]
+    again = shlex.join(["mitsuba-ref", "probe", "THIS-FILE", "0", "0", *candidate_arguments.again(args)])
+    return [f"Candidate: {told}", *(f"           {line}" for line in again.splitlines())]
+
+
+def save(args: argparse.Namespace, probed: Crash | Probed, more: Sequence[str]) -> None:
+    """Write the reproducer, and say on stderr whether it shows the same. more: lines of comment in it."""
     from mitsuba_ref.jobs import Crash
     from mitsuba_ref.storing import store
 
@@ -75,7 +87,7 @@ def save(args: argparse.Namespace, probed: Crash | Probed) -> None:
         print(f"{args.save}: not written: Mitsuba gave no answer to reproduce", file=sys.stderr)
         return
     with blamed_on(source):
-        same = store(Path(args.save), *probed, 0, source)
+        same = store(Path(args.save), *probed, 0, source, more)
     alone = "shows the same" if same else "does NOT show the same by itself, as it says"
     print(f"{args.save}: written; it {alone}", file=sys.stderr)
 

@@ -161,9 +161,21 @@ class Closed:
 
 
 def test_files_are_written_whoever_reads_the_text(tmp_path, monkeypatch):
+    """And the file of the ray says what the candidate makes of it, and how to see that."""
+    monkeypatch.chdir(ROOT)
     monkeypatch.setattr(probing, "sayings", lambda *given: ())
     monkeypatch.setattr("sys.stdout", Closed())
-    saved = tmp_path / "again.toml"
-    words = ["probe", str(ROOT / "scenes/one-sphere.toml"), "5", "4", "--size", "12", "9"]
-    assert main([*words, "--save", str(saved)]) == 141
+    saved, given = tmp_path / "again.toml", ["--candidate", "docs.candidates.textbook:trace"]
+    words = ["probe", str(ROOT / "scenes/inside-sphere.toml"), "0", "0", "--size", "12", "9"]
+    assert main([*words, "--save", str(saved), *given]) == 141
     assert load_scene(saved).camera.type == "ray"
+    head = saved.read_text()
+    assert "# Candidate: candidate_wrong: missed: the surface's first root is behind" in head
+    assert f"#            mitsuba-ref probe THIS-FILE 0 0 {shlex.join(given)}\n" in head
+
+
+def test_options_of_a_candidate_without_one_are_refused(capsys):
+    words = ["probe", str(ROOT / "scenes/one-sphere.toml"), "5", "4"]
+    for option, value in (("--candidate-precision", "float32"), ("--candidate-timeout", "5")):
+        assert main([*words, option, value]) == 2
+        assert f"{option}: expected --candidate X beside it" in capsys.readouterr().err

@@ -6,6 +6,7 @@ import pytest
 from made_verdicts import scene, verdict
 
 from mitsuba_ref.junit import junit
+from mitsuba_ref.table import replay
 
 # What Jenkins, GitLab, GitHub actions and Azure read: element -> (attributes that must be there, that may, children in
 # order). `file` is GitLab's. Everything else is refused.
@@ -132,3 +133,17 @@ def test_what_was_not_judged_is_an_error_and_what_was_kept_took_no_time():
 def test_scenes_are_grouped_by_their_folder(path, name):
     top = parsed(verdict(scene("a", path=path)))
     assert next(top.iter("testcase")).get("classname") == name
+
+
+def test_a_replay_repeats_what_was_asked_for():
+    typed = ("--mesh-dir", "my meshes", "--candidate", "a {xml} -o {exr}", "--candidate-timeout", "5")
+    told = replay(
+        scene(candidate="a {xml} -o {exr}", precision="float32", resized=True, options=typed), (3, 4)
+    )
+    assert told.endswith(
+        "probe scenes/ball.toml 3 4 --size 12 10 --mesh-dir 'my meshes' --candidate 'a {xml} -o {exr}' "
+        "--candidate-timeout 5"
+    )
+    from_python = replay(scene(candidate="trace", precision="float32"), (3, 4))
+    assert from_python.endswith(" 3 4 --candidate MODULE:trace --candidate-precision float32")
+    assert replay(scene(options=typed[:2])) == "mitsuba-ref validate scenes/ball.toml --mesh-dir 'my meshes'"
