@@ -71,7 +71,7 @@ def candidate_report_into(folder: Path) -> Path:
     """Run from the top of the tree, where the candidate is found."""
     path = f"scenes/{INSIDE}.toml"
     verdict = validate_candidate(candidate_of(CANDIDATE), load_scene(path), INSIDE, path, keep=True)
-    return write_report(folder, [verdict], 1)
+    return write_report(folder, [replace(verdict, options=("--candidate", CANDIDATE))], 1)  # as it was typed
 
 
 def faulty_view(scene: object, rays: object) -> View:
