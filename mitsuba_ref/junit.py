@@ -25,9 +25,12 @@ def junit(verdict: Verdict) -> str:
     }
     top = Element("testsuites", {"name": NAME, **counts})
     suite = SubElement(top, "testsuite", {"name": NAME, **counts})
-    if verdict.shard:
+    about = {"shard": verdict.shard, "candidate": printable(verdict.candidate)}
+    if any(about.values()):
         properties = SubElement(suite, "properties")
-        SubElement(properties, "property", name="shard", value=verdict.shard)
+        for name, value in about.items():
+            if value:
+                SubElement(properties, "property", name=name, value=value)
     for scene in verdict.scenes:
         add_case(suite, scene)
     for name in verdict.not_judged:

@@ -95,7 +95,7 @@ def scene_of(record: dict[str, Any]) -> SceneVerdict:
         unjudged=tuple(record.get("unjudged", ())),
         findings=tuple(Finding(**each) for each in record.get("findings", ())),
         notes=tuple(record.get("notes", ())),
-        options=tuple(record["options"]),
+        options=tuple(record.get("options", ())),
     )
     if found.ok != record["ok"]:
         raise ValueError(f"{found.name} says ok: {record['ok']}, its numbers say {found.ok}")

@@ -100,15 +100,13 @@ def merged(parts: Sequence[tuple[str, Verdict]], *, any_versions: bool = False) 
 
 def check_alike(parts: Sequence[tuple[str, Verdict]]) -> None:
     """Raise DifferentRuns unless all scenes were judged with the same candidate, and with the same --size or none."""
-    told = [
-        (place, f"judged {scene.candidate or 'ours'}", f"has films of {film_of(scene)}")
-        for place, part in parts
-        for scene in part.scenes
-    ]
-    for place, *words in told:
-        for mine, others in zip(words, told[0][1:], strict=True):
+    judged = [(place, f"judged {part.candidate or 'ours'}") for place, part in parts]  # or was about to
+    films = [(place, f"has films of {film_of(scene)}") for place, part in parts for scene in part.scenes]
+    for told in (judged, films):
+        for place, mine in told:
+            first_place, others = told[0]
             if mine != others:
-                raise DifferentRuns(f"{place}: it {mine}, and {told[0][0]} {others}")
+                raise DifferentRuns(f"{place}: it {mine}, and {first_place} {others}")
 
 
 def film_of(scene: SceneVerdict) -> str:

@@ -66,6 +66,7 @@ VERDICTS = {
     "nothing": verdict(),
     "nasty": verdict(scene('<a & "b">\x07\'\ud800', ok=False)),
     "shard": verdict(scene("a"), shard="1/2", selected=("a", "b")),
+    "candidate": verdict(names=("a",), on_trial="mine\x07:trace"),
 }
 
 
@@ -74,6 +75,12 @@ def test_what_is_written_is_what_servers_read(found):
     text = junit(found)
     text.encode("utf-8")
     assert list(problems(ElementTree.fromstring(text))) == []
+
+
+def test_a_run_that_judged_a_candidate_says_so_even_where_no_scene_is_done():
+    (told,) = ElementTree.fromstring(junit(VERDICTS["candidate"])).iter("property")
+    assert told.attrib == {"name": "candidate", "value": "mine\ufffd:trace"}
+    assert not [*ElementTree.fromstring(junit(VERDICTS["passes"])).iter("property")]
 
 
 def test_the_check_finds_what_is_planted():

@@ -137,6 +137,10 @@ def test_a_scene_that_fails_or_was_left_in_its_shard_fails_the_whole(folder, cap
         (shard("2/2", "b", "d", code="c1"), "it is of other code or other scenes than 1.json"),
         (of("2/2", candidate="mine:trace"), "2.json: it judged mine:trace, and 1.json judged ours"),
         (
+            replace(shard("2/2", left=("b", "d")), on_trial="mine:trace"),
+            "2.json: it judged mine:trace, and 1.json judged ours",
+        ),
+        (
             of("2/2", resized=True),
             "2.json: it has films of 12 x 10, and 1.json has films of the scenes' own sizes",
         ),
