@@ -11,7 +11,8 @@ from mitsuba_ref.candidate.answer import Answer, NoAnswer
 from mitsuba_ref.candidate.asking import Candidate
 from mitsuba_ref.candidate.diagnosis import diagnose
 from mitsuba_ref.candidate.hearing import Heard, hear, one_of
-from mitsuba_ref.candidate.judge import CandidateJudge, CandidateJudgement, meets_again
+from mitsuba_ref.candidate.how_far import as_witness, factors, off_from_exact
+from mitsuba_ref.candidate.judge import CandidateJudge
 from mitsuba_ref.candidate.pictures import candidate_aovs
 from mitsuba_ref.candidate.reasons import reason
 from mitsuba_ref.candidate.telling import answer_words, hints
@@ -19,12 +20,12 @@ from mitsuba_ref.exact import ExactAnswer
 from mitsuba_ref.jobs import Crash
 from mitsuba_ref.judge import EXACT
 from mitsuba_ref.pair import Pair
-from mitsuba_ref.pixels import apart, flat
-from mitsuba_ref.quantities import at_no_common_hit, beyond
+from mitsuba_ref.pixels import flat
+from mitsuba_ref.quantities import at_no_common_hit
 from mitsuba_ref.rays import SharedRays
 from mitsuba_ref.reference import Witness, consult
 from mitsuba_ref.verdict import CANDIDATE_WRONG, CLASSES, FAILING, OURS_WRONG, UNDECIDED, UNLISTED
-from mitsuba_ref.witnesses import CANDIDATE, Saying, in_ulps, over
+from mitsuba_ref.witnesses import CANDIDATE, Saying
 
 GIVES = ("t", "depth", "normal")  # all that a candidate may say of a hit
 
@@ -93,11 +94,11 @@ def _judged(name: str, judge: CandidateJudge, heard: Heard) -> CandidatePixel:
     verdict = CLASSES[int(judgement.classes[0])]
     said = {int(row): what for what, rows in diagnose(judge, judgement).said.items() for row in rows}
     exact = judgement.exact.of(0)
-    off = _off(judge, exact)
+    off = off_from_exact(judge, exact)
     ratios = {check: float(ratio[0]) for check, ratio in judgement.ratios.items()}
     left = _not_judged(judge, exact)
     judged = {check: share for check, share in ratios.items() if check not in left or share > 0.0}
-    told = (reason(judge, judgement, said, 0), _beyond(judge, off, judged))
+    told = (reason(judge, judgement, said, 0), factors(judge, off, judged))
     case = judgement.cases.get(0)
     return CandidatePixel(
         name,
@@ -111,17 +112,8 @@ def _judged(name: str, judge: CandidateJudge, heard: Heard) -> CandidatePixel:
         "" if 0 not in judgement.cases else UNLISTED if case is None else str(case),
         _alone(heard.alone, answer),
         (*answer.notes, *heard.limits, *hints(answer, judgement)),
-        saying=_saying(judge, judgement, off),
+        saying=as_witness(judge, judgement, off),
     )
-
-
-def _beyond(judge: CandidateJudge, off: Mapping[str, Any], ratios: Mapping[str, float]) -> str:
-    """By what factors: from the exact answer if there is one, else from Mitsuba's."""
-    if judge.answer.is_broken[0]:
-        return ""
-    exact = {name: off[f"{name}_share"] for name in ("t", "normal") if f"{name}_share" in off}
-    shares = {"mask": ratios["mask"]} | exact if exact else dict(ratios)
-    return beyond(shares)
 
 
 def _says(judge: CandidateJudge) -> dict[str, Any]:
@@ -131,33 +123,6 @@ def _says(judge: CandidateJudge) -> dict[str, Any]:
     hit, t = bool(judge.answer.hit[0]), float(judge.answer.t[0])
     return {"hit": hit, "t_hex": t.hex()} | {
         name: values[0].tolist() for name, values in given.items() if hit or name != "normal"
-    }
-
-
-def _off(judge: CandidateJudge, exact: ExactAnswer | None) -> dict[str, Any]:
-    """How far t and the normal are from those of the exact answer, at the member of a tie that fits best.
-
-    In units of the last place (t), as a share of its length (the normal), and of their bounds.
-    """
-    t = float(judge.answer.t[0])
-    if exact is None or exact.t is None or not np.isfinite(t):
-        return {}
-    prim = np.array([each.prim for each in exact.ties])
-    row = np.zeros(len(prim), int)
-    at = meets_again(judge, row, prim, np.full(len(prim), float(exact.t)))
-    off = exact.t.off(t) * -exact.t.compare(t)
-    t_share = [over(abs(off), float(bound)) for bound in at.t_error + np.ravel(judge.answer.t_off)[0]]
-    found: dict[str, Any] = {"t": off, "t_ulps": in_ulps(off, exact, np.dtype(judge.answer.precision))}
-    if judge.answer.n is None or judge.answer.is_broken[0]:
-        return found | {"t_share": min(t_share)}
-    turned = apart(judge.answer.n[row], at.n)
-    n_share = [over(float(each), float(bound)) for each, bound in zip(turned, at.n_error, strict=True)]
-    best = int(np.argmin(np.maximum(t_share, n_share)))
-    return found | {
-        "t_share": t_share[best],
-        "normal": float(turned[best]),
-        "normal_share": n_share[best],
-        "exact_normal": at.n[best].tolist(),
     }
 
 
@@ -171,32 +136,11 @@ def _not_judged(judge: CandidateJudge, exact: ExactAnswer | None) -> dict[str, s
     return found
 
 
-def _saying(judge: CandidateJudge, judgement: CandidateJudgement, off: Mapping[str, Any]) -> Saying:
-    answer = judge.answer
-    broken = [*answer.broken]
-    right = judgement.is_right(0) if judgement.exact.of(0) is not None else None
-    return Saying(
-        CANDIDATE,
-        "a hit" if answer.hit[0] else "miss",  # it names no shape
-        -1,
-        float(answer.t[0]),
-        right=right and not broken,
-        off=off.get("t"),
-        ulps=off.get("t_ulps"),
-        format=answer.precision,
-        share=off.get("t_share"),
-        normal_share=off.get("normal_share"),
-        remark=", ".join(broken),
-    )
-
-
 def _alone(alone: Answer | NoAnswer | None, together: Answer) -> str:
     if alone is None:
         return ""
     if isinstance(alone, NoAnswer):
         return f"no answer: {alone}"
-    same = np.array_equal(alone.t, together.t, equal_nan=True) and (
-        (alone.n is None and together.n is None)
-        or (alone.n is not None and together.n is not None and np.array_equal(alone.n, together.n))
-    )
+    bits = [(each.t.tobytes(), None if each.n is None else each.n.tobytes()) for each in (alone, together)]
+    same = bits[0] == bits[1] and [*alone.broken] == [*together.broken]
     return "the same, to the bit" if same else f"something else: {answer_words(alone, 0)}"
