@@ -41,6 +41,7 @@ def run(command: Callable[[], int]) -> int:
 
     SceneError and its kinds bring their own code. Only an error that nobody foresaw shows a traceback.
     """
+    occupy_streams()
     _print_any_text()
     try:
         code = _code_of(command)
@@ -51,6 +52,18 @@ def run(command: Callable[[], int]) -> int:
     except OSError as error:
         text = str(error) if error.filename else f"standard output: {error.strerror or error}"
         return _without_output(_told(text, FILE))
+
+
+def occupy_streams() -> None:
+    """Where a standard stream was closed before we began, what goes there goes nowhere, for our children as well.
+
+    Its number would else be given to the next file that is opened.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            nowhere = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115 - as long as the process lasts
+            os.set_inheritable(nowhere.fileno(), True)
+            setattr(sys, name, nowhere)
 
 
 def _code_of(command: Callable[[], int]) -> int:

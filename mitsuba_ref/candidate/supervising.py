@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn, TextIO
 
-from caster.exits import DIFFERENCES, INTERRUPTED
+from caster.exits import DIFFERENCES, INTERRUPTED, occupy_streams
 
 MARK = "MITSUBA_REF_SUPERVISED"  # in the environment of the one that is looked after
 PATIENCE = (
@@ -35,6 +35,7 @@ def wanted(words: Sequence[str]) -> bool:
 def run(words: Sequence[str]) -> int:
     """The exit code of the command line, run in a child; one that ends without a word has failed."""
     began = time.time()
+    occupy_streams()
     receive, send = os.pipe()
     child = subprocess.Popen(
         [sys.executable, "-c", SOURCE.format(path=sys.path, fd=send), *words],

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -152,6 +153,13 @@ def test_a_reader_that_goes_away_is_no_news():
     process.stdout.close()  # before anything was written
     assert (process.wait(), process.stderr.read()) == (exits.PIPE_CLOSED, "")
     process.stderr.close()
+
+
+def test_a_standard_output_that_was_closed_before_is_none_of_our_business():
+    shell = f"exec {shlex.quote(sys.executable)} -m caster schema >&-"
+    environment = {"PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"], "CASTER_JIT": "0"}
+    process = subprocess.run(["sh", "-c", shell], env=environment, stderr=subprocess.PIPE, text=True)
+    assert (process.returncode, process.stderr) == (0, "")
 
 
 def test_a_full_device_is_told(capfd):
