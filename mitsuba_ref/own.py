@@ -24,6 +24,10 @@ class Held(NamedTuple):
         found: np.ndarray = self.counts & ~(self.error <= self.bound)
         return found
 
+    def is_beyond(self, row: int) -> bool:
+        """At one of them."""
+        return bool(self.counts[row]) and not self.error[row] <= self.bound[row]
+
 
 def held(pair: Pair, bounds: Bounds, point: np.ndarray) -> Iterator[Held]:
     """Normals and position of the pixels that we hit. point: (n, 3) o + t d.

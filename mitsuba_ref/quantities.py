@@ -23,7 +23,7 @@ def own_shares(judge: Judge, row: int) -> dict[str, float]:
     """Of what is beyond float64's bound at our own primitive."""
     found = {}
     for each in judge.held:
-        if each.beyond[row]:
+        if each.is_beyond(row):
             error, bound = float(each.error[row]), float(each.bound[row])
             found[each.name] = error / bound if bound > 0.0 and np.isfinite(error) else np.inf
     return found
