@@ -69,7 +69,12 @@ def _marked_misses(judge: CandidateJudge) -> Iterator[tuple[str, np.ndarray]]:
     rows = np.flatnonzero(~judge.witness.hit & (judge.t_max >= 0.0))
     t = judge.answer.t[rows]
     if len(rows) > 1 and np.isfinite(t[0]) and (t == t[0]).all():
-        yield f"t is {t[0]:.7g} where nothing is hit; a miss has t inf", rows
+        yield marked_miss(float(t[0])), rows
+
+
+def marked_miss(t: float) -> str:
+    """The sentence about a number in the place of inf."""
+    return f"t is {t:.7g} where nothing is hit; a miss has t inf"
 
 
 def suppositions(judge: CandidateJudge, failing: Failing) -> Iterator[tuple[str, np.ndarray]]:

@@ -9,7 +9,7 @@ import numpy as np
 from caster.scene import Scene
 from mitsuba_ref.candidate.answer import Answer, NoAnswer
 from mitsuba_ref.candidate.asking import Candidate
-from mitsuba_ref.candidate.diagnosis import diagnose
+from mitsuba_ref.candidate.diagnosis import diagnose, marked_miss
 from mitsuba_ref.candidate.hearing import Heard, hear, one_of
 from mitsuba_ref.candidate.how_far import as_witness, factors, off_from_exact
 from mitsuba_ref.candidate.judge import CandidateJudge
@@ -93,6 +93,8 @@ def _judged(name: str, judge: CandidateJudge, heard: Heard) -> CandidatePixel:
     judgement, answer = judge.judge(), judge.answer
     verdict = CLASSES[int(judgement.classes[0])]
     said = {int(row): what for what, rows in diagnose(judge, judgement).said.items() for row in rows}
+    if said and _marks_a_miss(judge, heard.answer.t):
+        said[0] = marked_miss(float(answer.t[0]))
     exact = judgement.exact.of(0)
     off = off_from_exact(judge, exact)
     ratios = {check: float(ratio[0]) for check, ratio in judgement.ratios.items()}
@@ -114,6 +116,12 @@ def _judged(name: str, judge: CandidateJudge, heard: Heard) -> CandidatePixel:
         (*answer.notes, *heard.limits, *hints(answer, judgement)),
         saying=as_witness(judge, judgement, off),
     )
+
+
+def _marks_a_miss(judge: CandidateJudge, everywhere: np.ndarray) -> bool:
+    """Whether t is a number in the place of inf: Mitsuba misses, and other rays have the very same one."""
+    t = judge.answer.t[0]
+    return bool(np.isfinite(t) and not judge.witness.hit[0] and (everywhere == t).sum() > 1)
 
 
 def _says(judge: CandidateJudge) -> dict[str, Any]:

@@ -101,6 +101,19 @@ def test_a_pixel_has_the_class_that_validate_gave_it(at, ask, trace):
         assert found.alone.startswith("something else: ") or found.alone.startswith("no answer")
 
 
+def a_miss_is_a_number(scene, o, d):
+    t, n = candidates.ours(scene, o, d)
+    return np.where(np.isfinite(t), t, 1e30), n
+
+
+def test_a_number_in_the_place_of_a_miss_is_told_by_the_other_rays(at):
+    found = at(a_miss_is_a_number, MISS)
+    assert (
+        found.verdict == CANDIDATE_WRONG and found.why == "t is 1e+30 where nothing is hit; a miss has t inf"
+    )
+    assert at(a_miss_is_a_number).ok
+
+
 def wrong_in_a_crowd(scene, o, d):
     t, n = candidates.ours(scene, o, d)
     return (t * 1.001 if len(t) > 1 else t), n
