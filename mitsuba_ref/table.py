@@ -1,6 +1,5 @@
 """A verdict for the terminal: one row a scene, and where to look where one fails."""
 
-import shlex
 from collections.abc import Iterator
 from urllib.parse import quote
 
@@ -8,6 +7,7 @@ from mitsuba_ref.bias import LARGEST_Z
 from mitsuba_ref.cases import NAMES
 from mitsuba_ref.in_common import first_look, simplest
 from mitsuba_ref.meeting import K
+from mitsuba_ref.replaying import replay
 from mitsuba_ref.scene_check import SceneCheck
 from mitsuba_ref.verdict import (
     AGREE,
@@ -165,35 +165,6 @@ def _problem_lines(scene: SceneVerdict) -> Iterator[str]:
 def link(report: str, scene: SceneVerdict, pixel: tuple[int, int]) -> str:
     """A pixel in the HTML report, for the address line of a browser."""
     return f"{report}#s={quote(scene.name)}&x={pixel[0]}&y={pixel[1]}"
-
-
-def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
-    """The command that shows one pixel, or else the scene, again."""
-    if pixel is None:
-        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{repeated(scene)}"
-    before, after = replay_around(scene)
-    return f"{before}{pixel[0]} {pixel[1]}{after}"
-
-
-def replay_around(scene: SceneVerdict) -> tuple[str, str]:
-    """The command that shows a pixel again: what comes before its column and row, and what comes after."""
-    return f"mitsuba-ref probe {shlex.quote(scene.path or 'SCENE')} ", repeated(scene)
-
-
-def repeated(scene: SceneVerdict) -> str:
-    """The options that any command has to repeat to see the same."""
-    size = ["--size", *map(str, scene.size)] if scene.resized else []
-    return "".join(f" {shlex.quote(word)}" for word in (*size, *scene.options, *_named_candidate(scene)))
-
-
-def _named_candidate(scene: SceneVerdict) -> Iterator[str]:
-    """A candidate that Python was given, not the command line; of a function, the name alone is known."""
-    if not scene.candidate or "--candidate" in scene.options:
-        return
-    as_typed = ":" in scene.candidate or "{" in scene.candidate
-    yield from ("--candidate", scene.candidate if as_typed else f"MODULE:{scene.candidate}")
-    if scene.precision:
-        yield from ("--candidate-precision", scene.precision)
 
 
 def summary(verdict: Verdict, seconds: float) -> str:

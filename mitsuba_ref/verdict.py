@@ -9,6 +9,7 @@ import numpy as np
 from caster.scene import Scene
 from mitsuba_ref.bias import Statistics
 from mitsuba_ref.made_of import MadeOf
+from mitsuba_ref.replaying import replay
 from mitsuba_ref.scene_check import SceneCheck
 
 if TYPE_CHECKING:
@@ -173,9 +174,9 @@ class SceneVerdict:
             "checks": [
                 {"name": c.name, "ok": c.ok, "ratio": number(c.ratio), "what": c.what} for c in self.checks
             ],
-            "failures": [failure.to_dict() for failure in self.failures],
+            "failures": [self._told(failure) for failure in self.failures],
             "failing_by": self.failing_by,
-            "worst_by": {name: failure.to_dict() for name, failure in self.worst_by.items()},
+            "worst_by": {name: self._told(failure) for name, failure in self.worst_by.items()},
             "versions": self.versions,
             "seconds": round(self.seconds, 3),
             "reference_seconds": round(self.reference_seconds, 3),
@@ -185,14 +186,19 @@ class SceneVerdict:
             "files": self.files,
             "kept": self.kept,
             "options": list(self.options),
+            "replay": replay(self),
         }
         return found | self._of_candidate() if self.candidate else found
+
+    def _told(self, failure: Failure) -> dict[str, Any]:
+        """A pixel with the command that shows it again."""
+        return failure.to_dict() | {"replay": replay(self, (failure.x, failure.y))}
 
     def _of_candidate(self) -> dict[str, Any]:
         """What verdict.json says of a candidate beside, or in other words than of ours."""
         failures = []
         for failure in self.failures:
-            said = {**vars(failure), "verdict": self.called(failure.verdict), "ratio": number(failure.ratio)}
+            said = self._told(failure) | {"verdict": self.called(failure.verdict)}
             said["candidate"] = said.pop("ours")
             failures.append(said)
         return {

@@ -119,7 +119,8 @@ def file_told(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def failure_of(record: dict[str, Any]) -> Failure:
-    return Failure(**(record | {"ratio": float(record["ratio"])}))
+    said = {name: value for name, value in record.items() if name != "replay"}  # it follows from the scene
+    return Failure(**(said | {"ratio": float(record["ratio"])}))
 
 
 def statistics_of(record: dict[str, Any] | None) -> Statistics | None:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from caster.whole_files import OutputError
 from mitsuba_ref.in_common import first_look
-from mitsuba_ref.table import HEADS, candidate_lines, failure, replay, worst_words
+from mitsuba_ref.replaying import replay
+from mitsuba_ref.table import HEADS, candidate_lines, failure, worst_words
 from mitsuba_ref.verdict import CLASSES, Failure, SceneVerdict, Verdict
 
 # GitHub drops the whole summary of a step that is larger: https://docs.github.com/actions, "step isolation and limits".

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from mitsuba_ref.table import failure, replay, replay_around
+from mitsuba_ref.replaying import replay, replay_around
+from mitsuba_ref.table import failure
 from mitsuba_ref.verdict import UNLISTED, SceneVerdict, number
 
 

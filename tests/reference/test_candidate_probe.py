@@ -41,14 +41,18 @@ def at(brought):
     return look
 
 
-def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys):
+def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys, tmp_path):
     """With the size, the candidate and its options; and Mitsuba's answers are beside the candidate's."""
     monkeypatch.chdir(ROOT)
     given = ["--size", "12", "9", "--candidate", "docs.candidates.textbook:trace"]
     given += ["--candidate-precision", "float32", "--candidate-timeout", "70"]
-    assert main(["validate", "scenes/inside-sphere.toml", *given]) == 1
+    verdict = tmp_path / "v.json"
+    assert main(["validate", "scenes/inside-sphere.toml", *given, "--json", str(verdict)]) == 1
     (replay,) = re.findall(r"^      replay:    mitsuba-ref (.*)", capsys.readouterr().out, re.MULTILINE)
     assert replay.startswith("probe scenes/inside-sphere.toml 0 0 ") and shlex.split(replay)[4:] == given
+    (scene,) = json.loads(verdict.read_text())["scenes"]
+    assert scene["failures"][0]["replay"] == f"mitsuba-ref {replay}"
+    assert scene["replay"] == f"mitsuba-ref validate scenes/inside-sphere.toml {shlex.join(given)}"
     assert main([*shlex.split(replay), "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     theirs, (witness, *others) = found["candidate"], found["witnesses"]
