@@ -71,10 +71,12 @@ def about_candidate(args: argparse.Namespace, found: PixelVerdict) -> list[str]:
     """Comment on what a candidate makes of the ray, in a file that is about ours and Mitsuba."""
     if found.candidate is None:
         return []
+    from mitsuba_ref.candidate.answer import plain
+
     words = found.candidate.problem or found.candidate.why
     told = f"{found.candidate.verdict}: {words}".splitlines()[0]
     again = shlex.join(["mitsuba-ref", "probe", "THIS-FILE", "0", "0", *candidate_arguments.again(args)])
-    return [f"Candidate: {told}", *(f"           {line}" for line in again.splitlines())]
+    return [f"Candidate: {plain(told)}", *(f"           {plain(line)}" for line in again.splitlines())]
 
 
 def save(args: argparse.Namespace, probed: Crash | Probed, more: Sequence[str]) -> None:
