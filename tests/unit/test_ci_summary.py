@@ -49,6 +49,7 @@ def test_a_run_that_judged_a_candidate_or_was_about_to_names_it_and_never_ours()
         text = html.unescape(markdown(verdict(*done, names=("left",), on_trial="mine:trace"), 1.0))
         assert "mine:trace" in text and "candidate wrong" in text and "ours wrong" not in text
         assert not done or ("| cand. wrong |" in text and "float32" in text)
+        assert ("- not judged: diffuse" in text) is bool(done) and "not judged: \n" not in text
 
 
 def test_a_scene_that_was_not_judged_is_named():
