@@ -386,7 +386,7 @@ def test_the_command_line_has_exit_codes_files_and_a_precision(tmp_path, monkeyp
     )
     assert "cand." in capsys.readouterr().out
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"verdict.json"} | {
+    assert names == {"verdict.json", "written.jsonl"} | {
         f"one-sphere.{part}.exr" for part in ("candidate", "reference", "verdict")
     }
     picture = read_exr(tmp_path / "one-sphere.candidate.exr").channels
