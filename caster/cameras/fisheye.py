@@ -77,8 +77,9 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
         return nowhere(distance - r)
     if not valid or angle + reach > FARTHEST:
         return anywhere(distance - r)
-    across, above = (place[0] / aside, place[1] / aside) if aside > 0.0 else (1.0, 0.0)
-    around = reach * max(angle * distance / aside, 1.0) if aside > 0.0 else reach
+    off_axis = aside > CENTRAL * distance
+    across, above = (place[0] / aside, place[1] / aside) if off_axis else (1.0, 0.0)
+    around = reach * max(angle * distance / aside, 1.0) if off_axis else reach
     x, y, radius = camera.circle
     pixels = radius / camera.half_angle
     more = 0.5 * reach * reach * bend(angle + reach)
@@ -89,6 +90,9 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
 
 
 BESIDE = 2.0**-40  # radians; roundings of angles are below 2^-48
+CENTRAL = (
+    2.0**-100
+)  # sine of an angle that moves no picture; a smaller `aside` may have lost bits to underflow
 STRAIGHT = 0.5  # radians, below which `bend` is taken from there: it grows with the angle, and is 0 / 0 at 0
 
 

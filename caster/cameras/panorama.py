@@ -79,7 +79,7 @@ NEARBY = (
 @implement(project, PanoramaRays)
 def _project(camera: Any, p: Any) -> Any:
     place, distance, valid = seen_ball(camera, p, 0.0)
-    longitude, rise = math.atan2(place[0], place[2]), place[1] / distance
+    longitude, rise = math.atan2(place[0], place[2]), place[1] / (distance if valid else 1.0)
     if not valid or abs(longitude) > ASIDE or abs(rise) > POLEWARD:
         return 0.0, 0.0, 0.0, distance, False
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi

@@ -79,16 +79,18 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
 @implement(project, ParabolicRays)
 def _project(camera: Any, p: Any) -> Any:
     place, distance, valid = seen_ball(camera, p, 0.0)
-    aside, ahead = math.sqrt(place[0] * place[0] + place[1] * place[1]), distance + place[2]
-    if not valid or aside > FARTHEST * ahead:
+    ahead = distance + place[2]
+    if not valid or place[2] < REARWARDS * distance:
         return 0.0, 0.0, 0.0, distance, False
     x, y, pixels = camera.circle
     share = pixels / ahead
     return x + share * place[0], y - share * place[1], STEEPEST * pixels / distance, distance, True
 
 
-# So many radii from the middle, a small step is stretched by (1 + 20^2) / 2; twice that for a step that is not.
-FARTHEST, STEEPEST = 20.0, 401.0
+# The cosine of the angle from the axis at which `project` ends, 169 degrees: r radii from the middle, it is
+# (1 - r^2) / (1 + r^2), so r < 10 and a small step is stretched by (1 + r^2) / 2; eight times that for a step that is
+# not. Nearer to straight behind, where distance + place[2] is all rounding, a quotient by it could be anything.
+REARWARDS, STEEPEST = -0.98, 401.0
 
 NEARBY = 0.1  # radians: how far apart the points of a hull may be for `bent`
 

@@ -46,11 +46,12 @@ NEAREST_BALL = 0.47
 def seen_ball(camera: Any, center: Vec3, r: float) -> tuple[Vec3, float, bool]:
     """(to the right, up, ahead; distance; valid) of a ball's centre, seen from the eye.
 
-    Valid for r at most NEAREST_BALL times the distance.
+    Valid for r at most NEAREST_BALL times the distance. Where that has no square, it is 0, which no distance is less
+    than, nor valid.
     """
     q = sub(center, camera.eye)
     plain = (size(q) + r < LARGEST) & (size(q) > SMALLEST)
-    distance = math.sqrt(dot(q, q)) if plain else 1.0
+    distance = math.sqrt(dot(q, q)) if plain else 0.0
     place = dot(q, camera.right), dot(q, camera.up), dot(q, camera.forward)
     return place, distance, plain & (r <= NEAREST_BALL * distance)
 

@@ -1,0 +1,56 @@
+"""Cameras that bend straight lines, where pictures of balls and corners are hardest to tell."""
+
+from typing import Any
+
+import pytest
+from same_bits import assert_same_bits
+
+from caster.cameras import Fisheye, Panorama, Parabolic
+from caster.rendering import render
+from caster.scene import Scene
+
+BENDING = (Fisheye, Panorama, Parabolic)
+AHEAD: dict[str, Any] = {"eye": (0.0, 0.0, 0.0), "direction": (0.0, 0.0, 1.0), "up": (0.0, 1.0, 0.0)}
+FILM = {"width": 128, "height": 128}
+
+
+def assert_cullings_agree(camera: Any, shapes: list[dict[str, Any]], film: dict[str, int] = FILM) -> None:
+    scene = Scene(film=film, camera=camera, shapes=shapes)
+    every = render(scene, ("depth", "normal"), culling="everything")
+    assert every.hit.any()
+    assert_same_bits(every, render(scene, ("depth", "normal"), culling="screen"), "screen")
+
+
+@pytest.mark.parametrize("camera", BENDING)
+@pytest.mark.parametrize(
+    "at", [(0.0, 0.0, 0.0), (0.0, 0.0, 1e-130)], ids=["in the middle", "too near for squares"]
+)
+def test_of_balls_around_the_eye_the_inner_one_is_seen(camera, at):
+    """Their distance has no square, or none at all: nothing may be said of how near they are."""
+    balls = [{"type": "sphere", "center": at, "radius": radius} for radius in (0.5, 0.1)]
+    assert_cullings_agree(camera(**AHEAD), balls)
+
+
+@pytest.mark.parametrize("camera", BENDING)
+def test_of_tiny_balls_the_nearer_one_is_seen(camera):
+    far, near = (
+        {"type": "sphere", "center": (0.0, 0.0, z), "radius": r}
+        for z, r in ((3e-130, 1e-130), (1e-130, 7e-131))
+    )
+    assert_cullings_agree(camera(**AHEAD), [far, near])
+
+
+@pytest.mark.parametrize("camera", BENDING)
+def test_a_corner_straight_behind_has_no_picture(camera):
+    """To either side of it, or where it rounds to, the picture would be anywhere."""
+    corners = [(0.0, 0.0, -1.0), (0.9, 0.3, 0.1), (0.9, 0.32, 0.12)]
+    assert_cullings_agree(
+        camera(**AHEAD), [{"type": "triangle", "vertices": corners}], {"width": 256, "height": 256}
+    )
+
+
+@pytest.mark.parametrize("aside", [1.6e-162, 1e-170, 5e-324])
+def test_a_ball_hardly_off_the_axis_of_a_fisheye_is_seen_whole(aside):
+    """The square of so short a way has lost bits, or all of them, to underflow."""
+    ball = {"type": "sphere", "center": (aside, 0.0, 1.0), "radius": 0.05}
+    assert_cullings_agree(Fisheye(**AHEAD), [ball], {"width": 512, "height": 512})
