@@ -138,12 +138,13 @@ def way_out(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
         e = min(-math.frexp(r)[1], ROOM - math.frexp(largest)[1])  # so that all squares are numbers
         f, r = (times_power(f[0], e), times_power(f[1], e), times_power(f[2], e)), math.ldexp(r, e)
         reach = times_power(reach, e)
-    return by_length(about_one(off_the_approach(f, along_d, reach, r)))
+        return by_length(about_one(off_the_approach(f, along_d, reach, r)))
+    return by_length(off_the_approach(f, along_d, reach, r))
 
 
 @inlined
 def by_length(v: Vec3) -> Vec3:
-    """v at length 1, for a v whose square is a number; a power of two in it changes no bit."""
+    """v at length 1, for a v whose square is a number."""
     return scaled(1.0 / math.sqrt(dot(v, v)), v)
 
 

@@ -1,0 +1,16 @@
+"""The two ways to the normal of a ball give the same bits."""
+
+import numpy as np
+
+from caster.kernels.roots import plain_way_out, way_out
+
+
+def test_both_ways_to_a_normal_round_a_tiny_component_alike():
+    """A component of 2^-1060 after, but not before, it is divided by r: to scale it twice rounds it twice."""
+    rng = np.random.default_rng(150)
+    for _ in range(500):
+        r, tiny = 2.0 ** rng.uniform(80, 97), rng.uniform(1, 2) * 2.0 ** rng.uniform(-990, -960)
+        d = rng.normal(size=2)
+        y, z = (d / np.linalg.norm(d)).tolist()
+        f = (-tiny, -3.0 * r * y + 0.2 * r * z, -3.0 * r * z - 0.2 * r * y)
+        assert way_out(f, (0.0, y, z), 2.0 * r, r) == plain_way_out(f, (0.0, y, z), 2.0 * r, r)
