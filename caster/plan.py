@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from caster.casting import Culling
 from caster.kernels.jit import implements
-from caster.kernels.protocol import project, project_ball
+from caster.kernels.protocol import bent, project, project_ball
 from caster.scene import Scene
 
 FROM_SURFACES = ("position", "shading_normal", "uv")
@@ -44,7 +44,7 @@ def plan(scene: Scene, aovs: Sequence[str], culling: Culling | None = None) -> P
 
 def culling_for(camera: Any) -> tuple[Culling, str]:
     """(culling, reason) for a packed camera's own rays."""
-    if implements(project, type(camera)):
+    if implements(project, type(camera)) and not implements(bent, type(camera)):
         return (
             "screen",
             "the camera keeps straight lines straight, so each primitive stays in its picture's box",

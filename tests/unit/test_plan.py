@@ -39,6 +39,7 @@ def told(a_scene, *aovs, **how):
 def test_cameras_that_bend_lines_grow_no_tree_either(camera):
     what = told(scene(camera), "depth", "normal")
     assert what["culling"]["name"] == "screen" and what["trees"]["grown"] == 0
+    assert "picture of a ball" in what["culling"]["reason"]
 
 
 def test_a_pinhole_without_shadows_grows_no_tree():
