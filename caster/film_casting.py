@@ -69,8 +69,11 @@ def find_nearest_on_film(
 ) -> Nearest:
     """The nearest hit of a camera's own rays, or of others that start where those do.
 
-    off_centre: by how many pixels they may pass their pixel's centre; their d may be of any length.
+    off_centre: by how many pixels they may pass their pixel's centre; their d may be of any length. Raises ValueError
+    for an off_centre of rays of a camera that bends straight lines, whose pictures end at its rim.
     """
+    if off_centre and implements(bent, type(camera)):
+        raise ValueError("off_centre: only for cameras that keep straight lines straight")
     origin = float(np.abs(rays.o).max(initial=0.0))
     longest = max(1.0, float(np.abs(rays.d).sum(axis=1).max(initial=0.0)))
     kinds = sorted_kinds(packed, camera, window, origin, threads, Others(off_centre, longest))

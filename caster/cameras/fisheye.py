@@ -6,8 +6,10 @@ from typing import Any, ClassVar, Literal, NamedTuple
 from caster.fields import Camera, WideFieldOfView
 from caster.kernels.angles import sine_and_cosine
 from caster.kernels.camera_circle import (
-    MORE,
+    NEARBY,
+    ROUNDED,
     anywhere,
+    bulge,
     film_circle,
     looking,
     mixed,
@@ -82,7 +84,7 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
     around = reach * max(angle * distance / aside, 1.0) if off_axis else reach
     x, y, radius = camera.circle
     pixels = radius / camera.half_angle
-    more = 0.5 * reach * reach * bend(angle + reach)
+    more = 0.5 * reach * reach * bend(angle + reach) + ROUNDED
     wide = pixels * (math.hypot(reach * across, around * above) + more)
     high = pixels * (math.hypot(reach * above, around * across) + more)
     x, y = x + pixels * angle * across, y - pixels * angle * above
@@ -90,9 +92,7 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
 
 
 BESIDE = 2.0**-40  # radians; roundings of angles are below 2^-48
-CENTRAL = (
-    2.0**-100
-)  # sine of an angle that moves no picture; a smaller `aside` may have lost bits to underflow
+CENTRAL = 2.0**-100  # sine of an angle that moves no picture; squares of less may have lost bits to underflow
 STRAIGHT = 0.5  # radians, below which `bend` is taken from there: it grows with the angle, and is 0 / 0 at 0
 
 
@@ -125,12 +125,9 @@ def _project(camera: Any, p: Any) -> Any:
 # Around the axis, a small step is stretched by angle / sin(angle), 75 at FARTHEST; twice that for one that is not.
 STEEPEST = 150.0
 
-NEARBY = 0.1  # radians: how far apart the points of a hull may be for `bent`
-
 
 @implement(bent, FisheyeRays)
 def _bent(camera: Any, extent: float) -> Any:
     """Angles are no larger than distances in the picture, which is shrunk nowhere; see camera_circle.MORE."""
     pixels = camera.circle[2] / camera.half_angle
-    angle = extent / pixels
-    return MORE * camera.bend * angle * angle * pixels, 1.0 - 0.5 * angle * angle, angle <= NEARBY
+    return bulge(extent / pixels, camera.bend * pixels)

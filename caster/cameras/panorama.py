@@ -5,7 +5,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 from caster.fields import Camera
 from caster.kernels.angles import sine_and_cosine
-from caster.kernels.camera_circle import MORE, anywhere, looking, mixed, seen_ball
+from caster.kernels.camera_circle import anywhere, bulge, looking, mixed, seen_ball
 from caster.kernels.jit import implement
 from caster.kernels.protocol import Vec3, bent, project, project_ball, ray
 
@@ -37,9 +37,8 @@ class Panorama(Camera):
 
 @implement(ray, PanoramaRays)
 def _ray(camera: Any, x: float, y: float) -> Any:
-    half = (
-        x / camera.size[0] - 0.5
-    ) * math.pi  # of the longitude: sin 2h = 2 sin h cos h, cos 2h = 1 - 2 sin^2 h
+    # h is half of the longitude: sin 2h = 2 sin h cos h, cos 2h = 1 - 2 sin^2 h
+    half = (x / camera.size[0] - 0.5) * math.pi
     latitude = (0.5 - y / camera.size[1]) * math.pi
     sine, cosine = sine_and_cosine(half * half)
     rise, level = sine_and_cosine(latitude * latitude)
@@ -68,12 +67,9 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
     return x - wide * reach, top, x + wide * reach, bottom, distance - r, True
 
 
-# Points nearer to a pole or to straight behind have no picture, but the balls around primitives do.
+# Points nearer to a pole or to straight behind have no picture, but the balls around primitives do. What is NEARBY such
+# a point lies no more than 0.25 of longitude aside, so nothing reaches across the seam.
 POLEWARD, ASIDE = math.sin(math.pi / 3.0), math.pi - 0.3
-
-NEARBY = (
-    0.1  # radians: how far apart the points of a hull may be for `bent`; from POLEWARD on, 0.25 of longitude
-)
 
 
 @implement(project, PanoramaRays)
@@ -99,9 +95,4 @@ def _bent(camera: Any, extent: float) -> Any:
     latitude tan a: 5.4 and 2.3 at pi / 3 + NEARBY.
     """
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
-    angle = extent / min(wide, high)
-    return (
-        MORE * angle * angle * math.hypot(5.4 * wide, 2.3 * high),
-        1.0 - 0.5 * angle * angle,
-        angle <= NEARBY,
-    )
+    return bulge(extent / min(wide, high), math.hypot(5.4 * wide, 2.3 * high))

@@ -5,8 +5,8 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 from caster.fields import Camera
 from caster.kernels.camera_circle import (
-    MORE,
     anywhere,
+    bulge,
     film_circle,
     looking,
     mixed,
@@ -92,8 +92,6 @@ def _project(camera: Any, p: Any) -> Any:
 # not. Nearer to straight behind, where distance + place[2] is all rounding, a quotient by it could be anything.
 REARWARDS, STEEPEST = -0.98, 401.0
 
-NEARBY = 0.1  # radians: how far apart the points of a hull may be for `bent`
-
 
 @implement(bent, ParabolicRays)
 def _bent(camera: Any, extent: float) -> Any:
@@ -102,5 +100,4 @@ def _bent(camera: Any, extent: float) -> Any:
     Along great circles the second derivative of the picture is r (1 + r^2) / 2 at r radii from the middle, at most 1.25
     for what is within NEARBY of the film, where r < tan(pi / 4 + NEARBY / 2); see camera_circle.MORE.
     """
-    angle = 2.0 * extent / camera.circle[2]
-    return MORE * 1.25 * angle * angle * camera.circle[2], 1.0 - 0.5 * angle * angle, angle <= NEARBY
+    return bulge(2.0 * extent / camera.circle[2], 1.25 * camera.circle[2])

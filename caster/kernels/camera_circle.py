@@ -56,26 +56,39 @@ def seen_ball(camera: Any, center: Vec3, r: float) -> tuple[Vec3, float, bool]:
     return place, distance, plain & (r <= NEAREST_BALL * distance)
 
 
-Picture = tuple[float, float, float, float, float, bool]
+BallPicture = tuple[float, float, float, float, float, bool]
 """(left, top, right, bottom, least depth, valid) of a ball; see protocol.project_ball"""
 
 # Depth is the distance from the eye.
 
 
 @inlined
-def nowhere(depth: float) -> Picture:
+def nowhere(depth: float) -> BallPicture:
     """Off the film."""
     return math.inf, math.inf, -math.inf, -math.inf, depth, True
 
 
 @inlined
-def anywhere(depth: float) -> Picture:
+def anywhere(depth: float) -> BallPicture:
     return 0.0, 0.0, 0.0, 0.0, depth, False
 
+
+NEARBY = 0.1  # radians: how far apart the points of a hull may be for `bulge`
 
 # How far beyond the pictures F(p_i) of its points the picture of a convex hull can reach, along any direction w, over
 # M L^2: M bounds the second derivative of f = w . F along great circles, L the angles between any two points. Seen from
 # a point p of the hull, the points are at v_i in its tangent plane, with weights m_i that make sum m_i v_i = 0. So
 # f(p) <= sum m_i f(p_i) + M / 2 sum m_i |v_i|^2, and that sum is at most D^2 / 3 with D the largest |v_i - v_j|
-# (Jung 1901), which is at most L times r / sin r for |v_i| <= r: 1.002 L for r = 0.1. Instead of 1 / 6:
+# (Jung 1901), which is at most L times r / sin r for |v_i| <= r: 1.002 L for r = NEARBY. Instead of 1 / 6:
 MORE = 0.2
+
+# Angles and their pictures are off by some 20 u of a radian: nothing beside spans.MARGIN, but for a fisheye that is so
+# narrow that its film shows a radian as 2^40 pixels.
+ROUNDED = 2.0**-45
+
+
+@inlined
+def bulge(angle: float, bend: float) -> tuple[float, float, bool]:
+    """What `protocol.bent` answers for points that are at most so far apart, seen from the eye; bend: M, in pixels."""
+    square = angle * angle
+    return (MORE * square + ROUNDED) * bend, 1.0 - 0.5 * square, angle <= NEARBY

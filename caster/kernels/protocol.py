@@ -38,7 +38,7 @@ def passes(prims: Any, pre: Any, d: Vec3) -> Any:
 
 @generic_inlined
 def nearest_t(prims: Any, pre: Any, low: Vec3, high: Vec3) -> Any:
-    """No ray meets the prepared primitive at a smaller t, if all components of its d are from low to high.
+    """No ray meets the prepared primitive at a smaller t > 0, if all components of its d are from low to high.
 
     inf: none meets it. A kind may do without a body for this.
     """
@@ -142,6 +142,6 @@ def bent(camera: Any, extent: float) -> Any:
 def project_ball(camera: Any, center: Vec3, r: float) -> Any:
     """(left, top, right, bottom, depth, valid): the box around the picture of a ball, and its least depth.
 
-    Tighter than that around pictures of points around it. Not valid for a ball that reaches behind the eye. A camera
-    without a body for this goes through the tree.
+    Depth counts as for `project`. Not valid: nothing is known, but for the depth. A camera without a body for this goes
+    through the tree.
     """

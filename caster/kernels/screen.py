@@ -140,7 +140,7 @@ def cast_own_origins(prims: Any, order: Any, run: Any, spans: Any, base: int, bo
         if not may_show_in(tile, span, near):
             if small:
                 continue
-            y_start = y_stop
+            y_start = y_stop  # nothing to try, but that took as long
         prim, place = numbers(prims, k), float(base + k)
         by_row = len(spans.faces) > 0 and x_stop - x_start >= WIDE
         for y in range(y_start, y_stop):

@@ -69,7 +69,8 @@ EDGE_ERROR = 16.0 * U
 # products, 1 for the subtraction). With that, n . a is off by 8 u sum |a| Q and n . d by 7 u sum |d| Q, since Q >= |n|.
 PLANE_ERROR, SLOPE_ERROR = 9.0 * U, 8.0 * U
 
-# The error of an edge function up to which nothing here has overflowed: no number is more than 2^60 times as large.
+# The error of an edge function up to which nothing here has overflowed, for corners no farther than
+# placing.LARGEST_COORDINATE: no number is more than 2^60 times as large.
 BOUNDED = 2.0**900
 
 
@@ -143,9 +144,10 @@ def _nearest_t(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
     side, error = math.copysign(1.0, height), edge_share * size(most) + TINY
     if not (height_error < abs(height) and error < BOUNDED):
         return 0.0
-    if min(top(side, pre[0], low, high), top(side, pre[1], low, high), top(side, pre[2], low, high)) < -error:
-        return math.inf
-    steepest = top(side, n, low, high) + dot(slope_share, most) + TINY
+    for edge in pre[:3]:
+        if greatest(side, edge, low, high) < -error:
+            return math.inf
+    steepest = greatest(side, n, low, high) + dot(slope_share, most) + TINY
     if not steepest > 0.0:
         return math.inf
     return max((abs(height) - height_error) / steepest * SOONER, 0.0)
@@ -156,7 +158,7 @@ SOONER = 1.0 - 2.0**-50
 
 
 @inlined
-def top(side: float, a: Vec3, low: Vec3, high: Vec3) -> float:
+def greatest(side: float, a: Vec3, low: Vec3, high: Vec3) -> float:
     """The largest of side * a . d for d from low to high."""
     x = max(side * a[0] * low[0], side * a[0] * high[0])
     y = max(side * a[1] * low[1], side * a[1] * high[1])

@@ -88,8 +88,8 @@ def test_where_nothing_is_known_nothing_is_said(name, size):
     """Sizes without squares, an eye in the ball, a ball without an end."""
     camera = CAMERAS[name].model_copy(update={"eye": (0.0, 0.0, 0.0)}).pack(WIDTH, HEIGHT)
     for r in (0.1 * size, 10.0 * size, math.inf):
-        *_, valid = project_ball(camera, (min(size, 1e300), 0.0, 0.0), r)
-        assert not valid
+        *_, depth, valid = project_ball(camera, (min(size, 1e300), 0.0, 0.0), r)
+        assert not valid and depth <= min(size, 1e300) - r
 
 
 def fields(tile: np.ndarray, box: Any, field: Any) -> np.ndarray:
@@ -107,8 +107,9 @@ def off_the_line(camera: Any, rng: np.random.Generator) -> list[float]:
         if t_max < 0.0:
             continue
         t = 10.0 ** rng.uniform(-2, 2)
-        along, across = t * 10.0 ** rng.uniform(-2, -1.4) * rng.normal(size=(2, 3))
-        corners = np.array(o) + t * np.array(d) + [along, -rng.uniform(0.5, 2.0) * along, across]
+        along = t * 10.0 ** rng.uniform(-2, -1.4) * rng.normal(size=3)
+        across = along + 1e-6 * t * rng.normal(size=3)  # a needle: of what is allowed, others need less
+        corners = np.array(o) + t * np.array(d) + [along, -rng.uniform(0.8, 1.2) * along, across]
         seen = np.array([project(camera, tuple(p)) for p in corners])
         more, share, valid = bent(camera, math.hypot(*np.ptp(seen[:, :2], axis=0)))
         if valid and seen[:, 4].all():
@@ -128,13 +129,15 @@ BENDING = ("fisheye", "wider fisheye", "narrow fisheye", "panorama", "parabolic"
 def test_an_edge_is_bent_no_further_than_bent_says(name):
     found = off_the_line(CAMERAS[name].pack(FINE * WIDTH, FINE * HEIGHT), np.random.default_rng(143))
     assert len(found) > COUNT // 4 and max(found) <= 1.0
-    assert max(found) > 0.05  # not vacuous
+    assert max(found) > 0.06  # 5 / 8 for a line, less since angles are taken from pictures that stretch them
 
 
 @pytest.mark.parametrize("name", BENDING)
-def test_a_bend_that_is_forgotten_is_seen(name, monkeypatch):
+def test_a_bend_that_is_taken_for_a_twentieth_of_it_is_seen(name, monkeypatch):
     for camera in (fisheye, panorama, parabolic):
-        monkeypatch.setattr(camera, "MORE", 0.0)
+        monkeypatch.setattr(
+            camera, "bulge", lambda angle, bend: (0.01 * bend * angle * angle, 0.9, angle <= 0.1)
+        )
     camera = CAMERAS[name].pack(FINE * WIDTH, FINE * HEIGHT)
     assert max(off_the_line(camera, np.random.default_rng(144))) > 1.0
 
