@@ -1,6 +1,7 @@
 """Rays of a film in, nearest hits out, tile by tile: each primitive against the pixels of its picture."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
@@ -156,9 +157,9 @@ def sorted_kinds(
         triangles = pictured and isinstance(kind.prims, Triangles)
         points = kind.prims.vertices if triangles else np.empty((0, 3))
         faces = kind.prims.faces if triangles else np.empty((0, 3), np.int32)
-        pixels, pictures = np.empty((number, 4), np.int32), np.empty((len(points), 4))
+        pixels, near, pictures = _work_space(kind, len(points))
         forward = camera.forward if straight and not others else NOWHERE
-        spans = Spans(pixels, np.empty(number), faces, pictures, forward, 1.0 / longest)
+        spans = Spans(pixels, near, faces, pictures, forward, 1.0 / longest)
         about = kind.prims, camera, window, spans, reach
         if triangles:
             find = partial(find_pictures, points, camera, window, pictures, reach)
@@ -179,6 +180,26 @@ def sorted_kinds(
         return _into_tiles(kind, base, window, spans, farthest, threads)
 
     return [sort(kind, base) for kind, base in zip(packed.kinds, bases(packed), strict=True)]
+
+
+MOST_KEPT = 1 << 28  # bytes of work space that a kind keeps: for three million triangles
+
+
+def _work_space(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
+    """(pixels, near, pictures) of a kind's Spans, to be written: those that are spare, or new ones."""
+    with suppress(IndexError):
+        spare = kind.spare.pop()
+        if len(spare[2]) == points:
+            return spare
+    return np.empty((len(kind.ids), 4), np.int32), np.empty(len(kind.ids)), np.empty((points, 4))
+
+
+def give_back(kinds: list[Sorted]) -> None:
+    """The work space of kinds that are not looked at any more."""
+    for it in kinds:
+        space = it.spans.pixels, it.spans.near, it.spans.pictures
+        if not it.kind.spare and sum(a.nbytes for a in space) <= MOST_KEPT:
+            it.kind.spare.append(space)
 
 
 def _into_tiles(

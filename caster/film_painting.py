@@ -14,7 +14,7 @@ import numpy as np
 from caster.aovs import BY_NAME
 from caster.casting import bases, by_trees, decide, ids_by_place
 from caster.fields import Camera
-from caster.film_casting import Sorted, cast_tile, in_tiles, sorted_kinds
+from caster.film_casting import Sorted, cast_tile, give_back, in_tiles, sorted_kinds
 from caster.film_shading import Room, Shading, material_tables
 from caster.kernels.film import film_from_one_point, film_in_one_direction
 from caster.kernels.gather import shoot_at
@@ -96,6 +96,7 @@ def paint_film(
     if "hit" in aovs:
         images["hit"] = hit.astype(dtype)
     on_film = None if kinds is None else tuple(it.seen for it in kinds)
+    give_back(kinds or [])
     return Painted(images, hit, doubtful, shadow_rays, on_film)
 
 

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -25,6 +25,9 @@ class Kind:
 
     prims: Any
     ids: np.ndarray  # (n,) int32
+    # What one picture has worked in and the next one may: for many triangles, to be given memory takes longer than what
+    # is done with it. Pictures that are painted at the same time do not find it there.
+    spare: list[tuple[np.ndarray, ...]] = field(default_factory=list, compare=False, repr=False)
 
     @cached_property
     def bounded(self) -> bool:
