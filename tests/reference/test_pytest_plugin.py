@@ -109,16 +109,20 @@ def test_the_names_are_those_of_the_judge(judged):
     assert tuple(check.name for check in judged(scene).checks) == SCENE_CHECKS
 
 
-@pytest.mark.parametrize(
-    ("service", "words"), [(False, ()), (True, ()), (True, ("-p", "xdist.plugin", "-n", "2"))]
-)
-def test_a_scene_that_fails_one_check_fails_that_test_with_its_replay(folder, monkeypatch, service, words):
+def summary_of(text: str) -> list[str]:
+    """First words of the lines of pytest's summary."""
+    lines = text[text.index("short test summary info") :].splitlines()
+    return [line.partition(" ")[0] for line in lines[1:-1]]
+
+
+@pytest.mark.parametrize("service", [False, True])
+def test_a_scene_that_fails_one_check_fails_that_test_with_its_replay(folder, monkeypatch, service):
     monkeypatch.setenv("CI", "true") if service else monkeypatch.delenv("CI", raising=False)
     monkeypatch.delenv(
         "BUILD_NUMBER", raising=False
     )  # pytest takes either for a service that wants all the words
     folder.makeini("[pytest]\nmitsuba_ref_size = 20 16\n")
-    found = run(folder, "--mitsuba-ref", "scenes", *words, inside=not words)
+    found = run(folder, "--mitsuba-ref", "scenes")
     found.assert_outcomes(passed=2 * len(NAMES) - 2, failed=2)
     text = found.stdout.str()
     assert re.search(r"FAIL  strict  depth: \d+ of \d+ hit pixels, worst ", text)
@@ -210,8 +214,9 @@ def pytest_configure():
 """
 
 
-def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path):
+def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path, monkeypatch):
     """The judge is made up here: what counts is how often it is asked, while workers share the tests of a scene."""
+    monkeypatch.setenv("CI", "true")
     log = tmp_path / "judged"
     folder.makeconftest(MADE_UP.format(tests=str(ROOT / "tests/unit"), log=str(log)))
     words = ("-p", "xdist.plugin", "-n", "2", "--dist", "load", "--mitsuba-ref", "scenes")
@@ -219,3 +224,4 @@ def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path):
     found.assert_outcomes(failed=1, passed=2 * len(NAMES) - 1)
     assert sorted(log.read_text().split()) == ["good", "strict"]
     assert "FAIL  strict  depth: 1 ours wrong" in found.stdout.str()
+    assert summary_of(found.stdout.str()) == ["FAILED"]
