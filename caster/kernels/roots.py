@@ -178,8 +178,7 @@ def off_the_approach(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     out = along(closest, side * told, d)
     back = along(closest, side * r, d)
     there = size(out) > 0.0
-    out = out[0] if there else back[0], out[1] if there else back[1], out[2] if there else back[2]
-    return out
+    return out[0] if there else back[0], out[1] if there else back[1], out[2] if there else back[2]
 
 
 @jit
