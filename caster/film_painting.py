@@ -13,7 +13,7 @@ import numpy as np
 
 from caster.aovs import BY_NAME
 from caster.casting import bases, by_trees, decide, ids_by_place
-from caster.fields import Camera
+from caster.fields import Camera, SceneError
 from caster.film_casting import Sorted, cast_tile, give_back, in_tiles, sorted_kinds
 from caster.film_shading import Room, Shading, material_tables
 from caster.kernels.film import film_from_one_point, film_in_one_direction
@@ -29,10 +29,12 @@ from caster.plan import Plan
 from caster.scene import Scene
 from caster.threads import in_turns, thread_count
 from caster.view import View
+from caster.wording import listed
 
 CHANNELS = {"position": 3, "normal": 3, "shading_normal": 3, "uv": 2, "albedo": 3, "diffuse": 3}
 NUMBERS = ("shape_id", "prim_id")
 FIELDS = {"position": P, "normal": N, "shading_normal": SH_N, "uv": UV}
+COMPUTED = ("hit", "depth", *CHANNELS, *NUMBERS)
 
 Painter = Callable[[Room, Box], None]
 # Hears of the pixels that have been painted, a number at a time, from any thread.
@@ -81,7 +83,14 @@ def paint_film(
     dtype: type[np.floating] = np.float64,
     told: Told = None,
 ) -> Painted:
-    """The AOVs as planned, by the cullings "screen" (for cameras that can tell where they show a ball) or "bvh"."""
+    """The AOVs as planned, by the cullings "screen" (for cameras that can tell where they show a ball) or "bvh".
+
+    Raises SceneError for an AOV of the registry that is not computed here: its image would stay unset.
+    """
+    for name in aovs:
+        if name not in COMPUTED:
+            known = listed(COMPUTED, "and")
+            raise SceneError(f"aov {name!r}: render does not compute it for a film; it computes {known}")
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
     images = {name: _blank(name, window, dtype) for name in aovs if name != "hit"}
