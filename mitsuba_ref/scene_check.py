@@ -21,6 +21,23 @@ class SceneCheck(NamedTuple):
         return self.ratio <= 1.0
 
 
+class Shares:
+    """Errors over their bounds by what was checked; a second value of one name would hide the first and is refused."""
+
+    def __init__(self) -> None:
+        self._shares: dict[str, float] = {}
+
+    def add(self, what: str, share: float) -> None:
+        if what in self._shares:
+            raise ValueError(f"{what} is checked twice, and a verdict has room for one share of it")
+        self._shares[what] = share
+
+    def worst(self) -> tuple[str, float]:
+        """The largest share and what it is of."""
+        what = max(self._shares, key=lambda name: self._shares[name], default="nothing to look at")
+        return what, self._shares.get(what, 0.0)
+
+
 def bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
     """(n,) bool: pixels where one AOV of two pictures has other bits."""
     rows, others = flat(a, name), flat(b, name)

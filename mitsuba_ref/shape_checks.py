@@ -1,17 +1,19 @@
 """What is checked once for each shape of a scene: where it stands, the numbers it packs to, and its material."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from caster.fields import Shape
 from caster.materials import Diffuse
 from caster.packing import pack
-from caster.placing import as_float32, as_given
+from caster.placing import Rounding, as_float32, as_given
 from caster.scene import Scene
 from mitsuba_ref.model import reference_of
 from mitsuba_ref.pixels import share_of_bound
 from mitsuba_ref.placed import Claim
 from mitsuba_ref.placement import disagreement
-from mitsuba_ref.scene_check import SceneCheck
+from mitsuba_ref.scene_check import SceneCheck, Shares
 
 
 def check_placement(scene: Scene) -> SceneCheck:
@@ -28,26 +30,35 @@ def check_placement(scene: Scene) -> SceneCheck:
 # float32 it is rounded once more.
 PLACED_ROUNDINGS = 16.0
 
-# (which numbers, unit round-off, smallest normal number). Below the latter the spacing of numbers stays what it is
-# there, and so does what a rounding may take: half of it, the round-off of the smallest normal number.
-ROUNDINGS = (
-    (as_given, 2.0**-53, 2.0**-1022),
-    (as_float32, 2.0**-24, 2.0**-126),
+
+class Precision(NamedTuple):
+    """How the numbers of a shape are rounded when it is packed."""
+
+    name: str
+    rounded: Rounding
+    unit_roundoff: float
+    # Below it the spacing of numbers stays what it is there, and so does what a rounding may take: half of it, the
+    # unit round-off of the smallest normal number.
+    smallest_normal: float
+
+
+PRECISIONS = (
+    Precision("float64", as_given, 2.0**-53, 2.0**-1022),  # what `render` casts
+    Precision("float32", as_float32, 2.0**-24, 2.0**-126),  # what is judged against the reference
 )
 
 
 def check_geometry(scene: Scene) -> SceneCheck:
     """Each shape's numbers in the world, float64 and float32, against its description, worked out a second time."""
-    shares = {
-        f"{claim.what} of {name}": _share_of_claim(claim, rounding, normal)
-        for rounded, rounding, normal in ROUNDINGS
-        for name, shape, part in zip(
-            scene.shape_names(), scene.shapes, pack(scene, rounded).parts, strict=True
-        )
-        for claim in reference_of(shape).placed(shape, part)
-    }
-    worst = max(shares, key=lambda what: shares[what], default="nothing to look at")
-    return SceneCheck("geometry", shares.get(worst, 0.0), worst)
+    shares = Shares()
+    for precision in PRECISIONS:
+        parts = pack(scene, precision.rounded).parts
+        for name, shape, part in zip(scene.shape_names(), scene.shapes, parts, strict=True):
+            for claim in reference_of(shape).placed(shape, part):
+                share = _share_of_claim(claim, precision.unit_roundoff, precision.smallest_normal)
+                shares.add(f"{claim.what} of {name} ({precision.name})", share)
+    worst, share = shares.worst()
+    return SceneCheck("geometry", share, worst)
 
 
 def _share_of_claim(claim: Claim, rounding: float, normal: float) -> float:

@@ -260,7 +260,7 @@ def test_denormal_corners_are_rounded_by_the_spacing_of_denormal_numbers(tiny):
 
 
 def test_corners_that_are_off_by_more_than_that_are_seen():
-    float32 = shape_checks.ROUNDINGS[1][1:]
+    float32 = shape_checks.PRECISIONS[1][2:]
     off = 2.0**-140
     right = Claim("vertices", np.zeros(3), np.full(3, 2.0**-149), np.full(3, 2.0**-149))
     assert shape_checks._share_of_claim(right, *float32) <= 1.0

@@ -1,0 +1,143 @@
+"""Packed geometry is checked as float64, which `render` casts, and as float32, which Mitsuba traces.
+
+An error in one of them is found whatever the other one is like.
+"""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from caster.fields import Shape
+from caster.packing import pack
+from caster.placing import as_float32, as_given
+from caster.scene import Scene, load_scene
+from caster.shapes import (
+    Cube,
+    Cylinder,
+    Disk,
+    Heightfield,
+    Icosphere,
+    MeshFile,
+    Plane,
+    Rectangle,
+    Sphere,
+    Torus,
+    Triangle,
+)
+from mitsuba_ref import shape_checks
+from mitsuba_ref.model import reference_of
+from mitsuba_ref.scene_check import Shares
+from mitsuba_ref.shape_checks import PRECISIONS, check_geometry
+
+FOLDER = Path(__file__).resolve().parents[2] / "scenes"
+SCENES = sorted(FOLDER.glob("*.toml"))
+GEM = next(FOLDER.rglob("gem.obj"))  # without normals of its own
+CAMERA = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
+MOVED = {"translate": [0.4, -0.7, 1.3]}
+TURNED = {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}}
+STRETCHED = {"scale": [1.0, 2.0, 3.0]}
+CORNERS = [[0.0, 0.1, 0.2], [1.0, 0.3, 0.0], [0.2, 1.0, 0.5]]
+NORMALS = [[0.0, 0.6, 0.8], [0.6, 0.0, 0.8], [0.8, 0.6, 0.0]]
+SHAPES: list[Shape] = [
+    shape(**data, to_world=steps)
+    for shape, data in (
+        (Sphere, {"center": (0.3, 0.1, 0.2), "radius": 0.7}),
+        (Disk, {}),
+        (Cylinder, {"p0": (0.1, 0.2, 0.3), "p1": (0.5, 0.9, 1.7), "radius": 0.4}),
+        (Plane, {"point": (0.1, 0.2, 0.3), "normal": (0.6, 0.0, 0.8)}),
+        (Triangle, {"vertices": CORNERS}),
+        (Triangle, {"vertices": CORNERS, "normals": NORMALS}),
+        (Rectangle, {}),
+        (Cube, {}),
+        (Icosphere, {"subdivisions": 0}),
+        (Heightfield, {"resolution": 2}),
+        (Torus, {"segments": 3, "sides": 3}),
+        (MeshFile, {"file": str(GEM)}),
+    )
+    for steps in ([TURNED, MOVED], [STRETCHED, TURNED, MOVED])
+]
+
+# Far below a pixel, far above a dozen roundings of each precision.
+OFF = {"float64": 1e-9, "float32": 1e-5}
+
+
+def scene_of(shape: Shape) -> Scene:
+    return Scene(camera=CAMERA, shapes=[shape])
+
+
+def claims_of(shape: Shape) -> list[str]:
+    part = pack(scene_of(shape), as_given).parts[0]
+    return [claim.what for claim in reference_of(shape).placed(shape, part)]
+
+
+FAULTS = [
+    pytest.param(shape, what, precision.name, id=f"{type(shape).__name__}-{i}-{what}-{precision.name}")
+    for i, shape in enumerate(SHAPES)
+    for what in claims_of(shape)
+    for precision in PRECISIONS
+]
+
+
+@pytest.mark.parametrize(("shape", "what", "precision"), FAULTS)
+def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, what, precision):
+    """The other precision is right, whichever is looked at last."""
+    rounded = {each.name: each.rounded for each in PRECISIONS}[precision]
+    packed_now: list[Any] = []
+
+    def pack_and_note(scene: Scene, how: Any) -> Any:
+        packed_now[:] = [how]
+        return pack(scene, how)
+
+    def placed(shape: Shape, part: Any) -> Any:
+        for claim in reference_of(shape).placed(shape, part):
+            if claim.what == what and packed_now == [rounded]:
+                off = OFF[precision] if claim.rounded else 1.0  # an index or a flag is right or another one
+                claim = claim._replace(packed=claim.packed + off * np.maximum(np.abs(claim.packed), off))
+            yield claim
+
+    monkeypatch.setattr(shape_checks, "pack", pack_and_note)
+    assert check_geometry(scene_of(shape)).ok
+    monkeypatch.setattr(shape_checks, "reference_of", lambda shape: SimpleNamespace(placed=placed))
+    found = check_geometry(scene_of(shape))
+    assert not found.ok
+    assert found.what == f"{what} of shape-0 ({precision})"
+
+
+def test_a_radius_that_is_off_only_where_it_is_rendered_is_found(monkeypatch):
+    """By 5e-7: less than float32 resolves, so that no pixel that Mitsuba sees moves beyond its bound."""
+    true_pack = Sphere.pack
+
+    def pack_wrong(self: Sphere, rounded: Any) -> Any:
+        part = true_pack(self, rounded)
+        return part._replace(radius=part.radius * (1.0 + 5e-7)) if rounded is as_given else part
+
+    monkeypatch.setattr(Sphere, "pack", pack_wrong)
+    found = check_geometry(scene_of(Sphere(name="ball")))
+    assert not found.ok and found.what == "radius of ball (float64)"
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_shipped_scenes_keep_far_within_the_bound(path):
+    assert check_geometry(load_scene(path)).ratio <= 0.25
+
+
+def test_a_share_is_not_overwritten():
+    shares = Shares()
+    shares.add("radius", 7.0)
+    with pytest.raises(ValueError, match="radius is checked twice"):
+        shares.add("radius", 0.0)
+    shares.add("center", 0.5)
+    assert shares.worst() == ("radius", 7.0)
+    assert Shares().worst() == ("nothing to look at", 0.0)
+
+
+def test_both_precisions_are_those_that_are_cast():
+    assert [each.rounded for each in PRECISIONS] == [as_given, as_float32]
+    assert [each.name for each in PRECISIONS] == ["float64", "float32"]
+    assert [each.unit_roundoff for each in PRECISIONS] == [2.0**-53, 2.0**-24]
+    assert [each.smallest_normal for each in PRECISIONS] == [
+        np.finfo(kind).tiny for kind in (np.float64, np.float32)
+    ]
