@@ -3,8 +3,10 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, TextIO
 
+from caster.kernels.compiling.kernel_cache import cache_folder, refusals
 from caster.kernels.jit import WORK
 from caster.scene import Scene
 from caster.terminal_line import Line
@@ -26,12 +28,22 @@ def announced(what: str) -> Iterator[None]:
         WORK.compiling = _silent
         text = f"compiling the kernels for {what}: {HOW_LONG}; `caster doctor --warm` does it ahead"
         print(text, file=sys.stderr, flush=True)
+        say_if_not_kept()
 
     WORK.compiling = say
     try:
         yield
     finally:
         WORK.compiling = _silent
+
+
+@cache
+def say_if_not_kept() -> None:
+    """One line on standard error, once, where kernels are not kept as others could replace them."""
+    cache_folder()
+    way_out = "remove it, or name a folder of your own as XDG_CACHE_HOME"
+    for refusal in refusals:
+        print(f"compiled kernels are not kept: {refusal}; {way_out}", file=sys.stderr, flush=True)
 
 
 def _silent(name: str) -> None:

@@ -55,11 +55,12 @@ def warm(paths: Sequence[str], as_json: bool) -> int:
     from caster import warming
     from caster.kernels.compiling.kernel_cache import COMPILED
     from caster.kernels.jit import WORK
-    from caster.progress import Progress
+    from caster.progress import Progress, say_if_not_kept
 
     if not COMPILED:
         print("kernels: none, as Numba is switched off or not installed")
         return OK
+    say_if_not_kept()
     progress = Progress()
     WORK.compiling = progress.compiling
     done = warming.warm(_named(paths) if paths else warming.every_scene(), progress.begin)

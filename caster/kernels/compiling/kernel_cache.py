@@ -5,6 +5,7 @@ import contextlib
 import hashlib
 import os
 import shutil
+import stat
 import tempfile
 from functools import cache
 from importlib.util import find_spec
@@ -46,21 +47,47 @@ def source_hash(version: str) -> str:
     return digest.hexdigest()[:16]
 
 
+# Why kernels compiled by this process are not kept: "FOLDER: what is wrong with it".
+refusals: list[str] = []
+
+
 @cache
 def cache_folder() -> Path:
-    """The folder for this source; NUMBA_CACHE_DIR says where it is to lie, else XDG_CACHE_HOME."""
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    parent = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(home) / "caster" / "kernels")
-    folder = parent / source_hash(compiler_version())
+    """The folder for this source; NUMBA_CACHE_DIR says where it is to lie, else XDG_CACHE_HOME.
+
+    What is loaded from it is run, so nobody else may have written it: a folder that another user owns or may write
+    is listed in `refusals`, and a temporary one takes its place.
+    """
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "caster"
+    parents = [Path(chosen)] if chosen else [home, home / "kernels"]
+    folder = parents[-1] / source_hash(compiler_version())
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        for each in (*parents, folder):
+            each.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if why := distrust(each.stat()):
+                refusals.append(f"{each}: {why}")
+                return _temporary_folder()
         os.utime(folder)
     except OSError:  # a home that cannot be written: compile anew in every process
-        folder = Path(tempfile.mkdtemp(prefix="caster-kernels-"))
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-        return folder
-    if not os.environ.get("NUMBA_CACHE_DIR"):
+        return _temporary_folder()
+    if not chosen:
         _drop_old_caches(folder.parent)
+    return folder
+
+
+def distrust(found: os.stat_result) -> str:
+    """Why a file or folder may hold what another user wrote; "" if only this one can have written it."""
+    if not hasattr(os, "geteuid"):  # Windows: each profile's folders are its user's own
+        return ""
+    if found.st_uid != os.geteuid():
+        return "it belongs to another user"
+    return "other users may write it" if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) else ""
+
+
+def _temporary_folder() -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="caster-kernels-"))  # which only this user may enter
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
 
@@ -82,3 +109,11 @@ def write_whole(path: Path, data: bytes) -> None:
         except OSError:
             os.unlink(name)
             raise
+
+
+def read_trusted(path: Path) -> bytes:
+    """The content of a file that nobody else can have written. Raises OSError for any other."""
+    with path.open("rb") as file:
+        if why := distrust(os.fstat(file.fileno())):
+            raise PermissionError(f"{path}: {why}")
+        return file.read()

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from caster.kernels.compiling.arguments import ARRAY, FLAG, NOTHING, REAL, WHOLE, C, Form
-from caster.kernels.compiling.kernel_cache import write_whole
+from caster.kernels.compiling.kernel_cache import read_trusted, write_whole
 from caster.kernels.compiling.runtime import FROM_C, RUNTIME
 
 # Where a NumPy array object (PyArrayObject_fields, part of its stable binary interface) keeps them.
@@ -73,9 +73,9 @@ class Code:
 
 
 def read(path: Path) -> Code | None:
-    """What was written; None if it is not there or not whole."""
+    """What was written; None if it is not there, not whole, or may be by another user."""
     try:
-        head, _, data = path.read_bytes().partition(b"\n")
+        head, _, data = read_trusted(path).partition(b"\n")
         about = json.loads(head)
         code = Code(about["symbol"], about["taken"], about["gives"], data)
         return code if about["sha256"] == _digest(data) else None

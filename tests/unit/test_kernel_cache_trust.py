@@ -1,0 +1,98 @@
+"""Machine code is loaded from folders and files that nobody but this user can have written."""
+
+import os
+import stat
+
+import pytest
+
+from caster.kernels.compiling import kernel_cache, machine_code
+from caster.kernels.compiling.kernel_cache import cache_folder
+from caster.kernels.compiling.machine_code import Code
+from caster.kernels.jit import WORK
+from caster.progress import announced, say_if_not_kept
+
+NEW = cache_folder.__wrapped__  # what it would be in a new process
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    cache_folder()  # of this process, chosen before the environment changes
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    kernel_cache.refusals.clear()
+    say_if_not_kept.cache_clear()
+    yield tmp_path
+    kernel_cache.refusals.clear()
+    say_if_not_kept.cache_clear()
+
+
+def test_a_folder_of_this_user_alone_is_kept(home):
+    folder = NEW()
+    assert folder.parent == home / "caster/kernels" and NEW() == folder
+    assert not kernel_cache.refusals
+    for each in (folder, folder.parent, folder.parent.parent):
+        assert stat.S_IMODE(each.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o720, 0o702, 0o777], ids=oct)
+@pytest.mark.parametrize("above", range(3), ids=["folder", "kernels", "caster"])
+def test_a_folder_that_others_may_write_is_not_used(home, mode, above):
+    folder = NEW()
+    opened = [folder, *folder.parents][above]
+    opened.chmod(mode)
+    instead = NEW()
+    assert not instead.is_relative_to(home) and stat.S_IMODE(instead.stat().st_mode) == 0o700
+    assert kernel_cache.refusals == [f"{opened}: other users may write it"]
+    opened.chmod(0o700)
+    assert NEW() == folder
+
+
+def test_the_folder_that_the_environment_names_is_checked_as_well(home, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(home / "mine"))
+    folder = NEW()
+    assert folder.parent == home / "mine"
+    folder.parent.chmod(0o777)
+    assert not NEW().is_relative_to(home)
+
+
+def test_a_folder_of_another_user_is_not_used(home, monkeypatch):
+    NEW()
+    me = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: me + 1)
+    assert not NEW().is_relative_to(home)
+    assert kernel_cache.refusals == [f"{home / 'caster'}: it belongs to another user"]
+
+
+def test_a_file_that_others_may_write_or_own_is_not_loaded(tmp_path, monkeypatch):
+    path = tmp_path / "kernel.o"
+    Code("symbol", "i", "", b"machine code").write(path)
+    assert machine_code.read(path) is not None
+    for mode in (0o620, 0o602, 0o666):
+        path.chmod(mode)
+        assert machine_code.read(path) is None
+    path.chmod(0o644)
+    assert machine_code.read(path) is not None
+    me = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: me + 1)
+    assert machine_code.read(path) is None
+
+
+def test_that_nothing_is_kept_is_said_once_with_the_way_out(home, capsys):
+    NEW().parent.chmod(0o777)
+    NEW()
+    for what in ("mesh files", "sphere, pinhole"):
+        with announced(what):
+            WORK.compiling("a kernel")
+    said = capsys.readouterr().err.splitlines()
+    assert [line.startswith("compiling the kernels") for line in said] == [True, False, True]
+    assert said[1] == (
+        f"compiled kernels are not kept: {home / 'caster/kernels'}: other users may write it; remove it, or name "
+        "a folder of your own as XDG_CACHE_HOME"
+    )
+
+
+def test_a_run_that_keeps_its_kernels_says_no_more_than_before(home, capsys):
+    NEW()
+    with announced("sphere"):
+        WORK.compiling("a kernel")
+    assert capsys.readouterr().err.count("\n") == 1
