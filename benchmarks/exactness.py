@@ -21,12 +21,16 @@ TURNS = 15
 # file, what the caster says, what the copy says
 WITHOUT_BOUNDS = (
     (
-        "kernels/vec.py",
+        "caster/kernels/math/vec.py",
         "inside = (t - off > t_min) & (t + off <= t_max)",
         "inside = (t > t_min) & (t <= t_max)",
     ),
-    ("kernels/vec.py", "(t + off <= t_min) | (t - off > t_max), t, off)", "not inside, t, 0.0)"),
-    ("kernels/tile.py", "tile[DOUBT + i] = 1.0 if abs(ahead) <= margin else tile[DOUBT + i]\n", "pass\n"),
+    ("caster/kernels/math/vec.py", "(t + off <= t_min) | (t - off > t_max), t, off)", "not inside, t, 0.0)"),
+    (
+        "caster/kernels/raster/tile.py",
+        "tile[DOUBT + i] = 1.0 if abs(ahead) <= margin else tile[DOUBT + i]\n",
+        "pass\n",
+    ),
     ("kernels/triangles.py", "error = pre[5] * size(d) + TINY", "error = 0.0"),
     (
         "kernels/triangles.py",
@@ -34,11 +38,11 @@ WITHOUT_BOUNDS = (
         "steep = slope != 0.0",
     ),
     (
-        "kernels/roots.py",
+        "caster/kernels/math/quadric_roots.py",
         "steady & (within > 2.0 * within_off), steady & (within < -within_off)",
         "within > 0.0, within <= 0.0",
     ),
-    ("kernels/roots.py", "met &= 2.0 * q_off < abs(q)", "met &= abs(q) > 0.0"),
+    ("caster/kernels/math/quadric_roots.py", "met &= 2.0 * q_off < abs(q)", "met &= abs(q) > 0.0"),
     (
         "shapes/plane.py",
         "steep = (abs(slope) > 2.0 * slope_off) & (abs(slope) < math.inf)",

@@ -15,9 +15,9 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from caster.mesh import Mesh
-from caster.mesh_files import load_mesh
-from caster.procedural import heightfield
+from caster.geometry.mesh import Mesh
+from caster.geometry.mesh_files import load_mesh
+from caster.geometry.procedural import heightfield
 
 
 def main() -> None:

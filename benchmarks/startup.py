@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from caster.procedural import heightfield
+from caster.geometry.procedural import heightfield
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIANTS = ("scalar_rgb", "llvm_ad_rgb")

@@ -9,42 +9,42 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from caster.cameras import *  # noqa: F403 - a registry, whatever is in it
-    from caster.exr import read_exr as read_exr
-    from caster.exr import write_exr as write_exr
-    from caster.film import Check as Check
-    from caster.film import Film as Film
-    from caster.film import Shading as Shading
-    from caster.hits import Hits as Hits
-    from caster.hits import cast as cast
-    from caster.hits import occluded as occluded
-    from caster.lights import Ambient as Ambient
-    from caster.lights import Directional as Directional
-    from caster.lights import Point as Point
-    from caster.materials import Diffuse as Diffuse
-    from caster.rendering import render as render
-    from caster.scene_files import load_scene as load_scene
-    from caster.scene_model import Scene as Scene
+    from caster.image.exr import read_exr as read_exr
+    from caster.image.exr import write_exr as write_exr
+    from caster.rendering.hits import Hits as Hits
+    from caster.rendering.hits import cast as cast
+    from caster.rendering.hits import occluded as occluded
+    from caster.rendering.images import render as render
+    from caster.scene.errors import SceneError as SceneError
+    from caster.scene.files import load_scene as load_scene
+    from caster.scene.lights import Ambient as Ambient
+    from caster.scene.lights import Directional as Directional
+    from caster.scene.lights import Point as Point
+    from caster.scene.materials import Diffuse as Diffuse
+    from caster.scene.model import Check as Check
+    from caster.scene.model import Film as Film
+    from caster.scene.model import Scene as Scene
+    from caster.scene.model import Shading as Shading
     from caster.shapes import *  # noqa: F403 - a registry, whatever is in it
-    from caster.wording import SceneError as SceneError
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "load_scene": "caster.scene_files",
-    "Scene": "caster.scene_model",
-    "SceneError": "caster.wording",
-    "render": "caster.rendering",
-    "cast": "caster.hits",
-    "occluded": "caster.hits",
-    "Hits": "caster.hits",
-    "read_exr": "caster.exr",
-    "write_exr": "caster.exr",
-    "Film": "caster.film",
-    "Shading": "caster.film",
-    "Check": "caster.film",
-    "Diffuse": "caster.materials",
+    "load_scene": "caster.scene.files",
+    "Scene": "caster.scene.model",
+    "SceneError": "caster.scene.errors",
+    "render": "caster.rendering.images",
+    "cast": "caster.rendering.hits",
+    "occluded": "caster.rendering.hits",
+    "Hits": "caster.rendering.hits",
+    "read_exr": "caster.image.exr",
+    "write_exr": "caster.image.exr",
+    "Film": "caster.scene.model",
+    "Shading": "caster.scene.model",
+    "Check": "caster.scene.model",
+    "Diffuse": "caster.scene.materials",
 }
-_REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.lights": "LIGHTS"}
+_REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.lights": "LIGHTS"}
 
 
 if not TYPE_CHECKING:  # a type checker is to tell misspelt names

@@ -3,16 +3,23 @@
 import sys
 from collections.abc import Sequence
 
-from caster import command_line, exits
-from caster.commands import COMMANDS
+from caster.cli import application, exit_codes
+from caster.cli.commands import COMMANDS
 
 ABOUT = "A ray caster in float64."
-CODES = (exits.OK, exits.USAGE, exits.FILE, exits.NOTHING_SELECTED, exits.INTERNAL, exits.INTERRUPTED)
+CODES = (
+    exit_codes.OK,
+    exit_codes.USAGE,
+    exit_codes.FILE,
+    exit_codes.NOTHING_SELECTED,
+    exit_codes.INTERNAL,
+    exit_codes.INTERRUPTED,
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
-    return command_line.main("caster", ABOUT, COMMANDS, CODES, argv)
+    return application.main("caster", ABOUT, COMMANDS, CODES, argv)
 
 
 if __name__ == "__main__":

@@ -4,10 +4,9 @@ import tempfile
 from pathlib import Path
 
 from caster import load_scene
-from caster.pictures.files import write_picture
-from caster.pictures.layout import sheet
-from caster.pictures.preview import pictures_in
-from mitsuba_ref.validation import validate_scene
+from caster.image.image_files import write_image
+from caster.image.previews import exr_images, sheet
+from mitsuba_ref.runner.validation import validate_scene
 
 DOCS = Path(__file__).parent
 NAME = "every-shape"
@@ -19,10 +18,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         verdict = validate_scene(scene, NAME, folder=Path(folder))
         pictures = [
-            *pictures_in(Path(folder) / f"{NAME}.ours.exr", ["diffuse", "shading_normal", "depth"]),
-            *pictures_in(Path(folder) / f"{NAME}.verdict.exr", ["class"]),
+            *exr_images(Path(folder) / f"{NAME}.ours.exr", ["diffuse", "shading_normal", "depth"]),
+            *exr_images(Path(folder) / f"{NAME}.verdict.exr", ["class"]),
         ]
-    write_picture(str(DOCS / f"{NAME}.png"), sheet(pictures, columns=2))
+    write_image(str(DOCS / f"{NAME}.png"), sheet(pictures, columns=2))
     for picture in pictures:
         print(f"{picture.name}: {picture.words}")
     print(verdict.counts)

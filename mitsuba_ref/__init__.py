@@ -7,21 +7,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mitsuba_ref.exr.compare import Reading, Tolerances, compare_exr
-    from mitsuba_ref.reference_render import render_reference
-    from mitsuba_ref.validation import validate
-    from mitsuba_ref.verdict import SceneVerdict, Verdict
+    from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
+    from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+    from mitsuba_ref.reference.rendering import render_reference
+    from mitsuba_ref.runner.validation import validate
 
 __all__ = ["Reading", "SceneVerdict", "Tolerances", "Verdict", "compare_exr", "render_reference", "validate"]
 
 _HOMES = {
-    "Reading": "exr.compare",
-    "SceneVerdict": "verdict",
-    "Tolerances": "exr.compare",
-    "Verdict": "verdict",
-    "compare_exr": "exr.compare",
-    "render_reference": "reference_render",
-    "validate": "validation",
+    "Reading": "exr_compare.two_files",
+    "SceneVerdict": "judge.verdict",
+    "Tolerances": "exr_compare.two_files",
+    "Verdict": "judge.verdict",
+    "compare_exr": "exr_compare.two_files",
+    "render_reference": "reference.rendering",
+    "validate": "runner.validation",
 }
 
 

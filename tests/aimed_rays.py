@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.fields import Shape
-from caster.packing import pack
-from caster.placing import as_float32
-from caster.scene import Scene
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from caster.scene.fields import Shape
+from caster.scene.files import Scene
 from caster.shapes import Cylinder, Disk, Icosphere, Plane, Sphere, Triangle
 
 Rng = np.random.Generator

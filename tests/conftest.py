@@ -39,7 +39,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_report_header() -> list[str]:
     """What is missing is named here: no test is skipped for it in silence."""
-    from mitsuba_ref.doctor import CHROMIUM, report
+    from mitsuba_ref.reference.installation import CHROMIUM, report
 
     found = {finding.name: finding for finding in report()}
     old = (
@@ -65,4 +65,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def warm(monkeypatch: pytest.MonkeyPatch) -> None:
     """Standard error is as it is once kernels are compiled, also in the first run after an edit."""
-    monkeypatch.setattr("caster.progress.announced", lambda what: contextlib.nullcontext())
+    monkeypatch.setattr(
+        "caster.cli.compile_progress.announce_compilation", lambda what: contextlib.nullcontext()
+    )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from caster.view import View, length
+from caster.rendering.view import View, length
 
 NAME, CHANNELS, MISS = "depth", ("depth.Z",), np.inf
 

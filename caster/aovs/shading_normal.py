@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from caster.view import View
+from caster.rendering.view import View
 
 NAME, MISS = "shading_normal", 0.0
 CHANNELS = ("shading_normal.X", "shading_normal.Y", "shading_normal.Z")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from caster.view import View
+from caster.rendering.view import View
 
 NAME, CHANNELS, MISS = "shape_id", ("id.shape",), -1
 

@@ -3,22 +3,22 @@
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
-from caster.fields import Camera, WideFieldOfView
-from caster.kernels.angles import sine_and_cosine
-from caster.kernels.camera_circle import (
-    NEARBY,
-    ROUNDED,
-    anywhere,
-    bulge,
+from caster.jit.decorators import implement, inlined
+from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project, project_bounding_sphere
+from caster.kernels.raster.wide_angle import (
+    ANGLE_ROUNDING,
+    MAX_HULL_ANGLE,
+    combine_axes,
     film_circle,
-    looking,
-    mixed,
-    nowhere,
-    on_circle,
-    seen_ball,
+    hull_distortion_bound,
+    off_film,
+    sinc_and_cos,
+    sphere_in_camera_space,
+    to_circle_units,
+    unit_or_forward,
+    unknown_projection,
 )
-from caster.kernels.jit import implement, inlined
-from caster.kernels.protocol import Vec3, bent, project, project_ball, ray
+from caster.scene.fields import Camera, WideFieldOfView
 
 
 class FisheyeRays(NamedTuple):
@@ -43,28 +43,33 @@ class Fisheye(Camera):
     def pack(self, width: int, height: int) -> FisheyeRays:
         right, up, forward = self.frame
         half = math.radians(self.fov) / 2.0
-        most = bend(half + NEARBY) if half + NEARBY < FARTHEST else math.inf
+        most = (
+            curvature_bound(half + MAX_HULL_ANGLE)
+            if half + MAX_HULL_ANGLE < MAX_PROJECTED_ANGLE
+            else math.inf
+        )
         return FisheyeRays(self.eye, right, up, forward, film_circle(width, height), half, most)
 
 
-@implement(ray, FisheyeRays)
+@implement(camera_ray, FisheyeRays)
 def _ray(camera: Any, x: float, y: float) -> Any:
-    across, above = on_circle(camera.circle, x, y)
+    across, above = to_circle_units(camera.circle, x, y)
     square, half = across * across + above * above, 0.5 * camera.half_angle
     inside = square <= 1.0
     # h = half * distance is half the angle from the axis: sin 2h = 2 sin h cos h, cos 2h = 1 - 2 sin^2 h
     h_square = half * half * (square if inside else 0.0)
-    sine, cosine = sine_and_cosine(h_square)
+    sine, cosine = sinc_and_cos(h_square)
     sideways = 2.0 * half * sine * cosine
-    d = mixed(camera, sideways * across, sideways * above, 1.0 - 2.0 * h_square * sine * sine)
-    return camera.eye, looking(camera, d, inside), 0.0, math.inf if inside else -1.0
+    d = combine_axes(camera, sideways * across, sideways * above, 1.0 - 2.0 * h_square * sine * sine)
+    return camera.eye, unit_or_forward(camera, d, inside), 0.0, math.inf if inside else -1.0
 
 
-# Nearer to straight behind, where the picture of one direction is a whole circle, `project_ball` knows no bounds.
-FARTHEST = 3.1  # radians from the axis
+# Nearer to straight behind, where the picture of one direction is a whole circle, `project_bounding_sphere`
+# knows no bounds.
+MAX_PROJECTED_ANGLE = 3.1  # radians from the axis
 
 
-@implement(project_ball, FisheyeRays)
+@implement(project_bounding_sphere, FisheyeRays)
 def _project_ball(camera: Any, center: Any, r: float) -> Any:
     """An ellipse around the picture of the centre, and a bound for how the mapping bends it.
 
@@ -72,62 +77,66 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
     F(p) = F(c) + dF(v) + R with |v| <= reach, where dF stretches v by 1 away from the axis and by angle / sin(angle)
     across that, and |R| <= bend reach^2 / 2.
     """
-    place, distance, valid = seen_ball(camera, center, r)
+    place, distance, valid = sphere_in_camera_space(camera, center, r)
     aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
     angle, reach = math.atan2(aside, place[2]), math.asin(r / distance if valid else 0.0)
-    if valid and angle - reach > camera.half_angle + BESIDE:
-        return nowhere(distance - r)
-    if not valid or angle + reach > FARTHEST:
-        return anywhere(distance - r)
-    off_axis = aside > CENTRAL * distance
+    if valid and angle - reach > camera.half_angle + ANGLE_ERROR:
+        return off_film(distance - r)
+    if not valid or angle + reach > MAX_PROJECTED_ANGLE:
+        return unknown_projection(distance - r)
+    off_axis = aside > MIN_AXIS_SINE * distance
     across, above = (place[0] / aside, place[1] / aside) if off_axis else (1.0, 0.0)
     around = reach * max(angle * distance / aside, 1.0) if off_axis else reach
     x, y, radius = camera.circle
     pixels = radius / camera.half_angle
-    more = 0.5 * reach * reach * bend(angle + reach) + ROUNDED
+    more = 0.5 * reach * reach * curvature_bound(angle + reach) + ANGLE_ROUNDING
     wide = pixels * (math.hypot(reach * across, around * above) + more)
     high = pixels * (math.hypot(reach * above, around * across) + more)
     x, y = x + pixels * angle * across, y - pixels * angle * above
     return x - wide, y - high, x + wide, y + high, distance - r, True
 
 
-BESIDE = 2.0**-40  # radians; roundings of angles are below 2^-48
-CENTRAL = 2.0**-100  # sine of an angle that moves no picture; squares of less may have lost bits to underflow
-STRAIGHT = 0.5  # radians, below which `bend` is taken from there: it grows with the angle, and is 0 / 0 at 0
+ANGLE_ERROR = 2.0**-40  # radians; roundings of angles are below 2^-48
+MIN_AXIS_SINE = (
+    2.0**-100
+)  # sine of an angle that moves no picture; squares of less may have lost bits to underflow
+MIN_CURVATURE_ANGLE = (
+    0.5  # radians, below which `bend` is taken from there: it grows with the angle, and is 0 / 0 at 0
+)
 
 
 @inlined
-def bend(angle: float) -> float:
+def curvature_bound(angle: float) -> float:
     """The largest second derivative of the picture along a great circle, up to so far from the axis.
 
     In polar coordinates, a for the angle and w for the way around the axis, a great circle at speed 1 has
     a'' = sin a cos a w'^2 and w'' = -2 cot a a' w'. The second derivative of a (cos w, sin w) is then
     w'^2 (sin a cos a - a) outwards and 2 a' w' (1 - a cot a) around, with |w'| <= 1 / sin a and |a' w'| <= 1 / 2 sin a.
     """
-    a = max(angle, STRAIGHT)
+    a = max(angle, MIN_CURVATURE_ANGLE)
     sine, cosine = math.sin(a), math.cos(a)
     return (a - sine * cosine) / (sine * sine) + (1.0 - a * cosine / sine) / sine
 
 
 @implement(project, FisheyeRays)
 def _project(camera: Any, p: Any) -> Any:
-    place, distance, valid = seen_ball(camera, p, 0.0)
+    place, distance, valid = sphere_in_camera_space(camera, p, 0.0)
     aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
     angle = math.atan2(aside, place[2])
-    if not valid or angle > FARTHEST:
+    if not valid or angle > MAX_PROJECTED_ANGLE:
         return 0.0, 0.0, 0.0, distance, False
     x, y, radius = camera.circle
     pixels = radius / camera.half_angle
     share = pixels * angle / aside if aside > 0.0 else 0.0
-    return x + share * place[0], y - share * place[1], STEEPEST * pixels / distance, distance, True
+    return x + share * place[0], y - share * place[1], MAX_STRETCH * pixels / distance, distance, True
 
 
 # Around the axis, a small step is stretched by angle / sin(angle), 75 at FARTHEST; twice that for one that is not.
-STEEPEST = 150.0
+MAX_STRETCH = 150.0
 
 
-@implement(bent, FisheyeRays)
+@implement(distortion_bound, FisheyeRays)
 def _bent(camera: Any, extent: float) -> Any:
     """Angles are no larger than distances in the picture, which is shrunk nowhere; see camera_circle.MORE."""
     pixels = camera.circle[2] / camera.half_angle
-    return bulge(extent / pixels, camera.bend * pixels)
+    return hull_distortion_bound(extent / pixels, camera.bend * pixels)

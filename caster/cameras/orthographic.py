@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from caster.fields import Camera, NonNegative, Positive
-from caster.kernels.jit import implement
-from caster.kernels.protocol import Vec3, project, project_ball, ray
-from caster.kernels.vec import add, dot, scaled, sub
+from caster.jit.decorators import implement
+from caster.kernels.math.vec import add, dot, scaled, sub
+from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere
+from caster.scene.fields import Camera, NonNegative, Positive
 
 
 class OrthographicRays(NamedTuple):
@@ -46,7 +46,7 @@ class Orthographic(Camera):
         return OrthographicRays(self.eye, right, up, forward, size, half, self.near, far)
 
 
-@implement(ray, OrthographicRays)
+@implement(camera_ray, OrthographicRays)
 def _ray(camera: Any, x: float, y: float) -> Any:
     across = (2.0 * (x / camera.size[0]) - 1.0) * camera.half[0]
     above = (1.0 - 2.0 * (y / camera.size[1])) * camera.half[1]
@@ -62,7 +62,7 @@ def _project(camera: Any, p: Any) -> Any:
     return x, y, 0.5 * camera.size[0] / camera.half[0], dot(q, camera.forward), True
 
 
-@implement(project_ball, OrthographicRays)
+@implement(project_bounding_sphere, OrthographicRays)
 def _project_ball(camera: Any, center: Any, r: float) -> Any:
     x, y, pixels, depth, _ = project(camera, center)
     wide, tall = r * pixels, r * 0.5 * camera.size[1] / camera.half[1]

@@ -3,15 +3,21 @@
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
-from caster.fields import Camera
-from caster.kernels.angles import sine_and_cosine
-from caster.kernels.camera_circle import anywhere, bulge, looking, mixed, seen_ball
-from caster.kernels.jit import implement
-from caster.kernels.protocol import Vec3, bent, project, project_ball, ray
+from caster.jit.decorators import implement
+from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project, project_bounding_sphere
+from caster.kernels.raster.wide_angle import (
+    combine_axes,
+    hull_distortion_bound,
+    sinc_and_cos,
+    sphere_in_camera_space,
+    unit_or_forward,
+    unknown_projection,
+)
+from caster.scene.fields import Camera
 
 # The sine of half of a ball's longitudes is its radius over the level distance. Where it nears 1, the angle is many
 # times as sensitive as the quotient, which is off by a few u: so it is made so much larger.
-POLEWARDS = 1.0 + 2.0**-40
+ASIN_SENSITIVITY = 1.0 + 2.0**-40
 
 
 class PanoramaRays(NamedTuple):
@@ -35,29 +41,29 @@ class Panorama(Camera):
         return PanoramaRays(self.eye, right, up, forward, (float(width), float(height)))
 
 
-@implement(ray, PanoramaRays)
+@implement(camera_ray, PanoramaRays)
 def _ray(camera: Any, x: float, y: float) -> Any:
     # h is half of the longitude: sin 2h = 2 sin h cos h, cos 2h = 1 - 2 sin^2 h
     half = (x / camera.size[0] - 0.5) * math.pi
     latitude = (0.5 - y / camera.size[1]) * math.pi
-    sine, cosine = sine_and_cosine(half * half)
-    rise, level = sine_and_cosine(latitude * latitude)
+    sine, cosine = sinc_and_cos(half * half)
+    rise, level = sinc_and_cos(latitude * latitude)
     east, ahead = 2.0 * half * sine * cosine, 1.0 - 2.0 * half * half * sine * sine
-    d = mixed(camera, level * east, latitude * rise, level * ahead)
-    return camera.eye, looking(camera, d, True), 0.0, math.inf
+    d = combine_axes(camera, level * east, latitude * rise, level * ahead)
+    return camera.eye, unit_or_forward(camera, d, True), 0.0, math.inf
 
 
-@implement(project_ball, PanoramaRays)
+@implement(project_bounding_sphere, PanoramaRays)
 def _project_ball(camera: Any, center: Any, r: float) -> Any:
     """Rows from the least to the greatest latitude; of columns all, if it holds a pole or lies behind the eye."""
-    place, distance, valid = seen_ball(camera, center, r)
+    place, distance, valid = sphere_in_camera_space(camera, center, r)
     if not valid:
-        return anywhere(distance - r)
+        return unknown_projection(distance - r)
     level = math.sqrt(place[0] * place[0] + place[2] * place[2])
     latitude, reach = math.atan2(place[1], level), math.asin(r / distance)
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
     top, bottom = high * (0.5 * math.pi - latitude - reach), high * (0.5 * math.pi - latitude + reach)
-    share = r * POLEWARDS / level if level > 0.0 else 1.0
+    share = r * ASIN_SENSITIVITY / level if level > 0.0 else 1.0
     if not share < 1.0:
         return -math.inf, top, math.inf, bottom, distance - r, True
     longitude, reach = math.atan2(place[0], place[2]), math.asin(share)
@@ -69,25 +75,25 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
 
 # Points nearer to a pole or to straight behind have no picture, but the balls around primitives do. What is NEARBY such
 # a point lies no more than 0.25 of longitude aside, so nothing reaches across the seam.
-POLEWARD, ASIDE = math.sin(math.pi / 3.0), math.pi - 0.3
+MAX_LATITUDE_SINE, MAX_LONGITUDE = math.sin(math.pi / 3.0), math.pi - 0.3
 
 
 @implement(project, PanoramaRays)
 def _project(camera: Any, p: Any) -> Any:
-    place, distance, valid = seen_ball(camera, p, 0.0)
+    place, distance, valid = sphere_in_camera_space(camera, p, 0.0)
     longitude, rise = math.atan2(place[0], place[2]), place[1] / (distance if valid else 1.0)
-    if not valid or abs(longitude) > ASIDE or abs(rise) > POLEWARD:
+    if not valid or abs(longitude) > MAX_LONGITUDE or abs(rise) > MAX_LATITUDE_SINE:
         return 0.0, 0.0, 0.0, distance, False
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
     x, y = 0.5 * camera.size[0] + wide * longitude, 0.5 * camera.size[1] - high * math.asin(rise)
-    return x, y, STEEPEST * max(wide, high) / distance, distance, True
+    return x, y, MAX_STRETCH * max(wide, high) / distance, distance, True
 
 
 # A degree of longitude is at least half as long as one of latitude there; twice that for a step that is not small.
-STEEPEST = 4.0
+MAX_STRETCH = 4.0
 
 
-@implement(bent, PanoramaRays)
+@implement(distortion_bound, PanoramaRays)
 def _bent(camera: Any, extent: float) -> Any:
     """Angles are no larger than distances in the picture; see camera_circle.MORE.
 
@@ -95,4 +101,4 @@ def _bent(camera: Any, extent: float) -> Any:
     latitude tan a: 5.4 and 2.3 at pi / 3 + NEARBY.
     """
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
-    return bulge(extent / min(wide, high), math.hypot(5.4 * wide, 2.3 * high))
+    return hull_distortion_bound(extent / min(wide, high), math.hypot(5.4 * wide, 2.3 * high))

@@ -3,19 +3,19 @@
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
-from caster.fields import Camera
-from caster.kernels.camera_circle import (
-    anywhere,
-    bulge,
+from caster.jit.decorators import implement
+from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project, project_bounding_sphere
+from caster.kernels.raster.wide_angle import (
+    combine_axes,
     film_circle,
-    looking,
-    mixed,
-    nowhere,
-    on_circle,
-    seen_ball,
+    hull_distortion_bound,
+    off_film,
+    sphere_in_camera_space,
+    to_circle_units,
+    unit_or_forward,
+    unknown_projection,
 )
-from caster.kernels.jit import implement
-from caster.kernels.protocol import Vec3, bent, project, project_ball, ray
+from caster.scene.fields import Camera
 
 
 class ParabolicRays(NamedTuple):
@@ -43,27 +43,27 @@ class Parabolic(Camera):
         return ParabolicRays(self.eye, right, up, forward, film_circle(width, height))
 
 
-@implement(ray, ParabolicRays)
+@implement(camera_ray, ParabolicRays)
 def _ray(camera: Any, x: float, y: float) -> Any:
-    across, above = on_circle(camera.circle, x, y)
+    across, above = to_circle_units(camera.circle, x, y)
     square = across * across + above * above
     inside = square <= 1.0
-    d = mixed(camera, 2.0 * across, 2.0 * above, 1.0 - square)
-    return camera.eye, looking(camera, d, inside), 0.0, math.inf if inside else -1.0
+    d = combine_axes(camera, 2.0 * across, 2.0 * above, 1.0 - square)
+    return camera.eye, unit_or_forward(camera, d, inside), 0.0, math.inf if inside else -1.0
 
 
-@implement(project_ball, ParabolicRays)
+@implement(project_bounding_sphere, ParabolicRays)
 def _project_ball(camera: Any, center: Any, r: float) -> Any:
     """A circle: the mapping is the stereographic projection, which keeps circles.
 
     At angle a from the axis it is tan(a / 2) from the centre. The tangent of the sum of two angles is
     (s + t) / (1 - s t) for their own tangents s and t.
     """
-    place, distance, valid = seen_ball(camera, center, r)
+    place, distance, valid = sphere_in_camera_space(camera, center, r)
     if not valid:
-        return anywhere(distance - r)
+        return unknown_projection(distance - r)
     if place[2] < -r:  # all of it is behind the eye
-        return nowhere(distance - r)
+        return off_film(distance - r)
     # its centre is at most 90 + 28 degrees from the axis, so no divisor is near 0
     aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
     share = r / distance
@@ -78,26 +78,26 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
 
 @implement(project, ParabolicRays)
 def _project(camera: Any, p: Any) -> Any:
-    place, distance, valid = seen_ball(camera, p, 0.0)
+    place, distance, valid = sphere_in_camera_space(camera, p, 0.0)
     ahead = distance + place[2]
-    if not valid or place[2] < REARWARDS * distance:
+    if not valid or place[2] < MIN_AXIS_COSINE * distance:
         return 0.0, 0.0, 0.0, distance, False
     x, y, pixels = camera.circle
     share = pixels / ahead
-    return x + share * place[0], y - share * place[1], STEEPEST * pixels / distance, distance, True
+    return x + share * place[0], y - share * place[1], MAX_STRETCH * pixels / distance, distance, True
 
 
 # The cosine of the angle from the axis at which `project` ends, 169 degrees: r radii from the middle, it is
 # (1 - r^2) / (1 + r^2), so r < 10 and a small step is stretched by (1 + r^2) / 2; eight times that for a step that is
 # not. Nearer to straight behind, where distance + place[2] is all rounding, a quotient by it could be anything.
-REARWARDS, STEEPEST = -0.98, 401.0
+MIN_AXIS_COSINE, MAX_STRETCH = -0.98, 401.0
 
 
-@implement(bent, ParabolicRays)
+@implement(distortion_bound, ParabolicRays)
 def _bent(camera: Any, extent: float) -> Any:
     """Angles are at most twice the distances in the picture, in radii, since nothing is shrunk by more than 2.
 
     Along great circles the second derivative of the picture is r (1 + r^2) / 2 at r radii from the middle, at most 1.25
     for what is within NEARBY of the film, where r < tan(pi / 4 + NEARBY / 2); see camera_circle.MORE.
     """
-    return bulge(2.0 * extent / camera.circle[2], 1.25 * camera.circle[2])
+    return hull_distortion_bound(2.0 * extent / camera.circle[2], 1.25 * camera.circle[2])

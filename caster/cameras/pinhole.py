@@ -5,17 +5,17 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from caster.fields import Camera, FieldOfView, NonNegative, Number, Positive
-from caster.kernels.jit import implement, inlined
-from caster.kernels.protocol import Vec3, project, project_ball, ray
-from caster.kernels.vec import U, add, dot, scaled, size, sub
+from caster.jit.decorators import implement, inlined
+from caster.kernels.math.vec import U, add, dot, l1_norm, scaled, sub
+from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere
+from caster.scene.fields import Camera, FieldOfView, NonNegative, Number, Positive
 
 # A point is projected only where its depth is more than this share of its distance (the sum of magnitudes): there the
 # rounding of its position moves the picture by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
-SHALLOWEST = 1e-6
+MIN_DEPTH_SHARE = 1e-6
 
 # And more than this, whose inverse is a number.
-NEAREST = 2.0**-1000
+MIN_INVERTIBLE_DEPTH = 2.0**-1000
 
 
 class PinholeRays(NamedTuple):
@@ -73,7 +73,7 @@ class Pinhole(Camera):
         return PinholeRays(self.eye, right, up, forward, size, half, self.principal_point, self.near, far)
 
 
-@implement(ray, PinholeRays)
+@implement(camera_ray, PinholeRays)
 def _ray(camera: Any, x: float, y: float) -> Any:
     across = (2.0 * (x / camera.size[0] + camera.shift[0]) - 1.0) * camera.half[0]
     above = (1.0 - 2.0 * (y / camera.size[1] + camera.shift[1])) * camera.half[1]
@@ -87,8 +87,8 @@ def _ray(camera: Any, x: float, y: float) -> Any:
 @implement(project, PinholeRays)
 def _project(camera: Any, p: Any) -> Any:
     q = sub(p, camera.eye)
-    depth, distance = dot(q, camera.forward), size(q)
-    if not depth > max(SHALLOWEST * distance, NEAREST):
+    depth, distance = dot(q, camera.forward), l1_norm(q)
+    if not depth > max(MIN_DEPTH_SHARE * distance, MIN_INVERTIBLE_DEPTH):
         return 0.0, 0.0, 0.0, depth, False
     closeness = 1.0 / depth
     wide, high = 0.5 * camera.size[0] / camera.half[0], 0.5 * camera.size[1] / camera.half[1]
@@ -97,12 +97,12 @@ def _project(camera: Any, p: Any) -> Any:
     return x, y, max(wide, high) * closeness * (1.0 + distance * closeness), depth, True
 
 
-@implement(project_ball, PinholeRays)
+@implement(project_bounding_sphere, PinholeRays)
 def _project_ball(camera: Any, center: Any, r: float) -> Any:
     q = sub(center, camera.eye)
     x, y, depth = dot(q, camera.right), dot(q, camera.up), dot(q, camera.forward)
-    shallow = not depth - r > max(SHALLOWEST * size(q), SMALLEST)
-    if shallow or not size(q) + r < LARGEST:
+    shallow = not depth - r > max(MIN_DEPTH_SHARE * l1_norm(q), MIN_SQUARABLE_LENGTH)
+    if shallow or not l1_norm(q) + r < MAX_SQUARABLE_LENGTH:
         return 0.0, 0.0, 0.0, 0.0, depth - r, False
     low, high = tangents(x, depth, r)
     down, up = tangents(y, depth, r)
@@ -112,7 +112,7 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
 
 
 # Between these, the products of two lengths in `tangents` are numbers that have lost nothing.
-SMALLEST, LARGEST = 2.0**-400, 2.0**400
+MIN_SQUARABLE_LENGTH, MAX_SQUARABLE_LENGTH = 2.0**-400, 2.0**400
 
 # In `tangents`, z^2 - r^2 as a product of two sums is off by 3 u, the root by 3 u, the sum of the two terms by 4 u of
 # their magnitudes: 12 u, and the quotient's rounding.

@@ -7,15 +7,15 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, field_validator
 
-from caster.fields import Description, PositiveNumber, Vec3, refuse
-from caster.kernels.jit import implement
-from caster.kernels.protocol import ray
+from caster.jit.decorators import implement
+from caster.kernels.protocol import camera_ray
+from caster.scene.fields import Description, PositiveNumber, Vec3, refuse
 
 # Directions of 2^-PLAIN to 2^PLAIN have squares, and t times such a length is a number wherever the scene is one.
-PLAIN = 100
+MAX_DIRECTION_EXPONENT = 100
 
 
-class RayRays(NamedTuple):
+class SingleRay(NamedTuple):
     """The ray as its kernel reads it."""
 
     o: tuple[float, float, float]  # float64
@@ -63,15 +63,15 @@ class Ray(Description):
         x, y, z = (float(axis == least) for axis in range(3))
         return x, y, z
 
-    def pack(self, width: int, height: int) -> RayRays:
+    def pack(self, width: int, height: int) -> SingleRay:
         """As given; a direction beyond PLAIN is brought to about 1 by a power of two, and t then counts in that."""
         t_max, d = math.inf if self.t_max is None else self.t_max, np.array(self.direction)
         exponent = int(np.frexp(np.abs(d).max())[1])
-        if abs(exponent) > PLAIN:
+        if abs(exponent) > MAX_DIRECTION_EXPONENT:
             with np.errstate(over="ignore", under="ignore"):
                 d, t_max = np.ldexp(d, -exponent), float(np.ldexp(t_max, exponent))
         x, y, z = d.tolist()
-        return RayRays(self.origin, (x, y, z), t_max)
+        return SingleRay(self.origin, (x, y, z), t_max)
 
 
 def _is_negative(written: Any) -> bool:
@@ -81,6 +81,6 @@ def _is_negative(written: Any) -> bool:
     return math.copysign(1.0, float(written)) < 0.0
 
 
-@implement(ray, RayRays)
+@implement(camera_ray, SingleRay)
 def _ray(camera: Any, x: float, y: float) -> Any:
     return camera.o, camera.d, 0.0, camera.t_max

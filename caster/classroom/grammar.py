@@ -1,9 +1,14 @@
 """What may stand in which block of a 6.837 scene, as tables."""
 
+import math
+import re
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from caster.scene.text import Span
 
-class Form(NamedTuple):
+
+class ValueFormat(NamedTuple):
     """What follows a word: so many numbers, in braces or not, or one word such as a file name."""
 
     numbers: int = 0
@@ -17,17 +22,17 @@ class Form(NamedTuple):
         return f"{many} in braces" if self.braced else many
 
 
-class Block(NamedTuple):
+class BlockRule(NamedTuple):
     """A word with braces. Its fields and children may come in any order."""
 
-    fields: dict[str, Form]
+    fields: dict[str, ValueFormat]
     children: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()  # of the fields; the others are required
     repeated: tuple[str, ...] = ()  # of the fields; the others come once
     counted_by: str = ""  # the field that says how many children there are
 
 
-WORD, NUMBER, VECTOR = Form(), Form(1), Form(3)
+WORD, NUMBER, VECTOR = ValueFormat(), ValueFormat(1), ValueFormat(3)
 
 CAMERAS = ("PerspectiveCamera", "OrthographicCamera")
 LIGHTS = ("DirectionalLight", "PointLight")
@@ -50,42 +55,128 @@ _SURFACE = {
     "texture": WORD,
     "bump": WORD,
 }
-_MATERIAL = Block(_SURFACE, optional=tuple(_SURFACE))
+_MATERIAL = BlockRule(_SURFACE, optional=tuple(_SURFACE))
 
-STEPS = {
+TRANSFORM_FIELDS = {
     "Scale": VECTOR,
     "UniformScale": NUMBER,
     "Translate": VECTOR,
     "XRotate": NUMBER,
     "YRotate": NUMBER,
     "ZRotate": NUMBER,
-    "Rotate": Form(4, braced=True),
-    "Matrix": Form(16, braced=True),
-    "Matrix4f": Form(16, braced=True),
+    "Rotate": ValueFormat(4, braced=True),
+    "Matrix": ValueFormat(16, braced=True),
+    "Matrix4f": ValueFormat(16, braced=True),
 }
 _BACKGROUND = {"color": VECTOR, "ambientLight": VECTOR, "cubeMap": WORD}
 _POINT_LIGHT = {"position": VECTOR, "color": VECTOR, "attenuation": VECTOR, "falloff": NUMBER}
 
-BLOCKS = {
-    "PerspectiveCamera": Block(_VIEW | {"angle": NUMBER}),
-    "OrthographicCamera": Block(_VIEW | {"size": NUMBER}),
-    "Background": Block(_BACKGROUND, optional=tuple(_BACKGROUND)),
-    "Lights": Block({"numLights": NUMBER}, LIGHTS, counted_by="numLights"),
-    "DirectionalLight": Block({"direction": VECTOR, "color": VECTOR}),
-    "PointLight": Block(_POINT_LIGHT, optional=("attenuation", "falloff")),
-    "Materials": Block({"numMaterials": NUMBER}, MATERIALS + TEXTURES, counted_by="numMaterials"),
+BLOCK_RULES = {
+    "PerspectiveCamera": BlockRule(_VIEW | {"angle": NUMBER}),
+    "OrthographicCamera": BlockRule(_VIEW | {"size": NUMBER}),
+    "Background": BlockRule(_BACKGROUND, optional=tuple(_BACKGROUND)),
+    "Lights": BlockRule({"numLights": NUMBER}, LIGHTS, counted_by="numLights"),
+    "DirectionalLight": BlockRule({"direction": VECTOR, "color": VECTOR}),
+    "PointLight": BlockRule(_POINT_LIGHT, optional=("attenuation", "falloff")),
+    "Materials": BlockRule({"numMaterials": NUMBER}, MATERIALS + TEXTURES, counted_by="numMaterials"),
     "Material": _MATERIAL,
     "PhongMaterial": _MATERIAL,
-    "Group": Block(
+    "Group": BlockRule(
         {"numObjects": NUMBER, "MaterialIndex": NUMBER},
         OBJECTS,
         optional=("MaterialIndex",),
         repeated=("MaterialIndex",),
         counted_by="numObjects",
     ),
-    "Transform": Block(STEPS, OBJECTS, optional=tuple(STEPS), repeated=tuple(STEPS)),
-    "Sphere": Block({"center": VECTOR, "radius": NUMBER}),
-    "Plane": Block({"normal": VECTOR, "offset": NUMBER}),
-    "Triangle": Block({"vertex0": VECTOR, "vertex1": VECTOR, "vertex2": VECTOR}),
-    "TriangleMesh": Block({"obj_file": WORD}),
+    "Transform": BlockRule(
+        TRANSFORM_FIELDS, OBJECTS, optional=tuple(TRANSFORM_FIELDS), repeated=tuple(TRANSFORM_FIELDS)
+    ),
+    "Sphere": BlockRule({"center": VECTOR, "radius": NUMBER}),
+    "Plane": BlockRule({"normal": VECTOR, "offset": NUMBER}),
+    "Triangle": BlockRule({"vertex0": VECTOR, "vertex1": VECTOR, "vertex2": VECTOR}),
+    "TriangleMesh": BlockRule({"obj_file": WORD}),
 }
+
+
+# A scene text as words, numbers and braces, each with its place.
+
+
+class Token(NamedTuple):
+    """A word, a number or a brace; line and column count from 1."""
+
+    text: str
+    line: int
+    column: int
+
+    @property
+    def span(self) -> Span:
+        return Span(self.line, self.column, len(self.text))
+
+    @property
+    def number(self) -> float | None:
+        """None for what is no finite number."""
+        try:
+            value = float(self.text)
+        except ValueError:
+            return None
+        return value if math.isfinite(value) and "_" not in self.text else None
+
+
+def tokens_of(text: str) -> list[Token]:
+    """All of them in order. A brace is one by itself, also where no space parts it from a number."""
+    return [
+        Token(found[0], number, found.start() + 1)
+        for number, line in enumerate(text.split("\n"), 1)
+        for found in re.finditer(r"[{}]|[^\s{}]+", line)
+    ]
+
+
+# What a 6.837 scene text is made of, once it is read: blocks, their fields, and faults with their places.
+
+
+FILE_START = Token("", 1, 1)
+
+
+class SourceMessage(NamedTuple):
+    """What is wrong, and where."""
+
+    at: Token
+    text: str
+
+
+class Field(NamedTuple):
+    """A word and what follows it."""
+
+    name: str
+    at: Token
+    numbers: tuple[float, ...]
+    word: Token | None  # of a field that is a word
+
+    @property
+    def words(self) -> str:
+        return " ".join(
+            [self.name, *(f"{x:g}" for x in self.numbers), *([self.word.text] if self.word else [])]
+        )
+
+
+@dataclass
+class Node:
+    """A block: its fields and blocks in the order of the file."""
+
+    kind: str
+    at: Token
+    items: list["Field | Node"] = field(default_factory=list)
+    mentioned: set[str] = field(default_factory=set)  # names of fields that are there, also misspelt inside
+    unknown: int = 0  # blocks of no kind that is known
+
+    def get(self, name: str) -> Field | None:
+        """The first field of that name."""
+        return next((item for item in self.items if isinstance(item, Field) and item.name == name), None)
+
+    def numbers(self, name: str, default: tuple[float, ...] = ()) -> tuple[float, ...]:
+        found = self.get(name)
+        return default if found is None else found.numbers
+
+    @property
+    def children(self) -> list["Node"]:
+        return [item for item in self.items if isinstance(item, Node)]

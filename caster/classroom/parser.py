@@ -2,12 +2,23 @@
 
 from collections.abc import Iterable
 
-from caster.classroom.blocks import START, Fault, Field, Node
-from caster.classroom.grammar import BLOCKS, CAMERAS, SECTIONS, TEXTURES, Block, Form
-from caster.classroom.tokens import Token, tokens_of
-from caster.wording import listed, suggestion
+from caster.classroom.grammar import (
+    BLOCK_RULES,
+    CAMERAS,
+    FILE_START,
+    SECTIONS,
+    TEXTURES,
+    BlockRule,
+    Field,
+    Node,
+    SourceMessage,
+    Token,
+    ValueFormat,
+    tokens_of,
+)
+from caster.scene.errors import listed, suggestion
 
-DEEPEST = 64  # blocks in blocks; each takes a few frames of Python's stack
+MAX_NESTING = 64  # blocks in blocks; each takes a few frames of Python's stack
 
 
 class Parser:
@@ -15,8 +26,8 @@ class Parser:
 
     def __init__(self, text: str) -> None:
         self.tokens = tokens_of(text)
-        self.place = self.depth = 0
-        self.faults: list[Fault] = []
+        self.position = self.depth = 0
+        self.errors: list[SourceMessage] = []
 
     def sections(self) -> dict[str, Node]:
         """The blocks of the whole file; both cameras under "Camera"."""
@@ -28,25 +39,25 @@ class Parser:
             name = "Camera" if token.text in CAMERAS else token.text
             node = self._block(token)
             if name in found:
-                self._fault(token, f"{token.text} is there twice; the first is in line {found[name].at.line}")
+                self._error(token, f"{token.text} is there twice; the first is in line {found[name].at.line}")
             found.setdefault(name, node)
         for name, says in (("Camera", listed(CAMERAS)), ("Group", "Group, which holds the objects")):
             if name not in found:
-                self._fault(START, f"the scene needs a block {says}")
+                self._error(FILE_START, f"the scene needs a block {says}")
         return found
 
     def _block(self, at: Token) -> Node:
-        node, block = Node(at.text, at), BLOCKS[at.text]
-        if self.depth == DEEPEST:
-            self._fault(at, f"{node.kind}: blocks are nested deeper than {DEEPEST}")
+        node, block = Node(at.text, at), BLOCK_RULES[at.text]
+        if self.depth == MAX_NESTING:
+            self._error(at, f"{node.kind}: blocks are nested deeper than {MAX_NESTING}")
             self._skip_braces()
             return node
-        if not self._opened(at):
+        if not self._expect_open_brace(at):
             return node
         self.depth += 1
         while (token := self._next()) is not None and token.text != "}":
             if token.text in block.fields:
-                node.tried.add(token.text)
+                node.mentioned.add(token.text)
                 found = self._field(token, block.fields[token.text], node)
                 node.items += [] if found is None else [found]
             elif token.text in TEXTURES and token.text in block.children:
@@ -58,35 +69,35 @@ class Parser:
                 node.unknown += self._unknown(token, node.kind, (*block.fields, *block.children))
         self.depth -= 1
         if token is None:
-            self._fault(at, f"{node.kind}: its '}}' is missing")
+            self._error(at, f"{node.kind}: its '}}' is missing")
         self._check(node, block)
         return node
 
-    def _field(self, at: Token, form: Form, node: Node) -> Field | None:
+    def _field(self, at: Token, form: ValueFormat, node: Node) -> Field | None:
         where = f"{node.kind}: {at.text}"
         if not form.numbers:
             word = self._peek()
             if word is None or word.text in "{}":
-                self._fault(word or at, f"{where} must be a word, got {_named(word)}")
+                self._error(word or at, f"{where} must be a word, got {_token_text(word)}")
                 return None
             return Field(at.text, at, (), self._next())
-        if form.braced and not self._opened(at):
+        if form.braced and not self._expect_open_brace(at):
             return None
         numbers = self._numbers(at, form, where)
         if form.braced:
-            self._closed(at, where)
+            self._expect_close_brace(at, where)
         return None if numbers is None else Field(at.text, at, numbers, None)
 
-    def _numbers(self, at: Token, form: Form, where: str) -> tuple[float, ...] | None:
+    def _numbers(self, at: Token, form: ValueFormat, where: str) -> tuple[float, ...] | None:
         numbers: list[float] = []
         while len(numbers) < form.numbers:
             token = self._peek()
             value = None if token is None else token.number
             if token is None or value is None:
-                self._fault(
-                    token or at, f"{where} must be {form.text}, got {_named(token)} after {len(numbers)}"
+                self._error(
+                    token or at, f"{where} must be {form.text}, got {_token_text(token)} after {len(numbers)}"
                 )
-                if token is not None and token.text not in "{}" and token.text not in WORDS:
+                if token is not None and token.text not in "{}" and token.text not in KEYWORDS:
                     self._next()  # a number misspelt: go on behind it and the rest
                     self._skip_numbers()
                 return None
@@ -94,65 +105,67 @@ class Parser:
             self._next()
         extra = self._peek()
         if extra is not None and extra.number is not None:
-            self._fault(extra, f"{where} must be {form.text}, got {extra.text} as well")
+            self._error(extra, f"{where} must be {form.text}, got {extra.text} as well")
             self._skip_numbers()
         return tuple(numbers)
 
-    def _check(self, node: Node, block: Block) -> None:
+    def _check(self, node: Node, block: BlockRule) -> None:
         """Fields that are missing or there twice, and the number of children."""
         names = [item.name for item in node.items if isinstance(item, Field)]
         for name in block.fields:
-            if name not in block.optional and name not in node.tried:
-                self._fault(node.at, f"{node.kind} needs '{name}'")
+            if name not in block.optional and name not in node.mentioned:
+                self._error(node.at, f"{node.kind} needs '{name}'")
             if names.count(name) > 1 and name not in block.repeated:
                 again = [item for item in node.items if isinstance(item, Field) and item.name == name][1]
-                self._fault(again.at, f"{node.kind}: {name} is there twice")
+                self._error(again.at, f"{node.kind}: {name} is there twice")
         counted = node.get(block.counted_by) if block.counted_by else None
         found = len(node.children) + node.unknown
         if counted is not None and counted.numbers != (found,):
-            self._fault(
+            self._error(
                 counted.at, f"{node.kind}: {counted.words}, but {found} {'is' if found == 1 else 'are'} there"
             )
         if node.kind == "Transform" and found != 1:
-            self._fault(node.at, f"Transform needs one object to place, got {found}")
+            self._error(node.at, f"Transform needs one object to place, got {found}")
 
     def _unknown(self, token: Token, where: str, known: Iterable[str]) -> bool:
         """Tell of it and read over it; whether it was a block."""
         known = list(known)
         if token.text == "}":
-            self._fault(token, "a '}' too many: no block is open")
+            self._error(token, "a '}' too many: no block is open")
         elif token.text == "{":
-            self._fault(token, f"{where}: expected {listed(known)}, got '{{'")
-            self.place -= 1
+            self._error(token, f"{where}: expected {listed(known)}, got '{{'")
+            self.position -= 1
             self._skip_braces()
         elif token.number is not None:
-            self._fault(token, f"{where}: expected {listed(known)}, got the number {token.text}")
+            self._error(token, f"{where}: expected {listed(known)}, got the number {token.text}")
             self._skip_numbers()
         else:
             hint = suggestion(token.text, known) or f" (known: {', '.join(known)})"
-            self._fault(token, f"{where}: unknown word {token.text}{hint}")
-            if self._comes("{"):
+            self._error(token, f"{where}: unknown word {token.text}{hint}")
+            if self._next_is("{"):
                 self._skip_braces()
                 return True
             self._skip_numbers()
         return False
 
-    def _opened(self, at: Token) -> bool:
-        if self._comes("{"):
+    def _expect_open_brace(self, at: Token) -> bool:
+        if self._next_is("{"):
             self._next()
             return True
-        self._fault(self._peek() or at, f"{at.text} must be followed by '{{', got {_named(self._peek())}")
+        self._error(
+            self._peek() or at, f"{at.text} must be followed by '{{', got {_token_text(self._peek())}"
+        )
         return False
 
-    def _closed(self, at: Token, where: str) -> None:
-        if self._comes("}"):
+    def _expect_close_brace(self, at: Token, where: str) -> None:
+        if self._next_is("}"):
             self._next()
         else:
-            self._fault(self._peek() or at, f"{where}: expected '}}', got {_named(self._peek())}")
+            self._error(self._peek() or at, f"{where}: expected '}}', got {_token_text(self._peek())}")
 
     def _skip_numbers(self) -> None:
         while (token := self._peek()) is not None and token.number is not None:
-            self.place += 1
+            self.position += 1
 
     def _skip_braces(self) -> None:
         """Over a block in braces, whatever is in it."""
@@ -162,24 +175,24 @@ class Parser:
             if depth <= 0:
                 return
 
-    def _comes(self, text: str) -> bool:
+    def _next_is(self, text: str) -> bool:
         token = self._peek()
         return token is not None and token.text == text
 
     def _peek(self) -> Token | None:
-        return self.tokens[self.place] if self.place < len(self.tokens) else None
+        return self.tokens[self.position] if self.position < len(self.tokens) else None
 
     def _next(self) -> Token | None:
         token = self._peek()
-        self.place += token is not None
+        self.position += token is not None
         return token
 
-    def _fault(self, at: Token, text: str) -> None:
-        self.faults.append(Fault(at, text))
+    def _error(self, at: Token, text: str) -> None:
+        self.errors.append(SourceMessage(at, text))
 
 
-WORDS = frozenset(BLOCKS) | frozenset(name for block in BLOCKS.values() for name in block.fields)
+KEYWORDS = frozenset(BLOCK_RULES) | frozenset(name for block in BLOCK_RULES.values() for name in block.fields)
 
 
-def _named(token: Token | None) -> str:
+def _token_text(token: Token | None) -> str:
     return "the end of the file" if token is None else f"'{token.text}'"

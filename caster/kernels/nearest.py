@@ -5,10 +5,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.kernels.exact_root import FLOAT_ERROR, as_float, no_root, order
-from caster.kernels.jit import implement, inlined, jit
-from caster.kernels.protocol import intersect, nearer, note, numbers, prepare, recall, root, same
-from caster.kernels.vec import TINY, row
+from caster.jit.decorators import implement, inlined, jit
+from caster.kernels.exact.surds import AS_FLOAT_REL_ERROR, as_float, compare, no_root
+from caster.kernels.math.vec import TINY, row
+from caster.kernels.protocol import (
+    exact_intersect,
+    intersect,
+    load,
+    load_best,
+    prepare,
+    same_geometry,
+    store_best,
+    update_best,
+)
 
 
 class Rays(NamedTuple):
@@ -28,7 +37,7 @@ class Nearest(NamedTuple):
     off: np.ndarray  # (n,) float64, the true t is within off of t
 
 
-class Sketch(NamedTuple):
+class UncertainHits(NamedTuple):
     """Nearest in the making, as far as float64 can tell."""
 
     t: np.ndarray
@@ -46,20 +55,20 @@ def no_hits(count: int) -> Nearest:
     return Nearest(np.full(count, np.inf), np.full(count, -1, np.int32), np.zeros(count))
 
 
-class Folding(NamedTuple):
+class NearestMode(NamedTuple):
     """What the loops over primitives do with hits: fold them as far as float64 can tell, and note doubts."""
 
     ids: np.ndarray  # (k,) int32, numbers in the scene of the primitives that are being cast at
     any_hit: bool = False  # whether it is enough to know that there is something
 
 
-class Counting(NamedTuple):
+class CountCandidates(NamedTuple):
     """The same: count what may come first."""
 
     counts: np.ndarray  # (n,) int64
 
 
-class Listing(NamedTuple):
+class ListCandidates(NamedTuple):
     """The same: write down what may come first."""
 
     ends: np.ndarray  # (n,) int64, where the next candidate of each ray goes
@@ -70,40 +79,40 @@ Best = tuple[float, float, int, bool]
 """(t, off, number of the primitive within its kind or -1 for what was there before, whether there is doubt)"""
 
 
-@implement(recall, Folding)
-@implement(recall, Counting)
-@implement(recall, Listing)
+@implement(load_best, NearestMode)
+@implement(load_best, CountCandidates)
+@implement(load_best, ListCandidates)
 def _recall(mode: Any, record: Any, i: int) -> Best:
     return record.t[i], record.off[i], -1, False
 
 
-@implement(nearer, Folding)
+@implement(update_best, NearestMode)
 def _nearer(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
-    t, off = at_once(hit[0], hit[1], mode.any_hit)
+    t, off = any_hit_result(hit[0], hit[1], mode.any_hit)
     ahead, margin = best[0] - t if t < math.inf else -math.inf, best[1] + off
     doubt = best[3] | (abs(ahead) <= margin)
     return (t, off, k, doubt) if ahead > margin else (best[0], best[1], best[2], doubt)
 
 
 # Where any hit will do, one that is sure is taken to lie before everything else: that ends the search.
-BEFORE_ALL = -1.0
+ANY_HIT_T = -1.0
 
 
 @inlined
-def at_once(t: float, off: float, any_hit: bool) -> tuple[float, float]:
+def any_hit_result(t: float, off: float, any_hit: bool) -> tuple[float, float]:
     """What `intersect` said, or, if any hit will do and this is sure to be one, a hit before all others."""
     sure = any_hit & (t < math.inf) & (off < math.inf)
-    return BEFORE_ALL if sure else t, 0.0 if sure else off
+    return ANY_HIT_T if sure else t, 0.0 if sure else off
 
 
-@implement(nearer, Counting)
+@implement(update_best, CountCandidates)
 def _count(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
     if may_precede(hit, best):
         mode.counts[i] += 1
     return best
 
 
-@implement(nearer, Listing)
+@implement(update_best, ListCandidates)
 def _list(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
     if may_precede(hit, best):
         mode.candidates[mode.ends[i]] = k
@@ -117,21 +126,23 @@ def may_precede(hit: tuple[float, float], best: Best) -> bool:
     return hit[0] < math.inf and hit[0] - hit[1] <= best[0] + best[1]
 
 
-@implement(note, Folding)
+@implement(store_best, NearestMode)
 def _note(mode: Any, record: Any, i: int, best: Best) -> None:
     record.doubt[i] |= best[3]
     if best[2] >= 0:
         record.t[i], record.off[i], record.prim[i] = best[0], best[1], mode.ids[best[2]]
 
 
-@implement(note, Counting)
-@implement(note, Listing)
+@implement(store_best, CountCandidates)
+@implement(store_best, ListCandidates)
 def _note_nothing(mode: Any, record: Any, i: int, best: Best) -> None:
     pass
 
 
 @jit
-def choose(prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, start: int, stop: int) -> None:
+def nearest_of_candidates(
+    prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, start: int, stop: int
+) -> None:
     """Of candidates[starts[i]:starts[i + 1]], the one that ray i meets first, for rays start..stop; found: misses.
 
     In the order of (true t, number). A t that float64 is sure of stays as it is.
@@ -143,30 +154,30 @@ def choose(prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, star
         first, chosen = no_root(), -1
         for at in range(starts[i], starts[i + 1]):
             k = candidates[at]
-            if chosen >= 0 and same(prims, k, chosen):  # the same thing once more
+            if chosen >= 0 and same_geometry(prims, k, chosen):  # the same thing once more
                 chosen = min(k, chosen)
                 continue
-            new = root(prims, k, o, d, t_min, t_max)
+            new = exact_intersect(prims, k, o, d, t_min, t_max)
             if new.hit and (chosen < 0 or precedes(new, k, first, chosen)):
                 first, chosen = new, k
         if chosen >= 0:
-            t, off = intersect(prims, prepare(prims, numbers(prims, chosen), o), d, t_min, t_max)
+            t, off = intersect(prims, prepare(prims, load(prims, chosen), o), d, t_min, t_max)
             if not off < math.inf:
                 t = as_float(first)
-                off = FLOAT_ERROR * t + TINY
+                off = AS_FLOAT_REL_ERROR * t + TINY
             found.t[i], found.prim[i], found.off[i] = t, chosen, off
 
 
 @jit
 def exact_hit(prims: Any, k: int, rays: Any, i: int) -> Any:
     """Where ray i meets primitive k."""
-    return root(prims, k, row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i])
+    return exact_intersect(prims, k, row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i])
 
 
 @jit
 def precedes(x: Any, k: int, y: Any, j: int) -> bool:
     """Whether root x of primitive k comes before root y of primitive j."""
-    first = order(x, y)
+    first = compare(x, y)
     return first < 0 or (first == 0 and k < j)
 
 

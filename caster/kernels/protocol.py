@@ -7,13 +7,13 @@ Points and vectors inside kernels are tuples of three floats; arrays hold them a
 
 from typing import Any
 
-from caster.kernels.jit import generic, generic_inlined, implement
+from caster.jit.decorators import generic, generic_inlined, implement
 
 Vec3 = tuple[float, float, float]
 
 
 @generic_inlined
-def numbers(prims: Any, k: int) -> Any:
+def load(prims: Any, k: int) -> Any:
     """What `prepare` wants to know of primitive k: read once, since in loops over rays arrays are slow."""
 
 
@@ -32,45 +32,45 @@ def intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> Any:
 
 
 @generic_inlined
-def passes(prims: Any, pre: Any, d: Vec3) -> Any:
+def surely_misses(prims: Any, pre: Any, d: Vec3) -> Any:
     """Whether the ray is soon seen to miss the prepared primitive: True only where `intersect` would say MISS."""
 
 
 @generic_inlined
-def nearest_t(prims: Any, pre: Any, low: Vec3, high: Vec3) -> Any:
+def t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> Any:
     """No ray meets the prepared primitive at a smaller t > 0, if all components of its d are from low to high.
 
     inf: none meets it. A kind may do without a body for this.
     """
 
 
-@implement(nearest_t, object)
+@implement(t_lower_bound, object)
 def _anywhere(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
     return 0.0
 
 
 @generic_inlined
-def same(prims: Any, k: int, j: int) -> Any:
+def same_geometry(prims: Any, k: int, j: int) -> Any:
     """Whether `root` reads the same numbers of primitives k and j; False will do."""
 
 
 @generic
-def root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Any:
+def exact_intersect(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Any:
     """The same of primitive k, exactly and slowly: an exact_root.Root."""
 
 
 @generic_inlined
-def nearer(mode: Any, best: Any, i: int, k: int, hit: Any) -> Any:
+def update_best(mode: Any, best: Any, i: int, k: int, hit: Any) -> Any:
     """The best of ray i once `intersect` has answered `hit` for primitive k."""
 
 
 @generic_inlined
-def recall(mode: Any, record: Any, i: int) -> Any:
+def load_best(mode: Any, record: Any, i: int) -> Any:
     """The best of ray i, from the record."""
 
 
 @generic_inlined
-def note(mode: Any, record: Any, i: int, best: Any) -> None:
+def store_best(mode: Any, record: Any, i: int, best: Any) -> None:
     """Put the best of ray i into the record."""
 
 
@@ -80,8 +80,8 @@ def normal(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
 
 
 @generic_inlined
-def facing(prims: Any, k: int, reach: float) -> Any:
-    """(plain, ...): what `plain_normal` wants to know of primitive k, and whether it will do for it.
+def normal_setup(prims: Any, k: int, reach: float) -> Any:
+    """(plain, ...): what `fast_normal` wants to know of primitive k, and whether it will do for it.
 
     (True, n) where the normal is n all over; nothing else has two members.
     reach: the largest |coordinate| of an origin.
@@ -89,8 +89,8 @@ def facing(prims: Any, k: int, reach: float) -> Any:
 
 
 @generic_inlined
-def plain_normal(prims: Any, face: Any, o: Vec3, d: Vec3, t: float) -> Any:
-    """The same bits as `normal`, without a branch, for a d of length 1 (vec.ABOUT_ONE)."""
+def fast_normal(prims: Any, face: Any, o: Vec3, d: Vec3, t: float) -> Any:
+    """The same bits as `normal`, without a branch, for a d of length 1 (vec.UNIT_SQUARE_ATOL)."""
 
 
 @generic
@@ -112,10 +112,10 @@ def hull_point(prims: Any, k: int, j: int) -> Any:
 
 
 @generic_inlined
-def ray(camera: Any, x: float, y: float) -> Any:
+def camera_ray(camera: Any, x: float, y: float) -> Any:
     """(o, d, t_min, t_max) of the ray through film position (x, y), in pixels; t_max < 0 says: no ray.
 
-    d is of length 1 (vec.ABOUT_ONE).
+    d is of length 1 (vec.UNIT_SQUARE_ATOL).
     """
 
 
@@ -129,7 +129,7 @@ def project(camera: Any, p: Vec3) -> Any:
 
 
 @generic_inlined
-def bent(camera: Any, extent: float) -> Any:
+def distortion_bound(camera: Any, extent: float) -> Any:
     """(pixels, share, valid): of a convex hull whose points' pictures are no more than `extent` pixels apart.
 
     On the film, its picture reaches no more than so many pixels beyond the box around those, and, in general, beyond
@@ -139,7 +139,7 @@ def bent(camera: Any, extent: float) -> Any:
 
 
 @generic_inlined
-def project_ball(camera: Any, center: Vec3, r: float) -> Any:
+def project_bounding_sphere(camera: Any, center: Vec3, r: float) -> Any:
     """(left, top, right, bottom, depth, valid): the box around the picture of a ball, and its least depth.
 
     Depth counts as for `project`. Not valid: nothing is known, but for the depth. A camera without a body for this goes

@@ -5,46 +5,46 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.kernels.exact_planar import exact_triangle
-from caster.kernels.exact_root import Root
-from caster.kernels.jit import implement, inlined, jit
-from caster.kernels.protocol import (
-    Vec3,
-    facing,
-    hull_point,
-    hull_size,
-    intersect,
-    nearest_t,
-    normal,
-    numbers,
-    passes,
-    plain_normal,
-    prepare,
-    root,
-    same,
-    surface,
-)
-from caster.kernels.twofold import cross_of_edges
-from caster.kernels.vec import (
+from caster.jit.decorators import implement, inlined, jit
+from caster.kernels.exact.intersections import exact_triangle
+from caster.kernels.exact.surds import Root
+from caster.kernels.math.error_free import cross_of_edges
+from caster.kernels.math.vec import (
     LARGEST_SQUARE,
     SMALLEST_SQUARE,
     TINY,
     U,
-    about_one,
+    abs_dot,
     add,
-    answer,
+    certain_in_range,
+    component_max,
     cross,
     dot,
-    greater,
-    largest,
-    magnitude,
+    filter_result,
+    l1_norm,
+    max_norm,
+    normalize,
     permanent,
     row,
     scaled,
-    size,
+    scaled_near_one,
     sub,
-    sure_within,
-    unit,
+)
+from caster.kernels.protocol import (
+    Vec3,
+    exact_intersect,
+    fast_normal,
+    hull_point,
+    hull_size,
+    intersect,
+    load,
+    normal,
+    normal_setup,
+    prepare,
+    same_geometry,
+    surely_misses,
+    surface,
+    t_lower_bound,
 )
 
 
@@ -71,10 +71,10 @@ PLANE_ERROR, SLOPE_ERROR = 9.0 * U, 8.0 * U
 
 # The error of an edge function up to which nothing here has overflowed, for corners no farther than
 # placing.LARGEST_COORDINATE: no number is more than 2^60 times as large.
-BOUNDED = 2.0**900
+MAX_EDGE_ERROR = 2.0**900
 
 
-@implement(numbers, Triangles)
+@implement(load, Triangles)
 def _numbers(prims: Any, k: int) -> Any:
     """(corners, n, Q)."""
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
@@ -88,7 +88,7 @@ def _prepare(prims: Any, prim: Any, o: Vec3) -> Any:
     """(b x c, c x a, a x b, n, n . a, errors of the edge functions over |d|_1 and of n . d over |d|, of n . a)."""
     p, q, r, n, spread = prim
     a, b, c = sub(p, o), sub(q, o), sub(r, o)
-    m = max(largest(a), largest(b), largest(c))
+    m = max(max_norm(a), max_norm(b), max_norm(c))
     height_error = (
         PLANE_ERROR * (abs(a[0]) * spread[0] + (abs(a[1]) * spread[1] + abs(a[2]) * spread[2])) + TINY
     )
@@ -109,17 +109,17 @@ def _intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> tup
     """Inside where all three edge functions have one sign; sure of it where they exceed their error."""
     _, _, _, n, height, _, slope_share, height_error = pre
     inside, outside, bounded = _sides(pre, d)
-    slope, slope_error = dot(n, d), magnitude(slope_share, d) + TINY
+    slope, slope_error = dot(n, d), abs_dot(slope_share, d) + TINY
     steep = (abs(slope) > 2.0 * slope_error) & bounded
     over = 1.0 / (slope if steep else 1.0)
     t = height * over
     # (h + e) / (s + f) - h / s = (e - t f) / (s + f), and |s + f| > |s| / 2; 3 u |t| for 1 / s and the product
     off = 2.0 * (height_error + abs(t) * slope_error) * abs(over) + 3.0 * U * abs(t)
-    t, off = sure_within(t, off, t_min, t_max)
-    return answer(inside & steep, outside, t, off)
+    t, off = certain_in_range(t, off, t_min, t_max)
+    return filter_result(inside & steep, outside, t, off)
 
 
-@implement(passes, Triangles)
+@implement(surely_misses, Triangles)
 def _passes(prims: Any, pre: Any, d: Vec3) -> bool:
     return _sides(pre, d)[1]
 
@@ -128,37 +128,37 @@ def _passes(prims: Any, pre: Any, d: Vec3) -> bool:
 def _sides(pre: Any, d: Vec3) -> tuple[bool, bool, bool]:
     """Whether all edge functions are sure to have one sign, some sure to have another, and none to have overflowed."""
     u, v, w = dot(d, pre[0]), dot(d, pre[1]), dot(d, pre[2])
-    error = pre[5] * size(d) + TINY
-    least, most, bounded = min(min(u, v), w), max(max(u, v), w), error < BOUNDED
+    error = pre[5] * l1_norm(d) + TINY
+    least, most, bounded = min(min(u, v), w), max(max(u, v), w), error < MAX_EDGE_ERROR
     return (least > error) | (most < -error), (most > error) & (least < -error) & bounded, bounded
 
 
-@implement(nearest_t, Triangles)
+@implement(t_lower_bound, Triangles)
 def _nearest_t(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
     """Where t > 0, the edge functions have the sign of n . a, as n . d has.
 
     The bounds of `_intersect` hold for what is added up here, since it is the same for one of the box's corners.
     """
     _, _, _, n, height, edge_share, slope_share, height_error = pre
-    most = greater(scaled(-1.0, low), high)  # no component of d is larger
-    side, error = math.copysign(1.0, height), edge_share * size(most) + TINY
-    if not (height_error < abs(height) and error < BOUNDED):
+    most = component_max(scaled(-1.0, low), high)  # no component of d is larger
+    side, error = math.copysign(1.0, height), edge_share * l1_norm(most) + TINY
+    if not (height_error < abs(height) and error < MAX_EDGE_ERROR):
         return 0.0
     for edge in pre[:3]:
-        if greatest(side, edge, low, high) < -error:
+        if max_dot_over_box(side, edge, low, high) < -error:
             return math.inf
-    steepest = greatest(side, n, low, high) + dot(slope_share, most) + TINY
+    steepest = max_dot_over_box(side, n, low, high) + dot(slope_share, most) + TINY
     if not steepest > 0.0:
         return math.inf
-    return max((abs(height) - height_error) / steepest * SOONER, 0.0)
+    return max((abs(height) - height_error) / steepest * T_LOWER_BOUND_ROUNDING, 0.0)
 
 
 # For the rounding of a difference, a sum and a quotient.
-SOONER = 1.0 - 2.0**-50
+T_LOWER_BOUND_ROUNDING = 1.0 - 2.0**-50
 
 
 @inlined
-def greatest(side: float, a: Vec3, low: Vec3, high: Vec3) -> float:
+def max_dot_over_box(side: float, a: Vec3, low: Vec3, high: Vec3) -> float:
     """The largest of side * a . d for d from low to high."""
     x = max(side * a[0] * low[0], side * a[0] * high[0])
     y = max(side * a[1] * low[1], side * a[1] * high[1])
@@ -175,7 +175,7 @@ def dominant_axis(d: Vec3) -> int:
 
 
 @jit
-def flattened(p: Vec3, d: Vec3, axis: int) -> tuple[float, float]:
+def sheared(p: Vec3, d: Vec3, axis: int) -> tuple[float, float]:
     """p sheared along d onto the plane across the axis, times d[axis]."""
     if axis == 0:
         return p[1] * d[0] - d[1] * p[0], p[2] * d[0] - d[2] * p[0]
@@ -199,13 +199,13 @@ def barycentrics(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: float) -> Vec3:
     first, here and in `surface`: a mirrored shape swaps the two, and so no bit changes.
     """
     axis = dominant_axis(d)
-    p, q, r = flattened(a, d, axis), flattened(b, d, axis), flattened(c, d, axis)
+    p, q, r = sheared(a, d, axis), sheared(b, d, axis), sheared(c, d, axis)
     u = r[0] * q[1] - r[1] * q[0]
     v = p[0] * r[1] - p[1] * r[0]
     w = q[0] * p[1] - q[1] * p[0]
     area = u + (v + w)
     widest = max(abs(p[0]), abs(p[1]), abs(q[0]), abs(q[1]), abs(r[0]), abs(r[1]))
-    off = SHEAR_ERROR * max(largest(a), largest(b), largest(c)) * abs(d[axis])
+    off = SHEAR_ERROR * max(max_norm(a), max_norm(b), max_norm(c)) * abs(d[axis])
     if abs(area) > 2.0 * (12.0 * widest * off + 6.0 * off * off + 15.0 * U * widest * widest):
         return u / area, v / area, w / area
     return barycentrics_edge_on(a, b, c, scaled(t, d))
@@ -215,7 +215,7 @@ def barycentrics(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: float) -> Vec3:
 def barycentrics_edge_on(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
     """Of the point p, seen across the triangle's plane: what is left where the ray runs along it."""
     e1, e2, q = sub(b, a), sub(c, a), sub(p, a)
-    axis = dominant_axis(cross(about_one(e1), about_one(e2)))
+    axis = dominant_axis(cross(scaled_near_one(e1), scaled_near_one(e2)))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     area = e1[i] * e2[j] - e1[j] * e2[i]
     if area == 0.0:
@@ -227,7 +227,7 @@ def barycentrics_edge_on(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
     return max(1.0 - (b1 + b2), 0.0), b1, b2
 
 
-@implement(same, Triangles)
+@implement(same_geometry, Triangles)
 def _same(prims: Any, k: int, j: int) -> bool:
     p, q, r = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     a, b, c = prims.faces[j, 0], prims.faces[j, 1], prims.faces[j, 2]
@@ -235,7 +235,7 @@ def _same(prims: Any, k: int, j: int) -> bool:
     return row(v, p) == row(v, a) and row(v, q) == row(v, b) and row(v, r) == row(v, c)
 
 
-@implement(root, Triangles)
+@implement(exact_intersect, Triangles)
 def _root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Root:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     corners = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
@@ -243,39 +243,39 @@ def _root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> R
 
 
 # Where fewer than half of its bits are known, a normal is worked out with twice as many.
-HALF_KNOWN = 2.0**-52  # its square over that of the permanent
+MIN_SIN_SQUARED = 2.0**-52  # its square over that of the permanent
 
 
 @inlined
-def across(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+def triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     """The unit normal of a triangle, however small, large or thin it is."""
     e1, e2 = sub(b, a), sub(c, a)
     n, spread = cross(e1, e2), permanent(e1, e2)
     square = dot(n, n)
-    if SMALLEST_SQUARE < square < LARGEST_SQUARE and square > HALF_KNOWN * dot(spread, spread):
+    if SMALLEST_SQUARE < square < LARGEST_SQUARE and square > MIN_SIN_SQUARED * dot(spread, spread):
         length = math.sqrt(square)
         return n[0] / length, n[1] / length, n[2] / length
-    return across_unusual(a, b, c)
+    return triangle_normal_slow(a, b, c)
 
 
 @jit
-def across_unusual(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+def triangle_normal_slow(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     """The same, of edges scaled to about 1, and then, if need be, with twice the bits.
 
     Where even those see a line, one of the normals across it; 0 of a point.
     """
-    e1, e2 = about_one(sub(b, a)), about_one(sub(c, a))
+    e1, e2 = scaled_near_one(sub(b, a)), scaled_near_one(sub(c, a))
     n, spread = cross(e1, e2), permanent(e1, e2)
-    if dot(n, n) > HALF_KNOWN * dot(spread, spread):
-        return unit(n)
+    if dot(n, n) > MIN_SIN_SQUARED * dot(spread, spread):
+        return normalize(n)
     n = cross_of_edges(a, b, c)
-    if size(n) > 0.0:
-        return unit(n)
-    along = about_one(sub(b, a) if size(sub(b, a)) >= size(sub(c, a)) else sub(c, a))
+    if l1_norm(n) > 0.0:
+        return normalize(n)
+    along = scaled_near_one(sub(b, a) if l1_norm(sub(b, a)) >= l1_norm(sub(c, a)) else sub(c, a))
     x, y, z = abs(along[0]), abs(along[1]), abs(along[2])
     if x <= y and x <= z:
-        return unit((0.0, along[2], -along[1]))
-    return unit((-along[2], 0.0, along[0]) if y <= z else (along[1], -along[0], 0.0))
+        return normalize((0.0, along[2], -along[1]))
+    return normalize((-along[2], 0.0, along[0]) if y <= z else (along[1], -along[0], 0.0))
 
 
 @implement(normal, Triangles)
@@ -286,15 +286,15 @@ def _normal(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Vec3:
 @inlined
 def _normal_of(prims: Any, k: int) -> Vec3:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    return across(row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2))
+    return triangle_normal(row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2))
 
 
-@implement(facing, Triangles)
+@implement(normal_setup, Triangles)
 def _facing(prims: Any, k: int, reach: float) -> Any:
     return True, _normal_of(prims, k)
 
 
-@implement(plain_normal, Triangles)
+@implement(fast_normal, Triangles)
 def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     return face[1]
 
@@ -305,11 +305,11 @@ def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> 
     a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
     b0, b1, b2 = barycentrics(sub(a, o), sub(b, o), sub(c, o), d, t)
     p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
-    n = across(a, b, c)
+    n = triangle_normal(a, b, c)
     sh_n = n
     if prims.smooth[k]:
         n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)
-        sh_n = unit(add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2))))
+        sh_n = normalize(add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2))))
     s, r = b1, b2
     if wants_uv and prims.textured[k]:
         s = b0 * prims.uv[i0, 0] + (b1 * prims.uv[i1, 0] + b2 * prims.uv[i2, 0])

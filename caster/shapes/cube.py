@@ -4,10 +4,10 @@ from typing import Literal
 
 import numpy as np
 
-from caster.fields import Shape
+from caster.geometry.mesh import Mesh
+from caster.geometry.world_space import Rounding, transform_mesh
 from caster.kernels.triangles import Triangles
-from caster.mesh import Mesh
-from caster.placing import Rounding, triangles
+from caster.scene.fields import Shape
 
 # The four corners of each side, counter-clockwise from outside, by the signs of x, y, z. Sides, corners and
 # the diagonal between the first and third follow Mitsuba's cube: a prim_id means the same triangle there.
@@ -29,7 +29,7 @@ def _sides() -> Mesh:
     return Mesh(corners, faces.reshape(-1, 3), None, uv)
 
 
-SIDES = _sides()
+CUBE_MESH = _sides()
 
 
 class Cube(Shape):
@@ -38,7 +38,7 @@ class Cube(Shape):
     type: Literal["cube"] = "cube"
 
     def mesh(self) -> Mesh:
-        return SIDES
+        return CUBE_MESH
 
     def pack(self, rounded: Rounding) -> Triangles:
-        return triangles(SIDES, self.matrix, rounded, face_normals=True)
+        return transform_mesh(CUBE_MESH, self.matrix, rounded, face_normals=True)

@@ -6,46 +6,54 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import model_validator
 
-from caster.fields import Positive, Shape, Vec3
-from caster.kernels.exact_quadric import exact_tube, placed
-from caster.kernels.exact_root import Root
-from caster.kernels.jit import implement, inlined
+from caster.geometry.world_space import Rounding, affine_arrays
+from caster.jit.decorators import implement, inlined
+from caster.kernels.exact.intersections import exact_unit_cylinder, ray_in_object_space
+from caster.kernels.exact.surds import Root
+from caster.kernels.math.quadric_roots import (
+    closest_approach,
+    first_hit,
+    is_in_range_through,
+    outward_normal,
+    outward_normal_in_range,
+    quadric_roots,
+    quadric_setup,
+)
+from caster.kernels.math.vec import (
+    TINY,
+    TO_OBJECT_SPACE_ERROR,
+    add,
+    all_products_zero,
+    certain_in_range,
+    filter_result,
+    l1_norm,
+    mat_vec,
+    matrix_rows,
+    normalize,
+    row,
+    row_max_norms,
+    rows_times_vec,
+    sub,
+    to_object_space,
+    transposed_mat_vec,
+    transposed_rows_times_vec,
+    turn_fraction,
+)
 from caster.kernels.protocol import (
-    facing,
+    exact_intersect,
+    fast_normal,
     hull_point,
     hull_size,
     intersect,
+    load,
     normal,
-    numbers,
-    passes,
-    plain_normal,
+    normal_setup,
     prepare,
-    root,
-    same,
+    same_geometry,
+    surely_misses,
     surface,
 )
-from caster.kernels.roots import approach, ball_at, chord, earlier, is_plain_through, plain_way_out, way_out
-from caster.kernels.vec import (
-    SEEN_ERROR,
-    TINY,
-    add,
-    angle_fraction,
-    answer,
-    by_columns,
-    by_rows,
-    no_terms,
-    row,
-    row_sizes,
-    rows_of,
-    seen,
-    size,
-    sub,
-    sure_within,
-    turned,
-    turned_back,
-    unit,
-)
-from caster.placing import Rounding, affine_arrays
+from caster.scene.fields import Positive, Shape, Vec3
 
 
 class Cylinders(NamedTuple):
@@ -90,96 +98,96 @@ class Cylinder(Shape):
         return np.column_stack([self.radius * first, self.radius * np.cross(along, first), axis])
 
 
-@implement(numbers, Cylinders)
+@implement(load, Cylinders)
 def _numbers(prims: Any, k: int) -> Any:
-    m = rows_of(prims.to_object, k)
-    x, y, z = row_sizes(m)
-    return row(prims.center, k), m, SEEN_ERROR * (x + y), SEEN_ERROR * z
+    m = matrix_rows(prims.to_object, k)
+    x, y, z = row_max_norms(m)
+    return row(prims.center, k), m, TO_OBJECT_SPACE_ERROR * (x + y), TO_OBJECT_SPACE_ERROR * z
 
 
 @implement(prepare, Cylinders)
 def _prepare(prims: Any, prim: Any, o: Any) -> Any:
     """(to_object, the wall there, the origin's height and its error, by how much d is off there over its size)."""
     center, m, across_off, along_off = prim
-    f, off = seen(m, sub(o, center))
-    return m, ball_at((f[0], f[1], 0.0), 1.0, off[0] + off[1]), f[2], off[2], across_off, along_off
+    f, off = to_object_space(m, sub(o, center))
+    return m, quadric_setup((f[0], f[1], 0.0), 1.0, off[0] + off[1]), f[2], off[2], across_off, along_off
 
 
 @implement(intersect, Cylinders)
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     m, wall, height, height_off, across_off, along_off = pre
-    e, d1 = by_rows(m, d), size(d)
-    roots = chord(wall, (e[0], e[1], 0.0), across_off * d1)
+    e, d1 = rows_times_vec(m, d), l1_norm(d)
+    roots = quadric_roots(wall, (e[0], e[1], 0.0), across_off * d1)
     axis = height, height_off, e[2], along_off * d1
-    near = between_ends(sure_within(roots.near, roots.near_off, t_min, t_max), axis)
-    far = between_ends(sure_within(roots.far, roots.far_off, t_min, t_max), axis)
-    t, off = earlier(near, far)
-    along_axis = no_terms(m[0], d) & no_terms(m[1], d)  # exactly so
-    return answer(roots.met, roots.missed | along_axis, t, off)
+    near = clip_to_height(certain_in_range(roots.near, roots.near_off, t_min, t_max), axis)
+    far = clip_to_height(certain_in_range(roots.far, roots.far_off, t_min, t_max), axis)
+    t, off = first_hit(near, far)
+    axis_setup = all_products_zero(m[0], d) & all_products_zero(m[1], d)  # exactly so
+    return filter_result(roots.met, roots.missed | axis_setup, t, off)
 
 
-@implement(passes, Cylinders)
+@implement(surely_misses, Cylinders)
 def _passes(prims: Any, pre: Any, d: Any) -> bool:
-    e = by_rows(pre[0], d)
-    return approach(pre[1], (e[0], e[1], 0.0), pre[4] * size(d)).missed
+    e = rows_times_vec(pre[0], d)
+    return closest_approach(pre[1], (e[0], e[1], 0.0), pre[4] * l1_norm(d)).missed
 
 
 @inlined
-def between_ends(hit: tuple[float, float], axis: tuple[float, float, float, float]) -> tuple[float, float]:
+def clip_to_height(hit: tuple[float, float], axis: tuple[float, float, float, float]) -> tuple[float, float]:
     """The hit if z = f + t e is sure to be in [0, 1], MISS if sure not to be; axis: f, its error, e, its error."""
     there = hit[0] < math.inf
     t, off = hit[0] if there else 0.0, hit[1]
     f, f_off, e, e_off = axis
     z = f + t * e
-    # t e, its rounding and that of the sum are within 3 u of what SEEN_ERROR is taken of
+    # t e, its rounding and that of the sum are within 3 u of what TO_OBJECT_SPACE_ERROR is taken of
     z_off = 2.0 * (f_off + abs(t) * e_off + abs(e) * off) + TINY
     inside = there & (z > z_off) & (z < 1.0 - z_off)
-    return answer(inside, (z < -z_off) | (z > 1.0 + z_off) | (not there), t, off)
+    return filter_result(inside, (z < -z_off) | (z > 1.0 + z_off) | (not there), t, off)
 
 
-@implement(same, Cylinders)
+@implement(same_geometry, Cylinders)
 def _same(prims: Any, k: int, j: int) -> bool:
     return False
 
 
-@implement(root, Cylinders)
+@implement(exact_intersect, Cylinders)
 def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
-    f, e, h, unit = placed(row(prims.center, k), prims.to_world[k], o, d)
-    return exact_tube(f, e, h, unit, t_min, t_max)
+    f, e, h, unit = ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d)
+    return exact_unit_cylinder(f, e, h, unit, t_min, t_max)
 
 
 @implement(normal, Cylinders)
 def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
-    e = turned(prims.to_object, k, d)
-    x, y, _ = way_out((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
-    return unit(turned_back(prims.to_object, k, (x, y, 0.0)))
+    f = mat_vec(prims.to_object, k, sub(o, row(prims.center, k)))
+    e = mat_vec(prims.to_object, k, d)
+    x, y, _ = outward_normal((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
+    return normalize(transposed_mat_vec(prims.to_object, k, (x, y, 0.0)))
 
 
-@implement(facing, Cylinders)
+@implement(normal_setup, Cylinders)
 def _facing(prims: Any, k: int, reach: float) -> Any:
-    center, m = row(prims.center, k), rows_of(prims.to_object, k)
-    return is_plain_through(m, center, reach), center, m
+    center, m = row(prims.center, k), matrix_rows(prims.to_object, k)
+    return is_in_range_through(m, center, reach), center, m
 
 
-@implement(plain_normal, Cylinders)
+@implement(fast_normal, Cylinders)
 def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     _, center, m = face
-    f, e = by_rows(m, sub(o, center)), by_rows(m, d)
-    x, y, _ = plain_way_out((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
-    return unit(by_columns(m, (x, y, 0.0)))
+    f, e = rows_times_vec(m, sub(o, center)), rows_times_vec(m, d)
+    x, y, _ = outward_normal_in_range((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
+    return normalize(transposed_rows_times_vec(m, (x, y, 0.0)))
 
 
 @implement(surface, Cylinders)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     """u is the angle as a fraction of a turn, v the height along the axis from 0 to 1."""
-    f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
-    e = turned(prims.to_object, k, d)
-    x, y, _ = way_out((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
+    f = mat_vec(prims.to_object, k, sub(o, row(prims.center, k)))
+    e = mat_vec(prims.to_object, k, d)
+    x, y, _ = outward_normal((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
     z = f[2] + t * e[2]
-    n = unit(turned_back(prims.to_object, k, (x, y, 0.0)))
-    p = add(row(prims.center, k), turned(prims.to_world, k, (x, y, z)))
-    return p, n, n, angle_fraction(y, x) if wants_uv else 0.0, z
+    n = normalize(transposed_mat_vec(prims.to_object, k, (x, y, 0.0)))
+    p = add(row(prims.center, k), mat_vec(prims.to_world, k, (x, y, z)))
+    return p, n, n, turn_fraction(y, x) if wants_uv else 0.0, z
 
 
 @implement(hull_size, Cylinders)
@@ -190,4 +198,4 @@ def _hull_size(prims: Any) -> int:
 @implement(hull_point, Cylinders)
 def _hull_point(prims: Any, k: int, j: int) -> Any:
     corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 0.25 * (j & 4))
-    return add(row(prims.center, k), turned(prims.to_world, k, corner))
+    return add(row(prims.center, k), mat_vec(prims.to_world, k, corner))

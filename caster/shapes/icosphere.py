@@ -4,9 +4,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from caster.mesh import Mesh
-from caster.mesh_shape import MeshShape
-from caster.procedural import icosphere
+from caster.geometry.mesh import Mesh
+from caster.geometry.procedural import icosphere
+from caster.geometry.world_space import MeshShape
 
 
 class Icosphere(MeshShape):

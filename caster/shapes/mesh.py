@@ -4,9 +4,9 @@ import functools
 import os
 from typing import Literal
 
-from caster.mesh import Mesh
-from caster.mesh_files import load_mesh
-from caster.mesh_shape import MeshShape
+from caster.geometry.mesh import Mesh
+from caster.geometry.mesh_files import load_mesh
+from caster.geometry.world_space import MeshShape
 
 
 class MeshFile(MeshShape):

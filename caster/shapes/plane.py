@@ -6,39 +6,39 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import model_validator
 
-from caster.fields import Number, Shape, UnitVec3, Vec3
-from caster.kernels.exact_planar import exact_plane
-from caster.kernels.exact_root import Root
-from caster.kernels.jit import implement
+from caster.geometry.world_space import Rounding
+from caster.jit.decorators import implement
+from caster.kernels.exact.intersections import exact_plane
+from caster.kernels.exact.surds import Root
+from caster.kernels.math.vec import (
+    TINY,
+    U,
+    all_products_zero,
+    certain_in_range,
+    cross,
+    dot,
+    filter_result,
+    l1_norm,
+    normalize,
+    point_at,
+    row,
+    sub,
+)
 from caster.kernels.protocol import (
-    facing,
+    exact_intersect,
+    fast_normal,
     hull_point,
     hull_size,
     intersect,
+    load,
     normal,
-    numbers,
-    passes,
-    plain_normal,
+    normal_setup,
     prepare,
-    root,
-    same,
+    same_geometry,
+    surely_misses,
     surface,
 )
-from caster.kernels.vec import (
-    TINY,
-    U,
-    along,
-    answer,
-    cross,
-    dot,
-    no_terms,
-    row,
-    size,
-    sub,
-    sure_within,
-    unit,
-)
-from caster.placing import Rounding
+from caster.scene.fields import Number, Shape, UnitVec3, Vec3
 
 
 class Planes(NamedTuple):
@@ -76,7 +76,7 @@ class Plane(Shape):
 PRODUCT_ERROR = 5.0 * U
 
 
-@implement(numbers, Planes)
+@implement(load, Planes)
 def _numbers(prims: Any, k: int) -> Any:
     return row(prims.normal, k), row(prims.point, k)
 
@@ -86,47 +86,47 @@ def _prepare(prims: Any, prim: Any, o: Any) -> Any:
     n, point = prim
     away = sub(point, o)
     largest = max(abs(n[0]), abs(n[1]), abs(n[2]))
-    return n, dot(n, away), PRODUCT_ERROR * largest * size(away) + TINY, PRODUCT_ERROR * largest
+    return n, dot(n, away), PRODUCT_ERROR * largest * l1_norm(away) + TINY, PRODUCT_ERROR * largest
 
 
 @implement(intersect, Planes)
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     n, height, height_off, tilt_off = pre
-    slope, slope_off = dot(n, d), tilt_off * size(d) + TINY
+    slope, slope_off = dot(n, d), tilt_off * l1_norm(d) + TINY
     steep = (abs(slope) > 2.0 * slope_off) & (abs(slope) < math.inf)
     slope = slope if steep else 1.0
     t = height / slope
     off = 2.0 * (height_off + abs(t) * slope_off) / abs(slope) + 2.0 * U * abs(t)
-    t, off = sure_within(t, off, t_min, t_max)
-    return answer(steep, no_terms(n, d), t, off)  # without terms it is exactly edge-on
+    t, off = certain_in_range(t, off, t_min, t_max)
+    return filter_result(steep, all_products_zero(n, d), t, off)  # without terms it is exactly edge-on
 
 
-@implement(passes, Planes)
+@implement(surely_misses, Planes)
 def _passes(prims: Any, pre: Any, d: Any) -> bool:
     return False  # nearly all rays meet a plane, in front or behind
 
 
-@implement(same, Planes)
+@implement(same_geometry, Planes)
 def _same(prims: Any, k: int, j: int) -> bool:
     return False
 
 
-@implement(root, Planes)
+@implement(exact_intersect, Planes)
 def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     return exact_plane(row(prims.normal, k), row(prims.point, k), o, d, t_min, t_max)
 
 
 @implement(normal, Planes)
 def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    return unit(row(prims.normal, k))
+    return normalize(row(prims.normal, k))
 
 
-@implement(facing, Planes)
+@implement(normal_setup, Planes)
 def _facing(prims: Any, k: int, reach: float) -> Any:
-    return True, unit(row(prims.normal, k))
+    return True, normalize(row(prims.normal, k))
 
 
-@implement(plain_normal, Planes)
+@implement(fast_normal, Planes)
 def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     return face[1]
 
@@ -135,11 +135,11 @@ def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     """uv are distances from `point` along two axes of the plane, in scene units."""
     n = normal(prims, k, o, d, t)
-    p = along(o, t, d)
+    p = point_at(o, t, d)
     if not wants_uv:
         return p, n, n, 0.0, 0.0
     side = (1.0, 0.0, 0.0) if abs(n[0]) < 0.5 else (0.0, 1.0, 0.0)
-    right = unit(cross(side, n))
+    right = normalize(cross(side, n))
     q = sub(p, row(prims.point, k))
     return p, n, n, dot(q, right), dot(q, cross(n, right))
 

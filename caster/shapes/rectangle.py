@@ -4,10 +4,10 @@ from typing import Literal
 
 import numpy as np
 
-from caster.fields import Shape
+from caster.geometry.mesh import Mesh
+from caster.geometry.world_space import Rounding, transform_mesh
 from caster.kernels.triangles import Triangles
-from caster.mesh import Mesh
-from caster.placing import Rounding, triangles
+from caster.scene.fields import Shape
 
 CORNERS = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 FACES = np.array([[0, 1, 3], [1, 2, 3]], np.int32)
@@ -22,4 +22,4 @@ class Rectangle(Shape):
         return Mesh(CORNERS, FACES, None, 0.5 * CORNERS[:, :2] + 0.5)
 
     def pack(self, rounded: Rounding) -> Triangles:
-        return triangles(self.mesh(), self.matrix, rounded, face_normals=True)
+        return transform_mesh(self.mesh(), self.matrix, rounded, face_normals=True)

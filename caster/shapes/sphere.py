@@ -5,54 +5,54 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from caster.fields import Positive, Shape, Vec3
-from caster.kernels.exact_quadric import exact_ball, exact_sphere, placed
-from caster.kernels.exact_root import Root
-from caster.kernels.jit import implement, jit
+from caster.geometry.world_space import Rounding, affine_arrays, is_similarity, similarity_scale
+from caster.jit.decorators import implement, jit
+from caster.kernels.exact.intersections import exact_sphere, exact_unit_sphere, ray_in_object_space
+from caster.kernels.exact.surds import Root
+from caster.kernels.math.quadric_roots import (
+    closest_approach,
+    first_root,
+    is_in_range,
+    is_in_range_through,
+    outward_normal,
+    outward_normal_in_range,
+    outward_normal_unit_direction,
+    quadric_roots,
+    quadric_setup,
+)
+from caster.kernels.math.vec import (
+    TO_OBJECT_SPACE_ERROR,
+    U,
+    add,
+    l1_norm,
+    mat_vec,
+    matrix_rows,
+    normalize,
+    point_at,
+    row,
+    row_max_norms,
+    rows_times_vec,
+    sub,
+    to_object_space,
+    transposed_mat_vec,
+    transposed_rows_times_vec,
+    turn_fraction,
+)
 from caster.kernels.protocol import (
-    facing,
+    exact_intersect,
+    fast_normal,
     hull_point,
     hull_size,
     intersect,
+    load,
     normal,
-    numbers,
-    passes,
-    plain_normal,
+    normal_setup,
     prepare,
-    root,
-    same,
+    same_geometry,
+    surely_misses,
     surface,
 )
-from caster.kernels.roots import (
-    approach,
-    ball_at,
-    chord,
-    first_root,
-    is_plain,
-    is_plain_through,
-    plain_way_out,
-    straight_way_out,
-    way_out,
-)
-from caster.kernels.vec import (
-    SEEN_ERROR,
-    U,
-    add,
-    along,
-    angle_fraction,
-    by_columns,
-    by_rows,
-    row,
-    row_sizes,
-    rows_of,
-    seen,
-    size,
-    sub,
-    turned,
-    turned_back,
-    unit,
-)
-from caster.placing import Rounding, affine_arrays, is_similarity, size_of_similarity
+from caster.scene.fields import Positive, Shape, Vec3
 
 
 class Spheres(NamedTuple):
@@ -83,18 +83,18 @@ class Sphere(Shape):
         center = linear @ np.array(self.center) + self.matrix[:3, 3]
         if not is_similarity(linear):
             return Ellipsoids(*affine_arrays(center, self.radius * linear, rounded))
-        scale = size_of_similarity(linear)
+        scale = similarity_scale(linear)
         turn = linear.T / scale
         return Spheres(rounded(center[None]), rounded(np.array([scale * self.radius])), rounded(turn[None]))
 
 
 @jit
-def around(q: Any) -> tuple[float, float]:
+def spherical_uv(q: Any) -> tuple[float, float]:
     """uv of a point of the unit ball: turns around z, and the angle from +z over pi."""
-    return angle_fraction(q[1], q[0]), math.acos(min(max(q[2], -1.0), 1.0)) / math.pi
+    return turn_fraction(q[1], q[0]), math.acos(min(max(q[2], -1.0), 1.0)) / math.pi
 
 
-@implement(numbers, Spheres)
+@implement(load, Spheres)
 def _numbers(prims: Any, k: int) -> Any:
     return row(prims.center, k), prims.radius[k]
 
@@ -103,52 +103,52 @@ def _numbers(prims: Any, k: int) -> Any:
 def _prepare(prims: Any, prim: Any, o: Any) -> Any:
     center, r = prim
     f = sub(o, center)
-    return ball_at(f, r, U * size(f))
+    return quadric_setup(f, r, U * l1_norm(f))
 
 
 @implement(intersect, Spheres)
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
-    return first_root(chord(pre, d, 0.0), t_min, t_max)
+    return first_root(quadric_roots(pre, d, 0.0), t_min, t_max)
 
 
-@implement(passes, Spheres)
+@implement(surely_misses, Spheres)
 def _passes(prims: Any, pre: Any, d: Any) -> bool:
-    return approach(pre, d, 0.0).missed
+    return closest_approach(pre, d, 0.0).missed
 
 
-@implement(same, Spheres)
+@implement(same_geometry, Spheres)
 def _same(prims: Any, k: int, j: int) -> bool:
     return row(prims.center, k) == row(prims.center, j) and prims.radius[k] == prims.radius[j]
 
 
-@implement(root, Spheres)
+@implement(exact_intersect, Spheres)
 def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     return exact_sphere(row(prims.center, k), prims.radius[k], o, d, t_min, t_max)
 
 
 @implement(normal, Spheres)
 def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    return way_out(sub(o, row(prims.center, k)), d, t, prims.radius[k])
+    return outward_normal(sub(o, row(prims.center, k)), d, t, prims.radius[k])
 
 
-@implement(facing, Spheres)
+@implement(normal_setup, Spheres)
 def _facing(prims: Any, k: int, reach: float) -> Any:
     center, r = row(prims.center, k), prims.radius[k]
-    return is_plain(center, r, reach), center, r
+    return is_in_range(center, r, reach), center, r
 
 
-@implement(plain_normal, Spheres)
+@implement(fast_normal, Spheres)
 def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     _, center, r = face
-    return straight_way_out(sub(o, center), d, t, r)
+    return outward_normal_unit_direction(sub(o, center), d, t, r)
 
 
 @implement(surface, Spheres)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center, r = row(prims.center, k), prims.radius[k]
     n = normal(prims, k, o, d, t)
-    u, v = around(turned(prims.turn, k, n)) if wants_uv else (0.0, 0.0)
-    return along(center, r, n), n, n, u, v
+    u, v = spherical_uv(mat_vec(prims.turn, k, n)) if wants_uv else (0.0, 0.0)
+    return point_at(center, r, n), n, n, u, v
 
 
 @implement(hull_size, Spheres)
@@ -158,75 +158,79 @@ def _hull_size(prims: Any) -> int:
 
 @implement(hull_point, Spheres)
 def _hull_point(prims: Any, k: int, j: int) -> Any:
-    return along(
+    return point_at(
         row(prims.center, k), prims.radius[k], (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
     )
 
 
-@implement(numbers, Ellipsoids)
+@implement(load, Ellipsoids)
 def _numbers_ellipsoid(prims: Any, k: int) -> Any:
-    m = rows_of(prims.to_object, k)
-    return row(prims.center, k), m, SEEN_ERROR * size(row_sizes(m))
+    m = matrix_rows(prims.to_object, k)
+    return row(prims.center, k), m, TO_OBJECT_SPACE_ERROR * l1_norm(row_max_norms(m))
 
 
 @implement(prepare, Ellipsoids)
 def _prepare_ellipsoid(prims: Any, prim: Any, o: Any) -> Any:
     """(to_object, the unit ball in object space, by how much d is off there over its size)."""
     center, m, d_off = prim
-    f, off = seen(m, sub(o, center))
-    return m, ball_at(f, 1.0, size(off)), d_off
+    f, off = to_object_space(m, sub(o, center))
+    return m, quadric_setup(f, 1.0, l1_norm(off)), d_off
 
 
 @implement(intersect, Ellipsoids)
 def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     m, ball, d_off = pre
-    return first_root(chord(ball, by_rows(m, d), d_off * size(d)), t_min, t_max)
+    return first_root(quadric_roots(ball, rows_times_vec(m, d), d_off * l1_norm(d)), t_min, t_max)
 
 
-@implement(passes, Ellipsoids)
+@implement(surely_misses, Ellipsoids)
 def _passes_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
     m, ball, d_off = pre
-    return approach(ball, by_rows(m, d), d_off * size(d)).missed
+    return closest_approach(ball, rows_times_vec(m, d), d_off * l1_norm(d)).missed
 
 
-@implement(same, Ellipsoids)
+@implement(same_geometry, Ellipsoids)
 def _same_ellipsoid(prims: Any, k: int, j: int) -> bool:
     return False
 
 
-@implement(root, Ellipsoids)
+@implement(exact_intersect, Ellipsoids)
 def _root_ellipsoid(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
-    f, e, h, unit = placed(row(prims.center, k), prims.to_world[k], o, d)
-    return exact_ball(f, e, h, unit, t_min, t_max)
+    f, e, h, unit = ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d)
+    return exact_unit_sphere(f, e, h, unit, t_min, t_max)
 
 
 @implement(normal, Ellipsoids)
 def _normal_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    f = turned(prims.to_object, k, sub(o, row(prims.center, k)))
-    q = way_out(f, turned(prims.to_object, k, d), t, 1.0)
-    return unit(turned_back(prims.to_object, k, q))
+    f = mat_vec(prims.to_object, k, sub(o, row(prims.center, k)))
+    q = outward_normal(f, mat_vec(prims.to_object, k, d), t, 1.0)
+    return normalize(transposed_mat_vec(prims.to_object, k, q))
 
 
-@implement(facing, Ellipsoids)
+@implement(normal_setup, Ellipsoids)
 def _facing_ellipsoid(prims: Any, k: int, reach: float) -> Any:
-    center, m = row(prims.center, k), rows_of(prims.to_object, k)
-    return is_plain_through(m, center, reach), center, m
+    center, m = row(prims.center, k), matrix_rows(prims.to_object, k)
+    return is_in_range_through(m, center, reach), center, m
 
 
-@implement(plain_normal, Ellipsoids)
+@implement(fast_normal, Ellipsoids)
 def _plain_normal_ellipsoid(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     _, center, m = face
-    return unit(by_columns(m, plain_way_out(by_rows(m, sub(o, center)), by_rows(m, d), t, 1.0)))
+    return normalize(
+        transposed_rows_times_vec(
+            m, outward_normal_in_range(rows_times_vec(m, sub(o, center)), rows_times_vec(m, d), t, 1.0)
+        )
+    )
 
 
 @implement(surface, Ellipsoids)
 def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center = row(prims.center, k)
-    f = turned(prims.to_object, k, sub(o, center))
-    q = way_out(f, turned(prims.to_object, k, d), t, 1.0)
-    n = unit(turned_back(prims.to_object, k, q))
-    u, v = around(q) if wants_uv else (0.0, 0.0)
-    return add(center, turned(prims.to_world, k, q)), n, n, u, v
+    f = mat_vec(prims.to_object, k, sub(o, center))
+    q = outward_normal(f, mat_vec(prims.to_object, k, d), t, 1.0)
+    n = normalize(transposed_mat_vec(prims.to_object, k, q))
+    u, v = spherical_uv(q) if wants_uv else (0.0, 0.0)
+    return add(center, mat_vec(prims.to_world, k, q)), n, n, u, v
 
 
 @implement(hull_size, Ellipsoids)
@@ -237,4 +241,4 @@ def _hull_size_ellipsoid(prims: Any) -> int:
 @implement(hull_point, Ellipsoids)
 def _hull_point_ellipsoid(prims: Any, k: int, j: int) -> Any:
     corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
-    return add(row(prims.center, k), turned(prims.to_world, k, corner))
+    return add(row(prims.center, k), mat_vec(prims.to_world, k, corner))

@@ -4,12 +4,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from caster.fields import Positive
-from caster.mesh import Mesh
-from caster.mesh_shape import MeshShape
-from caster.procedural import torus
+from caster.geometry.mesh import Mesh
+from caster.geometry.procedural import torus
+from caster.geometry.world_space import MeshShape
+from caster.scene.fields import Positive
 
-Ring = Annotated[int, Field(ge=3, le=4096)]
+PartCount = Annotated[int, Field(ge=3, le=4096)]
 
 
 class Torus(MeshShape):
@@ -18,8 +18,8 @@ class Torus(MeshShape):
     type: Literal["torus"] = "torus"
     major_radius: Positive = 1.0
     minor_radius: Positive = 0.3
-    segments: Ring = 64
-    sides: Ring = 32
+    segments: PartCount = 64
+    sides: PartCount = 32
 
     @model_validator(mode="after")
     def _leaves_a_hole(self) -> "Torus":

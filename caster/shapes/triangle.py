@@ -4,10 +4,10 @@ from typing import Literal
 
 import numpy as np
 
-from caster.fields import Shape, UnitVec3, Vec2, Vec3
+from caster.geometry.mesh import Mesh
+from caster.geometry.world_space import Rounding, transform_mesh
 from caster.kernels.triangles import Triangles
-from caster.mesh import Mesh
-from caster.placing import Rounding, triangles
+from caster.scene.fields import Shape, UnitVec3, Vec2, Vec3
 
 
 class Triangle(Shape):
@@ -27,4 +27,4 @@ class Triangle(Shape):
         )
 
     def pack(self, rounded: Rounding) -> Triangles:
-        return triangles(self.mesh(), self.matrix, rounded, face_normals=self.normals is None)
+        return transform_mesh(self.mesh(), self.matrix, rounded, face_normals=self.normals is None)

@@ -5,7 +5,7 @@ mitsuba-ref validate scenes -k 'sphere or mesh or triangles' --candidate docs.ca
 
 import numpy as np
 
-AT_ONCE = 32  # triangles
+PIXELS_PER_BATCH = 32  # triangles
 
 
 def trace(scene, o, d):
@@ -28,8 +28,8 @@ def hits_of(shape, o, d):
     elif shape.type == "mesh":
         mesh = shape.mesh()
         corners = mesh.vertices[mesh.faces].astype(np.float32)
-        for start in range(0, len(corners), AT_ONCE):
-            yield triangles(corners[start : start + AT_ONCE], o, d)
+        for start in range(0, len(corners), PIXELS_PER_BATCH):
+            yield triangles(corners[start : start + PIXELS_PER_BATCH], o, d)
     else:
         raise NotImplementedError(f"no {shape.type}")
 

@@ -16,18 +16,19 @@ from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
 
 from caster import load_scene
-from caster.view import View
-from mitsuba_ref import campaign, judging
-from mitsuba_ref.candidate.asking import candidate_of
-from mitsuba_ref.candidate.validation import validate_candidate
-from mitsuba_ref.pair import our_view
-from mitsuba_ref.report.writing import Report, write_report
-from mitsuba_ref.verdict import pixel_of
+from caster.rendering.view import View
+from mitsuba_ref.judge import classification
+from mitsuba_ref.judge.verdict import pixel_of
+from mitsuba_ref.report.html.html_report import HtmlReport, write_report
+from mitsuba_ref.runner import scene_runner
+from mitsuba_ref.runner.candidate_validation import validate_candidate
+from mitsuba_ref.subjects.ours import cast_ours
+from mitsuba_ref.subjects.subject import parse_candidate
 
 HERE = Path(__file__).parent
 SCENES = HERE.parents[1] / "scenes"
 FAULTY, PIXEL = "every-shape", (192, 174)  # there, t of the primitive at this pixel is off by 2^-20 of itself
-MOST_BYTES = 300_000  # of a picture
+ONE_FILE_LIMIT_BYTES = 300_000  # of a picture
 WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 420, "height": 800}
 
 Shot = tuple[str, str, dict[str, int], str, str]
@@ -57,11 +58,11 @@ def main() -> None:
 
 
 def report_into(folder: Path) -> Path:
-    judging.our_view = faulty_view
+    classification.cast_ours = faulty_view
     files = sorted(SCENES.glob("*.toml"))
-    entries = [campaign.Entry(load_scene(file), file.stem, f"scenes/{file.name}") for file in files]
-    report = Report(folder, len(entries))
-    for verdict in campaign.run(entries, campaign.default_workers(), record=report.keep):
+    entries = [scene_runner.SceneEntry(load_scene(file), file.stem, f"scenes/{file.name}") for file in files]
+    report = HtmlReport(folder, len(entries))
+    for verdict in scene_runner.run(entries, scene_runner.default_workers(), record=report.keep):
         report.add(verdict)
     report.write()
     return report.index
@@ -70,12 +71,12 @@ def report_into(folder: Path) -> Path:
 def candidate_report_into(folder: Path) -> Path:
     """Run from the top of the tree, where the candidate is found."""
     path = f"scenes/{INSIDE}.toml"
-    verdict = validate_candidate(candidate_of(CANDIDATE), load_scene(path), INSIDE, path, keep=True)
+    verdict = validate_candidate(parse_candidate(CANDIDATE), load_scene(path), INSIDE, path, keep=True)
     return write_report(folder, [replace(verdict, options=("--candidate", CANDIDATE))], 1)  # as it was typed
 
 
 def faulty_view(scene: object, rays: object) -> View:
-    view = our_view(scene, rays)
+    view = cast_ours(scene, rays)
     if (scene.film.width, scene.film.height, len(scene.shapes)) != FAULTY_SCENE:
         return view
     row = next(i for i in range(len(view.hit)) if pixel_of(scene, i) == PIXEL)
@@ -109,7 +110,7 @@ def picture(
     path = HERE / f"{name}.png"
     page.screenshot(path=path)
     Image.open(path).convert("RGB").save(path, optimize=True)
-    assert path.stat().st_size <= MOST_BYTES, f"{path}: {path.stat().st_size} bytes"
+    assert path.stat().st_size <= ONE_FILE_LIMIT_BYTES, f"{path}: {path.stat().st_size} bytes"
     page.close()
 
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mitsuba_ref import variants
-from mitsuba_ref.bench.work import ANY, FILM, NEAREST, PLAIN, ROBUST, SHADING, Work
+from mitsuba_ref.bench.work import ANY, DEFAULT, FILM, NEAREST, ROBUST, SHADING, Work
+from mitsuba_ref.reference import variants
 
 OURS, MITSUBA, PEER, MACHINE = "ours", "mitsuba", "peer", "machine"
-RAYS = (NEAREST, ANY)
-EVERYBODY = (FILM, NEAREST, ANY)
+RAY_TASKS = (NEAREST, ANY)
+ALL_TASKS = (FILM, NEAREST, ANY)
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Contestant:
 
     def missing(self) -> str:
         """Why it cannot run on this machine; "" if it can, as far as is known."""
-        if self.variant and self.variant not in variants.usable().names:
-            return f"{self.variant} does not work here: {variants.usable().why}"
+        if self.variant and self.variant not in variants.usable_variants().names:
+            return f"{self.variant} does not work here: {variants.usable_variants().why}"
         if self.package and importlib.util.find_spec(self.package) is None:
             return f"{self.package} is not installed: pip install 'ray-reference[peers]'"
         return ""
@@ -48,7 +48,7 @@ class Contestant:
 
     def settings(self) -> dict[str, str]:
         """Its environment variables."""
-        found = variants.settings(self.variant) if self.variant else {}
+        found = variants.environment_for(self.variant) if self.variant else {}
         return found | dict(self.environment)
 
 
@@ -71,15 +71,15 @@ AOVS = ("depth", "normal", "diffuse")
 
 # The first that is asked about a scene is what the others are set against.
 CONTESTANTS = (
-    Contestant("ours", "ours, as planned", OURS, OWN, EVERYBODY),
+    Contestant("ours", "ours, as planned", OURS, OWN, ALL_TASKS),
     Contestant("ours-bvh", "ours, by the tree", OURS, OWN, (FILM,), {"culling": "bvh"}),
-    Contestant("ours-1-thread", "ours, one thread", OURS, OWN, EVERYBODY, threads=1),
+    Contestant("ours-1-thread", "ours, one thread", OURS, OWN, ALL_TASKS, threads=1),
     Contestant(
         "ours-python",
         "ours, plain Python",
         OURS,
         OWN,
-        EVERYBODY,
+        ALL_TASKS,
         threads=1,
         first=4,
         most=300,
@@ -96,13 +96,13 @@ CONTESTANTS = (
         shadows=False,
     ),
     of_shading("shade-shadowed", "depth, normal, diffuse with shadows", "depth", "normal", "diffuse"),
-    of_mitsuba("raw-robust", "Mitsuba LLVM, robust, ray_intersect", RAW, EVERYBODY, mode=ROBUST),
-    of_mitsuba("raw-default", "Mitsuba LLVM, default, ray_intersect", RAW, EVERYBODY, mode=PLAIN),
+    of_mitsuba("raw-robust", "Mitsuba LLVM, robust, ray_intersect", RAW, ALL_TASKS, mode=ROBUST),
+    of_mitsuba("raw-default", "Mitsuba LLVM, default, ray_intersect", RAW, ALL_TASKS, mode=DEFAULT),
     of_mitsuba(
         "raw-robust-incoherent",
         "Mitsuba LLVM, robust, ray_intersect without `coherent`",
         RAW,
-        EVERYBODY,
+        ALL_TASKS,
         mode=ROBUST,
         coherent=False,
     ),
@@ -119,7 +119,7 @@ CONTESTANTS = (
         "Mitsuba LLVM, default, AOV integrator",
         PICTURE,
         (FILM,),
-        mode=PLAIN,
+        mode=DEFAULT,
         variant=variants.LLVM,
     ),
     Contestant(
@@ -137,20 +137,20 @@ CONTESTANTS = (
         "Mitsuba scalar, robust, loop in Python",
         MITSUBA,
         "mitsuba_loop:Loop",
-        EVERYBODY,
+        ALL_TASKS,
         {"mode": ROBUST},
         variant=variants.SCALAR,
         first=32,
     ),
-    Contestant("open3d", "Open3D", PEER, "open3d_peer:Open3D", EVERYBODY, package="open3d"),
-    Contestant("embreex", "embreex", PEER, "embreex_peer:Embreex", EVERYBODY, package="embreex"),
-    Contestant("trimesh", "trimesh + embreex", PEER, "embreex_peer:Trimesh", EVERYBODY, package="trimesh"),
+    Contestant("open3d", "Open3D", PEER, "open3d_peer:Open3D", ALL_TASKS, package="open3d"),
+    Contestant("embreex", "embreex", PEER, "embreex_peer:Embreex", ALL_TASKS, package="embreex"),
+    Contestant("trimesh", "trimesh + embreex", PEER, "embreex_peer:Trimesh", ALL_TASKS, package="trimesh"),
     Contestant("copy", "copying the images", MACHINE, "copying:Copying", (FILM,)),
 )
 BY_KEY = {contestant.key: contestant for contestant in CONTESTANTS}
 
 
-def field_of(asks: str, *, peers: bool) -> list[Contestant]:
+def contestants_for(asks: str, *, peers: bool) -> list[Contestant]:
     """Who is asked about such a scene."""
     return [each for each in CONTESTANTS if asks in each.asks and (peers or each.side != PEER)]
 

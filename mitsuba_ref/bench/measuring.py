@@ -1,5 +1,12 @@
-"""Contestants take turns: one cast each, round after round, each in a process of its own that stays."""
+"""The other end of worker.py: a contestant that may fail, die or hang, which is then its result."""
 
+import contextlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -11,19 +18,103 @@ from typing import Any, Protocol
 import numpy as np
 
 from mitsuba_ref.bench.contestants import Contestant
-from mitsuba_ref.bench.error import Score, Truth
-from mitsuba_ref.bench.preparing import Prepared, prepare
-from mitsuba_ref.bench.process import Gone, Process
 from mitsuba_ref.bench.result import Row, SceneResult
 from mitsuba_ref.bench.scenes import BenchScene
-from mitsuba_ref.bench.work import SHADING
+from mitsuba_ref.bench.scoring import ExactAnswers, PreparedScene, Score, prepare_scene
+from mitsuba_ref.bench.work import SHADING, Work
+from mitsuba_ref.bench.worker import STATUS_READY
+from mitsuba_ref.reference.subprocess_runner import ANSI_ESCAPE, PACKAGE_PARENT
+
+LAST_WORDS = 300  # characters kept of what a contestant said before it died
+EXIT_WAIT_S = 5.0  # seconds for a process that closed its pipe to be gone
+WORKER = (sys.executable, "-P", "-m", "mitsuba_ref.bench.worker")
+
+
+class ContestantEnded(Exception):  # noqa: N818 - an end, perhaps nobody's mistake
+    """A contestant that does not go on; str() says why, in a line."""
+
+
+class ContestantProcess:
+    """One contestant. Close it, or it stays."""
+
+    def __init__(
+        self, work: Work, environment: Mapping[str, str] | None = None, command: Sequence[str] = WORKER
+    ) -> None:
+        self.words_file = tempfile.TemporaryFile(mode="w+b")  # noqa: SIM115 - it lives as long as the process
+        self.replies, writing = os.pipe()
+        self.process = subprocess.Popen(
+            [*command, str(writing), work.to_json()],
+            stdin=subprocess.PIPE,
+            stdout=self.words_file,
+            stderr=subprocess.STDOUT,
+            pass_fds=(writing,),
+            env={**os.environ, **(environment or {}), "PYTHONPATH": str(PACKAGE_PARENT)},
+            cwd=tempfile.gettempdir(),
+            start_new_session=True,  # Ctrl-C is for this process, which then stops that one
+        )
+        os.close(writing)
+
+    def ask(self, patience: float, **question: Any) -> dict[str, Any]:
+        """What comes of {"do": ...}, within so many seconds. Raises Gone; the process is then gone, too."""
+        assert self.process.stdin is not None
+        try:
+            self.process.stdin.write((json.dumps(question) + "\n").encode())
+            self.process.stdin.flush()
+        except BrokenPipeError:
+            raise ContestantEnded(self._end()) from None
+        ready, _, _ = select.select([self.replies], [], [], patience)
+        if not ready:
+            self.close()
+            raise ContestantEnded(f"no answer within {patience:g} s")
+        line = os.read(self.replies, 65536).decode()
+        if not line:
+            raise ContestantEnded(self._end())
+        try:
+            reply: dict[str, Any] = json.loads(line)
+        except ValueError:
+            self.close()
+            raise ContestantEnded(f"answered in no way that was expected: {line[:LAST_WORDS]!r}") from None
+        if reply["status"] != STATUS_READY:
+            self.close()
+            raise ContestantEnded(reply["why"])
+        return reply
+
+    def _end(self) -> str:
+        """How it ended: a signal or an exit code, and its last line."""
+        try:
+            code = self.process.wait(EXIT_WAIT_S)
+        except subprocess.TimeoutExpired:
+            code = -signal.SIGKILL
+        self.words_file.seek(0)
+        words = ANSI_ESCAPE.sub("", self.words_file.read().decode("utf-8", "replace")).strip().splitlines()
+        self.close()
+        end = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+        return ": ".join(["died", end, *(words[-1:] or [])])[:LAST_WORDS]
+
+    def close(self) -> None:
+        """Kill it and close all that led to it; again does nothing."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        if self.replies < 0:
+            return
+        assert self.process.stdin is not None
+        with contextlib.suppress(OSError):  # a question that it never read
+            self.process.stdin.close()
+        os.close(self.replies)
+        self.replies = -1
+        self.words_file.close()
+
+
+# Contestants take turns: one cast each, round after round, each in a process of its own that stays.
+
 
 Progress = Callable[[str], None]
 
-LEAST = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
-LONGEST = 0.5  # seconds that a slow contestant's cast may take; its picture is made smaller until it fits
-WARM_UPS = 3  # casts before the first that counts, of which the first ones may compile
-PATIENCE = 300.0  # seconds that any single question may take, compilers included
+MIN_TURN_S = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
+MAX_CAST_S = 0.5  # seconds that a slow contestant's cast may take; its picture is made smaller until it fits
+WARM_UP_CASTS = 3  # casts before the first that counts, of which the first ones may compile
+REQUEST_TIMEOUT_S = 300.0  # seconds that any single question may take, compilers included
 
 
 @dataclass(frozen=True)
@@ -33,10 +124,10 @@ class Settings:
     threads: int = 1
     seed: int = 0
     peers: bool = False
-    patience: float = PATIENCE
+    patience: float = REQUEST_TIMEOUT_S
 
 
-class Asked(Protocol):
+class Requester(Protocol):
     """A contestant's process."""
 
     def ask(self, patience: float, **question: Any) -> Mapping[str, Any]:
@@ -45,11 +136,11 @@ class Asked(Protocol):
     def close(self) -> None: ...
 
 
-Start = Callable[[Contestant, str, str, int], Asked]  # contestant, folder, what is asked, threads
+Start = Callable[[Contestant, str, str, int], Requester]  # contestant, folder, what is asked, threads
 
 
-def start_process(contestant: Contestant, folder: str, asks: str, threads: int) -> Asked:
-    return Process(contestant.work(folder, asks, threads), contestant.settings())
+def start_process(contestant: Contestant, folder: str, asks: str, threads: int) -> Requester:
+    return ContestantProcess(contestant.work(folder, asks, threads), contestant.settings())
 
 
 class Lane:
@@ -57,7 +148,7 @@ class Lane:
 
     def __init__(self, contestant: Contestant, settings: Settings) -> None:
         self.contestant, self.settings = contestant, settings
-        self.process: Asked | None = None
+        self.process: Requester | None = None
         self.size, self.rays = settings.size, 0
         self.build: float | None = None
         self.memory: int | None = None
@@ -65,16 +156,16 @@ class Lane:
         self.score: Score | None = None
         self.why = ""
 
-    def go(self, step: Callable[[Asked], None]) -> None:
+    def go(self, step: Callable[[Requester], None]) -> None:
         """Do something with the process, if it lives; if it dies over it, that is its result."""
         if self.why or self.process is None:
             return
         try:
             step(self.process)
-        except Gone as end:
+        except ContestantEnded as end:
             self.why = str(end)
 
-    def begin(self, start: Start, ready: Prepared, folder: str, asks: str) -> None:
+    def begin(self, start: Start, ready: PreparedScene, folder: str, asks: str) -> None:
         most = self.contestant.most
         self.why = self.contestant.missing()
         if not self.why and most and ready.primitives > most:
@@ -83,31 +174,31 @@ class Lane:
             self.process = start(self.contestant, folder, asks, self.settings.threads)
             self.go(self._warm_up)
 
-    def _warm_up(self, process: Asked) -> None:
+    def _warm_up(self, process: Requester) -> None:
         """Compile everything, find a size that a slow one can do, and then build once more, for the time of it."""
         ask = self._ask
         if self.contestant.first:
             ask(process, do="build", size=self.contestant.first)
             ask(process, do="cast", least=0.0)
             found = ask(process, do="cast", least=0.0)
-            self.size = fitting(self.contestant.first, float(found["seconds"]), self.settings.size)
+            self.size = fitting_size(self.contestant.first, float(found["seconds"]), self.settings.size)
         else:
             ask(process, do="build", size=self.size)
             ask(process, do="cast", least=0.0)
         self.build = float(ask(process, do="build", size=self.size)["seconds"])
-        for _ in range(WARM_UPS):
+        for _ in range(WARM_UP_CASTS):
             ask(process, do="cast", least=0.0)
 
-    def take_turn(self, process: Asked) -> None:
-        found = self._ask(process, do="cast", least=LEAST)
+    def time_cast(self, process: Requester) -> None:
+        found = self._ask(process, do="cast", least=MIN_TURN_S)
         self.rays = int(found["rays"])
         self.seconds.append(float(found["seconds"]))
 
-    def remember(self, process: Asked) -> None:
+    def record_memory(self, process: Requester) -> None:
         """Its memory, before it is asked about other rays."""
         self.memory = int(self._ask(process, do="memory")["bytes"])
 
-    def be_judged(self, truth: Truth, rays: Path, process: Asked) -> None:
+    def measure_error(self, truth: ExactAnswers, rays: Path, process: Requester) -> None:
         out = rays.with_name(f"{self.contestant.key}.npy")
         self._ask(process, do="answer", rays=str(rays), out=str(out))
         t = np.load(out)
@@ -115,7 +206,7 @@ class Lane:
             return
         self.score = truth.score(t, ours=self.contestant.side == "ours")
 
-    def _ask(self, process: Asked, **question: Any) -> Mapping[str, Any]:
+    def _ask(self, process: Requester, **question: Any) -> Mapping[str, Any]:
         return process.ask(self.settings.patience, **question)
 
     def close(self) -> None:
@@ -139,10 +230,10 @@ class Lane:
         )
 
 
-def fitting(first: int, seconds: float, most: int) -> int:
+def fitting_size(first: int, seconds: float, most: int) -> int:
     """The largest power of two times `first`, at most `most`, whose cast should take no more than LONGEST seconds."""
     size = min(first, most)
-    while 2 * size <= most and seconds * (2 * size / first) ** 2 <= LONGEST:
+    while 2 * size <= most and seconds * (2 * size / first) ** 2 <= MAX_CAST_S:
         size *= 2
     return size
 
@@ -160,7 +251,7 @@ def time_scene(
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="mitsuba-ref-bench-") as name:
         say("making the scene")
-        ready = prepare(scene, Path(name), settings.size)
+        ready = prepare_scene(scene, Path(name), settings.size)
         lanes = [Lane(contestant, settings) for contestant in contestants]
         try:
             for lane in lanes:
@@ -168,7 +259,7 @@ def time_scene(
                 lane.begin(start, ready, name, scene.asks)
             alternate(lanes, settings.alternations, say)
             for lane in lanes:
-                lane.go(lane.remember)
+                lane.go(lane.record_memory)
             if judged and scene.asks != SHADING:
                 judge(lanes, ready, scene.asks, settings, Path(name), say)
         finally:
@@ -186,16 +277,16 @@ def alternate(lanes: Sequence[Lane], alternations: int, say: Progress) -> None:
         say(f"alternation {turn + 1}/{alternations}")
         first = turn % len(lanes)
         for lane in [*lanes[first:], *lanes[:first]]:
-            lane.go(lane.take_turn)
+            lane.go(lane.time_cast)
 
 
 def judge(
-    lanes: Sequence[Lane], ready: Prepared, asks: str, settings: Settings, folder: Path, say: Progress
+    lanes: Sequence[Lane], ready: PreparedScene, asks: str, settings: Settings, folder: Path, say: Progress
 ) -> None:
     say("exact answers")
-    truth = Truth(ready, asks, settings.seed)
+    truth = ExactAnswers(ready, asks, settings.seed)
     rays = folder / "judged.npz"
     np.savez(rays, o=truth.o, d=truth.d)
     for lane in lanes:
         say(f"judging: {lane.contestant.title}")
-        lane.go(partial(lane.be_judged, truth, rays))
+        lane.go(partial(lane.measure_error, truth, rays))

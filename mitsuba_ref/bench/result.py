@@ -6,11 +6,11 @@ from math import log
 from statistics import median
 from typing import Any
 
-from mitsuba_ref.bench.error import Score
+from mitsuba_ref.bench.scoring import Score
 from mitsuba_ref.bench.work import FILM
 
-FORMAT = 1  # of the JSON
-REFERENCE = "ours"  # the row that all ratios are to
+JSON_FORMAT = 1  # of the JSON
+REFERENCE_ROW = "ours"  # the row that all ratios are to
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class SceneResult:
     @property
     def reference(self) -> str:
         """The row that the others are set against: ours, or where only ours are asked the first of them."""
-        return REFERENCE if self.row(REFERENCE) or not self.rows else self.rows[0].key
+        return REFERENCE_ROW if self.row(REFERENCE_ROW) or not self.rows else self.rows[0].key
 
     def ratio(self, key: str, to: str | None = None) -> float | None:
         """Of two rows, where both ran; the second is the reference unless told."""
@@ -144,7 +144,7 @@ def as_json(run: Run) -> dict[str, Any]:
     for sweep, told in zip(run.sweeps, data["sweeps"], strict=True):
         for series, words in zip(sweep.series, told["series"], strict=True):
             words |= {"slope": series.slope, "end_slope": series.end_slope}
-    return {"format": FORMAT} | data
+    return {"format": JSON_FORMAT} | data
 
 
 def from_json(data: Mapping[str, Any]) -> Run:

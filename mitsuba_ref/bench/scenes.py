@@ -1,6 +1,6 @@
-"""What is timed: scenes made here, so that no file can differ, and what is asked about each."""
+"""The meshes of the benchmark: triangles of float32 numbers, so that everybody is given the very same ones."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,13 +8,92 @@ from typing import Any
 import numpy as np
 
 from caster.cameras import Fisheye, Orthographic, Pinhole
-from caster.lights import Ambient, Point
-from caster.materials import Diffuse
-from caster.scene import Scene
-from caster.shapes import Sphere
-from mitsuba_ref.bench import meshes
+from caster.geometry.packing import Triangles
+from caster.geometry.procedural import heightfield, torus
+from caster.image.atomic_files import write_bytes
+from caster.scene.errors import SceneError, suggestion
+from caster.scene.files import Scene
+from caster.scene.lights import Ambient, Point
+from caster.scene.materials import Diffuse
+from caster.shapes import MeshFile, Sphere
 from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING
-from mitsuba_ref.rays import share
+from mitsuba_ref.reference.rays import shared_rays
+from mitsuba_ref.reference.xml_writer import ply_bytes
+from mitsuba_ref.runner.scene_selection import matching
+
+
+def write_mesh(folder: Path, name: str, vertices: np.ndarray, faces: np.ndarray, **more: str) -> MeshFile:
+    """A mesh as a PLY file, and the shape that reads it. vertices: (n, 3), rounded to float32 here; faces: (m, 3)."""
+    corners = np.asarray(vertices, np.float32).astype(np.float64)
+    flat = np.zeros(len(faces), bool)
+    none, no_uv = np.zeros_like(corners), np.zeros((len(corners), 2))
+    file = folder / f"{name}.ply"
+    write_bytes(file, ply_bytes(Triangles(corners, np.asarray(faces, np.int32), none, no_uv, flat, flat)))
+    return MeshFile(file=str(file), face_normals=True, **more)
+
+
+def torus_mesh(folder: Path, segments: int, sides: int, **more: str) -> MeshFile:
+    """A closed torus of 2 * segments * sides triangles: silhouettes, and surface behind surface."""
+    mesh = torus(1.0, 0.4, segments, sides)
+    return write_mesh(folder, "ring", mesh.vertices, mesh.faces, **more)
+
+
+def heightfield_mesh(folder: Path, triangles: int, **more: str) -> MeshFile:
+    """About so many triangles of a hilly square of side 2."""
+    resolution = max(1, round((triangles / 2) ** 0.5))
+    mesh = heightfield(2.0, resolution, 0.2, 8, 0)
+    return write_mesh(folder, "hills", mesh.vertices, mesh.faces, **more)
+
+
+def layers_mesh(folder: Path, count: int) -> MeshFile:
+    """Squares behind each other, in an order drawn by chance: every ray crosses all of them."""
+    order = np.random.default_rng(0).permutation(count)
+    corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    vertices = np.concatenate([corners - [0.0, 0.0, place / 64.0] for place in order])
+    return write_mesh(folder, "layers", vertices, quads(4 * np.arange(count)[:, None] + np.arange(4)))
+
+
+def square_mesh(folder: Path, half: float) -> MeshFile:
+    """Two triangles in the plane z = 0."""
+    vertices = half * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    return write_mesh(folder, "square", vertices, quads(np.arange(4)[None]))
+
+
+def quads(corners: np.ndarray) -> np.ndarray:
+    """(n, 4) corners around -> (2 n, 3) triangles."""
+    return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+
+
+# Corners as Cornell University published them, in millimetres; x, y, z of each quad in turn.
+CORNELL_WALLS = (
+    ((552.8, 0, 0), (0, 0, 0), (0, 0, 559.2), (549.6, 0, 559.2)),
+    ((556, 548.8, 0), (556, 548.8, 559.2), (0, 548.8, 559.2), (0, 548.8, 0)),
+    ((549.6, 0, 559.2), (0, 0, 559.2), (0, 548.8, 559.2), (556, 548.8, 559.2)),
+    ((0, 0, 559.2), (0, 0, 0), (0, 548.8, 0), (0, 548.8, 559.2)),
+    ((552.8, 0, 0), (549.6, 0, 559.2), (556, 548.8, 559.2), (556, 548.8, 0)),
+)
+CORNELL_BLOCKS = (  # height; x and z around the top
+    (165.0, ((130, 65), (82, 225), (240, 272), (290, 114))),
+    (330.0, ((423, 247), (265, 296), (314, 456), (472, 406))),
+)
+
+
+def cornell_mesh(folder: Path) -> MeshFile:
+    """Walls and blocks as one mesh."""
+    every = [np.array(wall, np.float64) for wall in CORNELL_WALLS]
+    for height, top in CORNELL_BLOCKS:
+        above = np.array([(x, height, z) for x, z in top])
+        below = above * [1.0, 0.0, 1.0]
+        every.append(above)
+        for i in range(4):
+            j = (i + 1) % 4
+            every.append(np.stack([below[i], below[j], above[j], above[i]]))
+    vertices = np.concatenate(every)
+    return write_mesh(folder, "cornell", vertices, quads(np.arange(len(vertices)).reshape(-1, 4)))
+
+
+# What is timed: scenes made here, so that no file can differ, and what is asked about each.
+
 
 Rays = tuple[np.ndarray, np.ndarray]  # o, d: (n, 3) float32 each
 
@@ -34,7 +113,7 @@ class BenchScene:
     rays: Callable[[Scene], Rays] | None = None  # None: the camera's
 
 
-def looking(*shapes: Any, **more: Any) -> Scene:
+def scene_from_front(*shapes: Any, **more: Any) -> Scene:
     """A scene seen from the front, somewhat above; its film gets a size later."""
     camera = Pinhole(eye=(0.0, -4.0, 1.5), look_at=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), fov=40.0)
     return Scene(**({"camera": camera, "shapes": shapes} | more))
@@ -46,7 +125,7 @@ def spheres(count: int) -> Scene:
     centers = as_float32(rng.uniform(-1.0, 1.0, (count, 3)))
     radii = as_float32(rng.uniform(0.3, 1.0, count) * 0.8 * count ** (-1.0 / 3.0))
     pairs = zip(centers.tolist(), radii.tolist(), strict=True)
-    return looking(*(Sphere(center=center, radius=radius) for center, radius in pairs))
+    return scene_from_front(*(Sphere(center=center, radius=radius) for center, radius in pairs))
 
 
 def as_float32(a: np.ndarray) -> np.ndarray:
@@ -54,41 +133,41 @@ def as_float32(a: np.ndarray) -> np.ndarray:
 
 
 def one_sphere(folder: Path) -> Scene:
-    return looking(Sphere(center=(0.0, 0.0, 0.0), radius=1.0))
+    return scene_from_front(Sphere(center=(0.0, 0.0, 0.0), radius=1.0))
 
 
 def ring(folder: Path) -> Scene:
-    return looking(meshes.ring(folder, 264, 133))
+    return scene_from_front(torus_mesh(folder, 264, 133))
 
 
 def hills(folder: Path) -> Scene:
-    return looking(meshes.hills(folder, 1_000_000))
+    return scene_from_front(heightfield_mesh(folder, 1_000_000))
 
 
 def layers(folder: Path) -> Scene:
     # Off the middle, or a pixel in a thousand would lie exactly on the diagonal of every square.
     camera = Pinhole(eye=(0.117, 0.053, 3.0), look_at=(0.031, 0.017, 0.0), up=(0.0, 1.0, 0.0), fov=20.0)
-    return Scene(camera=camera, shapes=[meshes.layers(folder, 256)])
+    return Scene(camera=camera, shapes=[layers_mesh(folder, 256)])
 
 
 def cornell(folder: Path) -> Scene:
     camera = Pinhole(eye=(278.0, 273.0, -800.0), direction=(0.0, 0.0, 1.0), fov=39.307684)
-    return Scene(camera=camera, shapes=[meshes.cornell(folder)])
+    return Scene(camera=camera, shapes=[cornell_mesh(folder)])
 
 
 def grazing(folder: Path) -> Scene:
     camera = Pinhole(eye=(0.0, -20.0, 0.01), direction=(0.0, 1.0, 0.0), up=(0.0, 0.0, 1.0), fov=40.0)
-    return Scene(camera=camera, shapes=[meshes.square(folder, 1000.0)])
+    return Scene(camera=camera, shapes=[square_mesh(folder, 1000.0)])
 
 
 def orthographic(folder: Path) -> Scene:
     camera = Orthographic(eye=(0.0, -4.0, 1.5), look_at=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), width=3.0)
-    return looking(meshes.ring(folder, 264, 133), camera=camera)
+    return scene_from_front(torus_mesh(folder, 264, 133), camera=camera)
 
 
 def fisheye(folder: Path) -> Scene:
     camera = Fisheye(eye=(0.0, -1.0, 0.2), look_at=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), fov=180.0)
-    return looking(meshes.ring(folder, 264, 133), camera=camera)
+    return scene_from_front(torus_mesh(folder, 264, 133), camera=camera)
 
 
 LIT: dict[str, Any] = {
@@ -101,12 +180,12 @@ LIT: dict[str, Any] = {
 
 
 def lit_ring(folder: Path) -> Scene:
-    return looking(meshes.ring(folder, 264, 133, material="grey"), **LIT)
+    return scene_from_front(torus_mesh(folder, 264, 133, material="grey"), **LIT)
 
 
 def lit_spheres(folder: Path) -> Scene:
     balls = tuple(ball.model_copy(update={"material": "grey"}) for ball in spheres(200).shapes)
-    return looking(*balls, **LIT)
+    return scene_from_front(*balls, **LIT)
 
 
 def incoherent(scene: Scene) -> Rays:
@@ -139,7 +218,7 @@ def rays_of(scene: BenchScene, sized: Scene) -> Rays:
     """What is handed to those who take rays, and in a scene of rays to everybody; one for each pixel."""
     if scene.rays:
         return scene.rays(sized)
-    shared = share(sized)
+    shared = shared_rays(sized)
     real = shared.t_max > 0.0  # a fisheye's picture has corners without rays
     return shared.o[real], shared.d[real]
 
@@ -165,3 +244,19 @@ SCENES = (
     BenchScene("lit-mesh", "shading the mesh of 70,224 triangles by one point light", lit_ring, SHADING),
     BenchScene("lit-spheres", "shading 200 spheres by one point light", lit_spheres, SHADING),
 )
+
+
+# Which scenes a run is about.
+
+
+def select_scenes(words: Sequence[str], expression: str | None = None) -> list[BenchScene]:
+    """Scenes by name, all without words, that fit the expression; in the order of the registry.
+
+    Raises SceneError for a name that is none.
+    """
+    known = [scene.name for scene in SCENES]
+    for word in words:
+        if word not in known:
+            raise SceneError(f"scene '{word}': unknown{suggestion(word, known)} (known: {', '.join(known)})")
+    fits = matching(expression)
+    return [scene for scene in SCENES if (not words or scene.name in words) and fits(scene.name)]

@@ -31,7 +31,7 @@ def line(scene: SceneResult, row: Row) -> list[str]:
     title = row.title if not row.why else f"{row.title} ({row.why})"
     return [
         title,
-        rays(row, scene),
+        rays_text(row, scene),
         number(None if row.build is None else 1e3 * row.build, 1),
         number(row.ns, 2),
         number(row.mrays, 1),
@@ -41,7 +41,7 @@ def line(scene: SceneResult, row: Row) -> list[str]:
     ]
 
 
-def rays(row: Row, scene: SceneResult) -> str:
+def rays_text(row: Row, scene: SceneResult) -> str:
     return f"{row.size}^2" if scene.asks in (FILM, SHADING) else f"{row.rays:,}"
 
 

@@ -15,8 +15,8 @@ import numpy as np
 # them; a picture with shading, of our caster alone.
 FILM, NEAREST, ANY, SHADING = "film", "nearest", "any", "shading"
 
-SCENE, MESH, RAYS = "scene.pickle", "mesh.npz", "rays.npz"  # files of a folder
-ROBUST, PLAIN = "robust", "default"  # folders within: a scene for Mitsuba in Embree's two modes
+SCENE_FILE, MESH_FILE, RAYS_FILE = "scene.pickle", "mesh.npz", "rays.npz"  # files of a folder
+ROBUST, DEFAULT = "robust", "default"  # folders within: a scene for Mitsuba in Embree's two modes
 FIRST_RAY = (
     np.zeros((1, 3), np.float32),
     np.ones((1, 3), np.float32),
@@ -66,7 +66,7 @@ class CannotRun(Exception):  # noqa: N818 - why a row is empty, not a mistake
 
 def given_rays(folder: str, size: int) -> tuple[np.ndarray, np.ndarray]:
     """o, d: (n, 3) float32; all of them, or size * size that are spread evenly."""
-    with np.load(Path(folder) / RAYS) as file:
+    with np.load(Path(folder) / RAYS_FILE) as file:
         o, d = file["o"], file["d"]
     if len(o) <= size * size:
         return o, d
@@ -76,7 +76,7 @@ def given_rays(folder: str, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 def given_mesh(folder: str) -> tuple[np.ndarray, np.ndarray]:
     """(n, 3) float32 corners and (m, 3) int32 faces. Raises CannotRun where the scene is more than triangles."""
-    path = Path(folder) / MESH
+    path = Path(folder) / MESH_FILE
     if not path.exists():
         raise CannotRun("triangles only")
     with np.load(path) as file:

@@ -17,26 +17,26 @@ import numpy as np
 
 from mitsuba_ref.bench.work import CannotRun, Entry, Work
 
-READY, CANNOT = "ready", "cannot"
+STATUS_READY, STATUS_CANNOT = "ready", "cannot"
 
 
 def main(replies: int, work: Work) -> None:
     """Answer questions until stdin ends."""
-    confine(work.threads)
+    pin_to_processors(work.threads)
     entry: Entry | None = None
     for line in sys.stdin:
         asked = json.loads(line)
         try:
             if entry is None or asked["do"] == "build":
                 entry = None  # or there would be two at a time, and twice the memory
-                entry = made(work)
-            reply = {"status": READY} | done(entry, asked)
+                entry = new_entry(work)
+            reply = {"status": STATUS_READY} | respond(entry, asked)
         except (CannotRun, ImportError) as reason:
-            reply = {"status": CANNOT, "why": " ".join(str(reason).split())}
+            reply = {"status": STATUS_CANNOT, "why": " ".join(str(reason).split())}
         os.write(replies, (json.dumps(reply) + "\n").encode())
 
 
-def made(work: Work) -> Entry:
+def new_entry(work: Work) -> Entry:
     """The contestant, with nothing built."""
     gc.collect()
     module, _, name = work.entry.partition(":")
@@ -44,13 +44,13 @@ def made(work: Work) -> Entry:
     return entry
 
 
-def confine(processors: int) -> None:
+def pin_to_processors(processors: int) -> None:
     """Use so many processors: before anybody starts threads, and whatever each calls its own option."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:processors]))
 
 
-def done(entry: Entry, asked: dict[str, Any]) -> dict[str, Any]:
+def respond(entry: Entry, asked: dict[str, Any]) -> dict[str, Any]:
     """One question: build, cast, answer or memory."""
     if asked["do"] == "build":
         start = time.perf_counter()

@@ -5,26 +5,34 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from caster.cameras.orthographic import Orthographic
-from caster.scene import Film
-from mitsuba_ref.camera_reference import CameraRays, CameraReference, Limits, axes, clip_planes, eyes, pose
-from mitsuba_ref.xml import XmlElement, matrix_element
+from caster.scene.files import Film
+from mitsuba_ref.cameras.camera_reference import (
+    CameraRays,
+    CameraReference,
+    ClipRange,
+    camera_axes,
+    clip_planes,
+    eye_origins,
+    sensor_pose,
+)
+from mitsuba_ref.reference.xml_writer import XmlElement, matrix_element
 
 
 def rays(camera: Orthographic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
     """Parallel rays, from a window as wide as the camera says and as high as its pixels are square."""
     pixel = camera.width / film.width
-    right, up, forward = axes(camera)
-    o = eyes(camera, len(x))
+    right, up, forward = camera_axes(camera)
+    o = eye_origins(camera, len(x))
     o += np.outer((x - film.width / 2.0) * pixel, right) + np.outer((film.height / 2.0 - y) * pixel, up)
     n, far = len(x), np.inf if camera.far is None else camera.far
     return CameraRays(o, np.tile(forward, (n, 1)), np.full(n, camera.near), np.full(n, far))
 
 
-def to_xml(camera: Orthographic, film: Film, limits: Limits) -> XmlElement:
+def to_xml(camera: Orthographic, film: Film, limits: ClipRange) -> XmlElement:
     sensor = Element("sensor", type="orthographic")
     for name, value in clip_planes(camera, limits).items():
         SubElement(sensor, "float", name=name, value=repr(float(value)))
-    sensor.append(matrix_element(*pose(camera, camera.width / 2.0)))
+    sensor.append(matrix_element(*sensor_pose(camera, camera.width / 2.0)))
     return sensor
 
 

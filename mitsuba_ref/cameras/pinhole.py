@@ -5,12 +5,20 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from caster.cameras.pinhole import Pinhole
-from caster.scene import Film
-from mitsuba_ref.camera_reference import CameraRays, CameraReference, Limits, clip_planes, eyes, looking, pose
-from mitsuba_ref.xml import XmlElement, matrix_element
+from caster.scene.files import Film
+from mitsuba_ref.cameras.camera_reference import (
+    CameraRays,
+    CameraReference,
+    ClipRange,
+    clip_planes,
+    eye_origins,
+    sensor_pose,
+    to_world_directions,
+)
+from mitsuba_ref.reference.xml_writer import XmlElement, matrix_element
 
 
-def tangents(camera: Pinhole, film: Film) -> tuple[float, float]:
+def half_extents(camera: Pinhole, film: Film) -> tuple[float, float]:
     """Half width and half height of the picture at distance 1."""
     tangent = float(np.tan(np.deg2rad(camera.fov / 2.0)))
     width, height = float(film.width), float(film.height)
@@ -26,18 +34,20 @@ def tangents(camera: Pinhole, film: Film) -> tuple[float, float]:
 
 def rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
     """Through the point of the picture at (2 s - 1) tan, s the share of the film; near and far are planes."""
-    across, above = tangents(camera, film)
+    across, above = half_extents(camera, film)
     px, py = camera.principal_point
     right = (2.0 * (x / film.width + px) - 1.0) * across
     up = (1.0 - 2.0 * (y / film.height + py)) * above
     local = np.column_stack([right, up, np.ones(len(x))])
     length = np.sqrt(right * right + up * up + 1.0)
     far = np.inf if camera.far is None else camera.far
-    return CameraRays(eyes(camera, len(x)), looking(camera, local), camera.near * length, far * length)
+    return CameraRays(
+        eye_origins(camera, len(x)), to_world_directions(camera, local), camera.near * length, far * length
+    )
 
 
-def to_xml(camera: Pinhole, film: Film, limits: Limits) -> XmlElement:
-    across, _ = tangents(camera, film)
+def to_xml(camera: Pinhole, film: Film, limits: ClipRange) -> XmlElement:
+    across, _ = half_extents(camera, film)
     sensor = Element("sensor", type="perspective")
     px, py = camera.principal_point
     numbers = {
@@ -49,14 +59,14 @@ def to_xml(camera: Pinhole, film: Film, limits: Limits) -> XmlElement:
     SubElement(sensor, "string", name="fov_axis", value="x")
     for name, value in numbers.items():
         SubElement(sensor, "float", name=name, value=repr(float(value)))
-    sensor.append(matrix_element(*pose(camera)))
+    sensor.append(matrix_element(*sensor_pose(camera)))
     return sensor
 
 
 def amplification(camera: Pinhole, film: Film) -> float:
     """Film positions are rounded where they are multiplied with the tangent, and offsets where they are added."""
     px, py = camera.principal_point
-    return 1.0 + max(tangents(camera, film)) * (1.0 + abs(px) + abs(py))
+    return 1.0 + max(half_extents(camera, film)) * (1.0 + abs(px) + abs(py))
 
 
 REFERENCE = CameraReference(Pinhole, rays, to_xml, amplification)

@@ -7,32 +7,28 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.fuzz import cameras
-from mitsuba_ref.fuzz.aims import aimed
-from mitsuba_ref.fuzz.campaign import KEPT_OF_A_SORT, Failure, case_of
-from mitsuba_ref.fuzz.case import NO_SCENE, findings_of
-from mitsuba_ref.fuzz.example import scene_of
-from mitsuba_ref.fuzz.families import number_of_name
-from mitsuba_ref.fuzz.finding import Finding, Tally, first_of_each_kind
-from mitsuba_ref.fuzz.kept import write
-from mitsuba_ref.fuzz.rays_check import adjudicate, subject_of
-from mitsuba_ref.fuzz.routes import by_culling, together, with_limits
-from mitsuba_ref.fuzz.setting import Rng, Setting, any_setting
-from mitsuba_ref.fuzz.shapes import drawn
-from mitsuba_ref.fuzz.smaller import smallest
-from mitsuba_ref.fuzz.spots import Targets
-from mitsuba_ref.fuzz.ties import nearly_equal_balls
+from mitsuba_ref.fuzz import kinds
+from mitsuba_ref.fuzz.aims import Targets, aimed_rays
+from mitsuba_ref.fuzz.campaign import KEPT_PER_KIND_AND_FAMILY, Failure, case_of
+from mitsuba_ref.fuzz.cases import SCENE_ERRORS, findings_of, write_kept
+from mitsuba_ref.fuzz.checks import adjudicate, cast_by_culling, concatenated, prepared_scene, with_limits
+from mitsuba_ref.fuzz.families import scene_of, seed_of_name
+from mitsuba_ref.fuzz.findings import Finding, Tally, first_of_each_kind
+from mitsuba_ref.fuzz.groups import nearly_equal_spheres
+from mitsuba_ref.fuzz.kinds import random_shape
+from mitsuba_ref.fuzz.settings import Rng, Setting, random_setting
+from mitsuba_ref.fuzz.shrink import smallest_case
 
-RAYS_A_SCENE = 2048
-LIMITED = RAYS_A_SCENE // 8  # cast again with other limits
-MOST_SHAPES = 3
+RAYS_PER_SCENE = 2048
+LIMITED_RAYS_PER_SCENE = RAYS_PER_SCENE // 8  # cast again with other limits
+MAX_SHAPES_PER_SCENE = 3
 
 
 class LongRun:
     """So many rays a shape; what has been done so far is there at any moment."""
 
     def __init__(
-        self, seed: int, rays: int, shapes: Sequence[str], folder: Path, keep: int = KEPT_OF_A_SORT
+        self, seed: int, rays: int, shapes: Sequence[str], folder: Path, keep: int = KEPT_PER_KIND_AND_FAMILY
     ) -> None:
         self.seed, self.rays, self.shapes, self.folder, self.keep = seed, rays, shapes, folder, keep
         self.tallies = {shape: Tally() for shape in shapes}
@@ -57,25 +53,25 @@ class LongRun:
                 yield
 
     def _try(self, shape: str, number: int) -> None:
-        rng = np.random.default_rng([self.seed, number, number_of_name(shape)])
-        setting, shapes = scene_with(rng, shape)
-        film, camera = cameras.drawn(rng, setting)
+        rng = np.random.default_rng([self.seed, number, seed_of_name(shape)])
+        setting, shapes = random_scene_of(rng, shape)
+        film, camera = kinds.random_camera(rng, setting)
         data = {"film": film, "camera": camera, "shape": shapes}
         tally = self.tallies[shape]
         try:
-            subject = subject_of(scene_of(data))
-        except NO_SCENE:
+            subject = prepared_scene(scene_of(data))
+        except SCENE_ERRORS:
             tally.outside += 1
             return
         tally.examples += 1
-        wanted = min(RAYS_A_SCENE, self.rays - tally.rays)
-        shots = aimed(rng, Targets(subject.packed), setting, wanted)
-        ours = by_culling(subject.packed, shots, "bvh")
-        limited = with_limits(rng, shots, ours, LIMITED)
-        shots = together(
+        wanted = min(RAYS_PER_SCENE, self.rays - tally.rays)
+        shots = aimed_rays(rng, Targets(subject.packed), setting, wanted)
+        ours = cast_by_culling(subject.packed, shots, "bvh")
+        limited = with_limits(rng, shots, ours, LIMITED_RAYS_PER_SCENE)
+        shots = concatenated(
             shots.taken(slice(max(wanted - len(limited.t_min), 1))), limited.taken(slice(wanted - 1))
         )
-        ours = by_culling(subject.packed, shots, "bvh")
+        ours = cast_by_culling(subject.packed, shots, "bvh")
         findings = adjudicate(subject, shots, ours, tally)
         for finding in findings:
             tally.found(finding)
@@ -88,11 +84,11 @@ class LongRun:
         ]
         if len(sort) >= self.keep:
             return
-        small = smallest(case_of(data, finding.ray), finding)
+        small = smallest_case(case_of(data, finding.ray), finding)
         again = next((f for f in findings_of(small) if f.kind == finding.kind), finding)
         options = f"--seed {self.seed} --shape {shape} --rays {self.rays}"
         name = f"{finding.kind}-{shape}-rays-{self.seed}-{number}"
-        file = write(self.folder, name, finding.kind, again.what, options, small)
+        file = write_kept(self.folder, name, finding.kind, again.what, options, small)
         self.failures.append(Failure(finding.kind, again.what, shape, options, str(file)))
 
     def line(self) -> str:
@@ -148,12 +144,14 @@ class LongRun:
         }
 
 
-def scene_with(rng: Rng, shape: str) -> tuple[Setting, list[dict[str, Any]]]:
+def random_scene_of(rng: Rng, shape: str) -> tuple[Setting, list[dict[str, Any]]]:
     """One to three shapes of a type; a third of the time two of them in one place."""
-    setting = any_setting(rng)
+    setting = random_setting(rng)
     if shape == "sphere" and rng.random() < 0.2:
-        return setting, nearly_equal_balls(rng, setting)
-    shapes = [drawn(rng, shape, setting) for _ in range(int(rng.integers(1, MOST_SHAPES + 1)))]
+        return setting, nearly_equal_spheres(rng, setting)
+    shapes = [
+        random_shape(rng, shape, setting) for _ in range(int(rng.integers(1, MAX_SHAPES_PER_SCENE + 1)))
+    ]
     if rng.random() < 1.0 / 3.0:
         shapes.append(dict(shapes[0]))
     return setting, shapes

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from mitsuba_ref.fuzz.campaign import Outcome
-from mitsuba_ref.fuzz.finding import Tally
+from mitsuba_ref.fuzz.findings import Tally
 
 COLUMNS = ("examples", "rays", "hits", "edges", "ties", "unbounded", "outside", "judged", "findings")
 
@@ -67,7 +67,7 @@ def to_dict(outcome: Outcome, *, interrupted: bool) -> dict[str, Any]:
     }
 
 
-def replayed(lines: Sequence[tuple[str, str, list[str]]]) -> str:
+def replay_text(lines: Sequence[tuple[str, str, list[str]]]) -> str:
     """(file, kind it was kept for, what is wrong today) -> a row a file, and a summary."""
     rows = []
     for file, kind, wrong in lines:

@@ -13,9 +13,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from mitsuba_ref import variants
-from mitsuba_ref.child import HOME
-from mitsuba_ref.jobs import Answer, Crash, Job
+from mitsuba_ref.reference import variants
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 
 DONE, REFUSED, DIED, TIMEOUT = "done", "refused", "", "timeout"  # what comes of a scene
 LAST_WORDS = 3000  # characters kept of what Mitsuba said
@@ -37,8 +37,8 @@ class Resident:
             child.stop()
         self._children = {}
 
-    def ask(self, job: Job, timeout: float = 60.0) -> Answer | Crash:
-        """The answer, in the terms of mitsuba_ref.worker.ask."""
+    def send(self, job: TraceRequest, timeout: float = 60.0) -> TraceResponse | Crash:
+        """The answer, in the terms of mitsuba_ref.reference.session.send_request."""
         child = self._children.get(job.variant)
         if child is None or not child.alive:
             child = self._children[job.variant] = Child(job.variant)
@@ -49,7 +49,7 @@ class Resident:
             seconds = time.monotonic() - start
             if reply == DONE:
                 try:
-                    return Answer.read(Path(name), len(job.o))
+                    return TraceResponse.read(Path(name), len(job.o))
                 except ValueError as error:
                     return Crash("garbage", f"{child.words}\n{error}".strip(), "exit code 0", seconds)
             if reply == REFUSED:
@@ -69,7 +69,7 @@ class Child:
             stdout=self.words_file,
             stderr=subprocess.STDOUT,
             pass_fds=(writing,),
-            env={**os.environ, **variants.settings(variant), "PYTHONPATH": str(HOME)},
+            env={**os.environ, **variants.environment_for(variant), "PYTHONPATH": str(PACKAGE_PARENT)},
             cwd=tempfile.gettempdir(),
             start_new_session=True,  # Ctrl-C is for this process, which then stops that one
         )
@@ -136,12 +136,12 @@ class Child:
 
 def serve(replies: int) -> None:
     """The child's side: answer folder after folder until stdin ends."""
-    from mitsuba_ref import door  # here, so that asking needs no Mitsuba in this process
+    from mitsuba_ref.reference import mitsuba_process  # here, so that asking needs no Mitsuba in this process
 
     for line in sys.stdin:
         folder = Path(line.rstrip("\n"))
         try:
-            door.answer(Job.read(folder)).write(folder)
+            mitsuba_process.trace_request(TraceRequest.read(folder)).write(folder)
             reply = DONE
         except (RuntimeError, ImportError) as refusal:
             print(refusal, file=sys.stderr, flush=True)

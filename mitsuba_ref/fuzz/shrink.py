@@ -1,9 +1,4 @@
-"""A failing scene made small: fewer shapes, rounder numbers, as long as it fails in the same way.
-
-Not hypothesis's shrinker: that one shortens the choices a generator made, so it needs the generator to be its own, and
-it cannot leave the numbers that the generator draws. Here the scene itself shrinks, as a scene file has it: meshes
-become triangles, steps of a transform one matrix, numbers lose bits.
-"""
+"""Simpler numbers: fewer bits, nearer to 0."""
 
 import copy
 import math
@@ -12,19 +7,75 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mitsuba_ref.fuzz.simpler import simpler
+import numpy as np
+
+from caster.geometry.packing import pack, primitive_count
+from caster.rendering.images import camera_rays
+from caster.scene.errors import SceneError
+from caster.shapes.plane import Planes
+from mitsuba_ref.fuzz.aims import Shots
+from mitsuba_ref.fuzz.cases import Case, findings_of
+from mitsuba_ref.fuzz.findings import Finding
+from mitsuba_ref.subjects.traced_scene import describe_primitive
+
+MANTISSA_BITS = (1, 2, 3, 4, 6, 8, 12, 24)  # of a mantissa, tried in this order
+
+
+def complexity(x: float) -> tuple[int, float]:
+    """How complicated a number is: the bits of its mantissa, then how far it is from 1."""
+    if x == 0.0:
+        return (0, math.copysign(0.5, -x) + 0.5)  # 0.0 before -0.0
+    mantissa, exponent = math.frexp(abs(x))
+    bits = int(mantissa * 2.0**53)
+    significant = 53 - (bits & -bits).bit_length() + 1
+    return (significant, abs(exponent - 1) + (0.5 if x < 0.0 else 0.0))
+
+
+def simpler_numbers(x: float) -> Iterator[float]:
+    """Numbers that might do instead of x, the simplest first, each simpler than x; none for an infinite one."""
+    if not math.isfinite(x):
+        return
+    tried = {x}
+    for candidate in _simpler_candidates(x):
+        if math.isfinite(candidate) and candidate not in tried and complexity(candidate) < complexity(x):
+            tried.add(candidate)
+            yield candidate
+    if x == 0.0 and math.copysign(1.0, x) < 0.0:
+        yield 0.0
+
+
+def _simpler_candidates(x: float) -> Iterator[float]:
+    yield from (0.0, 1.0, -1.0)
+    if x == 0.0:
+        return
+    yield abs(x)
+    mantissa, exponent = math.frexp(x)
+    for bits in MANTISSA_BITS:
+        rounded = round(math.ldexp(mantissa, bits))
+        if exponent - bits < 1000:
+            yield math.ldexp(rounded, exponent - bits)
+    yield math.ldexp(mantissa, 1)
+
+
+# A failing scene made small: fewer shapes, rounder numbers, as long as it fails in the same way.
+#
+# Not hypothesis's shrinker: that one shortens the choices a generator made, so it needs the generator to be
+# its own, and
+# it cannot leave the numbers that the generator draws. Here the scene itself shrinks, as a scene file has it: meshes
+# become triangles, steps of a transform one matrix, numbers lose bits.
+
 
 Data = dict[str, Any]
-Path = tuple[str | int, ...]
+DataPath = tuple[str | int, ...]
 
-ATTEMPTS = 1500  # of one finding: a few seconds, since an attempt casts one ray
+SHRINK_ATTEMPTS = 1500  # of one finding: a few seconds, since an attempt casts one ray
 
 
 @dataclass
 class Budget:
     """How often the shrinker may still try, and until when."""
 
-    attempts: int = ATTEMPTS
+    attempts: int = SHRINK_ATTEMPTS
     until: float = math.inf  # time.monotonic()
 
     def spend(self) -> bool:
@@ -87,12 +138,12 @@ def rounder_numbers(shrinker: Shrinker) -> bool:
     for path, value in list(walk(shrinker.data)):
         if isinstance(value, float) and path[0] in ("shape", "camera", "ray"):
             changed |= any(
-                shrinker.accepts(with_value(shrinker.data, path, number)) for number in simpler(value)
+                shrinker.accepts(with_value(shrinker.data, path, number)) for number in simpler_numbers(value)
             )
     return changed
 
 
-def walk(value: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
+def walk(value: Any, path: DataPath = ()) -> Iterator[tuple[DataPath, Any]]:
     """Everything in it, containers before what they hold."""
     if path:
         yield path, value
@@ -101,7 +152,7 @@ def walk(value: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
         yield from walk(item, (*path, key))
 
 
-def exists(data: Any, path: Path) -> bool:
+def exists(data: Any, path: DataPath) -> bool:
     for key in path:
         if isinstance(data, dict):
             if key not in data:
@@ -112,21 +163,135 @@ def exists(data: Any, path: Path) -> bool:
     return True
 
 
-def with_value(data: Data, path: Path, value: Any) -> Data:
+def with_value(data: Data, path: DataPath, value: Any) -> Data:
     """A copy with another value there."""
     out = copy.deepcopy(data)
     _holder(out, path)[path[-1]] = value
     return out
 
 
-def without(data: Data, path: Path) -> Data:
+def without(data: Data, path: DataPath) -> Data:
     """A copy in which this is not there."""
     out = copy.deepcopy(data)
     del _holder(out, path)[path[-1]]
     return out
 
 
-def _holder(data: Any, path: Path) -> Any:
+def _holder(data: Any, path: DataPath) -> Any:
     for key in path[:-1]:
         data = data[key]
     return data
+
+
+# Shapes written anew from what they pack to: meshes as triangles, transforms as one matrix.
+
+
+ShapeFields = dict[str, Any]
+
+
+def as_packed(part: Any) -> list[ShapeFields]:
+    """Shapes that pack to the same primitives in the same order, one each. Raises LookupError for an unknown kind."""
+    with np.errstate(all="ignore"):
+        return [
+            plane_fields(part, k) if type(part) is Planes else describe_primitive(part, k)
+            for k in range(primitive_count(part))
+        ]
+
+
+def plane_fields(part: Planes, k: int) -> ShapeFields:
+    """`rebuilt` looks for a normal that rounds to a float32 one; these are float64."""
+    return {"type": "plane", "normal": part.normal[k].tolist(), "point": part.point[k].tolist()}
+
+
+def translated(shape: ShapeFields, by: np.ndarray) -> ShapeFields | None:
+    """Such a shape moved; None for one that is not as `as_packed` writes it."""
+    if "vertices" in shape and "to_world" not in shape:
+        return {**shape, "vertices": (np.array(shape["vertices"]) + by).tolist()}
+    for key in ("center", "point"):
+        if key in shape and "to_world" not in shape:
+            return {**shape, key: (np.array(shape[key]) + by).tolist()}
+    steps = shape.get("to_world", [])
+    if len(steps) == 1 and "matrix" in steps[0]:
+        matrix = np.array(steps[0]["matrix"])
+        matrix[:3, 3] += by
+        return {**shape, "to_world": [{"matrix": matrix.tolist()}]}
+    return None
+
+
+# A finding -> the smallest scene with one ray, or one pixel, that is found wrong in the same way.
+
+
+Judge = Callable[[Case], list[Finding]]
+MAX_EXPANDED_FACES = 2000  # of a mesh that is taken apart
+
+
+def smallest_case(
+    case: Case, finding: Finding, judge: Judge = findings_of, budget: Budget | None = None
+) -> Case:
+    """The case made small. A pixel's finding becomes that of a ray cast for itself, if that shows it, too."""
+
+    def fails(data: Data) -> bool:
+        return finding.way in ways_of(Case.of(data), judge)
+
+    start = single_ray_case(case, finding, judge)
+    shrinker = Shrinker(start.to_data(), fails, budget or Budget())
+    passes = [as_primitives, fewer_shapes, fewer_fields, translated_to_origin, rounder_numbers]
+    return Case.of(shrinker.run(passes))
+
+
+def ways_of(case: Case, judge: Judge) -> set[tuple[str, str]]:
+    return {finding.way for finding in judge(case)}
+
+
+def single_ray_case(case: Case, finding: Finding, judge: Judge) -> Case:
+    """The case with the finding's one ray, or with one pixel, if that is enough."""
+    rays = [] if finding.ray is None else [finding.ray]
+    pixel = finding.pixel
+    if pixel is not None:
+        x, y = pixel
+        cropped = case._replace(film={**case.film, "crop": [x, y, x + 1, y + 1]})
+        rays += [] if finding.ray is not None else ray_of(cropped)
+    for ray in rays:
+        alone = case._replace(ray=ray)
+        if finding.way in ways_of(alone, judge):
+            return alone
+    if pixel is not None and finding.way in ways_of(cropped, judge):
+        return cropped
+    return case
+
+
+def ray_of(cropped: Case) -> list[Shots]:
+    rays = camera_rays(cropped.scene())
+    return [Shots(rays.o, rays.d, rays.t_min, rays.t_max)]
+
+
+def as_primitives(shrinker: Shrinker) -> bool:
+    """Each shape by what it packs to: triangles for a mesh, one matrix for a transform."""
+    changed = False
+    for i in range(len(shrinker.data["shape"]) - 1, -1, -1):
+        shapes = shrinker.data["shape"]
+        plain = _primitive_shapes(shrinker.data, i)
+        if plain and plain != [shapes[i]]:
+            changed |= shrinker.accepts({**shrinker.data, "shape": [*shapes[:i], *plain, *shapes[i + 1 :]]})
+    return changed
+
+
+def _primitive_shapes(data: Data, i: int) -> list[dict[str, Any]]:
+    alone = Case.of({**data, "shape": [data["shape"][i]]})
+    try:
+        part = pack(alone.scene()).parts[0]
+        return as_packed(part) if primitive_count(part) <= MAX_EXPANDED_FACES else []
+    except (SceneError, LookupError):
+        return []
+
+
+def translated_to_origin(shrinker: Shrinker) -> bool:
+    """Everything moved so that the ray starts in 0, or a corner or centre lies there."""
+    ray = shrinker.data.get("ray")
+    if ray is None or not any(ray["o"]):
+        return False
+    by = -np.array(ray["o"])
+    shapes = [translated(shape, by) for shape in shrinker.data["shape"]]
+    if None in shapes:
+        return False
+    return shrinker.accepts({**shrinker.data, "shape": shapes, "ray": {**ray, "o": [0.0, 0.0, 0.0]}})

@@ -5,24 +5,21 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.importers.building import Building
-from mitsuba_ref.importers.emitters import is_dark
-from mitsuba_ref.importers.expanding import followed
-from mitsuba_ref.importers.materials import material_of
-from mitsuba_ref.importers.transforms import Step, placed, steps_of
-from mitsuba_ref.importers.xml_nodes import Node
+from mitsuba_ref.importers.appearance import is_dark, material_of
+from mitsuba_ref.importers.scene_builder import SceneBuilder, Step, composed_matrix, transform_steps
+from mitsuba_ref.importers.xml_document import Node, resolve_reference
 
-Made = dict[str, Any]
+ShapeData = dict[str, Any]
 
 # Of a sphere's matrix: its three columns are as long as each other up to what float32 makes of equal numbers.
-ROUND = 8 * 2.0**-24
+UNIFORM_SCALE_RTOL = 8 * 2.0**-24
 
-MIRROR = {"scale": [1.0, 1.0, -1.0]}
+MIRROR_Z = {"scale": [1.0, 1.0, -1.0]}
 
 
-def add_shape(out: Building, node: Node, outer: tuple[Step, ...] = (), name: str = "") -> None:
+def add_shape(out: SceneBuilder, node: Node, outer: tuple[Step, ...] = (), name: str = "") -> None:
     """outer: the steps of the instance that it is a part of, which act after its own. name: that of the instance."""
-    out.used.add(id(node))
+    out.consumed.add(id(node))
     if node.kind == "shapegroup":
         return  # invisible by itself
     if node.kind == "instance":
@@ -33,116 +30,116 @@ def add_shape(out: Building, node: Node, outer: tuple[Step, ...] = (), name: str
         else:
             _add_instance(out, node)
         return
-    if node.kind not in MAKERS:
-        out.omit(node, f"{node.words()}: no shape of ours (known: {', '.join(MAKERS)}, instance)")
+    if node.kind not in SHAPE_BUILDERS:
+        out.omit(node, f"{node.words()}: no shape of ours (known: {', '.join(SHAPE_BUILDERS)}, instance)")
         return
-    steps = [*steps_of(out, node), *outer]
-    shape = MAKERS[node.kind](out, node, steps, bool(outer))
+    steps = [*transform_steps(out, node), *outer]
+    shape = SHAPE_BUILDERS[node.kind](out, node, steps, bool(outer))
     material = material_of(out, node)
     for emitter in node.all("emitter", "ref"):
-        target = followed(out.document, emitter)
+        target = resolve_reference(out.document, emitter)
         if target is not None and target.tag == "emitter":
-            out.used |= {id(target), id(emitter)}
+            out.consumed |= {id(target), id(emitter)}
             if is_dark(out, target):
                 continue
             out.omit(emitter, f"{target.words()} of {node.words()}: our shapes do not shine")
-    out.omit_rest(node)
+    out.omit_unread(node)
     label = name or node.id
     taken = {other.get("name") for other in out.data["shape"]}
     shape |= {"name": label} if label and label.isprintable() and label not in taken else {}
     shape |= {"material": material} if material else {}
-    out.places["shape", len(out.data["shape"])] = node.place
+    out.places["shape", len(out.data["shape"])] = node.position
     out.data["shape"].append(shape)
 
 
-def _add_instance(out: Building, node: Node) -> None:
-    group = next((followed(out.document, ref) for ref in node.all("ref")), None)
-    out.used.update(id(ref) for ref in node.all("ref"))
+def _add_instance(out: SceneBuilder, node: Node) -> None:
+    group = next((resolve_reference(out.document, ref) for ref in node.all("ref")), None)
+    out.consumed.update(id(ref) for ref in node.all("ref"))
     if group is None or group.kind != "shapegroup":
         out.error(node, f"{node.words()}: expected a <ref> to a shapegroup")
         return
-    steps = tuple(steps_of(out, node)) or ({"translate": [0.0, 0.0, 0.0]},)
+    steps = tuple(transform_steps(out, node)) or ({"translate": [0.0, 0.0, 0.0]},)
     parts = [
         part
-        for part in (followed(out.document, each) for each in group.all("shape", "ref"))
+        for part in (resolve_reference(out.document, each) for each in group.all("shape", "ref"))
         if part is not None
     ]
     for part in parts:
         add_shape(out, part, steps, node.id if len(parts) == 1 else "")
-    out.omit_rest(node)
-    out.omit_rest(group)
+    out.omit_unread(node)
+    out.omit_unread(group)
 
 
-def _to_world(steps: list[Step]) -> Made:
+def _to_world(steps: list[Step]) -> ShapeData:
     return {"to_world": steps} if steps else {}
 
 
-def _sphere(out: Building, node: Node, steps: list[Step], stretched: bool) -> Made:
+def _sphere(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> ShapeData:
     """Mitsuba's takes of its matrix where its centre and one radius come to lie, unless an instance stretches it."""
     center, radius = out.vector(node, "center", (0.0, 0.0, 0.0)), out.number(node, "radius", 1.0)
     inward = out.boolean(node, "flip_normals") != (radius < 0.0)
-    matrix = placed(steps)
+    matrix = composed_matrix(steps)
     if matrix is not None and not stretched:  # an instance keeps outwards what is
         inward ^= bool(np.linalg.det(matrix[:3, :3]) < 0.0)
     if inward:
-        out.remark(node, "its normal, which points inwards: ours points outwards")
+        out.note(node, "its normal, which points inwards: ours points outwards")
     shape = {"type": "sphere", "center": center, "radius": abs(radius)}
     if matrix is None or stretched:
         return shape | _to_world(steps)
     sizes = np.linalg.norm(matrix[:3, :3], axis=0)
-    if np.ptp(sizes) > ROUND * sizes.max():
-        out.remark(node, "the stretching, which Mitsuba leaves out too: it keeps the radius along x")
+    if np.ptp(sizes) > UNIFORM_SCALE_RTOL * sizes.max():
+        out.note(node, "the stretching, which Mitsuba leaves out too: it keeps the radius along x")
     center = (matrix[:3, :3] @ center + matrix[:3, 3]).tolist()
     return {"type": "sphere", "center": center, "radius": float(abs(radius) * sizes[0])}
 
 
-def _flat(kind: str) -> Callable[[Building, Node, list[Step], bool], Made]:
+def _unit_shape(kind: str) -> Callable[[SceneBuilder, Node, list[Step], bool], ShapeData]:
     """A disk, rectangle or cube: our own are the same."""
 
-    def make(out: Building, node: Node, steps: list[Step], stretched: bool) -> Made:
+    def make(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> ShapeData:
         turned = out.boolean(node, "flip_normals")
         if turned and kind == "disk":
-            return {"type": kind, "to_world": [MIRROR, *steps]}
-        _tell_of_side(out, node, turned, steps)
+            return {"type": kind, "to_world": [MIRROR_Z, *steps]}
+        _note_normal_side(out, node, turned, steps)
         return {"type": kind} | _to_world(steps)
 
     return make
 
 
-def _cylinder(out: Building, node: Node, steps: list[Step], stretched: bool) -> Made:
+def _cylinder(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> ShapeData:
     ends = out.vector(node, "p0", (0.0, 0.0, 0.0)), out.vector(node, "p1", (0.0, 0.0, 1.0))
     radius = out.number(node, "radius", 1.0)
     if out.boolean(node, "flip_normals"):
-        out.remark(node, "its normal, which points inwards: ours points outwards")
+        out.note(node, "its normal, which points inwards: ours points outwards")
     return {"type": "cylinder", "p0": ends[0], "p1": ends[1], "radius": radius} | _to_world(steps)
 
 
-def _mesh(out: Building, node: Node, steps: list[Step], stretched: bool) -> Made:
+def _mesh(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> ShapeData:
     if node.named("filename") is None:
         out.error(node, f'{node.words()}: needs <string name="filename" ...>')
-    shape: Made = {"type": "mesh", "file": out.text(node, "filename")}
+    shape: ShapeData = {"type": "mesh", "file": out.text(node, "filename")}
     if out.boolean(node, "face_normals"):
         shape["face_normals"] = True
-    _tell_of_side(out, node, out.boolean(node, "flip_normals"), steps)
+    _note_normal_side(out, node, out.boolean(node, "flip_normals"), steps)
     return shape | _to_world(steps)
 
 
-def _tell_of_side(out: Building, node: Node, turned: bool, steps: list[Step]) -> None:
-    matrix = placed(steps)
+def _note_normal_side(out: SceneBuilder, node: Node, turned: bool, steps: list[Step]) -> None:
+    matrix = composed_matrix(steps)
     if turned:
-        out.remark(node, "flip_normals: our normal points to the other side")
+        out.note(node, "flip_normals: our normal points to the other side")
     elif matrix is not None and np.linalg.det(matrix[:3, :3]) < 0.0:
-        out.remark(
+        out.note(
             node,
             "the side of its normal: Mitsuba's geometric and shading normals part ways under a mirror, ours do not",
         )
 
 
-MAKERS: dict[str, Callable[[Building, Node, list[Step], bool], Made]] = {
+SHAPE_BUILDERS: dict[str, Callable[[SceneBuilder, Node, list[Step], bool], ShapeData]] = {
     "sphere": _sphere,
-    "rectangle": _flat("rectangle"),
-    "disk": _flat("disk"),
-    "cube": _flat("cube"),
+    "rectangle": _unit_shape("rectangle"),
+    "disk": _unit_shape("disk"),
+    "cube": _unit_shape("cube"),
     "cylinder": _cylinder,
     "obj": _mesh,
     "ply": _mesh,

@@ -9,19 +9,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from caster.packing import Triangles
+from caster.geometry.packing import Triangles
 from caster.shapes.plane import Plane, Planes
-from mitsuba_ref.exact_arithmetic.flat import PLANES
-from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error, somewhere, unit
-from mitsuba_ref.placed import plane
-from mitsuba_ref.shape_reference import ShapeReference
-from mitsuba_ref.shapes import triangles
-from mitsuba_ref.xml import Writer, XmlElement
+from mitsuba_ref.error_model.independent_transform import expected_plane
+from mitsuba_ref.error_model.intersections import (
+    ErrorModel,
+    Intersections,
+    dot,
+    finite_or_zero,
+    norm,
+    position_error,
+    unit,
+)
+from mitsuba_ref.oracle.exact_planar import PLANES
+from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.shapes import triangle_error
+from mitsuba_ref.shapes.shape_reference import ShapeReference
 
-RINGS = 24  # 2^24 times the square: beyond that, float32 does not tell the hit from the horizon
-LARGEST = 1e10  # Embree's triangles are right up to about here (docs/method.md, "Domain")
-AROUND = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-TURN = 0.6  # radians; keeps the patch's edges off the rows and columns of pictures
+PATCH_RINGS = 24  # 2^24 times the square: beyond that, float32 does not tell the hit from the horizon
+LARGEST_PATCH_COORDINATE = 1e10  # Embree's triangles are right up to about here (docs/method.md, "Domain")
+SQUARE_CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+PATCH_ROTATION = 0.6  # radians; keeps the patch's edges off the rows and columns of pictures
 
 
 class Patches(NamedTuple):
@@ -47,11 +55,11 @@ def _patch(normal: np.ndarray, point: np.ndarray, o: np.ndarray, d: np.ndarray) 
     center = eye - n * np.dot(n, eye - point)
     first = unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n))])[None])[0]
     second = np.cross(n, first)
-    turned = np.cos(TURN) * first + np.sin(TURN) * second
+    turned = np.cos(PATCH_ROTATION) * first + np.sin(PATCH_ROTATION) * second
     axes = np.stack([turned, np.cross(n, turned)])
     half = _half_side(n, point, center, o, d)
-    sizes = half * 2.0 ** np.arange(RINGS + 1)
-    corners = center + (sizes[:, None, None] * (AROUND @ axes)).reshape(-1, 3)
+    sizes = half * 2.0 ** np.arange(PATCH_RINGS + 1)
+    corners = center + (sizes[:, None, None] * (SQUARE_CORNERS @ axes)).reshape(-1, 3)
     return n, point, center, axes, np.array(half), corners.astype(np.float32).astype(np.float64)
 
 
@@ -64,7 +72,7 @@ def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarr
     size = float(np.quantile(away, 0.1)) if len(away) else 1.0
     size = max(size, float(np.abs(center).max()) * 2.0**-20, 1e-6)
     return min(
-        size, LARGEST / 4.0 * 2.0**-RINGS
+        size, LARGEST_PATCH_COORDINATE / 4.0 * 2.0**-PATCH_RINGS
     )  # or the outer rings would have no area, which Embree may hit
 
 
@@ -72,32 +80,34 @@ def faces() -> np.ndarray:
     """The triangles of a patch: the square, then ring by ring."""
     square = [[0, 1, 2], [0, 2, 3]]
     rings = []
-    for start in range(0, 4 * RINGS, 4):
+    for start in range(0, 4 * PATCH_RINGS, 4):
         for side in range(4):
             a, b = start + side, start + (side + 1) % 4
             rings += [[a, a + 4, b + 4], [a, b + 4, b]]
     return np.array(square + rings, np.int32)
 
 
-FACES = faces()
+PATCH_FACES = faces()
 
 
 def as_triangles(patch: Patches) -> Triangles:
     """All patches as one mesh; patch i holds the faces from i * len(FACES) on."""
     count = patch.corners.shape[1]
     shifts = count * np.arange(len(patch.corners), dtype=np.int32)
-    every = (FACES[None] + shifts[:, None, None]).reshape(-1, 3)
+    every = (PATCH_FACES[None] + shifts[:, None, None]).reshape(-1, 3)
     vertices = patch.corners.reshape(-1, 3)
     flat = np.zeros(len(every), bool)
     return Triangles(vertices, every, np.zeros_like(vertices), np.zeros((len(vertices), 2)), flat, flat)
 
 
-def to_xml(out: Writer, shape: Plane, part: Patches) -> list[XmlElement]:
+def to_xml(out: ShapeWriter, shape: Plane, part: Patches) -> list[XmlElement]:
     out.notes.append(f"{out.name}: a patch of triangles stands in for the infinite plane")
     return [out.mesh(shape, as_triangles(part))]
 
 
-def meet(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
+def intersect(
+    prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
+) -> tuple[Intersections, ...]:
     """Ray i with plane k[i]. The bound is that of the triangle around the hit, and the rounding of its corners.
 
     Hits beyond the patch have no bound: there is nothing for the reference to hit. It is certain to hit where one of
@@ -108,8 +118,8 @@ def meet(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float)
         t = dot(n, prims.point[k] - o) / slope
     face, within = _face_of_hit(prims, k, o, d, t)
     mesh = as_triangles(prims)
-    first, second = (k * len(FACES) + face + j for j in (0, 1))
-    (local,), (other,) = (triangles.meet(mesh, each, o, d, ku) for each in (first, second))
+    first, second = (k * len(PATCH_FACES) + face + j for j in (0, 1))
+    (local,), (other,) = (triangle_error.intersect(mesh, each, o, d, ku) for each in (first, second))
     corners, others = (mesh.vertices[mesh.faces[each]] for each in (first, second))
     moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # one rounding, not K of them
     within_one = local.certain | other.certain
@@ -123,12 +133,14 @@ def meet(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float)
     resolved = within & np.isfinite(t_error) & np.isfinite(t)
     t_error = np.where(resolved, t_error, np.inf)
     sure = resolved & (within_one | (local.side != 0.0) | (other.side != 0.0))
-    t, everywhere = somewhere(t, t_error), np.ones(len(k), bool)
+    t, everywhere = finite_or_zero(t, t_error), np.ones(len(k), bool)
     p_error = local.p_error + position_error(o, d, t, t_error, ku)
-    return (Meetings(t, t_error, n, n_error, n, n_error, everywhere, sure, p_error),)
+    return (Intersections(t, t_error, n, n_error, n, n_error, everywhere, sure, p_error),)
 
 
-def meet_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
+def intersect_ours(
+    prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
+) -> tuple[Intersections, ...]:
     """Ray i with the plane k[i] itself: its height above the origin and its slope, each a rounded dot product."""
     n, point = prims.normal[k], prims.point[k]
     slope = dot(n, d)
@@ -137,11 +149,11 @@ def meet_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: f
         rho = ku * dot(np.abs(n), np.abs(d)) / np.abs(slope)
         reach = np.abs(point) + np.abs(o) + np.abs(t)[:, None] * np.abs(d)
         t_error = ku * (dot(np.abs(n), reach) / np.abs(slope) + np.abs(t))
-        t_error = np.where(rho < triangles.UNRESOLVABLE, t_error / (1.0 - np.minimum(rho, 0.5)), np.inf)
+        t_error = np.where(rho < triangle_error.UNRESOLVABLE, t_error / (1.0 - np.minimum(rho, 0.5)), np.inf)
     t_error = np.where(np.isfinite(t), t_error, np.inf)
-    t, everywhere, flat = somewhere(t, t_error), np.ones(len(k), bool), np.full(len(k), ku)
+    t, everywhere, flat = finite_or_zero(t, t_error), np.ones(len(k), bool), np.full(len(k), ku)
     p_error = position_error(o, d, t, t_error, ku)
-    return (Meetings(t, t_error, n, flat, n, flat, everywhere, np.isfinite(t_error), p_error),)
+    return (Intersections(t, t_error, n, flat, n, flat, everywhere, np.isfinite(t_error), p_error),)
 
 
 def _face_of_hit(
@@ -153,8 +165,8 @@ def _face_of_hit(
     size = np.maximum(np.abs(u), np.abs(v))
     ring = np.ceil(np.log2(np.maximum(size, 1.0))).astype(int)
     side = np.where(np.abs(v) >= np.abs(u), np.where(v > 0, 0, 2), np.where(u > 0, 3, 1))
-    within = (ring <= RINGS) & (size * prims.half[k] <= LARGEST / 4.0) & np.isfinite(t)
-    ring = np.clip(ring, 0, RINGS)
+    within = (ring <= PATCH_RINGS) & (size * prims.half[k] <= LARGEST_PATCH_COORDINATE / 4.0) & np.isfinite(t)
+    ring = np.clip(ring, 0, PATCH_RINGS)
     return np.where(ring == 0, 0, 2 + 8 * (ring - 1) + 2 * side), within
 
 
@@ -177,10 +189,10 @@ def bounds(prims: Patches) -> tuple[np.ndarray, np.ndarray]:
     return -everywhere, everywhere
 
 
-def unfolded(prims: Patches) -> tuple[Triangles, np.ndarray]:
+def expand_patches(prims: Patches) -> tuple[Triangles, np.ndarray]:
     """The triangles of all patches, and whose each is."""
-    return as_triangles(prims), np.repeat(np.arange(len(prims.corners)), len(FACES))
+    return as_triangles(prims), np.repeat(np.arange(len(prims.corners)), len(PATCH_FACES))
 
 
-MODEL = ErrorModel(meet, bounds, meet_ours, exact=PLANES, unfold={Patches: unfolded})
-REFERENCE = ShapeReference(Plane, to_xml, {Planes: MODEL}, plane, stand_in=patches)
+MODEL = ErrorModel(intersect, bounds, intersect_ours, exact=PLANES, unfold={Patches: expand_patches})
+REFERENCE = ShapeReference(Plane, to_xml, {Planes: MODEL}, expected_plane, stand_in=patches)

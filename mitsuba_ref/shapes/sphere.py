@@ -5,22 +5,29 @@ from typing import Any
 import numpy as np
 
 from caster.shapes.sphere import Ellipsoids, Sphere, Spheres
-from mitsuba_ref.exact_arithmetic.round import ELLIPSOIDS, SPHERES
-from mitsuba_ref.meeting import ErrorModel, Meetings, dot, norm, position_error, transformed
-from mitsuba_ref.placed import ball
-from mitsuba_ref.shape_reference import ShapeReference
-from mitsuba_ref.shapes.quadric import (
+from mitsuba_ref.error_model.independent_transform import expected_sphere
+from mitsuba_ref.error_model.intersections import (
+    ErrorModel,
+    Intersections,
+    dot,
+    mat_vec_rows,
+    norm,
+    position_error,
+)
+from mitsuba_ref.oracle.exact_quadrics import ELLIPSOIDS, SPHERES
+from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.shapes.quadric_error import (
     affine_bounds,
     half_chord_error,
-    in_object_space,
     ours_through_object_space,
-    roots,
-    turned_normal,
+    rays_in_object_space,
+    sphere_roots,
+    world_normal,
 )
-from mitsuba_ref.xml import Writer, XmlElement
+from mitsuba_ref.shapes.shape_reference import ShapeReference
 
 
-def to_xml(out: Writer, shape: Sphere, part: Any) -> list[XmlElement]:
+def to_xml(out: ShapeWriter, shape: Sphere, part: Any) -> list[XmlElement]:
     """Centre and radius as one matrix; an ellipsoid as an instance, since Mitsuba's sphere takes no stretching."""
     if isinstance(part, Ellipsoids):
         return out.instance(shape, "sphere", part)
@@ -28,10 +35,12 @@ def to_xml(out: Writer, shape: Sphere, part: Any) -> list[XmlElement]:
     return [out.native(shape, "sphere", part.center[0], scale)]
 
 
-def meet(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Meetings, ...]:
+def intersect(
+    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
+) -> tuple[Intersections, ...]:
     """Ray i with ball k[i]: near root, far root."""
     center, r = prims.center[k], prims.radius[k]
-    middle, distance, s = roots(o - center, d, r)
+    middle, distance, s = sphere_roots(o - center, d, r)
     return tuple(_meeting(center, r, o, d, (middle, distance, s), side, ku) for side in (-1.0, 1.0))
 
 
@@ -43,7 +52,7 @@ def _meeting(
     root: tuple[np.ndarray, np.ndarray, np.ndarray],
     side: float,
     ku: float,
-) -> Meetings:
+) -> Intersections:
     middle, distance, s = root
     size = norm(d)
     t = middle + side * s / size
@@ -55,20 +64,20 @@ def _meeting(
     n_error = (ku * norm(reach) + slide * t_error) / r + 0.5 * ku
     possible, certain = distance - r <= error, r - distance > error
     p_error = position_error(o, d, t, t_error, ku)
-    return Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error)
+    return Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error)
 
 
 def meet_ellipsoid(
     prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
-) -> tuple[Meetings, ...]:
+) -> tuple[Intersections, ...]:
     """Ray i with ellipsoid k[i]: the unit ball in object space, where the ray arrives rounded.
 
     Mitsuba 3.9.1 moves a ray's origin to where it passes the centre, so that little cancels; but it takes the
     distance to there for the parameter. Where d is longer than 1 in object space, it overshoots, and rounds there.
     """
     to_object = prims.to_object[k]
-    rays = in_object_space(prims.center[k], to_object, o, d)
-    middle, distance, s = roots(rays.o, rays.d, np.ones(len(k)))
+    rays = rays_in_object_space(prims.center[k], to_object, o, d)
+    middle, distance, s = sphere_roots(rays.o, rays.d, np.ones(len(k)))
     size = norm(rays.d)
     overshoot = np.abs(middle) * size * np.maximum(size - 1.0, 0.0)
     found = []
@@ -78,17 +87,17 @@ def meet_ellipsoid(
         error = ku * (norm(rays.components(t)) + overshoot + 1.0)
         t_error = half_chord_error(s, np.ones(len(k)), error) / size + ku * (np.abs(t) + overshoot / size)
         slide = np.sqrt(np.maximum(size * size - dot(q, rays.d) ** 2, 0.0))
-        n, n_error = turned_normal(to_object, q, error + slide * t_error, ku)
+        n, n_error = world_normal(to_object, q, error + slide * t_error, ku)
         possible, certain = distance - 1.0 <= error, 1.0 - distance > error
         # Mitsuba pulls the point onto the unit ball along its radius, which may be far longer in the world.
         away = error + np.abs(dot(q, rays.d)) * t_error + 0.5 * (slide * t_error) ** 2
-        pulled = norm(transformed(prims.to_world[k], q)) * away
+        pulled = norm(mat_vec_rows(prims.to_world[k], q)) * away
         p_error = position_error(o, d, t, t_error, ku) + pulled
-        found.append(Meetings(t, t_error, n, n_error, n, n_error, possible, certain, p_error))
+        found.append(Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error))
     return tuple(found)
 
 
-def ball_bounds(prims: Spheres) -> tuple[np.ndarray, np.ndarray]:
+def sphere_bounds(prims: Spheres) -> tuple[np.ndarray, np.ndarray]:
     r = prims.radius[:, None]
     return prims.center - r, prims.center + r
 
@@ -97,11 +106,11 @@ REFERENCE = ShapeReference(
     Sphere,
     to_xml,
     {
-        Spheres: ErrorModel(meet, ball_bounds, exact=SPHERES),
+        Spheres: ErrorModel(intersect, sphere_bounds, exact=SPHERES),
         Ellipsoids: ErrorModel(
             meet_ellipsoid, affine_bounds, ours_through_object_space(meet_ellipsoid), exact=ELLIPSOIDS
         ),
     },
-    ball,
+    expected_sphere,
     analytic=True,
 )

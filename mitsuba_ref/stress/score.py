@@ -1,13 +1,54 @@
-"""What one witness got wrong in one setting."""
+"""The exact answers about a setting."""
 
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.bounds import bounds_of
-from mitsuba_ref.stress.truth import Truth
-from mitsuba_ref.stress.witnesses import Absent, Prepared, Sight
+from mitsuba_ref.error_model.bounds import reference_bounds
+from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
+from mitsuba_ref.stress.witnesses import Absent, Observation, PreparedSetting
+
+# In a closed mesh every ray from inside hits, so that exact arithmetic need not look at all of them: it looks at
+# this many, spread evenly, and at the first of those that some witness says are misses.
+ADJUDICATED_IF_CLOSED, CONFIRMED_MISSES = 1000, 200
+
+
+@dataclass(frozen=True)
+class ExactAnswers:
+    """Exact answers, one for each of the rays that were asked about."""
+
+    hit: np.ndarray  # (n,) bool, of all rays
+    rows: np.ndarray  # (m,) the rays that exact arithmetic was asked about
+    answers: tuple[ExactAnswer, ...]  # m of them
+
+    @cached_property
+    def t(self) -> np.ndarray:
+        """(m,) to the nearest float64, inf on a miss."""
+        return np.array([np.inf if answer.t is None else float(answer.t) for answer in self.answers])
+
+
+def exact_answers(ready: PreparedSetting, reported_misses: np.ndarray) -> ExactAnswers:
+    """doubted: (n,) rays of which some witness says that they miss. Only a closed mesh leaves rays unasked."""
+    count = len(ready.setting.o)
+    if ready.setting.closed:
+        sample = np.linspace(0, count - 1, min(count, ADJUDICATED_IF_CLOSED)).astype(int)
+        rows = np.union1d(sample, np.flatnonzero(reported_misses)[:CONFIRMED_MISSES])
+    else:
+        rows = np.arange(count)
+    o, d = (a[rows].astype(np.float64) for a in (ready.setting.o, ready.setting.d))
+    answers = tuple(Oracle(ready.packed).first_hits(o, d))
+    hit = np.ones(count, bool)
+    hit[rows] = [answer.hit for answer in answers]
+    if ready.setting.closed and not hit.all():
+        raise AssertionError(
+            f"ray {int(np.argmin(hit))} leaves a closed mesh from inside, says exact arithmetic"
+        )
+    return ExactAnswers(hit, rows, answers)
+
+
+# What one witness got wrong in one setting.
 
 
 @dataclass(frozen=True)
@@ -42,7 +83,7 @@ class Score:
         return asdict(self) | {"first_wrong": list(self.first_wrong)}
 
 
-SHOWN = 5  # rays that are named, of those that are wrong
+MAX_RAYS_NAMED = 5  # rays that are named, of those that are wrong
 
 
 @dataclass(frozen=True)
@@ -57,7 +98,7 @@ class Bound:
 class Scorer:
     """One setting's exact answers, and the bounds around them."""
 
-    def __init__(self, ready: Prepared, truth: Truth) -> None:
+    def __init__(self, ready: PreparedSetting, truth: ExactAnswers) -> None:
         self.ready, self.truth = ready, truth
         self.hits = np.array([i for i, answer in enumerate(truth.answers) if answer.hit], int)
         d = ready.setting.d[truth.rows[self.hits]].astype(np.float64)
@@ -76,7 +117,7 @@ class Scorer:
         """Of ours and of a float32 caster: how far t may be off at primitive prim[i] for the exact hit hit[i]."""
         rows = self.truth.rows[self.hits[hit]]
         o, d = (a[rows].astype(np.float64) for a in (self.ready.setting.o, self.ready.setting.d))
-        found = bounds_of(self.ready.model, prim, o, d, self.truth.t[self.hits[hit]])
+        found = reference_bounds(self.ready.model, prim, o, d, self.truth.t[self.hits[hit]])
         own, theirs = (np.where(np.isnan(at.t_error), np.inf, at.t_error) for at in (found.own, found.at))
         return own, theirs
 
@@ -87,7 +128,7 @@ class Scorer:
             largest(self.float32 / self.unit), largest(self.float64 / self.unit), int(np.sum(~resolved))
         )
 
-    def score(self, sight: Sight, *, ours: bool) -> Score:
+    def score(self, sight: Observation, *, ours: bool) -> Score:
         truth, said = self.truth, sight.hit
         rows = truth.rows[self.hits]
         both = np.flatnonzero(said[rows])
@@ -112,7 +153,7 @@ class Scorer:
             worst=largest(ratio),
             error=largest(errors / self.unit[both]),
             median=float(np.median(errors / self.unit[both])) if len(both) else None,
-            first_wrong=tuple(np.flatnonzero(wrong)[:SHOWN].tolist()),
+            first_wrong=tuple(np.flatnonzero(wrong)[:MAX_RAYS_NAMED].tolist()),
         )
 
     def _off(self, i: int, t: float) -> float:
@@ -127,5 +168,5 @@ def largest(values: np.ndarray) -> float | None:
     return float(finite.max()) if len(finite) else None
 
 
-def judged(scorer: Scorer, sight: Sight | Absent, *, ours: bool) -> Score | Absent:
+def score_of(scorer: Scorer, sight: Observation | Absent, *, ours: bool) -> Score | Absent:
     return sight if isinstance(sight, Absent) else scorer.score(sight, ours=ours)

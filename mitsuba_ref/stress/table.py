@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from mitsuba_ref.stress.result import Outcome, Sweep
 from mitsuba_ref.stress.score import Score
+from mitsuba_ref.stress.sweeps import Outcome, Sweep
 from mitsuba_ref.stress.witnesses import SCREEN, WITNESSES, Absent, Witness
 
 NOTHING = "-"
@@ -22,14 +22,14 @@ def as_text(sweep: Sweep) -> str:
     return "\n".join([head, *lines, *footnotes(sweep), *(f"FAIL  {line}" for line in sweep.problems)])
 
 
-def shown(sweep: Sweep) -> list[Witness]:
+def shown_witnesses(sweep: Sweep) -> list[Witness]:
     """The witnesses that have a column: the screen only where it was asked."""
     absent = sweep.absence(SCREEN.key)
     return [witness for witness in WITNESSES if witness is not SCREEN or absent is None]
 
 
 def columns(sweep: Sweep) -> list[str]:
-    names = [name for witness in shown(sweep) for name in (witness.key, "wrong")]
+    names = [name for witness in shown_witnesses(sweep) for name in (witness.key, "wrong")]
     return [sweep.family.quantity, "rays", "hits", "ties", "bound 64", "bound 32", *names]
 
 
@@ -37,7 +37,7 @@ def cells(sweep: Sweep) -> Iterator[list[str]]:
     for outcome in sweep.outcomes:
         bounds = [number(outcome.bound.float64), number(outcome.bound.float32)]
         counts = [f"{outcome.x:.4g}", str(outcome.rays), str(outcome.hits), str(outcome.ties)]
-        said = [cell for witness in shown(sweep) for cell in of_score(outcome, witness.key)]
+        said = [cell for witness in shown_witnesses(sweep) for cell in of_score(outcome, witness.key)]
         yield [*counts, *bounds, *said]
 
 
@@ -56,11 +56,11 @@ def number(value: float | None) -> str:
 
 def footnotes(sweep: Sweep) -> Iterator[str]:
     """Where each witness first breaks down; why one is not there."""
-    places = [f"{witness.key} {breakdown(sweep, witness.key)}" for witness in shown(sweep)]
+    places = [f"{witness.key} {breakdown(sweep, witness.key)}" for witness in shown_witnesses(sweep)]
     yield f"breaks down at: {', '.join(places)}"
     if any(outcome.closed for outcome in sweep.outcomes):
         yield leaks(sweep)
-    for witness in shown(sweep):
+    for witness in shown_witnesses(sweep):
         absent = sweep.absence(witness.key)
         if absent:
             yield f"{witness.title}: {absent.status}: {absent.why}"
@@ -77,7 +77,7 @@ def breakdown(sweep: Sweep, key: str) -> str:
 def leaks(sweep: Sweep) -> str:
     """Rays that got out of a closed mesh, all settings together."""
     found = []
-    for witness in shown(sweep):
+    for witness in shown_witnesses(sweep):
         scores = [outcome.scores[witness.key] for outcome in sweep.outcomes]
         out = sum(score.false_misses for score in scores if isinstance(score, Score))
         absent = sweep.absence(witness.key)

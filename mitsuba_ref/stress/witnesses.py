@@ -7,19 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from caster.film_casting import find_nearest_on_film
-from caster.hits import cast
-from caster.packing import Packed, pack
-from caster.placing import as_float32
-from caster.rendering import camera_rays, film_window
-from caster.scene import Scene
-from mitsuba_ref.export import export, shape_ids
-from mitsuba_ref.jobs import Answer, Crash, Job
-from mitsuba_ref.model import Model, model_of
-from mitsuba_ref.rays import SharedRays
+from caster.geometry.packing import Packed, pack
+from caster.geometry.world_space import as_float32
+from caster.rendering.hits import cast
+from caster.rendering.images import camera_rays, film_window
+from caster.rendering.rasterization import find_nearest_on_film
+from caster.scene.files import Scene
+from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.rendering import export, shape_ids
+from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, send_requests
+from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
 from mitsuba_ref.stress.family import Setting
-from mitsuba_ref.variants import LLVM, SCALAR, usable
-from mitsuba_ref.worker import DEFAULT_TIMEOUT, ask_all
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ REFERENCES = (
 WITNESSES = (OURS, SCREEN, *REFERENCES)
 
 # A child holds all rays of its scenes, and some hundred bytes of answer for each.
-MOST_RAYS = 1 << 20
+MAX_RAYS_PER_PROCESS = 1 << 20
 
 
-class Sight(NamedTuple):
+class Observation(NamedTuple):
     """What one witness says about the rays of a setting."""
 
     t: np.ndarray  # (n,) float64, lengths of d, inf on a miss
@@ -64,34 +64,34 @@ class Absent(NamedTuple):
     why: str
 
 
-class Prepared(NamedTuple):
+class PreparedSetting(NamedTuple):
     """A setting with its geometry packed, as float32 numbers."""
 
     setting: Setting
     packed: Packed
-    model: Model
+    model: SceneModel
 
 
-def prepare(setting: Setting) -> Prepared:
+def prepare_setting(setting: Setting) -> PreparedSetting:
     packed = pack(setting.scene, as_float32)
     count = len(setting.o)
     rays = SharedRays(setting.o, setting.d, np.full(count, np.inf, np.float32), np.zeros(count))
-    return Prepared(setting, packed, model_of(setting.scene, packed, rays))
+    return PreparedSetting(setting, packed, model_of(setting.scene, packed, rays))
 
 
-def ours(ready: Prepared) -> Sight:
+def cast_by_bvh(ready: PreparedSetting) -> Observation:
     """The public cast, on the packed float32 geometry."""
     ready.setting.scene.kept["packed"] = ready.packed
     hits = cast(ready.setting.scene, ready.setting.o, ready.setting.d)
-    return Sight(hits.t, numbered(ready.packed, hits.shape_id, hits.prim_id))
+    return Observation(hits.t, scene_prim_ids(ready.packed, hits.shape_id, hits.prim_id))
 
 
-def numbered(packed: Packed, shape: np.ndarray, prim: np.ndarray) -> np.ndarray:
+def scene_prim_ids(packed: Packed, shape: np.ndarray, prim: np.ndarray) -> np.ndarray:
     """Numbers in the scene of primitives within their shapes; -1 for shape -1."""
     return np.where(shape < 0, -1, packed.first[np.maximum(shape, 0)] + np.maximum(prim, 0))
 
 
-def on_screen(ready: Prepared) -> Sight | Absent:
+def cast_by_raster(ready: PreparedSetting) -> Observation | Absent:
     """Ours once more, primitive by primitive over the pixels of a camera's picture."""
     setting = ready.setting
     if not setting.shots:
@@ -107,48 +107,52 @@ def on_screen(ready: Prepared) -> Sight | Absent:
             ready.packed, rays, seen_by, window, camera.shares_origin, off_centre=1.0
         )
         t[rows], prim[rows] = nearest.t[pixels], nearest.prim[pixels]
-    return Sight(t, prim)
+    return Observation(t, prim)
 
 
-def reference(witness: Witness, settings: Sequence[Prepared], folder: Path) -> list[Sight | Absent]:
+def ask_reference(
+    witness: Witness, settings: Sequence[PreparedSetting], folder: Path
+) -> list[Observation | Absent]:
     """One of Mitsuba's configurations about several settings, in as few child processes as they fit in."""
-    found = usable()
+    found = usable_variants()
     if witness.variant not in found.names:
         return [Absent("missing", found.why)] * len(settings)
     jobs = [_job(witness, ready, folder / f"{witness.key}-{i}") for i, ready in enumerate(settings)]
-    answers = [answer for group in grouped(jobs) for answer in ask_all(group, patience(group))]
-    return [_sight(ready, answer) for ready, answer in zip(settings, answers, strict=True)]
+    answers = [answer for group in grouped(jobs) for answer in send_requests(group, timeout_of(group))]
+    return [_observation(ready, answer) for ready, answer in zip(settings, answers, strict=True)]
 
 
-def patience(jobs: Sequence[Job]) -> float:
+def timeout_of(jobs: Sequence[TraceRequest]) -> float:
     """Seconds to wait for an answer: a ray takes some ten microseconds, more on a machine that does other things."""
     return DEFAULT_TIMEOUT + 1e-3 * sum(len(job.o) for job in jobs)
 
 
-def grouped(jobs: Sequence[Job]) -> list[list[Job]]:
+def grouped(jobs: Sequence[TraceRequest]) -> list[list[TraceRequest]]:
     """Runs of jobs with at most so many rays together, or one job with more."""
-    groups: list[list[Job]] = []
+    groups: list[list[TraceRequest]] = []
     room = 0
     for job in jobs:
         if len(job.o) > room:
             groups.append([])
-            room = MOST_RAYS
+            room = MAX_RAYS_PER_PROCESS
         groups[-1].append(job)
         room -= len(job.o)
     return groups
 
 
-def _job(witness: Witness, ready: Prepared, folder: Path) -> Job:
+def _job(witness: Witness, ready: PreparedSetting, folder: Path) -> TraceRequest:
     xml = export(ready.setting.scene, ready.model, robust=witness.robust).write(folder)
     o, d = ready.setting.o, ready.setting.d
     endless = np.full(len(o), np.inf, np.float32)
     # Mitsuba warns of far milder things than these scenes, and takes a very large or small sphere for a stretched one.
-    return Job(xml, witness.variant, o, d, endless, lights=False, strict=False)
+    return TraceRequest(xml, witness.variant, o, d, endless, lights=False, strict=False)
 
 
-def _sight(ready: Prepared, answer: Answer | Crash) -> Sight | Absent:
+def _observation(ready: PreparedSetting, answer: TraceResponse | Crash) -> Observation | Absent:
     if isinstance(answer, Crash):
         return Absent("crash", f"{answer.kind} ({answer.exit}) {answer.headline}".strip())
     place = {name: index for index, name in enumerate(shape_ids(ready.setting.scene))}
     shapes = np.array([*(place.get(name, -1) for name in answer.names), -1])
-    return Sight(answer.t.astype(np.float64), numbered(ready.packed, shapes[answer.shape], answer.prim))
+    return Observation(
+        answer.t.astype(np.float64), scene_prim_ids(ready.packed, shapes[answer.shape], answer.prim)
+    )

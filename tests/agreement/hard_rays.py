@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from caster.geometry.packing import Kind, Packed
 from caster.kernels.protocol import hull_point, hull_size
-from caster.packing import Kind, Packed
 
 Rng = np.random.Generator
 OD = tuple[np.ndarray, np.ndarray]

@@ -8,10 +8,10 @@ from random_scenes import VIEWS, name, random_scene
 
 from caster.aovs import BY_NAME
 from caster.cameras import Pinhole
-from caster.casting import find_nearest
-from caster.hits import checked_rays, packed
-from caster.kernels.compiling.kernel_cache import COMPILED
-from caster.rendering import render
+from caster.jit.kernel_cache import COMPILED
+from caster.rendering.casting import find_nearest
+from caster.rendering.hits import packed, validated_rays
+from caster.rendering.images import render
 from caster.shapes import SHAPES
 
 FILM = (13, 9)
@@ -35,7 +35,7 @@ def rays_cast(rng: np.random.Generator, shape: type) -> dict[str, np.ndarray]:
     scene = random_scene(rng, [shape], Pinhole, count=5)
     results = {}
     for family, (o, d) in hard_rays(packed(scene), rng, RAYS).items():
-        nearest = find_nearest(packed(scene), checked_rays(o, d, 0.0, np.inf), threads=1)
+        nearest = find_nearest(packed(scene), validated_rays(o, d, 0.0, np.inf), threads=1)
         results |= {f"{name(shape)} {family} {key}": array for key, array in nearest._asdict().items()}
         results |= {f"{name(shape)} {family} o": o, f"{name(shape)} {family} d": d}
     return results

@@ -7,11 +7,11 @@ from random_scenes import name, random_scene
 from same_bits import assert_same_bits
 
 from caster.cameras import Pinhole
-from caster.casting import find_nearest
-from caster.hits import cast, checked_rays, occluded, packed
+from caster.geometry.packing import Kind, Packed
 from caster.kernels.triangles import Triangles
-from caster.packing import Kind, Packed
-from caster.scene import Scene
+from caster.rendering.casting import find_nearest
+from caster.rendering.hits import cast, occluded, packed, validated_rays
+from caster.scene.files import Scene
 from caster.shapes import SHAPES, Icosphere
 
 SIZES = (1e-3, 1.0, 1e3)
@@ -23,7 +23,7 @@ def count_hits_where_tree_agrees(scene: Scene, o: np.ndarray, d: np.ndarray, wha
     hits = cast(scene, o, d)
     sooner = {"blocked": occluded(scene, o, d), "normal": hits.normal}
     assert_same_bits({"blocked": hits.shape_id >= 0, "normal": hits.surface.n}, sooner, what)
-    slow = find_nearest(packed(scene), checked_rays(o, d, 0.0, np.inf), "everything")
+    slow = find_nearest(packed(scene), validated_rays(o, d, 0.0, np.inf), "everything")
     fast = {"t": hits.t, "prim": hits.view.nearest.prim}
     assert_same_bits({"t": slow.t, "prim": slow.prim}, fast, what)
     assert np.isfinite(hits.t).sum() == (hits.prim_id >= 0).sum(), f"{what}: a hit without a finite t"
@@ -69,7 +69,7 @@ def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():
     for _ in range(10):
         packed = slivers(rng, 60)
         for family, (o, d) in hard_rays(packed, rng, 100).items():
-            rays = checked_rays(o, d, 0.0, np.inf)
+            rays = validated_rays(o, d, 0.0, np.inf)
             slow, fast = find_nearest(packed, rays, "everything"), find_nearest(packed, rays, "bvh")
             assert_same_bits(slow._asdict(), fast._asdict(), family)
             hits += int((slow.prim >= 0).sum())

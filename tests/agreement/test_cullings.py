@@ -7,11 +7,11 @@ from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
 from caster.cameras import Orthographic, Pinhole
-from caster.kernels.jit import implements
-from caster.kernels.protocol import project_ball
-from caster.packing import pack
-from caster.rendering import render, render_film
-from caster.scene import Scene
+from caster.geometry.packing import pack
+from caster.jit.decorators import implements
+from caster.kernels.protocol import project_bounding_sphere
+from caster.rendering.images import render, render_film
+from caster.scene.files import Scene
 from caster.shapes import SHAPES, Cube, Heightfield, Icosphere, Sphere
 
 SIZES = (1e-3, 1.0, 1e3)
@@ -21,7 +21,7 @@ FARTHEST = 1e3  # how many of its sizes a scene stands away from the origin, at 
 def cullings_for(scene: Scene) -> tuple[str, ...]:
     """What is to agree with `everything`: the tree always, the screen where the camera can project."""
     packed = scene.camera.pack(scene.film.width, scene.film.height)
-    return ("screen", "bvh") if implements(project_ball, type(packed)) else ("bvh",)
+    return ("screen", "bvh") if implements(project_bounding_sphere, type(packed)) else ("bvh",)
 
 
 def count_hits_where_cullings_agree(scene: Scene) -> tuple[int, int]:

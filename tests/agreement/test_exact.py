@@ -10,11 +10,11 @@ from hard_rays import around, picked, scene_points
 from random_scenes import MATERIALS, name, random_shape
 
 from caster.cameras import Pinhole
-from caster.casting import find_nearest
-from caster.hits import checked_rays
-from caster.packing import Packed, pack
-from caster.placing import as_given
-from caster.scene import Scene
+from caster.geometry.packing import Packed, pack
+from caster.geometry.world_space import as_given
+from caster.rendering.casting import find_nearest
+from caster.rendering.hits import validated_rays
+from caster.scene.files import Scene
 from caster.shapes import SHAPES, Sphere
 
 OFFSETS = 2 * (0.0, 1.0, 1e3, 1e5, 1e7)
@@ -28,7 +28,7 @@ MARGIN = 16.0 * 2.0**-53
 
 def compare(packed: Packed, o: np.ndarray, d: np.ndarray) -> tuple[int, int, float, int]:
     """(hits, misses, largest error of t in ulps times the condition, rays too close to an edge to tell)."""
-    ours = find_nearest(packed, checked_rays(o, d, 0.0, np.inf), "everything")
+    ours = find_nearest(packed, validated_rays(o, d, 0.0, np.inf), "everything")
     hits, misses, worst, close = 0, 0, 0.0, 0
     for i in range(len(o)):
         each = answers(packed.kinds[0].prims, o[i], d[i])
@@ -116,7 +116,9 @@ def test_the_far_root_is_met_from_inside():
 def test_a_tangent_touches_a_ball_and_one_ulp_beyond_it_passes():
     x = np.array([1.0, np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)])
     o = np.stack([x, np.zeros(3), np.full(3, -5.0)], axis=1)
-    ours = find_nearest(ball((0, 0, 0), 1.0), checked_rays(o, np.tile([0.0, 0.0, 1.0], (3, 1)), 0.0, np.inf))
+    ours = find_nearest(
+        ball((0, 0, 0), 1.0), validated_rays(o, np.tile([0.0, 0.0, 1.0], (3, 1)), 0.0, np.inf)
+    )
     half_chord = np.sqrt((1.0 - x[1]) * (1.0 + x[1]))
     assert ours.t[0] == 5.0
     assert abs(ours.t[1] - (5.0 - half_chord)) <= ULP * 5.0

@@ -5,17 +5,17 @@ import pytest
 from hard_rays import hard_rays
 from random_scenes import name, random_scene
 
-from caster import casting
 from caster.cameras import Pinhole
-from caster.casting import decide, find_nearest, worth_a_tree
-from caster.film import Film
-from caster.film_casting import sorted_kinds
-from caster.hits import cast, checked_rays, packed
-from caster.kernels.exact_root import as_float, order
+from caster.geometry.packing import Packed
+from caster.kernels.exact.surds import as_float, compare
 from caster.kernels.nearest import Rays, exact_hit
-from caster.packing import Packed
-from caster.rendering import film_window, look
-from caster.scene import Scene
+from caster.rendering import casting
+from caster.rendering.casting import exact_nearest, find_nearest, uses_bvh
+from caster.rendering.hits import cast, packed, validated_rays
+from caster.rendering.images import film_window, trace_film
+from caster.rendering.rasterization import bin_kinds
+from caster.scene.files import Scene
+from caster.scene.model import Film
 from caster.shapes import SHAPES, Cube, Cylinder, Disk, Icosphere, Plane, Sphere, Triangle
 
 FEW = 12  # rays of a family whose every primitive is asked exactly
@@ -34,7 +34,7 @@ def obviously_nearest(packed: Packed, rays: Rays, i: int) -> int:
                 hits.append((prim, found))
     best = -1, None
     for prim, found in sorted(hits, key=lambda hit: hit[0]):
-        if best[1] is None or order(found, best[1]) < 0:
+        if best[1] is None or compare(found, best[1]) < 0:
             best = prim, found
     return best[0]
 
@@ -52,7 +52,7 @@ def test_the_quick_way_finds_what_exact_arithmetic_finds(shape):
     while asked < 60:
         scene = random_scene(rng, [shape], Pinhole, count=2, offset=rng.uniform(0.0, 10.0))
         for o, d in hard_rays(packed(scene), rng, FEW).values():
-            rays = checked_rays(o, d, 0.0, np.inf)
+            rays = validated_rays(o, d, 0.0, np.inf)
             assert count_wrong(packed(scene), rays) == 0
             asked += len(o)
 
@@ -62,8 +62,8 @@ def test_doubt_settled_for_all_rays_changes_no_bit():
     rng = np.random.default_rng(91)
     scene = random_scene(rng, SHAPES, Pinhole, count=2)
     for family, (o, d) in hard_rays(packed(scene), rng, 200).items():
-        rays = checked_rays(o, d, 0.0, np.inf)
-        quick, exact = find_nearest(packed(scene), rays), decide(packed(scene), rays)
+        rays = validated_rays(o, d, 0.0, np.inf)
+        quick, exact = find_nearest(packed(scene), rays), exact_nearest(packed(scene), rays)
         for a, b in zip(quick, exact, strict=True):
             assert np.array_equal(a, b), family
 
@@ -73,9 +73,11 @@ def test_without_the_exact_kernels_answers_are_wrong(monkeypatch):
     corners = random_scene(np.random.default_rng(92), [Cube], Pinhole, count=1)
     rng = np.random.default_rng(93)
     families = hard_rays(packed(corners), rng, 40)
-    rays = [checked_rays(*families[name], 0.0, np.inf) for name in ("at_corners", "at_edge_midpoints")]
+    rays = [validated_rays(*families[name], 0.0, np.inf) for name in ("at_corners", "at_edge_midpoints")]
     assert sum(count_wrong(packed(corners), each) for each in rays) == 0
-    monkeypatch.setattr(casting, "decide", lambda packed, rays, *_, **__: casting.no_hits(len(rays.t_min)))
+    monkeypatch.setattr(
+        casting, "exact_nearest", lambda packed, rays, *_, **__: casting.no_hits(len(rays.t_min))
+    )
     assert sum(count_wrong(packed(corners), each) for each in rays) >= 20
 
 
@@ -99,9 +101,11 @@ def test_many_candidates_take_turns_and_identical_ones_cost_nothing(monkeypatch)
     o = np.column_stack([np.linspace(0.01, 0.4, 50), np.linspace(0.4, 0.01, 50), np.ones(50)])
     o[::2] += 5.0
     asked = []
-    exactly = casting.choose
-    monkeypatch.setattr(casting, "MOST_CANDIDATES", 3000)
-    monkeypatch.setattr(casting, "choose", lambda *args: asked.append(args[3]) or exactly(*args))
+    exactly = casting.nearest_of_candidates
+    monkeypatch.setattr(casting, "MAX_LISTED_CANDIDATES", 3000)
+    monkeypatch.setattr(
+        casting, "nearest_of_candidates", lambda *args: asked.append(args[3]) or exactly(*args)
+    )
     hits = cast(scene, o, np.tile([0.0, 0.0, -1.0], (50, 1)))
     assert (hits.shape_id == np.where(np.arange(50) % 2, 0, -1)).all()
     sizes = {id(candidates): len(candidates) for candidates in asked}
@@ -156,7 +160,7 @@ def test_t_is_known_where_squares_of_short_directions_and_small_balls_underflow(
     ball = Sphere(radius=1.1 * 2.0**-285)
     scene = Scene(camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=[ball])
     o = np.array([[-1.3 * 2.0**-284, 0.3 * 2.0**-285, 0.0]])
-    rays = checked_rays(o, np.array([[1.2 * 2.0**-250, 0.0, 0.0]]), 0.0, np.inf)
+    rays = validated_rays(o, np.array([[1.2 * 2.0**-250, 0.0, 0.0]]), 0.0, np.inf)
     exact = as_float(exact_hit(packed(scene).kinds[0].prims, 0, rays, 0))
     for culling in ("everything", "bvh"):
         assert np.isclose(find_nearest(packed(scene), rays, culling).t[0], exact, rtol=1e-14, atol=0)
@@ -166,7 +170,9 @@ def test_a_corner_nearer_than_the_inverse_of_the_largest_number_is_in_the_pictur
     corners = [(0, 0, 1e-310), (1, 0, 1.1), (1, 0.5, 1)]
     eye = Pinhole(eye=(0, 0, 0), look_at=(0, 0, 1), up=(0, 1, 0), fov=90)
     scene = Scene(camera=eye, film=Film(width=32, height=32), shapes=[Triangle(vertices=corners)])
-    seen = [(look(scene, culling=culling).nearest.prim >= 0).sum() for culling in ("screen", "everything")]
+    seen = [
+        (trace_film(scene, culling=culling).nearest.prim >= 0).sum() for culling in ("screen", "everything")
+    ]
     assert seen[0] == seen[1] > 50
 
 
@@ -176,12 +182,12 @@ def test_trees_are_left_alone_where_they_leave_float64(size):
     scene = Scene(camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=balls)
     hits = cast(scene, [[-size, 0.1 * size, 0.0]], [[1.0, 0.0, 0.0]])
     assert hits.shape_id.tolist() == [0] and np.isclose(hits.t[0], 1.95 * size, rtol=1e-3)
-    assert not worth_a_tree(packed(scene).kinds[0])
+    assert not uses_bvh(packed(scene).kinds[0])
 
 
 def test_what_lies_behind_the_eye_is_looked_for_nowhere():
     scene = Scene(camera=Pinhole(eye=(0.1, 0.2, 0.3), look_at=(9, 1, 0)), shapes=[Icosphere(subdivisions=4)])
-    (kind,) = sorted_kinds(packed(scene), scene.camera.pack(256, 256), film_window(scene), 1.0)
+    (kind,) = bin_kinds(packed(scene), scene.camera.pack(256, 256), film_window(scene), 1.0)
     spans = kind.spans.pixels
     nowhere = ((spans[:, 0] >= spans[:, 2]) | (spans[:, 1] >= spans[:, 3])).mean()
-    assert nowhere > 0.8 and (look(scene).hit).all()
+    assert nowhere > 0.8 and (trace_film(scene).hit).all()

@@ -3,33 +3,33 @@
 import numpy as np
 import pytest
 
-from caster.kernels import lanes
-from caster.kernels.bundle import Views
-from caster.kernels.bvh import View
-from caster.kernels.compiling.kernel_cache import COMPILED
-from caster.kernels.jit import jit
-from caster.kernels.lanes import CHILDREN, LANES
+from caster.jit import simd
+from caster.jit.decorators import jit
+from caster.jit.kernel_cache import COMPILED
+from caster.jit.simd import CHILDREN, LANES
+from caster.kernels.bvh.packet import PacketBoxSetup
+from caster.kernels.bvh.traversal import RayBoxSetup
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba there is only the plain text")
 
 
 @jit
-def enter_boxes(boxes, node, view, t_min, t_max, near):
-    return lanes.enter_boxes(boxes, node, view, t_min, t_max, near)
+def intersect_boxes(boxes, node, view, t_min, t_max, near):
+    return simd.intersect_boxes(boxes, node, view, t_min, t_max, near)
 
 
 @jit
-def enter_boxes_together(boxes, node, view, t_min, t_max, near):
-    return lanes.enter_boxes_together(boxes, node, view, t_min, t_max, near)
+def intersect_boxes_packet(boxes, node, view, t_min, t_max, near):
+    return simd.intersect_boxes_packet(boxes, node, view, t_min, t_max, near)
 
 
 @jit
 def small_ones(numbers, i, j, limit, mask, answers):
     a, b = np.uint64(i), np.uint64(j)
-    answers[0], answers[1] = lanes.least_of(numbers, a), lanes.most_of(numbers, a)
-    answers[2] = lanes.most_of_sums(numbers, a, b)
-    answers[3] = 1.0 if lanes.any_reaches(numbers, a, b, limit) else 0.0
-    answers[4] = lanes.lowest_bit(mask)
+    answers[0], answers[1] = simd.lane_min(numbers, a), simd.lane_max(numbers, a)
+    answers[2] = simd.lane_max_of_sums(numbers, a, b)
+    answers[3] = 1.0 if simd.any_sum_reaches(numbers, a, b, limit) else 0.0
+    answers[4] = simd.lowest_bit(mask)
 
 
 def wide(rng, *shape):
@@ -47,20 +47,22 @@ def some_boxes(rng):
 def one_view(rng):
     near = tuple(int(c + 3 * rng.integers(2)) for c in range(3))
     inverse, enter, leave = (tuple(rng.normal(size=3).tolist()) for _ in range(3))
-    return View(near, tuple((3, 5, 7)[c] - near[c] for c in range(3)), inverse, enter, leave)
+    return RayBoxSetup(near, tuple((3, 5, 7)[c] - near[c] for c in range(3)), inverse, enter, leave)
 
 
 def several_views(rng):
     one, most = one_view(rng), tuple(rng.normal(size=3).tolist())
     enter = tuple(-np.inf if rng.random() < 0.1 else x for x in one.enter)
-    return Views(one.near, one.far, one.inverse, most, enter, one.leave, 2.0 ** int(rng.integers(-3, 4)))
+    return PacketBoxSetup(
+        one.near, one.far, one.inverse, most, enter, one.leave, 2.0 ** int(rng.integers(-3, 4))
+    )
 
 
 @pytest.mark.parametrize(
     ("compiled", "plain", "a_view"),
     [
-        (enter_boxes, lanes.enter_boxes, one_view),
-        (enter_boxes_together, lanes.enter_boxes_together, several_views),
+        (intersect_boxes, simd.intersect_boxes, one_view),
+        (intersect_boxes_packet, simd.intersect_boxes_packet, several_views),
     ],
     ids=["one ray", "several rays"],
 )
@@ -85,9 +87,9 @@ def test_numbers_of_lanes_are_chosen_alike():
         limit, answers = float(rng.normal()), np.zeros(5)
         small_ones(numbers, i, j, limit, mask, answers)
         assert answers.tolist() == [
-            lanes.least_of(numbers, i),
-            lanes.most_of(numbers, i),
-            lanes.most_of_sums(numbers, i, j),
-            float(lanes.any_reaches(numbers, i, j, limit)),
-            lanes.lowest_bit(mask),
+            simd.lane_min(numbers, i),
+            simd.lane_max(numbers, i),
+            simd.lane_max_of_sums(numbers, i, j),
+            float(simd.any_sum_reaches(numbers, i, j, limit)),
+            simd.lowest_bit(mask),
         ]

@@ -14,8 +14,8 @@ from random_scenes import name, random_scene
 from same_bits import Arrays, assert_same_bits, without_signed_zeros
 
 from caster.cameras import Pinhole
-from caster.hits import cast, packed
-from caster.scene import Scene
+from caster.rendering.hits import cast, packed
+from caster.scene.files import Scene
 from caster.shapes import SHAPES
 
 MIRRORS = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, 1.0), (-1.0, -1.0, -1.0))

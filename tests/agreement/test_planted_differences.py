@@ -12,10 +12,10 @@ from random_fields import own_fields
 from random_scenes import random_scene
 from same_bits import assert_same_bits
 
-from caster import casting, film_casting, threads
 from caster.cameras import Panorama, Pinhole
-from caster.fields import Camera, Shape
-from caster.hits import packed
+from caster.rendering import casting, rasterization, threads
+from caster.rendering.hits import packed
+from caster.scene.fields import Camera, Shape
 from caster.shapes import Sphere, Torus
 
 
@@ -52,25 +52,25 @@ def test_an_array_of_another_type_or_shape_or_name_is_seen():
 
 def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
     """Without the lower half of their rows hits are lost."""
-    find_spans = film_casting.find_spans
+    bound_hulls = rasterization.bound_hulls
 
     def narrow(prims, camera, window, spans, reach, start, stop):
-        find_spans(prims, camera, window, spans, reach, start, stop)
+        bound_hulls(prims, camera, window, spans, reach, start, stop)
         rows = spans.pixels[start:stop]
         rows[:, 3] = (rows[:, 1] + rows[:, 3]) // 2
 
-    monkeypatch.setattr(film_casting, "find_spans", narrow)
+    monkeypatch.setattr(rasterization, "bound_hulls", narrow)
     with pytest.raises(AssertionError, match="screen: "):
         test_cullings.count_hits_where_cullings_agree(a_scene())
 
 
 def test_a_ray_lost_by_the_tree_is_seen(monkeypatch):
-    cast_bundles = casting.cast_bundles
+    cast_packets = casting.cast_packets
 
     def forgetful(prims, tree, base, count, tile, room, any_hit):
-        cast_bundles(prims, tree, base, count // 2, tile, room, any_hit)
+        cast_packets(prims, tree, base, count // 2, tile, room, any_hit)
 
-    monkeypatch.setattr(casting, "cast_bundles", forgetful)
+    monkeypatch.setattr(casting, "cast_packets", forgetful)
     monkeypatch.setattr(test_cullings, "cullings_for", lambda scene: ("bvh",))
     with pytest.raises(AssertionError, match="bvh: "):
         test_cullings.count_hits_where_cullings_agree(a_scene(Panorama))
@@ -92,12 +92,12 @@ def test_boxes_too_small_are_seen():
 
 
 def test_a_band_that_threads_skip_is_seen(monkeypatch):
-    in_turns = threads.in_turns
+    parallel_for_pieces = threads.parallel_for_pieces
 
     def skipping(begin, pieces, workers, done=None):
-        in_turns(begin, pieces if workers == 1 else pieces[:-1], workers, done)
+        parallel_for_pieces(begin, pieces if workers == 1 else pieces[:-1], workers, done)
 
-    monkeypatch.setattr(film_casting, "in_turns", skipping)
+    monkeypatch.setattr(rasterization, "parallel_for_pieces", skipping)
     with pytest.raises(AssertionError, match="2 threads: "):
         test_threads.count_hits_where_threads_agree(a_scene(Panorama))
 

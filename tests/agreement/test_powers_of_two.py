@@ -14,13 +14,13 @@ from random_scenes import VIEWS, name, random_camera, random_scene
 from same_bits import Arrays, assert_same_bits
 
 from caster.cameras import Pinhole
-from caster.hits import cast, packed
-from caster.rendering import camera_rays
-from caster.scene import Film, Scene
+from caster.rendering.hits import cast, packed
+from caster.rendering.images import camera_rays
+from caster.scene.files import Film, Scene
 from caster.shapes import SHAPES
 
 POWERS = (-300, -20, -1, 1, 20, 300)
-LARGEST_OF_TRIANGLES = 40  # further out, faces are left out (caster.placing.LARGEST_COORDINATE)
+LARGEST_OF_TRIANGLES = 40  # further out, faces are left out (caster.geometry.world_space.LARGEST_COORDINATE)
 LENGTHS = ("eye", "look_at", "near", "far", "width")  # of cameras, in scene units
 UV_ARE_LENGTHS = ("plane",)
 

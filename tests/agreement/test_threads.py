@@ -8,10 +8,10 @@ from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
 from caster.cameras import Panorama, Pinhole
-from caster.casting import find_nearest
-from caster.hits import checked_rays, packed
-from caster.rendering import render
-from caster.scene import Scene
+from caster.rendering.casting import find_nearest
+from caster.rendering.hits import packed, validated_rays
+from caster.rendering.images import render
+from caster.scene.files import Scene
 from caster.shapes import SHAPES
 
 THREADS = (2, 3, 7)
@@ -38,7 +38,7 @@ def test_threads_never_change_a_bit_of_any_ray():
     rng = np.random.default_rng(21)
     scene = random_scene(rng, SHAPES, Pinhole, count=3)
     for family, (o, d) in hard_rays(packed(scene), rng, 1000).items():
-        rays = checked_rays(o, d, 0.0, np.inf)
+        rays = validated_rays(o, d, 0.0, np.inf)
         expected = find_nearest(packed(scene), rays, threads=1)
         for threads in THREADS:
             got = find_nearest(packed(scene), rays, threads=threads)

@@ -5,8 +5,8 @@ import pytest
 from random_fields import direction
 
 from caster.cameras import Pinhole
-from caster.hits import cast, packed
-from caster.scene import Scene
+from caster.rendering.hits import cast, packed
+from caster.scene.files import Scene
 from caster.shapes import Icosphere, Torus
 from caster.shapes.mesh import MeshFile
 

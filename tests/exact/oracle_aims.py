@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.packing import Kind, Packed, Triangles, count
+from caster.geometry.packing import Kind, Packed, Triangles, primitive_count
 from caster.shapes.cylinder import Cylinders
 from caster.shapes.disk import Disks
 from caster.shapes.plane import Planes
@@ -42,7 +42,7 @@ class Aimed(NamedTuple):
 
 def packed(*arrays: Any) -> Packed:
     """Arrays of primitives as a scene, each kind one shape, numbered in their order."""
-    counts = [count(prims) for prims in arrays]
+    counts = [primitive_count(prims) for prims in arrays]
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     kinds = [
         Kind(a, np.arange(i, j, dtype=np.int32)) for a, i, j in zip(arrays, first, first[1:], strict=False)

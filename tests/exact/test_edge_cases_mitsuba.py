@@ -9,7 +9,7 @@ import pytest
 from cases import CASES, behaviour
 from cases.probes import PROBES
 
-from mitsuba_ref.variants import usable
+from mitsuba_ref.reference.variants import usable_variants
 
 # Cases of every kind of shape, few enough to take seconds.
 SAMPLE = (4, 5, 13, 16, 24, 27, 28, 30, 45, 56)
@@ -37,7 +37,7 @@ def test_the_data_tell_of_every_case_that_mitsuba_can_be_asked():
 @pytest.mark.filterwarnings("default::test_edge_cases_mitsuba.MitsubaDiffers")
 def test_mitsuba_does_what_it_did():
     """What differs is a warning of the run."""
-    assert usable().names, f"no variant of Mitsuba works here: {usable().why}"
+    assert usable_variants().names, f"no variant of Mitsuba works here: {usable_variants().why}"
     now = behaviour.measured([case for case in CASES if case.number in SAMPLE], with_probes=False)
     assert set(now) == set(map(str, SAMPLE))
     for text in behaviour.differences(now, behaviour.kept()["cases"]):

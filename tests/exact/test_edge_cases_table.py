@@ -12,8 +12,9 @@ from cases.page import page
 from cases.refusals import refused
 from cases.shapes import KINDS, rays_at, shape_of
 
-from caster import Hits, SceneError, Sphere, hits
+from caster import Hits, SceneError, Sphere
 from caster.kernels.nearest import Nearest
+from caster.rendering import hits
 from caster.shapes import SHAPES
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "edge-cases.md"
@@ -81,8 +82,8 @@ def planted(monkeypatch, fault):
     def faulty(packed, rays, *more, **threads):
         return fault(right(packed, rays, *more, **threads))
 
-    right = hits.look_along.__globals__["find_nearest"]
-    monkeypatch.setitem(hits.look_along.__globals__, "find_nearest", faulty)
+    right = hits.trace_rays.__globals__["find_nearest"]
+    monkeypatch.setitem(hits.trace_rays.__globals__, "find_nearest", faulty)
     return judged(a_question()).wrong
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from oracle_aims import KINDS, SCALES, aim, packed, triangles
 
-from mitsuba_ref.exact import Oracle, exact_kinds
-from mitsuba_ref.exact_arithmetic import box_tree
-from mitsuba_ref.exact_arithmetic import triangles as triangles_module
-from mitsuba_ref.exact_arithmetic.box_tree import BoxTree, Rays, slabs
-from mitsuba_ref.exact_arithmetic.integers import integer_ray
+from mitsuba_ref.oracle import exact_triangles as triangles_module
+from mitsuba_ref.oracle import primitive_index
+from mitsuba_ref.oracle.exact_numbers import integer_ray
+from mitsuba_ref.oracle.oracle import Oracle, exact_kinds
+from mitsuba_ref.oracle.primitive_index import BoxTree, RayColumns, slab_test
 
 COUNT = 300
 
@@ -21,12 +21,12 @@ def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
     arithmetic = exact_kinds()[type(prims)]
     k, n = np.arange(COUNT), COUNT
     low, high = (corner.T for corner in arithmetic.boxes(prims))
-    kept, near = slabs(Rays(o.T, d.T, np.full(n, -math.inf), np.full(n, math.inf)), k, low, high)
-    if arithmetic.may_meet is not None:
-        kept &= arithmetic.may_meet(prims, k, o, d)
+    kept, near = slab_test(RayColumns(o.T, d.T, np.full(n, -math.inf), np.full(n, math.inf)), k, low, high)
+    if arithmetic.may_intersect is not None:
+        kept &= arithmetic.may_intersect(prims, k, o, d)
     wrong = meeting = 0
     for i in range(n):
-        met = arithmetic.meet(arithmetic.prepare(prims, i), integer_ray(o[i].tolist(), d[i].tolist()))
+        met = arithmetic.intersect(arithmetic.prepare(prims, i), integer_ray(o[i].tolist(), d[i].tolist()))
         first = [t for t, _ in met.roots] + [touch.first for touch in met.touched if touch.first is not None]
         meeting += bool(first)
         wrong += any(not kept[i] or t < near[i] for t in first)
@@ -46,8 +46,8 @@ def test_what_is_sorted_out_is_not_met(kind):
 @pytest.mark.parametrize(
     ("module", "name", "value"),
     [
-        (box_tree, "PAD_RTOL", 0.0),
-        (box_tree, "PAD_RTOL", -(2.0**-50)),
+        (primitive_index, "PAD_RTOL", 0.0),
+        (primitive_index, "PAD_RTOL", -(2.0**-50)),
         (triangles_module, "EDGE_RTOL", -(2.0**-50)),
     ],
 )
@@ -83,7 +83,7 @@ def by_trying_all(oracle: Oracle, o, d):
     (part,) = oracle.primitives.parts
     kind, found = part.kind, []
     for k in range(len(part.ids)):
-        found += [(t, k) for t, _ in kind.meet(kind.prepare(part.prims, k), ray).roots if t > 0]
+        found += [(t, k) for t, _ in kind.intersect(kind.prepare(part.prims, k), ray).roots if t > 0]
     best = min((t for t, _ in found), default=None)
     return best, [k for t, k in found if t == best]
 
@@ -95,7 +95,7 @@ def test_a_mesh_is_answered_as_by_trying_every_face(rows, columns, rays):
     corners = bumpy(rows, columns)
     oracle = Oracle(packed(triangles(corners)))
     o, d = rays_at(corners, rng, rays)
-    answers = oracle.ask_all(o, d)
+    answers = oracle.first_hits(o, d)
     for i, answer in enumerate(answers):
         best, prims = by_trying_all(oracle, o[i], d[i])
         assert (answer.t, [hit.prim for hit in answer.ties]) == (best, prims)
@@ -109,7 +109,7 @@ def test_few_faces_are_left_for_whole_numbers():
     oracle = Oracle(packed(triangles(corners)))
     o, d = rays_at(corners, np.random.default_rng(1), 300)
     span = np.zeros(300), np.full(300, math.inf)
-    left = [len(near) for near in oracle.primitives.candidates(Rays(o.T.copy(), d.T.copy(), *span))]
+    left = [len(near) for near in oracle.primitives.candidates(RayColumns(o.T.copy(), d.T.copy(), *span))]
     assert len(left) == 300 and 1.0 <= np.mean(left) <= 12.0 and max(left) <= 400, (np.mean(left), max(left))
 
 
@@ -117,10 +117,10 @@ def test_rays_that_pass_many_boxes_are_asked_one_by_one(monkeypatch):
     corners = bumpy(24, 25)
     oracle = Oracle(packed(triangles(corners)))
     o, d = rays_at(corners, np.random.default_rng(2), 90)
-    together = oracle.ask_all(o, d)
-    monkeypatch.setattr(box_tree, "PAIRS_AT_ONCE", 1)
-    assert oracle.primitives.tree.passed(Rays(o.T, d.T, np.zeros(90), np.ones(90))) is None
-    assert oracle.ask_all(o, d) == together and sum(answer.hit for answer in together) >= 30
+    together = oracle.first_hits(o, d)
+    monkeypatch.setattr(primitive_index, "MAX_RAY_BOX_PAIRS", 1)
+    assert oracle.primitives.tree.crossings(RayColumns(o.T, d.T, np.zeros(90), np.ones(90))) is None
+    assert oracle.first_hits(o, d) == together and sum(answer.hit for answer in together) >= 30
 
 
 def test_a_box_tree_passes_what_its_boxes_pass():
@@ -136,12 +136,12 @@ def test_a_box_tree_passes_what_its_boxes_pass():
     o = np.where(rng.random((400, 1)) < 0.5, rng.normal(size=(400, 3)), target)
     d = (target * 0.5 - o * 0.5) * np.where(rng.random((400, 3)) < 0.1, 0.0, 1.0)
     d[(d == 0.0).all(axis=1)] = [0.0, -0.0, 1e-320]
-    rays = Rays(o.T.copy(), d.T.copy(), np.zeros(400), np.full(400, math.inf))
-    passed = BoxTree(low, high).passed(rays)
-    assert passed is not None
+    rays = RayColumns(o.T.copy(), d.T.copy(), np.zeros(400), np.full(400, math.inf))
+    crossings = BoxTree(low, high).crossings(rays)
+    assert crossings is not None
     ray, box = (a.ravel() for a in np.indices((400, 640)))
-    met, _ = slabs(rays, ray, low[box].T, high[box].T)
-    assert set(zip(passed.ray.tolist(), passed.box.tolist(), strict=True)) == set(
+    met, _ = slab_test(rays, ray, low[box].T, high[box].T)
+    assert set(zip(crossings.ray.tolist(), crossings.box.tolist(), strict=True)) == set(
         zip(ray[met].tolist(), box[met].tolist(), strict=True)
     )
     assert met.sum() >= 400

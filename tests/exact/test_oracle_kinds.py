@@ -10,8 +10,8 @@ import pytest
 from oracle_aims import KINDS, SCALES, aim, packed
 from oracle_witness import Solution
 
-from mitsuba_ref.exact import Oracle, Root, exact_kinds
-from mitsuba_ref.exact_arithmetic import affine, flat, root, round, triangles
+from mitsuba_ref.oracle import exact_numbers, exact_planar, exact_quadrics, exact_triangles
+from mitsuba_ref.oracle.oracle import Oracle, Root, exact_kinds
 
 COUNT = 120  # pairs of a kind and a scale
 WHERE = {
@@ -86,30 +86,45 @@ def test_every_kind_that_shapes_pack_to_is_checked():
 
 
 FAULTS = {
-    "an edge function has the wrong sign": ("Triangles", triangles, "cross", lambda a, b: one_sign_off(a, b)),
-    "the corners are not shifted alike": ("Triangles", triangles, "shifted", lambda v, bits: v),
-    "the plane's height is not shifted": ("Planes", flat, "shifted", lambda v, bits: v),
+    "an edge function has the wrong sign": (
+        "Triangles",
+        exact_triangles,
+        "cross",
+        lambda a, b: one_sign_off(a, b),
+    ),
+    "the corners are not shifted alike": ("Triangles", exact_triangles, "shifted", lambda v, bits: v),
+    "the plane's height is not shifted": ("Planes", exact_planar, "shifted", lambda v, bits: v),
     "squares are compared without their signs": (
         "Cylinders",
-        round,
+        exact_quadrics,
         "sign_with_root",
-        lambda a, b, r: root.sign(a * a - b * b * r),
+        lambda a, b, r: exact_numbers.sign(a * a - b * b * r),
     ),
     "the height of a root leaves out its divisor": (
         "Cylinders",
-        round,
+        exact_quadrics,
         "height",
-        lambda t, o, d: root.sign_with_root(o + t.p * d, t.q * d, t.r),
+        lambda t, o, d: exact_numbers.sign_with_root(o + t.p * d, t.q * d, t.r),
     ),
-    "a mirror turns the tube around": ("Cylinders", affine, "abs", lambda x: x),
+    "a mirror turns the tube around": ("Cylinders", exact_quadrics, "abs", lambda x: x),
     "the inverse is not transposed": (
         "Ellipsoids",
-        affine,
+        exact_quadrics,
         "dot",
         lambda a, b: a[0] * b[0] + a[1] * b[2] + a[2] * b[1],
     ),
-    "both roots are the far one": ("Spheres", round, "Root", lambda p, q, r, s, e: Root(p, abs(q), r, s, e)),
-    "the circle of a disk is open": ("Disks", flat, "Root", lambda p, q, r, s, e: Root(p + 1, q, r, s, e)),
+    "both roots are the far one": (
+        "Spheres",
+        exact_quadrics,
+        "Root",
+        lambda p, q, r, s, e: Root(p, abs(q), r, s, e),
+    ),
+    "the circle of a disk is open": (
+        "Disks",
+        exact_planar,
+        "Root",
+        lambda p, q, r, s, e: Root(p + 1, q, r, s, e),
+    ),
 }
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from flint import arb, ctx, fmpq
 
-from mitsuba_ref.exact_arithmetic import root as module
-from mitsuba_ref.exact_arithmetic.root import Root, sign_with_root, sign_with_roots
+from mitsuba_ref.oracle import exact_numbers as module
+from mitsuba_ref.oracle.exact_numbers import Root, sign_with_root, sign_with_roots
 
 BITS = 4000  # the least distance of two unequal roots below is above 2^-2000
 

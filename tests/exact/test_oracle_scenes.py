@@ -10,17 +10,17 @@ import oracle_witness
 import pytest
 from oracle_aims import KINDS, SCALES, affine, aim, packed, triangles
 
-from caster.packing import count, pack
-from caster.scene import Scene
+from caster.geometry.packing import pack, primitive_count
+from caster.scene.files import Scene
 from caster.shapes import Plane, Sphere
 from caster.shapes.cylinder import Cylinders
 from caster.shapes.disk import Disks
 from caster.shapes.plane import Planes
 from caster.shapes.sphere import Ellipsoids, Spheres
-from mitsuba_ref.exact import Oracle, OutsideDomain
-from mitsuba_ref.exact_arithmetic import round
-from mitsuba_ref.exact_arithmetic.primitives import Candidate, Primitives
-from mitsuba_ref.shapes.plane import FACES, patches
+from mitsuba_ref.oracle import exact_quadrics
+from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
+from mitsuba_ref.oracle.primitive_index import CandidatePrimitive, PrimitiveIndex
+from mitsuba_ref.shapes.plane import PATCH_FACES, patches
 
 LEFT = -math.inf
 EYE3 = np.eye(3)[None]
@@ -36,11 +36,11 @@ def expected(arrays, o, d, t_min, t_max):
     """(t, {prim: where}) of the first hit, by trying all."""
     found, first = [], 0
     for prims in arrays:
-        for k in range(count(prims)):
+        for k in range(primitive_count(prims)):
             met = oracle_witness.roots(prims, k, o, d)
             ahead = [(t, where) for t, where in met if beyond(t, t_min) and not beyond(t, t_max)]
             found += [(*ahead[0], first + k)] if ahead else []
-        first += count(prims)
+        first += primitive_count(prims)
     if not found:
         return None, {}
     best = min(found, key=cmp_to_key(lambda x, y: oracle_witness.order(x[0], y[0])))[0]
@@ -76,7 +76,7 @@ def wrong_answers_of(rng, arrays, o, d, seen: Counter) -> int:
     oracle, wrong = Oracle(packed(*arrays)), 0
     spans = [(0.0, math.inf), (LEFT, math.inf), (LEFT, math.inf), (0.5, 3.0), (-1.0, 0.0), (2.0**-1074, 1.0)]
     t_min, t_max = np.array([spans[i] for i in rng.integers(0, len(spans), len(o))]).T
-    for i, answer in enumerate(oracle.ask_all(o, d, t_min, t_max)):
+    for i, answer in enumerate(oracle.first_hits(o, d, t_min, t_max)):
         t, ties = expected(arrays, o[i], d[i], t_min[i], t_max[i])
         wrong += {hit.prim: hit.where for hit in answer.ties} != ties or answer.prim != min(ties, default=-1)
         wrong += answer.hit != (t is not None) or any(hit.t != answer.t for hit in answer.ties)
@@ -100,15 +100,15 @@ def test_the_first_hit_of_all_is_that_of_trying_all_in_fractions():
 
 
 def test_a_sphere_that_gives_its_far_root_first_is_seen(monkeypatch):
-    proper = round.line_and_ball
-    monkeypatch.setattr(round, "line_and_ball", lambda *ray: proper(*ray)[::-1])
+    proper = exact_quadrics.line_sphere_roots
+    monkeypatch.setattr(exact_quadrics, "line_sphere_roots", lambda *ray: proper(*ray)[::-1])
     assert sum(wrong_answers(scale, Counter()) for scale in ("whole", "tiny")) > 0
 
 
 def everything(self, rays):
     """All primitives as candidates of every ray."""
     places = [(part, k) for part in self.parts for k in range(len(part.ids))]
-    return ([Candidate(part, k, LEFT) for part, k in places] for _ in range(rays.o.shape[1]))
+    return ([CandidatePrimitive(part, k, LEFT) for part, k in places] for _ in range(rays.o.shape[1]))
 
 
 def test_what_is_sorted_out_changes_no_answer_and_no_flag(monkeypatch):
@@ -117,10 +117,10 @@ def test_what_is_sorted_out_changes_no_answer_and_no_flag(monkeypatch):
     for scale in SCALES:
         for arrays, o, d in scenes(scale):
             oracle = Oracle(packed(*arrays))
-            sorted_out = oracle.ask_all(o, d, LEFT)
+            sorted_out = oracle.first_hits(o, d, LEFT)
             with monkeypatch.context() as patch:
-                patch.setattr(Primitives, "candidates", everything)
-                pairs += zip(sorted_out, oracle.ask_all(o, d, LEFT), strict=True)
+                patch.setattr(PrimitiveIndex, "candidates", everything)
+                pairs += zip(sorted_out, oracle.first_hits(o, d, LEFT), strict=True)
     for one, other in pairs:
         assert (one.t, one.ties) == (other.t, other.ties)
         assert one.flags - {"degenerate"} == other.flags - {"degenerate"} and one.flags <= other.flags
@@ -139,9 +139,9 @@ def test_the_order_of_primitives_changes_only_their_numbers():
     ties = hits = 0
     for scale in SCALES:
         arrays, o, d = mixed(scale, 5, 8)
-        total = sum(count(prims) for prims in arrays)
-        there = Oracle(packed(*arrays)).ask_all(o, d)
-        back = Oracle(packed(*(reversed_order(prims) for prims in arrays[::-1]))).ask_all(o, d)
+        total = sum(primitive_count(prims) for prims in arrays)
+        there = Oracle(packed(*arrays)).first_hits(o, d)
+        back = Oracle(packed(*(reversed_order(prims) for prims in arrays[::-1]))).first_hits(o, d)
         for one, other in zip(there, back, strict=True):
             assert one.t == other.t and one.flags == other.flags
             assert {(hit.prim, hit.where) for hit in one.ties} == {
@@ -154,9 +154,9 @@ def test_the_order_of_primitives_changes_only_their_numbers():
 def test_one_ray_is_answered_as_among_many():
     arrays, o, d = mixed("rounded", 6, 20)
     oracle = Oracle(packed(*arrays))
-    many = oracle.ask_all(o, d)
-    assert [oracle.ask(*line) for line in zip(o, d, strict=True)] == many
-    assert [oracle.ask(*line) for line in zip(o.tolist(), d.tolist(), strict=True)] == many
+    many = oracle.first_hits(o, d)
+    assert [oracle.first_hit(*line) for line in zip(o, d, strict=True)] == many
+    assert [oracle.first_hit(*line) for line in zip(o.tolist(), d.tolist(), strict=True)] == many
     assert sum(answer.hit for answer in many) >= 30
 
 
@@ -168,27 +168,27 @@ def test_faces_around_a_corner_tie_and_the_lowest_is_named():
     corners = np.vstack([[0, 0, 2], spokes])
     fan = np.array([[0, 1 + i, 1 + (i + 1) % 8] for i in range(8)])
     oracle = Oracle(packed(triangles(corners, np.vstack([fan, fan[:, [1, 2, 0]]]))))
-    middle = oracle.ask((0, 0, 5), (0, 0, -1))
+    middle = oracle.first_hit((0, 0, 5), (0, 0, -1))
     assert (middle.t, middle.prim, len(middle.ties)) == (3, 0, 16)
     assert {hit.where for hit in middle.ties} == {"vertex"}
-    spoke = oracle.ask((1, 1, 5), (0, 0, -1))
+    spoke = oracle.first_hit((1, 1, 5), (0, 0, -1))
     assert (
         spoke.t == 3.5 and [hit.prim for hit in spoke.ties] == [0, 1, 8, 9] and spoke.ties[0].where == "edge"
     )
-    within = oracle.ask((1, 0.5, 5), (0, 0, -1))
+    within = oracle.first_hit((1, 0.5, 5), (0, 0, -1))
     assert [(hit.prim, hit.where) for hit in within.ties] == [(0, "inside"), (8, "inside")]
-    assert oracle.ask((3, 0, 5), (0, 0, -1)).prim == -1
+    assert oracle.first_hit((3, 0, 5), (0, 0, -1)).prim == -1
 
 
 def test_spheres_of_equal_radius_tie_and_one_ulp_decides():
     r, center = 0.1, (0.3, -0.7, 1.9)
     more, less = math.nextafter(r, 1.0), math.nextafter(r, 0.0)
     o, d = (0.31, -0.72, 7.0), (0.001, 0.002, -1.0)
-    same = Oracle(packed(spheres((*center, r), (*center, r)), spheres((*center, r)))).ask(o, d)
+    same = Oracle(packed(spheres((*center, r), (*center, r)), spheres((*center, r)))).first_hit(o, d)
     assert [hit.prim for hit in same.ties] == [0, 1, 2]
     nested = Oracle(packed(spheres((*center, less), (*center, r), (*center, more))))
-    assert [hit.prim for hit in nested.ask(o, d).ties] == [2]
-    assert [hit.prim for hit in nested.ask(center, d).ties] == [0]
+    assert [hit.prim for hit in nested.first_hit(o, d).ties] == [2]
+    assert [hit.prim for hit in nested.first_hit(center, d).ties] == [0]
     roots = [nested.roots(k, o, d)[0].t for k in range(3)]
     assert roots[0] > roots[1] > roots[2] and len({float(t) for t in roots}) < 3  # floats cannot tell
 
@@ -197,9 +197,9 @@ def test_a_sphere_an_ellipsoid_and_a_disk_tie_where_they_touch():
     """A sphere as an ellipsoid, with irrational roots that are written differently; and a disk through one of them."""
     ball, egg = spheres((1, 2, 3, 3)), affine(Ellipsoids, np.array([[1.0, 2.0, 3.0]]), -3.0 * EYE3)
     oracle = Oracle(packed(ball, egg))
-    answer = oracle.ask((1.7, 9.1, 4.3), (-0.1, -1, -0.2))
+    answer = oracle.first_hit((1.7, 9.1, 4.3), (-0.1, -1, -0.2))
     assert [hit.prim for hit in answer.ties] == [0, 1]
-    top = Oracle(packed(ball, egg, affine(Disks, np.array([[1.0, 2.0, 6.0]]), EYE3))).ask(
+    top = Oracle(packed(ball, egg, affine(Disks, np.array([[1.0, 2.0, 6.0]]), EYE3))).first_hit(
         (1, 2, 9), (0, 0, -2)
     )
     assert top.t == 1.5 and [hit.prim for hit in top.ties] == [0, 1, 2]
@@ -208,53 +208,67 @@ def test_a_sphere_an_ellipsoid_and_a_disk_tie_where_they_touch():
 def test_spans_are_open_at_t_min_and_closed_at_t_max():
     oracle = Oracle(packed(spheres((0, 0, 0, 1))))
     line = (-3, 0, 0), (1, 0, 0)
-    assert [oracle.ask(*line, t).t for t in (1.9999999999999998, 2.0, 4.0)] == [2, 4, None]
-    assert [oracle.ask(*line, 0.0, t).t for t in (2.0, 1.9999999999999998)] == [2, None]
-    assert oracle.ask(*line, 3.0, 2.0).t is None and oracle.ask(*line, LEFT, -1.0).t is None
+    assert [oracle.first_hit(*line, t).t for t in (1.9999999999999998, 2.0, 4.0)] == [2, 4, None]
+    assert [oracle.first_hit(*line, 0.0, t).t for t in (2.0, 1.9999999999999998)] == [2, None]
+    assert oracle.first_hit(*line, 3.0, 2.0).t is None and oracle.first_hit(*line, LEFT, -1.0).t is None
     third = Oracle(packed(triangles(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1]]))))
-    assert third.ask((0, 0, 0), (1, 1, 1), 1 / 3).hit  # 1/3 is rounded down
-    assert not third.ask((0, 0, 0), (1, 1, 1), math.nextafter(1 / 3, 1)).hit
-    assert not third.ask((0, 0, 0), (1, 1, 1), 0.0, 1 / 3).hit
+    assert third.first_hit((0, 0, 0), (1, 1, 1), 1 / 3).hit  # 1/3 is rounded down
+    assert not third.first_hit((0, 0, 0), (1, 1, 1), math.nextafter(1 / 3, 1)).hit
+    assert not third.first_hit((0, 0, 0), (1, 1, 1), 0.0, 1 / 3).hit
 
 
 def test_what_is_met_on_the_way_and_is_no_hit_is_flagged():
     square = np.array([[[0, 0, 0], [4, 0, 0], [0, 4, 0]], [[6, 1, -1], [6, 1, 1], [6, -9, 0]]])
     along = Oracle(packed(triangles(square)))
-    answer = along.ask((-1, 1, 0), (1, 0, 0))
+    answer = along.first_hit((-1, 1, 0), (1, 0, 0))
     assert answer.t == 7 and answer.prim == 1 and answer.flags == {"edge_on"}
-    assert along.ask((-1, 1, 0), (1, 0, 0), 3.9).flags == {"edge_on"}
-    assert along.ask((-1, 1, 0), (1, 0, 0), 4.0).flags == frozenset()  # it ends at t = 4
-    assert along.ask((-1, 1, 0), (1, 0, 0), 0.0, 0.5).flags == frozenset()
-    assert along.ask((-1, 5, 0), (1, 0, 0)).flags == frozenset()  # in its plane, beside it
-    assert along.ask((-1, 4, 0), (1, 0, 0)).flags == {"edge_on"}  # past its corner
-    assert along.ask((9, -1, 0), (-1, 0, 0)).flags == frozenset() and along.ask((9, -1, 0), (-1, 0, 0)).t == 3
-    no_area = Oracle(packed(triangles(np.array([[[0, 0, 0], [2, 0, 0], [6, 0, 0]]]))))
-    assert no_area.ask((3, 0, 5), (0, 0, -1)) == no_area.ask((3, 5, 0), (0, -1, 0))
+    assert along.first_hit((-1, 1, 0), (1, 0, 0), 3.9).flags == {"edge_on"}
+    assert along.first_hit((-1, 1, 0), (1, 0, 0), 4.0).flags == frozenset()  # it ends at t = 4
+    assert along.first_hit((-1, 1, 0), (1, 0, 0), 0.0, 0.5).flags == frozenset()
+    assert along.first_hit((-1, 5, 0), (1, 0, 0)).flags == frozenset()  # in its plane, beside it
+    assert along.first_hit((-1, 4, 0), (1, 0, 0)).flags == {"edge_on"}  # past its corner
     assert (
-        no_area.ask((3, 0, 5), (0, 0, -1)).flags == {"degenerate"}
-        and not no_area.ask((3, 0, 5), (0, 0, -1)).hit
+        along.first_hit((9, -1, 0), (-1, 0, 0)).flags == frozenset()
+        and along.first_hit((9, -1, 0), (-1, 0, 0)).t == 3
     )
-    assert no_area.ask((7, 0, 5), (0, 0, -1)).flags == no_area.ask((3, 1, 5), (0, 0, -1)).flags == frozenset()
+    no_area = Oracle(packed(triangles(np.array([[[0, 0, 0], [2, 0, 0], [6, 0, 0]]]))))
+    assert no_area.first_hit((3, 0, 5), (0, 0, -1)) == no_area.first_hit((3, 5, 0), (0, -1, 0))
+    assert (
+        no_area.first_hit((3, 0, 5), (0, 0, -1)).flags == {"degenerate"}
+        and not no_area.first_hit((3, 0, 5), (0, 0, -1)).hit
+    )
+    assert (
+        no_area.first_hit((7, 0, 5), (0, 0, -1)).flags
+        == no_area.first_hit((3, 1, 5), (0, 0, -1)).flags
+        == frozenset()
+    )
     plane = Oracle(packed(Planes(np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3)))))
     assert (
-        plane.ask((0, 0, 0), (1, 1, 0)).flags == {"edge_on"}
-        and plane.ask((0, 0, 1), (1, 1, 0)).flags == set()
+        plane.first_hit((0, 0, 0), (1, 1, 0)).flags == {"edge_on"}
+        and plane.first_hit((0, 0, 1), (1, 1, 0)).flags == set()
     )
     disk = Oracle(packed(affine(Disks, np.zeros((1, 3)), EYE3)))
     assert (
-        disk.ask((-3, 1, 0), (1, 0, 0)).flags == {"edge_on"}
-        and disk.ask((-3, 2, 0), (1, 0, 0)).flags == set()
+        disk.first_hit((-3, 1, 0), (1, 0, 0)).flags == {"edge_on"}
+        and disk.first_hit((-3, 2, 0), (1, 0, 0)).flags == set()
     )
-    assert disk.ask((3, 0, 0), (1, 0, 0)).flags == set()
+    assert disk.first_hit((3, 0, 0), (1, 0, 0)).flags == set()
     tube = Oracle(packed(affine(Cylinders, np.zeros((1, 3)), EYE3)))
-    assert tube.ask((1, 0, -3), (0, 0, 1)).flags == {"edge_on"} and not tube.ask((1, 0, -3), (0, 0, 1)).hit
-    assert tube.ask((0, 0, -3), (0, 0, 1)).flags == tube.ask((1, 0, 3), (0, 0, 1)).flags == frozenset()
+    assert (
+        tube.first_hit((1, 0, -3), (0, 0, 1)).flags == {"edge_on"}
+        and not tube.first_hit((1, 0, -3), (0, 0, 1)).hit
+    )
+    assert (
+        tube.first_hit((0, 0, -3), (0, 0, 1)).flags
+        == tube.first_hit((1, 0, 3), (0, 0, 1)).flags
+        == frozenset()
+    )
     flat = Oracle(packed(affine(Ellipsoids, np.zeros((1, 3)), np.diag([1.0, 1.0, 0.0])[None])))
     assert (
-        flat.ask((0, 0, 3), (0, 0, -1)).flags == {"degenerate"}
-        and flat.ask((0, 3, 3), (0, 0, -1)).flags == set()
+        flat.first_hit((0, 0, 3), (0, 0, -1)).flags == {"degenerate"}
+        and flat.first_hit((0, 3, 3), (0, 0, -1)).flags == set()
     )
-    touching = Oracle(packed(spheres((0, 0, 0, 1)))).ask((-2, 1, 0), (1, 0, 0))
+    touching = Oracle(packed(spheres((0, 0, 0, 1)))).first_hit((-2, 1, 0), (1, 0, 0))
     assert (touching.t, touching.flags, touching.ties[0].where) == (2, {"tangent"}, "tangent")
 
 
@@ -263,17 +277,21 @@ def test_faces_that_are_too_large_are_dropped_and_flagged_where_they_were():
     below = math.nextafter(large, 0.0)
     corners = np.array([[[-large, -1, 5], [1, -1, 5], [0, 2, 5]], [[-below, -1, 6], [1, -1, 6], [0, 2, 6]]])
     oracle = Oracle(packed(triangles(corners)))
-    answer = oracle.ask((0, 0, 0), (0, 0, 1))
+    answer = oracle.first_hit((0, 0, 0), (0, 0, 1))
     assert (answer.t, answer.prim, answer.flags) == (6, 1, {"dropped"}) and oracle.roots(
         0, (0, 0, 0), (0, 0, 1)
     ) == ()
-    assert oracle.ask((0, 0, 5.5), (0, 0, 1)).flags == oracle.ask((9, 0, 0), (0, 0, 1)).flags == frozenset()
+    assert (
+        oracle.first_hit((0, 0, 5.5), (0, 0, 1)).flags
+        == oracle.first_hit((9, 0, 0), (0, 0, 1)).flags
+        == frozenset()
+    )
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
 def test_faces_that_are_nowhere_are_dropped_and_flagged_always(number):
     corners = np.array([[[0, number, 5], [1, -1, 5], [0, 2, 5]], [[-1, -1, 6], [1, -1, 6], [0, 2, 6]]])
-    answer = Oracle(packed(triangles(corners))).ask((0, 0, 0), (0, 0, 1))
+    answer = Oracle(packed(triangles(corners))).first_hit((0, 0, 0), (0, 0, 1))
     assert (answer.t, answer.prim, answer.flags) == (6, 1, {"dropped"})
 
 
@@ -311,9 +329,9 @@ def test_primitives_without_a_meaning_are_refused_by_number(prims, bad):
 def test_rays_without_a_meaning_are_refused(o, d, t_min, t_max):
     oracle = Oracle(packed(spheres((0, 0, 0, 1))))
     with pytest.raises(OutsideDomain, match="ray 0: o and d must be finite"):
-        oracle.ask(o, d, t_min, t_max)
+        oracle.first_hit(o, d, t_min, t_max)
     with pytest.raises(OutsideDomain, match="ray 1: "):
-        oracle.ask_all(np.array([ONE[0], o]), np.array([ONE[0], d]), [0.0, t_min], [1.0, t_max])
+        oracle.first_hits(np.array([ONE[0], o]), np.array([ONE[0], d]), [0.0, t_min], [1.0, t_max])
     if not (math.isnan(t_min) or math.isnan(t_max)):
         with pytest.raises(OutsideDomain):
             oracle.roots(0, o, d)
@@ -335,7 +353,7 @@ def test_a_kind_without_exact_arithmetic_is_told_what_to_write():
 
 
 def test_an_empty_scene_is_a_miss():
-    assert Oracle(packed()).ask((0, 0, 0), (0, 0, 1)).prim == -1
+    assert Oracle(packed()).first_hit((0, 0, 0), (0, 0, 1)).prim == -1
 
 
 def test_the_patch_in_place_of_a_plane_is_asked_apart():
@@ -349,15 +367,15 @@ def test_the_patch_in_place_of_a_plane_is_asked_apart():
     patch = patches(plane, o, d)
     ours = Oracle(scene)
     theirs = Oracle(scene, [patch if kind.prims is plane else kind.prims for kind in scene.kinds])
-    faces = triangles(patch.corners[0][FACES])
+    faces = triangles(patch.corners[0][PATCH_FACES])
     hits = 0
-    for i, (one, other) in enumerate(zip(ours.ask_all(o, d), theirs.ask_all(o, d), strict=True)):
+    for i, (one, other) in enumerate(zip(ours.first_hits(o, d), theirs.first_hits(o, d), strict=True)):
         if one.prim != 1 or other.prim != 1:
             continue
         hits += 1
         assert [hit.prim for hit in other.ties] == [1] and theirs.roots(1, o[i], d[i])[0] == other.ties[0]
         assert one.t != other.t and one.t.off(float(other.t)) < 1e-5 * float(one.t)
         if hits <= 5:
-            met = [oracle_witness.roots(faces, k, o[i], d[i]) for k in range(len(FACES))]
+            met = [oracle_witness.roots(faces, k, o[i], d[i]) for k in range(len(PATCH_FACES))]
             assert [float(other.t)] == [float(t.rational()) for roots in met for t, _ in roots]
     assert hits >= 100

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 import caster
-from caster.scene import Scene
+from caster.scene.files import Scene
 
 Given = tuple[Any, Any]
 Trace = Callable[[Scene, np.ndarray, np.ndarray], Given]
@@ -50,13 +50,13 @@ def shading_normal(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
 
 def seen_from_pixel_corners(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     """Half a pixel to the right and down: where the sample (x + 1, y + 1) is taken for the centre."""
-    from mitsuba_ref.camera_reference import looking
-    from mitsuba_ref.cameras.pinhole import tangents
+    from mitsuba_ref.cameras.camera_reference import to_world_directions
+    from mitsuba_ref.cameras.pinhole import half_extents
 
-    film, across = scene.film, tangents(scene.camera, scene.film)
+    film, across = scene.film, half_extents(scene.camera, scene.film)
     y, x = (axis.ravel() + 1.0 for axis in np.indices((film.height, film.width)))
     right, up = (2 * x / film.width - 1) * across[0], (1 - 2 * y / film.height) * across[1]
-    return ours(scene, o, looking(scene.camera, np.column_stack([right, up, np.ones(len(x))])))
+    return ours(scene, o, to_world_directions(scene.camera, np.column_stack([right, up, np.ones(len(x))])))
 
 
 def one_nan(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
@@ -102,10 +102,10 @@ def all_misses(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
 
 
 def depth_along_z(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    from mitsuba_ref.camera_reference import axes
+    from mitsuba_ref.cameras.camera_reference import camera_axes
 
     t, n = ours(scene, o, d)
-    return t * (d @ axes(scene.camera)[2]), n
+    return t * (d @ camera_axes(scene.camera)[2]), n
 
 
 def the_last_surface(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:

@@ -7,35 +7,34 @@ from pathlib import Path
 import pytest
 from edited_tree import PACKAGES, copy_tree
 
-from caster.scene import Scene
+from caster.scene.files import Scene
 from mitsuba_ref.fuzz.resident import Resident
-from mitsuba_ref.jobs import Crash
-from mitsuba_ref.judge import Judge
-from mitsuba_ref.judging import judge_of
-from mitsuba_ref.validation import validate_scene
-from mitsuba_ref.verdict import SceneVerdict
-from mitsuba_ref.worker import Ask
+from mitsuba_ref.judge.classification import Judge, judge_of
+from mitsuba_ref.judge.verdict import SceneVerdict
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.session import SendRequest
+from mitsuba_ref.runner.validation import validate_scene
 
 
 @pytest.fixture(scope="session")
-def ask() -> Iterator[Ask]:
+def send() -> Iterator[SendRequest]:
     """The way to Mitsuba, for tests that ask it about small scenes: to start it takes ten times as long."""
     with Resident() as resident:
-        yield resident.ask
+        yield resident.send
 
 
 @pytest.fixture(scope="session")
-def judged(ask: Ask) -> Callable[[Scene], SceneVerdict]:
+def judged(send: SendRequest) -> Callable[[Scene], SceneVerdict]:
     """What `mitsuba_ref.validate` finds about a scene."""
-    return lambda scene: validate_scene(scene, "scene", ask=ask)
+    return lambda scene: validate_scene(scene, "scene", send=send)
 
 
 @pytest.fixture(scope="session")
-def brought(ask: Ask) -> Callable[[Scene], Judge]:
+def brought(send: SendRequest) -> Callable[[Scene], Judge]:
     """A scene before the judge."""
 
     def bring(scene: Scene) -> Judge:
-        judge = judge_of(scene, ask=ask)
+        judge = judge_of(scene, send=send)
         assert not isinstance(judge, Crash), judge
         return judge
 

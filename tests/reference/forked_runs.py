@@ -60,21 +60,21 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
 
 def ask_once(memory: Path) -> None:
     """Answers of Mitsuba are kept in a folder, and taken from there where all that it would be given is the same."""
-    from mitsuba_ref import child
-    from mitsuba_ref.jobs import Answer
+    from mitsuba_ref.reference import subprocess_runner
+    from mitsuba_ref.reference.messages import TraceResponse
 
-    put = child.put
+    put = subprocess_runner.run_request
 
     def put_once(job: Any, timeout: float, settings: Any = None) -> Any:
         place = memory / everything_given(job, dict(settings or {}))
         if place.is_dir():  # put there whole
-            return Answer.read(place, len(job.o))
+            return TraceResponse.read(place, len(job.o))
         answer = put(job, timeout, settings)
-        if isinstance(answer, Answer):
+        if isinstance(answer, TraceResponse):
             keep(answer, place)
         return answer
 
-    child.put = put_once
+    subprocess_runner.run_request = put_once
 
 
 def everything_given(job: Any, settings: dict[str, str]) -> str:

@@ -11,7 +11,11 @@ SCREEN, INTEGERS, BOXES, BUNDLE = (
 )
 PLANAR, QUADRIC, EXACT_ROOT = (f"{KERNELS}/exact_{name}.py" for name in ("planar", "quadric", "root"))
 SPANS, LANES, VECTORS = f"{KERNELS}/spans.py", f"{KERNELS}/lanes.py", f"{KERNELS}/compiling/vectors.py"
-CASTING, HITS, PLACING = "caster/casting.py", "caster/hits.py", "caster/placing.py"
+CASTING, HITS, PLACING = (
+    "caster/rendering/casting.py",
+    "caster/rendering/hits.py",
+    "caster/geometry/world_space.py",
+)
 SPHERE, CYLINDER, DISK, PLANE = (
     f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane")
 )
@@ -53,8 +57,8 @@ FAULTS = (
         "t missed prim",
         (
             ROOTS,
-            "near = sure_within(roots.near, roots.near_off, t_min, t_max)",
-            "near = sure_within(roots.far, roots.far_off, t_min, t_max)",
+            "near = certain_in_range(roots.near, roots.near_off, t_min, t_max)",
+            "near = certain_in_range(roots.far, roots.far_off, t_min, t_max)",
         ),
     ),
     fault(
@@ -146,7 +150,7 @@ FAULTS = (
         "missed prim",
         (
             CYLINDER,
-            "    far = between_ends(sure_within(roots.far, roots.far_off, t_min, t_max), axis)\n",
+            "    far = clip_to_height(certain_in_range(roots.far, roots.far_off, t_min, t_max), axis)\n",
             "    far = math.inf, 0.0\n",
         ),
     ),
@@ -215,7 +219,7 @@ FAULTS = (
         "planes",
         4,
         "missed prim",
-        (PLANE, "answer(steep, no_terms(n, d), t, off)", "answer(steep, not steep, t, off)"),
+        (PLANE, "answer(steep, all_products_zero(n, d), t, off)", "answer(steep, not steep, t, off)"),
     ),
     fault(
         "the last bit of a number lost in the exact arithmetic",

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mitsuba_ref.jobs import Job
+from mitsuba_ref.reference.messages import TraceRequest
 
 VARIANTS = ("scalar_rgb", "llvm_ad_rgb")
 DIFFUSE = '<bsdf type="diffuse"><rgb name="reflectance" value="0.5 0.25 0.75"/></bsdf>'
@@ -69,10 +69,10 @@ def random_mesh(path: Path, rng: np.random.Generator, triangles: int = 200) -> n
     return corners
 
 
-def job(xml: Path, variant: str, o: object, d: object, t_max: float = np.inf, **wanted: bool) -> Job:
+def job(xml: Path, variant: str, o: object, d: object, t_max: float = np.inf, **wanted: bool) -> TraceRequest:
     """The same t_max for every ray."""
     o, d = (np.ascontiguousarray(rows, np.float32).reshape(-1, 3) for rows in (o, d))
-    return Job(xml, variant, o, d, np.full(len(o), t_max, np.float32), **wanted)
+    return TraceRequest(xml, variant, o, d, np.full(len(o), t_max, np.float32), **wanted)
 
 
 def rays_at(rng: np.random.Generator, count: int, spread: float) -> tuple[np.ndarray, np.ndarray]:

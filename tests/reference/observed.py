@@ -5,18 +5,17 @@ from typing import NamedTuple
 import numpy as np
 from aimed_rays import Setting, rays_at, scene_of
 
-from caster.packing import pack
-from caster.placing import as_float32
-from mitsuba_ref import worker
-from mitsuba_ref.bounds import nearest_root
-from mitsuba_ref.bracket import Bracket, Claims
-from mitsuba_ref.jobs import Crash
-from mitsuba_ref.meeting import KU, KU_OURS, K, norm
-from mitsuba_ref.model import Model, model_of
-from mitsuba_ref.pixels import share_of_bound
-from mitsuba_ref.rays import SharedRays
-from mitsuba_ref.reference import Witness, consult
-from mitsuba_ref.worker import Ask
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from mitsuba_ref.error_model.bounds import error_over_bound, nearest_root
+from mitsuba_ref.error_model.bracket import Bracket, Claims
+from mitsuba_ref.error_model.intersections import KU, KU_OURS, K, norm
+from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.reference import session
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
+from mitsuba_ref.reference.session import SendRequest
 
 
 class Observed(NamedTuple):
@@ -33,7 +32,13 @@ class Observed(NamedTuple):
 
 
 def observe(
-    kind: str, setting: Setting, seed: list[int], *, shapes: int, count: int, ask: Ask = worker.ask
+    kind: str,
+    setting: Setting,
+    seed: list[int],
+    *,
+    shapes: int,
+    count: int,
+    send: SendRequest = session.send_request,
 ) -> Observed:
     """Ask Mitsuba about `count` rays aimed at `shapes` shapes, and compare with the models alone."""
     rng = np.random.default_rng(seed)
@@ -41,25 +46,25 @@ def observe(
     o, d = rays_at(scene, rng, setting, count)
     rays = SharedRays(*(a.astype(np.float32) for a in (o, d, np.full(len(o), np.inf))), np.zeros(len(o)))
     model = model_of(scene, pack(scene, as_float32), rays)
-    witness = consult(scene, model, rays, lights=False, ask=ask)
+    witness = trace_reference(scene, model, rays, lights=False, send=send)
     assert not isinstance(witness, Crash), witness
     return compared(model, witness, o, d)
 
 
-def compared(model: Model, witness: Witness, o: np.ndarray, d: np.ndarray) -> Observed:
+def compared(model: SceneModel, witness: ReferenceResult, o: np.ndarray, d: np.ndarray) -> Observed:
     answer, t_max = witness.answer, np.full(len(o), np.inf)
     n, sh_n, p = (a.astype(np.float64) for a in (answer.n, answer.sh_n, answer.p))
     bracket = Bracket(model, KU, ours=False)
     finding = bracket.judge(o, d, t_max, Claims(witness.t, witness.shape_id, n, sh_n, p))
     rows = np.flatnonzero(witness.hit)
     prim = named(model, witness)[rows]
-    at = nearest_root(model.meet(prim, o[rows], d[rows], KU, ours=False), witness.t[rows])
+    at = nearest_root(model.intersect(prim, o[rows], d[rows], KU, ours=False), witness.t[rows])
     resolved = np.isfinite(at.t_error)
     k = {
-        "t": K * share_of_bound(np.abs(witness.t[rows] - at.t), at.t_error)[resolved],
-        "n": K * share_of_bound(norm(n[rows] - at.n), at.n_error)[resolved],
-        "sh_n": K * share_of_bound(norm(sh_n[rows] - at.sh_n), at.sh_error)[resolved],
-        "p": K * share_of_bound(norm(p[rows] - (o[rows] + at.t[:, None] * d[rows])), at.p_error)[resolved],
+        "t": K * error_over_bound(np.abs(witness.t[rows] - at.t), at.t_error)[resolved],
+        "n": K * error_over_bound(norm(n[rows] - at.n), at.n_error)[resolved],
+        "sh_n": K * error_over_bound(norm(sh_n[rows] - at.sh_n), at.sh_error)[resolved],
+        "p": K * error_over_bound(norm(p[rows] - (o[rows] + at.t[:, None] * d[rows])), at.p_error)[resolved],
     }
     everywhere = np.zeros(len(o), bool)
     everywhere[rows] = resolved
@@ -69,7 +74,7 @@ def compared(model: Model, witness: Witness, o: np.ndarray, d: np.ndarray) -> Ob
     return Observed(witness.hit, everywhere, k, *judged, certain, true_hit)
 
 
-def named(model: Model, witness: Witness) -> np.ndarray:
+def named(model: SceneModel, witness: ReferenceResult) -> np.ndarray:
     """The primitive that Mitsuba says it hit, numbered through the scene; a plane has only one, whatever its patch."""
     packed = model.packed
     first = packed.first[np.maximum(witness.shape_id, 0)]

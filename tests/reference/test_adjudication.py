@@ -10,24 +10,23 @@ import pytest
 from edited_tree import ROOT, run
 
 import caster
-from caster.packing import pack
-from caster.placing import as_float32
-from caster.rendering import Aovs, render
-from caster.scene import Scene, load_scene
-from mitsuba_ref import judging
-from mitsuba_ref import model as judges_model
-from mitsuba_ref.adjudication import SAMPLE
-from mitsuba_ref.exact import Oracle, OutsideDomain
-from mitsuba_ref.judge import CODE, Judge
-from mitsuba_ref.pair import our_view
-from mitsuba_ref.pixels import flat
-from mitsuba_ref.probing import probe
-from mitsuba_ref.quantities import not_judged
-from mitsuba_ref.rays import share
-from mitsuba_ref.reasons import why
-from mitsuba_ref.reproducer import reproducer
-from mitsuba_ref.table import failure, summary
-from mitsuba_ref.verdict import FAILING, UNLISTED, Verdict
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from caster.rendering.images import Aovs, render
+from caster.scene.files import Scene, load_scene
+from mitsuba_ref.error_model import scene_model as judges_model
+from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.judge import classification
+from mitsuba_ref.judge.adjudication import AGREEING_PIXELS_ADJUDICATED
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge
+from mitsuba_ref.judge.explanations import not_judged, reason_with_factors
+from mitsuba_ref.judge.verdict import FAILING, UNLISTED, Verdict
+from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
+from mitsuba_ref.probe.pixel import probe
+from mitsuba_ref.reference.rays import shared_rays
+from mitsuba_ref.report.reproducers import reproducer
+from mitsuba_ref.report.terminal import failure_text, summary_text
+from mitsuba_ref.subjects.ours import cast_ours
 
 LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
 TURN_IN_PLANE = [{"rotate": {"axis": [0, 0, 1], "degrees": 17}}]
@@ -86,7 +85,7 @@ def test_a_tie_has_to_be_right_by_float64_all_the_same(brought):
     judge = brought(scene_of(caster.Sphere(), caster.Sphere()))
     before = judge.judge()
     tied = before.is_class("tie")
-    flat(judge.pair.ours, "diffuse")[tied] += 0.1
+    aov_rows(judge.pair.ours, "diffuse")[tied] += 0.1
     after = judge.judge()
     assert tied.sum() >= 80 and after.is_class("ours_wrong")[tied].all()
     assert np.array_equal(after.classes[~tied], before.classes[~tied])
@@ -108,7 +107,7 @@ def test_a_ray_that_starts_on_a_surface_does_not_hit_it_there(judged):
     found = judged(starting_on_a_disk())
     wrong = found.counts["reference_wrong"]
     assert found.ok and 10 <= wrong < found.evidence and found.cases == {"30": wrong}, found
-    text = summary(Verdict((found,)), 1.0)
+    text = summary_text(Verdict((found,)), 1.0)
     assert f"ref. wrong: {wrong} pixels of case 30, a ray that starts on a flat surface" in text
     assert UNLISTED.upper() not in text
 
@@ -120,7 +119,7 @@ def test_a_reference_that_is_wrong_everywhere_is_no_evidence(judged):
     assert not found.ok and found.counts["reference_wrong"] > 800 and found.failing == 0
     assert (
         "the reference is wrong at 864 pixels and right at 0, so it says nothing about ours here"
-        in failure(found)
+        in failure_text(found)
     )
 
 
@@ -133,9 +132,9 @@ def test_a_triangle_nearly_edge_on_is_case_28(judged):
 
 def altered_export(monkeypatch: pytest.MonkeyPatch, shape: type, change: Any) -> None:
     """The exporter writes other numbers of this shape than were packed."""
-    known = judges_model.OF_SHAPE[shape]
+    known = judges_model.REFERENCE_BY_SHAPE[shape]
     altered = replace(known, to_xml=lambda out, one, part: known.to_xml(out, one, change(part)))
-    monkeypatch.setitem(judges_model.OF_SHAPE, shape, altered)
+    monkeypatch.setitem(judges_model.REFERENCE_BY_SHAPE, shape, altered)
 
 
 BALL = caster.Sphere(name="ball", center=(-0.6, 0, 0))
@@ -162,8 +161,8 @@ def test_a_broken_exporter_is_no_defect_of_mitsuba(judged, monkeypatch, what):
     assert not found.ok and found.cases[UNLISTED] == found.failing >= 3, found.cases
     assert found.counts["reference_wrong"] < found.evidence
     assert not any(found.counts[name] for name in FAILING)
-    assert f"{found.failing} reference wrong in no known way" in failure(found)
-    assert f"UNLISTED:   {found.failing} pixels" in summary(Verdict((found,)), 1.0)
+    assert f"{found.failing} reference wrong in no known way" in failure_text(found)
+    assert f"UNLISTED:   {found.failing} pixels" in summary_text(Verdict((found,)), 1.0)
 
 
 def test_a_light_that_mitsuba_gets_wrong_is_no_known_case(brought):
@@ -196,12 +195,12 @@ def test_ours_is_wrong_where_exact_arithmetic_says_so_though_both_agree(cube):
     """Two triangles of one face, and a ray through the edge between them: the same t, normal and shape."""
     before = cube.judge()
     tied = [row for row in before.exact.rows if (a := before.exact.of(row)) is not None and len(a.ties) == 2]
-    rows = np.array([row for row in tied if before.classes[row] == CODE["agree"]])
+    rows = np.array([row for row in tied if before.classes[row] == CLASS_CODE["agree"]])
     assert len(rows) >= 10
     for row in rows:
         other = before.exact.of(row).ties[1].prim
         cube.pair.prim[row] = other
-        flat(cube.pair.ours, "prim_id")[row] = other
+        aov_rows(cube.pair.ours, "prim_id")[row] = other
     after = Judge(cube.scene, cube.model, cube.pair).judge()
     assert after.comparison.agrees[rows].all()
     assert after.is_class("ours_wrong")[rows].all() and after.is_class("ours_wrong").sum() == len(rows)
@@ -218,11 +217,11 @@ def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_says(monkeypatc
     assert right.ok and right.exact["ties"] == [{"shape": "shape-0", "prim": 0, "where": "rim"}]
 
     def misses(scene, rays):
-        view = our_view(scene, rays)
+        view = cast_ours(scene, rays)
         nothing = view.nearest._replace(t=np.array([np.inf]), prim=np.array([-1], np.int32))
         return replace(view, nearest=nothing)
 
-    monkeypatch.setattr(judging, "our_view", misses)
+    monkeypatch.setattr(classification, "cast_ours", misses)
     found = probe(scene, 0, 0)
     assert (found.verdict, found.ok, found.exact) == ("ours_wrong", False, right.exact)
     assert found.why.startswith(
@@ -236,10 +235,10 @@ def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_says(monkeypatc
 def test_a_surface_of_ours_beyond_float64_is_ours_wrong(cube, name):
     before = cube.judge()
     tied = before.is_class("tie")
-    flat(cube.pair.ours, name)[tied] += 1e-9
+    aov_rows(cube.pair.ours, name)[tied] += 1e-9
     after = Judge(cube.scene, cube.model, cube.pair).judge()
     assert tied.sum() >= 10 and after.is_class("ours_wrong")[tied].all()
-    told = why(Judge(cube.scene, cube.model, cube.pair), after, int(np.flatnonzero(tied)[0]))
+    told = reason_with_factors(Judge(cube.scene, cube.model, cube.pair), after, int(np.flatnonzero(tied)[0]))
     assert re.search(rf"primitive that is hit, in {name}; beyond .*\b{name} [\d.]+e\+0\dx", told)
 
 
@@ -249,8 +248,8 @@ def test_light_is_told_as_not_judged_where_the_surface_is_wrong_or_another(cube)
     agree, tie = (int(np.flatnonzero(before.is_class(name))[0]) for name in ("agree", "tie"))
     assert not_judged(cube, before, agree) == {}
     assert "it is what float64 gives on ours" in not_judged(cube, before, tie)["diffuse"]
-    assert why(cube, before, agree) == "every quantity is within its bound"
-    flat(cube.pair.ours, "position")[agree] += 1.0
+    assert reason_with_factors(cube, before, agree) == "every quantity is within its bound"
+    aov_rows(cube.pair.ours, "position")[agree] += 1.0
     wrong = Judge(cube.scene, cube.model, cube.pair)
     after = wrong.judge()
     assert after.ratio("diffuse")[agree] == 0.0
@@ -262,14 +261,14 @@ def test_what_nobody_can_say_is_undecided(cube, monkeypatch):
     asked = before.exact.rows
     refused = set(asked[::7].tolist())
     lines = {(*cube.o[row], *cube.d[row]) for row in refused}
-    real = Oracle.ask_all
+    real = Oracle.first_hits
 
     def refuses(self, o, d, t_min=0.0, t_max=np.inf):
         if any((*a, *b) in lines for a, b in zip(o, d, strict=True)):
             raise OutsideDomain("planted")
         return real(self, o, d, t_min, t_max)
 
-    monkeypatch.setattr(Oracle, "ask_all", refuses)
+    monkeypatch.setattr(Oracle, "first_hits", refuses)
     after = cube.judge()
     undecided = set(np.flatnonzero(after.is_class("undecided")).tolist())
     assert undecided == refused and len(refused) >= 20
@@ -294,7 +293,7 @@ def test_edges_disputes_and_a_sample_are_asked_about(brought):
     assert asked[hit & ~judge.bounds.at.certain].all()
     assert found.exact.answered.all() and found.exact.right.all()
     rest = asked & ~border & judge.bounds.at.certain & hit
-    assert SAMPLE * 0.1 < rest.sum() <= SAMPLE
+    assert AGREEING_PIXELS_ADJUDICATED * 0.1 < rest.sum() <= AGREEING_PIXELS_ADJUDICATED
 
 
 # ---- reproducers ----
@@ -303,10 +302,10 @@ def test_edges_disputes_and_a_sample_are_asked_about(brought):
 def test_a_reproducer_holds_the_very_numbers_and_shows_the_same(brought):
     judge = brought(load_scene(ROOT / "scenes/every-shape.toml").with_film(width=64, height=60))
     packed, kinds = judge.model.packed, set()
-    shapes = flat(judge.pair.ours, "shape_id")
+    shapes = aov_rows(judge.pair.ours, "shape_id")
     for row in (np.flatnonzero(shapes == shape)[0] for shape in np.unique(shapes[shapes >= 0])):
         found = reproducer(judge, int(row))
-        (ray,) = zip(*(getattr(share(found.scene), name) for name in ("o", "d", "t_max")), strict=True)
+        (ray,) = zip(*(getattr(shared_rays(found.scene), name) for name in ("o", "d", "t_max")), strict=True)
         for mine, name in zip(ray, ("o", "d", "t_max"), strict=True):
             theirs = getattr(judge.pair.rays, name)[row]
             assert np.asarray(mine + 0.0).tobytes() == np.asarray(theirs + 0.0).tobytes()

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from forked_runs import ask_once
 
-from caster.exr import read_exr, write_exr
-from mitsuba_ref import child
+from caster.image.exr import read_exr, write_exr
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.baselines.changes import changes
-from mitsuba_ref.baselines.reference_file import AOVS, CLASS, stored
-from mitsuba_ref.verdict import CLASSES
+from mitsuba_ref.exr_compare.approved_reference import AOVS, CLASS_CHANNEL, channel_changes, load_reference
+from mitsuba_ref.judge.verdict import CLASSES
+from mitsuba_ref.reference import subprocess_runner
 
 BALL = """# A ball.
 [film]
@@ -39,10 +38,10 @@ TILE = "v -1 -1 0\nv 1 -1 {z}\nv 0 1 0\nf 1 2 3\n"
 @pytest.fixture(scope="module", autouse=True)
 def remembered(tmp_path_factory):
     """Mitsuba is asked once about the same rays through the same scene."""
-    put = child.put
+    put = subprocess_runner.run_request
     ask_once(tmp_path_factory.mktemp("answers"))
     yield
-    child.put = put
+    subprocess_runner.run_request = put
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +78,7 @@ def said(capsys, *words):
 def replaced(here, name, **planes):
     """A reference with other pixels, as honestly approved."""
     path = here / f"refs/{name}.exr"
-    before = stored(path)
+    before = load_reference(path)
     replace(before, channels=before.channels | planes).write(path)
     return before
 
@@ -88,10 +87,17 @@ def replaced(here, name, **planes):
 
 
 def test_a_reference_says_where_it_comes_from_and_names_no_folder(here):
-    found = stored(here / "refs/ball.exr")
-    assert {"A", "depth.Z", "normal.X", "shading_normal.Z", "position.Y", "R", "id.shape", CLASS} <= set(
-        found.channels
-    )
+    found = load_reference(here / "refs/ball.exr")
+    assert {
+        "A",
+        "depth.Z",
+        "normal.X",
+        "shading_normal.Z",
+        "position.Y",
+        "R",
+        "id.shape",
+        CLASS_CHANNEL,
+    } <= set(found.channels)
     about = found.about
     assert about["caster/reference/mitsuba"] == "3.9.1" and about["caster/reference/variant"] == "scalar_rgb"
     assert (
@@ -130,7 +136,7 @@ def test_what_is_missing_is_written_only_when_approved(here, capsys, monkeypatch
 
 
 def test_a_change_is_shown_by_channel_before_it_is_written(here, capsys):
-    before = stored(here / "refs/ball.exr")
+    before = load_reference(here / "refs/ball.exr")
     depth, hit = (before.channels[name].copy() for name in ("depth.Z", "A"))
     y, x = np.argwhere(hit != 0)[7]
     depth[y, x] += 0.25
@@ -143,16 +149,16 @@ def test_a_change_is_shown_by_channel_before_it_is_written(here, capsys):
     assert "hit mask: 0 pixels no longer hit, 1 newly hit" in out
     assert f"depth.Z: 1 pixels differ, by at most 0.25, at ({x}, {y})" in out
     assert said(capsys, "approve", "scenes", "--yes")[0] == 0
-    assert not changes(stored(here / "refs/ball.exr"), before)
+    assert not channel_changes(load_reference(here / "refs/ball.exr"), before)
 
 
 def test_only_all_renews_what_differs_in_versions_alone(here, capsys):
-    before = stored(here / "refs/ball.exr")
+    before = load_reference(here / "refs/ball.exr")
     replace(before, about=before.about | {"caster/reference/mitsuba": "3.9.0"}).write(here / "refs/ball.exr")
     code, out, _ = said(capsys, "approve", "scenes")
     assert code == 0 and "mitsuba: 3.9.0 -> 3.9.1" in out and "0 references to write" in out
     assert said(capsys, "approve", "scenes", "--update", "all", "--yes")[0] == 0
-    assert stored(here / "refs/ball.exr").about["caster/reference/mitsuba"] == "3.9.1"
+    assert load_reference(here / "refs/ball.exr").about["caster/reference/mitsuba"] == "3.9.1"
 
 
 def test_files_without_a_scene_are_named_and_left(here, capsys):
@@ -166,10 +172,10 @@ def test_files_without_a_scene_are_named_and_left(here, capsys):
 
 
 def test_a_crash_of_mitsuba_writes_nothing_and_fails(here, capsys, monkeypatch):
-    from mitsuba_ref.jobs import Crash
+    from mitsuba_ref.reference.messages import Crash
 
     crash = Crash("abort", "LLVM ERROR: no", "SIGABRT", 0.1)
-    monkeypatch.setattr("mitsuba_ref.child.put", lambda *_: crash)
+    monkeypatch.setattr("mitsuba_ref.reference.subprocess_runner.run_request", lambda *_: crash)
     files = {path: path.read_bytes() for path in here.glob("refs/*.exr")}
     code, out, _ = said(capsys, "approve", "scenes", "--yes")
     assert code == 1 and "failed      ball  Mitsuba ended without an answer (SIGABRT): LLVM ERROR: no" in out
@@ -180,7 +186,7 @@ def test_a_crash_of_mitsuba_writes_nothing_and_fails(here, capsys, monkeypatch):
 
 
 def test_ours_passes_against_its_references_without_mitsuba(here, capsys, monkeypatch):
-    monkeypatch.setattr("mitsuba_ref.child.put", None)
+    monkeypatch.setattr("mitsuba_ref.reference.subprocess_runner.run_request", None)
     code, out, _ = said(capsys, "check", "scenes")
     assert code == 0 and "PASS  ball  " in out and "PASS  mesh  " in out and "2 scenes: 2 pass, 0 fail" in out
     code, out, _ = said(capsys, "check", "scenes", "--json")
@@ -200,7 +206,7 @@ def test_ours_passes_against_its_references_without_mitsuba(here, capsys, monkey
 )
 def test_what_is_beyond_its_bound_fails(here, capsys, channel, factor, says):
     """As if ours were off, the other way round."""
-    before = stored(here / "refs/ball.exr")
+    before = load_reference(here / "refs/ball.exr")
     plane = before.channels[channel].copy()
     y, x = np.argwhere((before.channels["A"] != 0) & (plane != 0))[5]
     plane[y, x] *= factor
@@ -211,14 +217,14 @@ def test_what_is_beyond_its_bound_fails(here, capsys, channel, factor, says):
 
 def test_a_reference_with_no_pixel_to_compare_is_no_pass(here, capsys):
     """One pixel that may be compared is enough, and then it is."""
-    before = stored(here / "refs/ball.exr")
-    explained = np.full_like(before.channels[CLASS], CLASSES.index("explained"))
-    replaced(here, "ball", **{CLASS: explained})
+    before = load_reference(here / "refs/ball.exr")
+    explained = np.full_like(before.channels[CLASS_CHANNEL], CLASSES.index("explained"))
+    replaced(here, "ball", **{CLASS_CHANNEL: explained})
     code, out, _ = said(capsys, "check", "scenes", "-k", "ball")
     assert code == 1 and "FAIL  ball  nothing to compare: more than one answer is right at all " in out
     y, x = np.argwhere(before.channels["A"] != 0)[5]
     explained[y, x] = CLASSES.index("agree")
-    replaced(here, "ball", **{CLASS: explained})
+    replaced(here, "ball", **{CLASS_CHANNEL: explained})
     assert said(capsys, "check", "scenes", "-k", "ball")[0] == 0
 
 
@@ -302,7 +308,7 @@ def test_another_variant_than_demanded_is_refused(here, capsys):
 def test_a_fresh_render_is_held_to_the_bit(here, capsys):
     code, out, _ = said(capsys, "check", "scenes", "--fresh", "-k", "ball")
     assert code == 0 and "a fresh render by scalar_rgb has the same bits" in out
-    before = stored(here / "refs/ball.exr")
+    before = load_reference(here / "refs/ball.exr")
     depth = before.channels["depth.Z"].copy()
     y, x = np.argwhere(before.channels["A"] != 0)[3]
     depth[y, x] = np.nextafter(depth[y, x], np.float32(0))
@@ -317,7 +323,7 @@ def test_no_row_is_lost_while_another_thread_has_standard_output_redirected(here
     import contextlib
     import threading
 
-    from mitsuba_ref.baselines import checking
+    from mitsuba_ref.exr_compare import approval
 
     inside, printed = threading.Event(), threading.Event()
 
@@ -328,9 +334,9 @@ def test_no_row_is_lost_while_another_thread_has_standard_output_redirected(here
             with contextlib.redirect_stdout(io.StringIO()):
                 inside.set()
                 printed.wait(0.2)
-        return checking.Checked(entry.name, "", True, ("fine",))
+        return approval.ReferenceCheck(entry.name, "", True, ("fine",))
 
-    monkeypatch.setattr(checking, "check", check)
+    monkeypatch.setattr(approval, "check_scene", check)
     code, out, _ = said(capsys, "check", "scenes", "-j", "2")
     assert code == 0 and "PASS  ball  fine" in out and "PASS  mesh  fine" in out
 

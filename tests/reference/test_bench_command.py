@@ -5,18 +5,18 @@ import json
 import pytest
 
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.bench import running
+from mitsuba_ref.bench import run
 from mitsuba_ref.bench.contestants import BY_KEY
 from mitsuba_ref.bench.measuring import Settings, time_scene
 from mitsuba_ref.bench.scenes import SCENES
-from mitsuba_ref.variants import usable
+from mitsuba_ref.reference.variants import usable_variants
 
 ASKED = ("ours", "scalar-aov", "scalar-loop")
 SIDE = 64
 
 
 def test_a_small_picture_is_timed_and_judged(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(running, "field_of", lambda asks, peers: [BY_KEY[key] for key in ASKED])
+    monkeypatch.setattr(run, "contestants_for", lambda asks, peers: [BY_KEY[key] for key in ASKED])
     file = tmp_path / "run.json"
     words = ["bench", "cornell-box", "--size", str(SIDE), "--alternations", "1", "--json", str(file)]
     assert main(words) == 0
@@ -49,7 +49,7 @@ def test_mitsubas_llvm_variant_is_asked_for_what_is_timed(name, keys):
     (scene,) = (scene for scene in SCENES if scene.name == name)
     found = time_scene(scene, [BY_KEY[key] for key in keys], Settings(16, 1))
     for row in found.rows:
-        if not usable().llvm:
+        if not usable_variants().llvm:
             assert row.why.startswith("llvm_ad_rgb does not work here"), row
             continue
         assert row.why == "" and row.rays == 256 and row.score.masks == row.score.beyond == 0, row

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 import caster
-from caster.channels import channels_of
-from caster.exr import Exr
-from caster.scene import Scene, load_scene
-from caster.wording import SceneError
-from mitsuba_ref import child
-from mitsuba_ref.candidate.answer import Answer, NoAnswer
-from mitsuba_ref.candidate.asking import Question, candidate_of
-from mitsuba_ref.candidate.command import answer_in
-from mitsuba_ref.candidate.validation import validate_candidate
-from mitsuba_ref.table import failure
-from mitsuba_ref.verdict import OURS_WRONG, OUT_OF_DOMAIN, SceneVerdict
+from caster.image.channels import aovs_to_channels
+from caster.image.exr import Exr
+from caster.scene.errors import SceneError
+from caster.scene.files import Scene, load_scene
+from mitsuba_ref.judge.verdict import OURS_WRONG, OUT_OF_DOMAIN, SceneVerdict
+from mitsuba_ref.reference import subprocess_runner
+from mitsuba_ref.report.terminal import failure_text
+from mitsuba_ref.runner.candidate_validation import validate_candidate
+from mitsuba_ref.subjects.answer import Answer, NoAnswer
+from mitsuba_ref.subjects.command import answer_from_exr
+from mitsuba_ref.subjects.subject import CastRequest, parse_candidate
 
 SCENES = Path(__file__).parents[2] / "scenes"
 PYTHON = shlex.quote(sys.executable)
@@ -34,7 +34,7 @@ import sys
 import numpy as np
 import mitsuba as mi
 mi.set_variant("scalar_rgb")
-from caster.exr import write_exr
+from caster.image.exr import write_exr
 scene = mi.load_file(sys.argv[1], optimize=False)
 sensor = scene.sensors()[0]
 width, height = sensor.film().crop_size()
@@ -56,9 +56,9 @@ def small(name: str) -> Scene:
 
 
 @pytest.fixture
-def judged(ask):
+def judged(send):
     def judge(command: str, scene: Scene, seconds: float = 60.0) -> SceneVerdict:
-        return validate_candidate(candidate_of(command, None, seconds), scene, "scene", ask=ask)
+        return validate_candidate(parse_candidate(command, None, seconds), scene, "scene", send=send)
 
     return judge
 
@@ -69,7 +69,7 @@ def judged(ask):
 @pytest.mark.parametrize("name", ["cornell-box", "near-far-clip", "fisheye", "far-from-origin"])
 def test_our_own_command_passes(judged, name):
     found = judged(RENDER, small(name))
-    assert found.ok, failure(found)
+    assert found.ok, failure_text(found)
     assert found.precision == "float32" and any("own camera" in note for note in found.notes)
 
 
@@ -77,7 +77,7 @@ def test_our_own_command_passes(judged, name):
 def test_a_program_that_reads_the_xml_passes(judged, tmp_path, name):
     (tmp_path / "program.py").write_text(MITSUBA)
     found = judged(f"{PYTHON} {tmp_path / 'program.py'} {{xml}} {{exr}}", small(name))
-    assert found.ok, failure(found)
+    assert found.ok, failure_text(found)
 
 
 class OwnCamera:
@@ -85,15 +85,15 @@ class OwnCamera:
 
     name, reads_xml = "own camera", False
 
-    def answer(self, question: Question) -> Answer:
+    def answer(self, question: CastRequest) -> Answer:
         aovs = caster.render(question.traced, aovs=("depth", "normal"))
-        channels = {name: values.astype(np.float32) for name, values in channels_of(aovs).items()}
+        channels = {name: values.astype(np.float32) for name, values in aovs_to_channels(aovs).items()}
         window = question.scene.film.window
-        return answer_in(Exr(channels, {}, window, window), question)
+        return answer_from_exr(Exr(channels, {}, window, window), question)
 
 
 @pytest.mark.parametrize(("size", "lost"), [(1e-3, True), (1.0, False)])
-def test_what_is_smaller_than_the_cameras_rounding_is_out_of_domain(ask, size, lost):
+def test_what_is_smaller_than_the_cameras_rounding_is_out_of_domain(send, size, lost):
     """At (-830, -535, 2156) an eye is known to 5e-4."""
     turned = {"rotate": {"axis": [1, 2, 3], "degrees": 40}}
     place = [{"scale": size}, turned, {"translate": [-830.0, -535.0, 2156.0]}]
@@ -101,8 +101,8 @@ def test_what_is_smaller_than_the_cameras_rounding_is_out_of_domain(ask, size, l
     eye, aim = (-830.0004, -535.0003, 2156 + 3 * size), (-830.0004, -535.0003, 2156)
     camera = caster.Orthographic(eye=eye, look_at=aim, width=3 * size)
     scene = Scene(film=caster.Film(width=24, height=18), camera=camera, shapes=[ball])
-    found = validate_candidate(OwnCamera(), scene, "scene", ask=ask)
-    assert found.ok and found.counts[OURS_WRONG] == 0, failure(found)
+    found = validate_candidate(OwnCamera(), scene, "scene", send=send)
+    assert found.ok and found.counts[OURS_WRONG] == 0, failure_text(found)
     assert (found.counts[OUT_OF_DOMAIN] > 0) is lost
 
 
@@ -116,7 +116,7 @@ def test_a_camera_that_the_xml_cannot_have_is_said(judged):
 WRITE = """
 import sys
 import numpy as np
-from caster.exr import write_exr
+from caster.image.exr import write_exr
 exr, width, height = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 depth, normal = np.full((height, width), np.inf), np.zeros((height, width))
 channels = {"depth.Z": depth, "A": np.isfinite(depth)} | {f"normal.{axis}": normal for axis in "XYZ"}
@@ -165,7 +165,7 @@ def test_no_picture_to_judge_is_a_problem_and_never_a_pass(judged, tmp_path, pro
     seconds = 1.0 if "sleep" in program else 60.0
     command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{width}} {{height}} {{toml}}"
     found = judged(command, small("one-sphere"), seconds)
-    assert not found.ok and says in found.problem and "FAIL" in failure(found)
+    assert not found.ok and says in found.problem and "FAIL" in failure_text(found)
 
 
 def test_a_picture_that_misses_everything_fails(judged, tmp_path):
@@ -179,13 +179,13 @@ def test_a_picture_that_misses_everything_fails(judged, tmp_path):
 def test_a_picture_whose_depth_is_off_by_a_hundred_thousandth_fails(judged, tmp_path):
     """What its own camera excuses is far less."""
     (tmp_path / "program.py").write_text(
-        "import subprocess, sys\nfrom caster.exr import read_exr, write_exr\n"
+        "import subprocess, sys\nfrom caster.image.exr import read_exr, write_exr\n"
         "subprocess.run([sys.executable, '-m', 'caster', 'render', sys.argv[1], '-o', sys.argv[2], '--aov', "
         "'depth,normal'], check=True)\n"
         "exr = read_exr(sys.argv[2]); exr.channels['depth.Z'] *= 1.00001; write_exr(sys.argv[2], exr.channels)\n"
     )
     found = judged(f"{PYTHON} {tmp_path / 'program.py'} {{toml}} {{exr}}", small("cornell-box"))
-    assert found.counts[OURS_WRONG] > 0.9 * found.hit_pixels, failure(found)
+    assert found.counts[OURS_WRONG] > 0.9 * found.hit_pixels, failure_text(found)
 
 
 # ---- what cannot be asked ----
@@ -210,7 +210,7 @@ UNASKABLE = [
 @pytest.mark.parametrize(("text", "says"), UNASKABLE, ids=[text for text, _ in UNASKABLE])
 def test_what_cannot_be_asked_is_said_before_any_work(text, says):
     with pytest.raises(SceneError) as caught:
-        candidate_of(text)
+        parse_candidate(text)
     assert says in str(caught.value) and "--candidate" in str(caught.value)
 
 
@@ -226,10 +226,10 @@ def test_a_program_ends_with_the_run_that_started_it(judged, tmp_path):
     try:
         while not (tmp_path / "started").exists() and work.is_alive():
             time.sleep(0.01)
-        child.stop_all()
+        subprocess_runner.kill_subprocesses()
         work.join(10.0)
     finally:
-        child.start_again()
+        subprocess_runner.allow_subprocesses()
     assert not work.is_alive() and "ended by SIGKILL" in found[0].problem
 
 
@@ -292,6 +292,6 @@ def test_a_function_that_ends_the_process_after_the_verdict_does_not_change_it(t
 def test_a_program_that_leaves_another_behind_is_not_waited_for(tmp_path):
     """The one that is left behind holds on to what the program printed to."""
     (tmp_path / "leaves.sh").write_text("sleep 600 &\necho said\nexit 3\n")
-    candidate = candidate_of("sh {toml} {exr}", None, 60.0)
+    candidate = parse_candidate("sh {toml} {exr}", None, 60.0)
     with pytest.raises(NoAnswer, match=r"(?s)exit code 3.*said"):
         candidate._run(["sh", str(tmp_path / "leaves.sh")])

@@ -9,16 +9,16 @@ import candidates
 import numpy as np
 import pytest
 
-from caster.scene import Scene, load_scene
-from mitsuba_ref import probing
+from caster.scene.files import Scene, load_scene
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.candidate import supervising
-from mitsuba_ref.candidate.asking import Candidate
-from mitsuba_ref.candidate.function import Function
-from mitsuba_ref.candidate.pixel import CandidatePixel, candidate_at
-from mitsuba_ref.candidate.validation import validate_candidate
-from mitsuba_ref.probe_text import as_text
-from mitsuba_ref.verdict import CANDIDATE_WRONG
+from mitsuba_ref.judge.verdict import CANDIDATE_WRONG
+from mitsuba_ref.probe import pixel
+from mitsuba_ref.probe.candidate_pixel import CandidatePixel, probe_candidate
+from mitsuba_ref.probe.probe_text import as_text
+from mitsuba_ref.runner.candidate_validation import validate_candidate
+from mitsuba_ref.subjects import supervisor
+from mitsuba_ref.subjects.function import FunctionSubject
+from mitsuba_ref.subjects.subject import Candidate
 
 ROOT = Path(__file__).parents[2]
 HIT, MISS = (5, 4), (0, 0)  # of one-sphere
@@ -35,8 +35,8 @@ def at(brought):
     def look(trace: candidates.Trace | Candidate, pixel=HIT, scene: Scene | None = None) -> CandidatePixel:
         scene, (x, y) = scene or small(), pixel
         pair = brought(scene.with_film(crop=(x, y, x + 1, y + 1))).pair
-        asked = Function(trace.__name__, trace) if callable(trace) else trace
-        return candidate_at(asked, scene, pixel, pair)
+        asked = FunctionSubject(trace.__name__, trace) if callable(trace) else trace
+        return probe_candidate(asked, scene, pixel, pair)
 
     return look
 
@@ -93,10 +93,10 @@ def test_a_normal_that_is_wrong_is_named_with_its_factor(at):
 
 
 @pytest.mark.parametrize("trace", [candidates.one_nan, candidates.far_root, candidates.one_missed_edge_pixel])
-def test_a_pixel_has_the_class_that_validate_gave_it(at, ask, trace):
+def test_a_pixel_has_the_class_that_validate_gave_it(at, send, trace):
     """Asked about the whole picture, or a fault at its seventh hit would not be seen again."""
     scene = small()
-    verdict = validate_candidate(Function(trace.__name__, trace), scene, "scene", ask=ask)
+    verdict = validate_candidate(FunctionSubject(trace.__name__, trace), scene, "scene", send=send)
     failure = verdict.failures[0]
     found = at(trace, (failure.x, failure.y), scene)
     assert found.verdict == CANDIDATE_WRONG and failure.verdict == "ours_wrong"
@@ -134,18 +134,18 @@ def raising(scene, o, d):
     raise RuntimeError("no such shape")
 
 
-def test_no_answer_is_said_in_the_words_of_validate_and_fails(at, ask):
+def test_no_answer_is_said_in_the_words_of_validate_and_fails(at, send):
     found = at(raising)
-    told = validate_candidate(Function("raising", raising), small(), "scene", ask=ask)
+    told = validate_candidate(FunctionSubject("raising", raising), small(), "scene", send=send)
     assert found.problem == told.problem and "raised RuntimeError: no such shape" in found.problem
     assert not found.ok and found.saying.problem == "no answer"
 
 
 def test_the_text_has_the_candidate_between_ours_and_mitsuba(at, monkeypatch, brought):
     scene = small()
-    monkeypatch.setattr(probing, "sayings", lambda *given: ())
-    monkeypatch.setattr(probing, "judge_of", lambda scene, whole: brought(scene))
-    found = probing.probe(scene, *HIT, Function("flipped", candidates.flipped_normal))
+    monkeypatch.setattr(pixel, "witness_answers", lambda *given: ())
+    monkeypatch.setattr(pixel, "judge_of", lambda scene, whole: brought(scene))
+    found = pixel.probe(scene, *HIT, FunctionSubject("flipped", candidates.flipped_normal))
     text = as_text(found, "a.toml")
     head, who, why, ours, *_ = text.splitlines()
     assert head == "pixel (5, 4) of a.toml: candidate_wrong" and ours.startswith("ours       agree: ")
@@ -159,9 +159,11 @@ def test_the_text_has_the_candidate_between_ours_and_mitsuba(at, monkeypatch, br
 
 def test_a_probe_of_a_function_is_looked_after_and_deletes_nothing():
     words = ["probe", "--json", "scene.toml", "1", "2", "--candidate", "mine:trace"]
-    assert supervising.wanted(words) and supervising.wanted([*words[:5], "--candidate=mine:trace"])
-    assert not supervising.wanted(words[:5])
-    assert list(supervising.outputs(words)) == []  # after `validate`, --json has a file behind it
+    assert supervisor.needs_supervision(words) and supervisor.needs_supervision(
+        [*words[:5], "--candidate=mine:trace"]
+    )
+    assert not supervisor.needs_supervision(words[:5])
+    assert list(supervisor.output_paths(words)) == []  # after `validate`, --json has a file behind it
 
 
 class Closed:
@@ -180,7 +182,7 @@ class Closed:
 def test_files_are_written_whoever_reads_the_text(tmp_path, monkeypatch):
     """And the file of the ray says what the candidate makes of it, and how to see that."""
     monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(probing, "sayings", lambda *given: ())
+    monkeypatch.setattr(pixel, "witness_answers", lambda *given: ())
     monkeypatch.setattr("sys.stdout", Closed())
     saved, given = tmp_path / "again.toml", ["--candidate", "docs.candidates.textbook:trace"]
     words = ["probe", str(ROOT / "scenes/inside-sphere.toml"), "0", "0", "--size", "12", "9"]

@@ -10,16 +10,16 @@ import candidates
 import numpy as np
 import pytest
 
-from caster.exr import read_exr
-from caster.scene import Scene, load_scene
+from caster.image.exr import read_exr
+from caster.scene.files import Scene, load_scene
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.candidate.function import Function, function_of
-from mitsuba_ref.candidate.validation import NEVER_GIVEN, validate_candidate
-from mitsuba_ref.jobs import Answer, Crash, Job
-from mitsuba_ref.junit import junit
-from mitsuba_ref.table import failure, summary
-from mitsuba_ref.validation import validate
-from mitsuba_ref.verdict import CLASSES, EXPLAINED, OURS_WRONG, TIE, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, OURS_WRONG, TIE, SceneVerdict, Verdict
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.report.junit import junit
+from mitsuba_ref.report.terminal import failure_text, summary_text
+from mitsuba_ref.runner.candidate_validation import NEVER_GIVEN, validate_candidate
+from mitsuba_ref.runner.validation import validate
+from mitsuba_ref.subjects.function import FunctionSubject, import_function
 
 ROOT = Path(__file__).parents[2]
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
@@ -43,19 +43,23 @@ def worked(name: str) -> object:
 
 
 @pytest.fixture(scope="module")
-def judged(ask) -> Judged:
+def judged(send) -> Judged:
     """What is found about a candidate; Mitsuba is asked about a scene once, however many candidates see it."""
-    known: dict[tuple, Answer | Crash] = {}
+    known: dict[tuple, TraceResponse | Crash] = {}
 
-    def remembered(job: Job, timeout: float) -> Answer | Crash:
+    def remembered(job: TraceRequest, timeout: float) -> TraceResponse | Crash:
         key = (job.xml.read_text(), job.o.tobytes(), job.d.tobytes())
         if key not in known:
-            known[key] = ask(job, timeout)
+            known[key] = send(job, timeout)
         return known[key]
 
     def judge(trace: candidates.Trace, scene: Scene, precision: str | None = None) -> SceneVerdict:
         return validate_candidate(
-            Function(trace.__name__, trace, precision), scene, "scene", "scenes/scene.toml", ask=remembered
+            FunctionSubject(trace.__name__, trace, precision),
+            scene,
+            "scene",
+            "scenes/scene.toml",
+            send=remembered,
         )
 
     return judge
@@ -79,7 +83,7 @@ def test_ours_through_the_candidates_door_and_a_plain_float32_caster_pass(judged
         tried.append(worked("plain").trace)
     for trace, precision in zip(tried, ("float64", "float32", "float32"), strict=False):
         found = judged(trace, scene)
-        assert found.ok, failure(found)
+        assert found.ok, failure_text(found)
         assert found.precision == precision and found.counts[OURS_WRONG] == 0
         assert found.unjudged == NEVER_GIVEN
 
@@ -96,7 +100,7 @@ def test_normals_are_directions(judged):
 def test_what_is_not_given_is_not_judged_and_said_so(judged):
     found = judged(candidates.without_normals, small("one-sphere"))
     assert found.ok and found.unjudged == ("normal", *NEVER_GIVEN) and "normal" not in found.ratios
-    told = summary(Verdict((found,)), 1.0)
+    told = summary_text(Verdict((found,)), 1.0)
     assert "not judged: normal, position, shading normal, shape id, diffuse" in told
     assert "candidate:  without_normals, held to the bounds of float64" in told
 
@@ -142,7 +146,7 @@ def test_a_planted_fault_fails_and_is_named(judged, trace, scene, share, says):
     wrong = found.counts[OURS_WRONG]
     assert not found.ok and not found.problem
     assert wrong == 1 if share == 1 else wrong >= share * found.hit_pixels
-    told = failure(found)
+    told = failure_text(found)
     (first, *_) = found.findings
     assert says in first.what and f"{first.pixels} pixels, first ({first.x}, {first.y}): {first.what}" in told
     assert sum(finding.pixels for finding in found.findings) == wrong
@@ -153,7 +157,7 @@ def test_a_planted_fault_fails_and_is_named(judged, trace, scene, share, says):
 def test_float32_in_a_float64_array_is_told_the_way_out(judged):
     scene = small("cornell-box")
     found = judged(candidates.float32_called_float64, scene)
-    assert "--candidate-precision float32" in failure(found)
+    assert "--candidate-precision float32" in failure_text(found)
     assert judged(candidates.float32_called_float64, scene, "float32").ok
 
 
@@ -257,7 +261,7 @@ ANSWERS = [
 @pytest.mark.parametrize(("trace", "says"), ANSWERS, ids=[says for _, says in ANSWERS])
 def test_an_answer_of_another_form_is_a_problem_and_never_a_pass(judged, trace, says):
     found = judged(trace, small("one-sphere"))
-    assert not found.ok and says in found.problem and says in failure(found)
+    assert not found.ok and says in found.problem and says in failure_text(found)
     assert not Verdict((found,)).ok
 
 
@@ -332,10 +336,10 @@ WILD = [
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("trace", "says"), WILD, ids=[trace.__name__ for trace, _ in WILD])
-def test_wild_numbers_are_wrong_in_the_ordinary_way(ask, trace, says, tmp_path):
+def test_wild_numbers_are_wrong_in_the_ordinary_way(send, trace, says, tmp_path):
     """No warning, and pictures all the same: 1e308 is beyond what their files hold."""
-    candidate, scene = Function(trace.__name__, trace), small("one-sphere", 12, 9)
-    found = validate_candidate(candidate, scene, "wild", "wild.toml", ask=ask, folder=tmp_path, keep=True)
+    candidate, scene = FunctionSubject(trace.__name__, trace), small("one-sphere", 12, 9)
+    found = validate_candidate(candidate, scene, "wild", "wild.toml", send=send, folder=tmp_path, keep=True)
     assert not found.problem and found.counts[OURS_WRONG] > 20 and says in found.findings[0].what
     assert (read_exr(tmp_path / "wild.verdict.exr").channels["class.I"] == CLASSES.index(OURS_WRONG)).any()
     assert np.isfinite(read_exr(tmp_path / "wild.candidate.exr").channels["depth.Z"]).sum() > 20
@@ -410,7 +414,7 @@ def test_the_textbook_caster_is_right_on_a_ball_and_told_what_is_wrong_inside_of
     trace = worked("textbook").trace
     assert judged(trace, small("one-sphere")).ok
     far = judged(trace, small("far-small-spheres"))  # b^2 - 4 a c cancels
-    assert not far.ok and "right by those of float32" in failure(far)
+    assert not far.ok and "right by those of float32" in failure_text(far)
     found = judged(trace, small("inside-sphere"))
     assert not found.ok
     assert found.findings[0].what.startswith("missed: the surface's first root is behind the ray's origin")
@@ -430,4 +434,4 @@ def test_the_peers_pass(judged, name):
 
 def test_a_function_is_found_from_the_current_folder(monkeypatch):
     monkeypatch.chdir(ROOT)
-    assert function_of("docs.candidates.textbook:trace").name == "docs.candidates.textbook:trace"
+    assert import_function("docs.candidates.textbook:trace").name == "docs.candidates.textbook:trace"

@@ -11,41 +11,41 @@ import pytest
 from edited_tree import ROOT
 
 import caster
+from caster.geometry.packing import Packed, pack
+from caster.geometry.world_space import as_float32
 from caster.kernels.nearest import Rays
-from caster.packing import Packed, pack
-from caster.placing import as_float32
-from caster.rendering import look_along
-from caster.scene import Scene, load_scene
-from caster.view import View
+from caster.rendering.images import trace_rays
+from caster.rendering.view import View
+from caster.scene.files import Scene, load_scene
 from mitsuba_ref import validate
-from mitsuba_ref.bias import LARGEST_Z, Statistics, check_bias, statistics
-from mitsuba_ref.compare import compare
-from mitsuba_ref.jobs import Crash
-from mitsuba_ref.judge import Judge
-from mitsuba_ref.meeting import K
-from mitsuba_ref.model import Model, model_of
-from mitsuba_ref.pair import our_view, pair_up
-from mitsuba_ref.pixels import Pixels
-from mitsuba_ref.rays import SharedRays, share
-from mitsuba_ref.reference import Witness, consult
-from mitsuba_ref.worker import Ask
+from mitsuba_ref.error_model.bounds import PixelPairs
+from mitsuba_ref.error_model.intersections import K
+from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.judge.classification import Judge
+from mitsuba_ref.judge.comparison import compare
+from mitsuba_ref.judge.scene_checks.bias import LARGEST_Z, ErrorStatistics, check_bias, error_statistics
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rays import SharedRays, shared_rays
+from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
+from mitsuba_ref.reference.session import SendRequest
+from mitsuba_ref.subjects.ours import cast_ours, pair_images
 
 
 class Asked:
     """A scene with Mitsuba's answer, asked for once; ours is traced anew for each fault."""
 
-    def __init__(self, ask: Ask, name: str, width: int, height: int):
+    def __init__(self, send: SendRequest, name: str, width: int, height: int):
         self.scene: Scene = load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=width, height=height)
-        self.rays: SharedRays = share(self.scene)
+        self.rays: SharedRays = shared_rays(self.scene)
         self.packed: Packed = pack(self.scene, as_float32)
-        self.model: Model = model_of(self.scene, self.packed, self.rays)
-        answer = consult(self.scene, self.model, self.rays, ask=ask)
+        self.model: SceneModel = model_of(self.scene, self.packed, self.rays)
+        answer = trace_reference(self.scene, self.model, self.rays, send=send)
         assert not isinstance(answer, Crash), answer
-        self.witness: Witness = answer
+        self.witness: ReferenceResult = answer
 
     def judge(self, view: View) -> Judge:
         """Ours as it is seen there, the reference's bounds of the right geometry along the right rays."""
-        return Judge(self.scene, self.model, pair_up(self.scene, self.rays, view, self.witness))
+        return Judge(self.scene, self.model, pair_images(self.scene, self.rays, view, self.witness))
 
     def altered(self, alter: Callable[[Any], None]) -> View:
         """Ours traced through packed arrays that `alter` has changed, a kind at a time; float64, not rounded again."""
@@ -54,7 +54,7 @@ class Asked:
             alter(kind.prims)
         limits = np.zeros(len(self.rays.o)), self.rays.t_max.astype(np.float64)
         rays = Rays(self.rays.o.astype(np.float64), self.rays.d.astype(np.float64), *limits)
-        return look_along(self.scene, faulty, rays, self.rays.start)
+        return trace_rays(self.scene, faulty, rays, self.rays.start)
 
     def grown(self, share: float) -> View:
         """Every ball larger by this share of its radius."""
@@ -72,29 +72,29 @@ class Asked:
         moved = camera.model_copy(
             update={"principal_point": (across + pixels / self.scene.film.width, above)}
         )
-        return our_view(self.scene, share(self.scene.model_copy(update={"camera": moved})))
+        return cast_ours(self.scene, shared_rays(self.scene.model_copy(update={"camera": moved})))
 
 
 def beyond(judge: Judge) -> np.ndarray:
     """(hits,) bool: where both hit, that t alone is farther off than float32 may put the reference's."""
     pair = judge.pair
-    pixels = Pixels(pair.ours, pair.reference, judge.bounds, pair.t, pair.length, judge.point)
+    pixels = PixelPairs(pair.ours, pair.reference, judge.bounds, pair.t, pair.length, judge.point)
     found: np.ndarray = compare(pixels, {}).ratios["depth"][pixels.both_hit] > 1.0
     return found
 
 
-def errors(asked: Asked, view: View) -> Statistics:
+def errors(asked: Asked, view: View) -> ErrorStatistics:
     judge = asked.judge(view)
-    return statistics(asked.packed, judge.pair, judge.bounds)
+    return error_statistics(asked.packed, judge.pair, judge.bounds)
 
 
 @pytest.fixture(scope="module")
-def ball(ask) -> Asked:
-    return Asked(ask, "one-sphere", 256, 256)
+def ball(send) -> Asked:
+    return Asked(send, "one-sphere", 256, 256)
 
 
 def test_the_right_caster_is_within_every_bound_and_leans_to_no_side(ball):
-    view = our_view(ball.scene, ball.rays)
+    view = cast_ours(ball.scene, ball.rays)
     found = errors(ball, view)
     print(f"\nright: z {found.z:.1f}, k of t {found.t_largest:.2f} {found.t_p99:.2f}")
     assert not beyond(ball.judge(view)).any()
@@ -128,16 +128,16 @@ def test_pixel_centres_off_by_a_thousandth_are_beyond_the_bound_at_most_hits(bal
 
 
 @pytest.mark.parametrize(("share", "biased"), [(0.0, False), (3e-8, True)])
-def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(ask, share, biased):
+def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(send, share, biased):
     """Each face has an error of its own, for all rays; there are enough faces that these have to cancel."""
-    asked = Asked(ask, "torus-smooth", 160, 120)
+    asked = Asked(send, "torus-smooth", 160, 120)
     eye = np.array(asked.scene.camera.eye)
 
     def pull(prims: Any) -> None:
         prims.vertices[:] += share * (eye - prims.vertices)
 
     judge = asked.judge(asked.altered(pull))
-    found = statistics(asked.packed, judge.pair, judge.bounds)
+    found = error_statistics(asked.packed, judge.pair, judge.bounds)
     print(f"\nmesh nearer by {share:g}: z {found.z:.1f} of {found.biases}")
     assert [bias.tells for bias in found.biases] == [True] and found.pixels >= 2000
     assert check_bias(found).ok is not biased and (found.z > 2.0 * LARGEST_Z) is biased
@@ -154,10 +154,10 @@ ERRORS = {
 
 
 @pytest.mark.parametrize("name", ERRORS)
-def test_of_the_right_caster_every_pixel_is_far_within_k(ask, name):
-    asked = Asked(ask, name, 64, 48)
-    judge = asked.judge(our_view(asked.scene, asked.rays))
-    found = statistics(asked.packed, judge.pair, judge.bounds)
+def test_of_the_right_caster_every_pixel_is_far_within_k(send, name):
+    asked = Asked(send, name, 64, 48)
+    judge = asked.judge(cast_ours(asked.scene, asked.rays))
+    found = error_statistics(asked.packed, judge.pair, judge.bounds)
     print(f"\n{name}: {found}")
     assert not beyond(judge).any() and found.pixels >= 0.98 * len(beyond(judge)) >= 800
     t, normal = ERRORS[name]

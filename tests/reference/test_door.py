@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from mitsuba_scenes import VARIANTS, film, job, point_light, random_mesh, rays_at, shape, sun, write
 
-from mitsuba_ref import variants, worker
-from mitsuba_ref.jobs import Answer
-from mitsuba_ref.worker import Ask
+from mitsuba_ref.reference import session, variants
+from mitsuba_ref.reference.messages import TraceResponse
+from mitsuba_ref.reference.session import SendRequest
 
-HERE = VARIANTS if variants.usable().llvm else VARIANTS[:1]  # the run's header says which
+HERE = VARIANTS if variants.usable_variants().llvm else VARIANTS[:1]  # the run's header says which
 ROOT = Path(__file__).resolve().parents[2]
 U = 2.0**-24
 
@@ -34,12 +34,12 @@ MANY = {  # where each shape's middle is: none covers another
 
 
 @pytest.fixture
-def asked(ask: Ask) -> Callable[..., Answer]:
+def asked(send: SendRequest) -> Callable[..., TraceResponse]:
     """An answer to what mitsuba_scenes.job makes of the words given."""
 
-    def answered(*args: Any, **kwargs: Any) -> Answer:
-        answer = ask(job(*args, **kwargs), 120.0)
-        assert isinstance(answer, Answer), answer
+    def answered(*args: Any, **kwargs: Any) -> TraceResponse:
+        answer = send(job(*args, **kwargs), 120.0)
+        assert isinstance(answer, TraceResponse), answer
         return answer
 
     return answered
@@ -186,7 +186,9 @@ def test_light_times_its_visibility_is_what_the_direct_integrator_renders(asked,
     subprocess.run(command, check=True, capture_output=True, timeout=120)
     rendered = np.load(tmp_path / "direct.npy").reshape(-1, 3)
     sensor = asked(xml, variant, [], [], sensor=True)
-    answer = worker.ask(worker.Job(xml, variant, sensor.sensor_o, sensor.sensor_d, sensor.sensor_t_max))
+    answer = session.send_request(
+        session.TraceRequest(xml, variant, sensor.sensor_o, sensor.sensor_d, sensor.sensor_t_max)
+    )
     lit = answer.light_rgb[0] * answer.light_visible[0][:, None]
     assert {"wall", "ball", "egg", "back", "dark"} == {answer.names[k] for k in set(answer.shape)}
     assert np.sum(~answer.light_visible[0] & answer.light_rgb[0].any(axis=1)) > 100, "nothing is shadowed"
@@ -237,7 +239,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from mitsuba_ref import door
-from mitsuba_ref.jobs import Job
+from mitsuba_ref.reference.messages import Job
 o = np.zeros((1, 3), np.float32)
 try:
     door.answer(Job(Path(sys.argv[1]), sys.argv[2], o, o + 1, o[:, 0] + 9, sensor=True))

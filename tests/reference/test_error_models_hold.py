@@ -8,15 +8,15 @@ import pytest
 from aimed_rays import KINDS, Setting, a_tube, decades, scene_of
 from observed import Observed, observe
 
-from caster.packing import pack
-from caster.placing import as_float32
-from mitsuba_ref.jobs import Crash
-from mitsuba_ref.meeting import K
-from mitsuba_ref.model import model_of
-from mitsuba_ref.rays import SharedRays
-from mitsuba_ref.reference import consult
-from mitsuba_ref.shapes.cylinder import passes_for_round
-from mitsuba_ref.worker import Ask
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from mitsuba_ref.error_model.intersections import K
+from mitsuba_ref.error_model.scene_model import model_of
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.rendering import trace_reference
+from mitsuba_ref.reference.session import SendRequest
+from mitsuba_ref.shapes.cylinder import mitsuba_accepts_matrix
 
 COUNT = 2000  # rays a setting
 
@@ -47,11 +47,11 @@ SHAPES = {"planes": 1, "meshes": 3}  # of a scene; 6 of the others
 
 
 @pytest.fixture(scope="module", params=KINDS)
-def observed(request: pytest.FixtureRequest, ask: Ask) -> tuple[str, dict[str, Observed]]:
+def observed(request: pytest.FixtureRequest, send: SendRequest) -> tuple[str, dict[str, Observed]]:
     """A kind, and what was seen of it in each setting."""
     kind, shapes = request.param, SHAPES.get(request.param, 6)
     return kind, {
-        name: observe(kind, setting, [200, number], shapes=shapes, count=COUNT, ask=ask)
+        name: observe(kind, setting, [200, number], shapes=shapes, count=COUNT, send=send)
         for number, (name, setting) in enumerate(SETTINGS.items())
     }
 
@@ -92,7 +92,7 @@ def test_every_hit_and_miss_is_one_that_rounding_allows(observed):
     assert differ >= 100 or kind == "planes"
 
 
-def test_mitsuba_takes_every_cylinder_that_goes_as_it_is(ask):
+def test_mitsuba_takes_every_cylinder_that_goes_as_it_is(send):
     """Its test for shear is absolute, so large ones fail it by rounding alone: those go as instances."""
     rng = np.random.default_rng(201)
     sizes = decades(rng, 1e-3, 1e2, 300)
@@ -100,9 +100,9 @@ def test_mitsuba_takes_every_cylinder_that_goes_as_it_is(ask):
     shapes = [a_tube(rng, setting, np.zeros(3)) for setting in settings]
     scene = scene_of("cylinders", rng, Setting(), 1).model_copy(update={"shapes": tuple(shapes)})
     packed = pack(scene, as_float32)
-    native = sum(passes_for_round(part.to_world[0]) for part in packed.parts)
+    native = sum(mitsuba_accepts_matrix(part.to_world[0]) for part in packed.parts)
     assert 100 <= native <= 250
     away = np.full((1, 3), 1e6, np.float32)
     nowhere = SharedRays(away, away, np.ones(1, np.float32), np.zeros(1))
-    witness = consult(scene, model_of(scene, packed, nowhere), nowhere, lights=False, ask=ask)
+    witness = trace_reference(scene, model_of(scene, packed, nowhere), nowhere, lights=False, send=send)
     assert not isinstance(witness, Crash), witness

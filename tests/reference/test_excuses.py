@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import caster
-from caster.scene import Scene, load_scene
-from mitsuba_ref.judge import Judge, Judgement
-from mitsuba_ref.pixels import flat
-from mitsuba_ref.table import failure
-from mitsuba_ref.verdict import EXPLAINED, OUR_WORD
+from caster.scene.files import Scene, load_scene
+from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.judge.classification import Judge, Judgement
+from mitsuba_ref.judge.verdict import EXPLAINED, JUDGED_WITHOUT_REFERENCE
+from mitsuba_ref.report.terminal import failure_text
 
 SCENES = Path(__file__).parents[2] / "scenes"
 LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
@@ -38,9 +38,9 @@ def first(shaded) -> Judgement:
 @pytest.mark.parametrize("name", ["diffuse", "depth", "position", "normal"])
 @pytest.mark.parametrize("change", [lambda v: v * 1.5 + 0.1, lambda v: v * np.nan], ids=["other", "nan"])
 def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, first, name, change):
-    before, excused = first.classes, first.is_class(*OUR_WORD) & shaded.pair.ours.hit.ravel()
+    before, excused = first.classes, first.is_class(*JUDGED_WITHOUT_REFERENCE) & shaded.pair.ours.hit.ravel()
     assert 50 <= excused.sum() < len(excused) // 10
-    image = flat(shaded.pair.ours, name)
+    image = aov_rows(shaded.pair.ours, name)
     kept = image.copy()
     image[excused] = change(image[excused])
     try:
@@ -62,7 +62,7 @@ def test_more_excuses_than_evidence_do_not_pass(judged):
     assert not found.ok and found.failing == 0 and found.counts["reference_wrong"] == 0
     assert found.counts[EXPLAINED] >= found.evidence
     told = f"too little evidence: {found.evidence} pixels agree or tie, {found.excused} are only excused"
-    assert told in failure(found)
+    assert told in failure_text(found)
 
 
 def test_a_plane_edge_on_excuses_neither_what_stands_before_it_nor_beside_it(judged, monkeypatch):
@@ -103,7 +103,7 @@ def test_a_scene_may_ask_for_less_than_the_derived_bound(judged, name):
     strict = scene_of(caster.Sphere(), checks={name: {"ratio": 1e-6}})
     found = judged(strict)
     assert not found.ok and found.counts["undecided"] > 100
-    assert f"beyond the share of the bound that [check.{name}] allows" in failure(found)
+    assert f"beyond the share of the bound that [check.{name}] allows" in failure_text(found)
     lax = judged(scene_of(caster.Sphere(), checks={name: {"ratio": 2.0}}))
     assert lax.ok and lax.allowed == {name: 2.0}
 

@@ -9,11 +9,11 @@ import pytest
 
 import caster
 from caster import __version__
-from caster.channels import channels_of, provenance
-from caster.exr import write_exr
-from caster.scene import load_scene
-from mitsuba_ref.export import export_scene
-from mitsuba_ref.exr.compare import Reading, compare_exr
+from caster.image.channels import aovs_to_channels, provenance
+from caster.image.exr import write_exr
+from caster.scene.files import load_scene
+from mitsuba_ref.exr_compare.two_files import Reading, compare_exr
+from mitsuba_ref.reference.rendering import export_scene
 
 ROOT = Path(__file__).parents[2]
 
@@ -67,7 +67,7 @@ def test_mitsubas_own_picture_of_our_export_passes_with_its_conventions_stated(t
     command = [sys.executable, "-c", RENDER, str(xml), str(tmp_path / "theirs.exr")]
     subprocess.run(command, capture_output=True, check=True, cwd=ROOT)
     aovs = caster.render(scene, aovs=("depth", "normal", "shading_normal", "position"))
-    write_exr(tmp_path / "ours.exr", channels_of(aovs), provenance(scene, __version__))
+    write_exr(tmp_path / "ours.exr", aovs_to_channels(aovs), provenance(scene, __version__))
     result = compare_exr(tmp_path / "ours.exr", tmp_path / "theirs.exr", reading=Reading(scene=scene))
     assert result.ok, result.format_table()
     assert {group.name for group in result.groups} >= {"hit", "depth", "normal", "shading_normal", "position"}

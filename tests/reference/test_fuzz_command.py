@@ -11,21 +11,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from caster import rendering
-from caster.casting import find_nearest
-from caster.scene import load_scene
+from caster.rendering import images
+from caster.rendering.casting import find_nearest
+from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.commands import fuzz as command
-from mitsuba_ref.fuzz import judged, routes, trace
+from mitsuba_ref.cli import fuzz as command
+from mitsuba_ref.fuzz import campaign, checks, mitsuba_checks
+from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.families import FAMILIES
-from mitsuba_ref.fuzz.finding import Tally
-from mitsuba_ref.fuzz.judged import judge_scene
-from mitsuba_ref.fuzz.kept import read
+from mitsuba_ref.fuzz.findings import Tally
+from mitsuba_ref.fuzz.mitsuba_checks import compare_with_mitsuba
 from mitsuba_ref.fuzz.resident import Resident
-from mitsuba_ref.jobs import Crash
-from mitsuba_ref.judging import judge_of
-from mitsuba_ref.validation import validate_scene
-from mitsuba_ref.verdict import CLASSES
+from mitsuba_ref.judge.classification import judge_of
+from mitsuba_ref.judge.verdict import CLASSES
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.runner.validation import validate_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "scenes" / "one-sphere.toml"
@@ -56,8 +56,8 @@ def fault(monkeypatch):
         return nearest
 
     def plant():
-        monkeypatch.setattr(routes, "find_nearest", forgetful)
-        monkeypatch.setattr(rendering, "find_nearest", forgetful)
+        monkeypatch.setattr(checks, "find_nearest", forgetful)
+        monkeypatch.setattr(images, "find_nearest", forgetful)
 
     return plant
 
@@ -101,7 +101,7 @@ def test_a_fault_is_found_made_small_kept_and_gone_when_it_is_mended(fuzz, fault
     assert failure["family"] == "edges" and told["total"]["kinds"]["missed"] > 1
     assert f"FAIL  missed: {failure['what']}" in out
     assert f"replay: mitsuba-ref fuzz --replay {failure['file']}" in out
-    assert len(read(Path(failure["file"])).case.shapes) == 1
+    assert len(read_kept(Path(failure["file"])).case.shapes) == 1
     assert load_scene(failure["file"]).camera.type == "ray"
 
     again = fuzz(*failure["example"].split(), "--judge-every", "0", out=tmp_path / "again")[3]["failures"]
@@ -182,29 +182,31 @@ def test_what_was_found_before_an_interruption_is_kept_and_told(fuzz, fault, mon
             raise KeyboardInterrupt
 
     fault()
-    monkeypatch.setattr(command.Line, "show", impatient)
+    monkeypatch.setattr(command.StatusLine, "show", impatient)
     code, out, err, told = fuzz("--family", "edges", "--keep", "1", "--judge-every", "0")
     assert code == 130 and err == "interrupted\n" and told["interrupted"] and not told["ok"]
     assert told["failures"] and all(each["file"] in out for each in told["failures"])
-    assert all(read(Path(each["file"])).kind == each["kind"] for each in told["failures"])
+    assert all(read_kept(Path(each["file"])).kind == each["kind"] for each in told["failures"])
 
 
 def test_where_compiled_code_died_is_told_by_the_next_run(fuzz, tmp_path):
     (tmp_path / "kept").mkdir()
-    (tmp_path / "kept" / trace.NAME).write_text("mitsuba-ref fuzz --seed 1 --family any --examples 7..7\n")
+    (tmp_path / "kept" / campaign.TRACE_FILE).write_text(
+        "mitsuba-ref fuzz --seed 1 --family any --examples 7..7\n"
+    )
     code, _, err, _ = fuzz("--examples", "1", "--judge-every", "0")
     assert code == 0 and "died" in err and "--seed 1 --family any --examples 7..7" in err
-    assert not (tmp_path / "kept" / trace.NAME).exists()
+    assert not (tmp_path / "kept" / campaign.TRACE_FILE).exists()
 
 
 def test_mitsuba_stays_for_the_next_scene():
     tally = Tally()
     with Resident() as resident:
         scene = load_scene(SCENE).with_film(width=8, height=8)
-        assert judge_scene(scene, resident, tally) == []
+        assert compare_with_mitsuba(scene, resident, tally) == []
         (child,) = resident._children.values()
         pid = child.process.pid
-        assert judge_scene(scene, resident, tally) == []
+        assert compare_with_mitsuba(scene, resident, tally) == []
         assert child.process.pid == pid and child.alive
     assert not child.alive and (tally.judged, tally.pixels) == (2, 128)
 
@@ -217,16 +219,16 @@ def test_the_judge_asks_the_way_that_it_is_given():
         return Crash("error", "not today", "exit code 1", 0.0)
 
     scene = load_scene(SCENE).with_film(width=8, height=8)
-    verdict = validate_scene(scene, "scene", timeout=7.0, ask=refuses)
+    verdict = validate_scene(scene, "scene", timeout=7.0, send=refuses)
     assert len(asked) == 1 and asked[0][1] == 7.0
     assert verdict.problem == "Mitsuba ended without an answer (exit code 1): not today"
-    assert judge_of(scene, ask=refuses).words == "not today"
+    assert judge_of(scene, send=refuses).words == "not today"
 
 
 def test_a_crash_of_mitsuba_is_a_finding_and_the_next_scene_gets_a_new_child():
     with Resident() as resident:
         scene = load_scene(SCENE).with_film(width=8, height=8)
-        judge_scene(scene, resident, Tally())
+        compare_with_mitsuba(scene, resident, Tally())
         (child,) = resident._children.values()
         child.process.send_signal(
             signal.SIGSTOP
@@ -239,30 +241,30 @@ def test_a_crash_of_mitsuba_is_a_finding_and_the_next_scene_gets_a_new_child():
             return usual(folder, timeout)
 
         child.put = dying
-        (finding,) = judge_scene(scene, resident, Tally())
+        (finding,) = compare_with_mitsuba(scene, resident, Tally())
         assert finding.kind == "crash" and "SIGSEGV" in finding.what
-        assert judge_scene(scene, resident, Tally()) == []
+        assert compare_with_mitsuba(scene, resident, Tally()) == []
 
 
 def test_a_hang_of_mitsuba_is_a_finding():
     with Resident() as resident:
         scene = load_scene(SCENE).with_film(width=8, height=8)
-        judge_scene(scene, resident, Tally())
+        compare_with_mitsuba(scene, resident, Tally())
         (child,) = resident._children.values()
         child.process.send_signal(signal.SIGSTOP)
         answers = []
 
         def impatient(job):
-            answers.append(Resident.ask(resident, job, timeout=0.5))
+            answers.append(Resident.send(resident, job, timeout=0.5))
             return answers[-1]
 
-        resident.ask = lambda job, timeout: impatient(job)
-        (finding,) = judge_scene(scene, resident, Tally())
+        resident.send = lambda job, timeout: impatient(job)
+        (finding,) = compare_with_mitsuba(scene, resident, Tally())
     assert isinstance(answers[0], Crash) and answers[0].kind == "timeout" and finding.kind == "crash"
 
 
 def test_a_pixel_that_the_judge_fails_is_a_finding(monkeypatch):
-    usual = judged.validate_scene
+    usual = mitsuba_checks.validate_scene
 
     def with_a_failure(scene, name, **options):
         from dataclasses import replace
@@ -270,7 +272,7 @@ def test_a_pixel_that_the_judge_fails_is_a_finding(monkeypatch):
         verdict = usual(scene.model_copy(update={"checks": {"depth": {"ratio": 1e-9}}}), name, **options)
         return replace(verdict, checks=())
 
-    monkeypatch.setattr(judged, "validate_scene", with_a_failure)
+    monkeypatch.setattr(mitsuba_checks, "validate_scene", with_a_failure)
     with Resident() as resident:
-        (finding,) = judge_scene(load_scene(SCENE).with_film(width=8, height=8), resident, Tally())
+        (finding,) = compare_with_mitsuba(load_scene(SCENE).with_film(width=8, height=8), resident, Tally())
     assert finding.kind == "judged" and finding.detail in CLASSES and finding.pixel is not None

@@ -14,7 +14,7 @@ from edited_tree import ROOT, copy_tree, edit, run
 from intersection_faults import FAULTS
 
 from mitsuba_ref.fuzz.families import BY_NAME
-from mitsuba_ref.fuzz.finding import KINDS
+from mitsuba_ref.fuzz.findings import FINDING_KINDS
 
 QUICK = (
     "doubts not looked into",
@@ -60,7 +60,7 @@ def test_the_list_is_worth_its_name():
     assert len(FAULTS) >= 20 and len({fault.what for fault in FAULTS}) == len(FAULTS)
     assert set(QUICK) <= {fault.what for fault in FAULTS}
     for fault in FAULTS:
-        assert fault.edits and fault.kinds and fault.kinds <= set(KINDS) and fault.family in BY_NAME
+        assert fault.edits and fault.kinds and fault.kinds <= set(FINDING_KINDS) and fault.family in BY_NAME
 
 
 def test_every_edit_fits_the_source_of_today():

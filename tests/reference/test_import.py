@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from mitsuba_scenes import VARIANTS, job
 
-from caster.mesh_files import load_mesh
-from caster.rendering import render
-from caster.scene import load_scene
-from caster.wording import FileMissing, SceneError
+from caster.geometry.mesh_files import load_mesh
+from caster.rendering.images import render
+from caster.scene.errors import FileMissing, SceneError
+from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.export import export_scene
-from mitsuba_ref.importers.importing import import_xml
-from mitsuba_ref.worker import ask
+from mitsuba_ref.importers.mitsuba_xml import import_xml
+from mitsuba_ref.reference.rendering import export_scene
+from mitsuba_ref.reference.session import send_request
 
 ROOT = Path(__file__).resolve().parents[2]
 U = 2.0**-24
@@ -149,13 +149,14 @@ def test_mitsuba_hits_the_same_in_an_imported_scene(folder):
     one = np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)
     variant = VARIANTS[0]
     theirs, ours = (
-        ask(job(xml, variant, *one, lights=False, sensor=True, strict=False))
+        send_request(job(xml, variant, *one, lights=False, sensor=True, strict=False))
         for xml in (folder / "scene.xml", again)
     )
     assert np.array_equal(theirs.sensor_o, ours.sensor_o) and np.array_equal(theirs.sensor_d, ours.sensor_d)
     rays = theirs.sensor_o, theirs.sensor_d
     a, b = (
-        ask(job(xml, variant, *rays, lights=False, strict=False)) for xml in (folder / "scene.xml", again)
+        send_request(job(xml, variant, *rays, lights=False, strict=False))
+        for xml in (folder / "scene.xml", again)
     )
     hit = np.isfinite(a.t)
     assert np.array_equal(hit, np.isfinite(b.t)) and 1000 < hit.sum() < 48 * 32

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from edited_tree import Forks, copy_tree, edit
 
-from caster.exr import read_exr, write_exr
+from caster.image.exr import read_exr, write_exr
 
 WIDTH, HEIGHT = "12", "10"  # the fewer pixels, the harder is a fault to see
 
@@ -45,15 +45,23 @@ def one_nan(aov: str, value: str, rows: str = "[:, None]") -> Fault:
     )
 
 
-ROOTS, TRIANGLES = "caster/kernels/roots.py", "caster/kernels/triangles.py"
+ROOTS, TRIANGLES = "caster/kernels/math/quadric_roots.py", "caster/kernels/triangles.py"
 SPHERE, CYLINDER, DISK, PLANE = (
     f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane")
 )
 PINHOLE, ORTHOGRAPHIC = "caster/cameras/pinhole.py", "caster/cameras/orthographic.py"
-DIFFUSE, LIGHTS, VIEW = "caster/aovs/diffuse.py", "caster/lights.py", "caster/view.py"
-LIGHT, PAINT, SHADE = "caster/kernels/light.py", "caster/kernels/paint.py", "caster/kernels/shade.py"
-SCREEN, TREE, PLACING = "caster/kernels/screen.py", "caster/kernels/bvh.py", "caster/placing.py"
-TILE, BUNDLE = "caster/kernels/tile.py", "caster/kernels/bundle.py"
+DIFFUSE, LIGHTS, VIEW = "caster/aovs/diffuse.py", "caster/scene/lights.py", "caster/rendering/view.py"
+LIGHT, PAINT, SHADE = (
+    "caster/kernels/surface/lighting.py",
+    "caster/kernels/surface/normals.py",
+    "caster/kernels/surface/lighting.py",
+)
+SCREEN, TREE, PLACING = (
+    "caster/kernels/raster/tile_casting.py",
+    "caster/kernels/bvh/traversal.py",
+    "caster/geometry/world_space.py",
+)
+TILE, BUNDLE = "caster/kernels/raster/tile.py", "caster/kernels/bvh/packet.py"
 
 ODD = "15", "15"  # pixel centres on the edges that faces share
 MANY = "24", "20"  # where the first pixels at which the fault shows are to be of another shape, not missed
@@ -66,8 +74,8 @@ FAULTS = (
         "one-sphere",
         "normal",
         ROOTS,
-        "near = sure_within(roots.near, roots.near_off, t_min, t_max)",
-        "near = sure_within(roots.far, roots.far_off, t_min, t_max)",
+        "near = certain_in_range(roots.near, roots.near_off, t_min, t_max)",
+        "near = certain_in_range(roots.far, roots.far_off, t_min, t_max)",
     ),
     Fault(
         "t_min ignored by spheres",
@@ -82,16 +90,16 @@ FAULTS = (
         "shared-edges-cube",
         "culling",
         TRIANGLES,
-        "t, off = sure_within(t, off, t_min, t_max)",
-        "t, off = sure_within(t, off, -1e300, t_max)",
+        "t, off = certain_in_range(t, off, t_min, t_max)",
+        "t, off = certain_in_range(t, off, -1e300, t_max)",
     ),
     Fault(
         "t_min ignored by planes",
         "spheres-on-plane",
         "mask",
         PLANE,
-        "t, off = sure_within(t, off, t_min, t_max)",
-        "t, off = sure_within(t, off, -1e300, t_max)",
+        "t, off = certain_in_range(t, off, t_min, t_max)",
+        "t, off = certain_in_range(t, off, -1e300, t_max)",
     ),
     Fault(
         "the farther of two hits",
@@ -141,7 +149,7 @@ FAULTS = (
         "cylinders",
         "mask",
         CYLINDER,
-        "far = between_ends(sure_within(roots.far, roots.far_off, t_min, t_max), axis)",
+        "far = clip_to_height(certain_in_range(roots.far, roots.far_off, t_min, t_max), axis)",
         "far = math.inf, 0.0",
     ),
     Fault(
@@ -149,8 +157,8 @@ FAULTS = (
         "cylinders",
         "mask",
         CYLINDER,
-        "near = between_ends(sure_within(roots.near, roots.near_off, t_min, t_max), axis)",
-        "near = sure_within(roots.near, roots.near_off, t_min, t_max)",
+        "near = clip_to_height(certain_in_range(roots.near, roots.near_off, t_min, t_max), axis)",
+        "near = certain_in_range(roots.near, roots.near_off, t_min, t_max)",
     ),
     Fault(
         "edges with an epsilon",
@@ -248,7 +256,7 @@ FAULTS = (
         "ellipsoids",
         "normal",
         SPHERE,
-        "n = unit(turned_back(prims.to_object, k, q))",
+        "n = unit(transposed_mat_vec(prims.to_object, k, q))",
         "n = unit(turned(prims.to_world, k, q))",
     ),
     Fault(
@@ -301,7 +309,7 @@ FAULTS = (
         "steps of to_world the other way round",
         "transforms",
         "placement",
-        "caster/transform.py",
+        "caster/geometry/transform.py",
         "(m[:, k, None] * total[None, k, :]",
         "(total[:, k, None] * m[None, k, :]",
         FEW,
@@ -310,7 +318,7 @@ FAULTS = (
         "turns the other way",
         "transforms",
         "placement",
-        "caster/steps.py",
+        "caster/scene/to_world.py",
         "self.rotate.axis, self.rotate.degrees",
         "self.rotate.axis, -self.rotate.degrees",
         FEW,
@@ -337,7 +345,7 @@ FAULTS = (
         "generated normals not weighted by angles",
         "ply-normals",
         "geometry",
-        "caster/mesh.py",
+        "caster/geometry/mesh.py",
         "[:, None, :] * angle[:, :, None]",
         "[:, None, :] * (angle > 0.0)[:, :, None]",
     ),
@@ -566,8 +574,8 @@ FAULTS = (
         "coarse-silhouettes",
         "diffuse",
         VIEW,
-        "find_arriving(light.pack(), self.surfaces,",
-        "find_arriving(light.pack(), self.surfaces._replace(sh_n=self.surfaces.n),",
+        "received_irradiance_of_rays(light.pack(), self.surfaces,",
+        "received_irradiance_of_rays(light.pack(), self.surfaces._replace(sh_n=self.surfaces.n),",
     ),
     Fault(
         "only some kinds of shape cast shadows",
@@ -591,7 +599,7 @@ FAULTS = (
         "the first material for every shape",
         "cornell-box",
         "materials",
-        "caster/scene_model.py",
+        "caster/scene/model.py",
         "self.materials[shape.material] if shape.material else DEFAULT",
         "next(iter(self.materials.values()))",
     ),
@@ -656,7 +664,7 @@ FAULTS = (
         "render without lights",
         "one-sphere",
         "culling",
-        "caster/film_shading.py",
+        "caster/rendering/tiles.py",
         '[light.pack() for light in scene.lights if light.type != "ambient"]',
         "[]",
     ),
@@ -712,7 +720,7 @@ FAULTS = (
         "pictures of primitives too narrow",
         "triangles",
         "culling",
-        "caster/kernels/spans.py",
+        "caster/kernels/raster/screen_bounds.py",
         "MARGIN = 2.0**-10",
         "MARGIN = -2.0",
     ),

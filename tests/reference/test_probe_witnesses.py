@@ -8,8 +8,8 @@ import pytest
 
 import caster
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.pixel_picture import INSIDE, Patch, beside, draw_inside, outline
-from mitsuba_ref.rays import SharedRays, share
+from mitsuba_ref.probe.pixel_picture import INSIDE, Patch, beside, draw_inside, outline
+from mitsuba_ref.reference.rays import SharedRays, shared_rays
 
 # Along an edge of the mesh within a rounding, where Embree lets the ray slip through unless it is told to be robust.
 EDGE = """
@@ -82,31 +82,32 @@ def test_a_witness_is_off_by_so_many_units_of_its_own_last_place(said):
     ],
 )
 def test_a_witness_on_the_right_surface_at_a_wrong_distance_is_wrong(probed, kind, off, right):
-    from mitsuba_ref.judging import judge_of
-    from mitsuba_ref.witnesses import _held, _place, lines
+    from mitsuba_ref.judge.classification import judge_of
+    from mitsuba_ref.probe.witnesses import _compared_with_exact, _surface, witness_lines
 
     judge = judge_of(caster.load_scene(probed / "edge.toml"))
-    exact = judge.oracle.ask(judge.o[0], judge.d[0], t_max=judge.t_max[0])
+    exact = judge.oracle.first_hit(judge.o[0], judge.d[0], t_max=judge.t_max[0])
     t = float(exact.t) * (1.0 + off)
-    saying = _held(("somebody", *_place(judge, exact.prim), t), judge, exact, kind)
+    saying = _compared_with_exact(("somebody", *_surface(judge, exact.prim), t), judge, exact, kind)
     assert saying.right is right and (saying.share <= 1.0) is right
-    (line,) = lines((saying,))
+    (line,) = witness_lines((saying,))
     assert ("WRONG" in line and "x its bound" in line) is not right
 
 
 def test_a_pixel_without_a_ray_has_no_witnesses():
-    from mitsuba_ref.witnesses import lines
+    from mitsuba_ref.probe.witnesses import witness_lines
 
-    assert list(lines(())) == []
+    assert list(witness_lines(())) == []
 
 
 def test_a_variant_that_does_not_work_is_a_row_that_says_why(said, monkeypatch):
-    from mitsuba_ref import variants, witnesses
+    from mitsuba_ref.probe import witnesses
+    from mitsuba_ref.reference import variants
 
     only = variants.Variants(True, False, None, "no libLLVM found")
-    monkeypatch.setattr(variants, "usable", lambda: only)
-    monkeypatch.setattr(witnesses, "ask_all", lambda jobs: ["asked"] * len(jobs))
-    rows = dict(witnesses.asked_otherwise(_FakeJudge(), "scalar_rgb"))
+    monkeypatch.setattr(variants, "usable_variants", lambda: only)
+    monkeypatch.setattr(witnesses, "send_requests", lambda jobs: ["asked"] * len(jobs))
+    rows = dict(witnesses.other_variant_answers(_FakeJudge(), "scalar_rgb"))
     assert (
         rows["llvm_ad_rgb", "robust"]
         == rows["llvm_ad_rgb", "default"]
@@ -119,15 +120,15 @@ class _FakeJudge:
     """As much of a judge as is needed to ask about it."""
 
     def __init__(self):
-        from caster.packing import pack
-        from caster.placing import as_float32
-        from mitsuba_ref.model import model_of
+        from caster.geometry.packing import pack
+        from caster.geometry.world_space import as_float32
+        from mitsuba_ref.error_model.scene_model import model_of
 
         self.scene = caster.Scene(
             camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere()]
         )
         self.scene = self.scene.with_film(width=1, height=1)
-        rays = share(self.scene)
+        rays = shared_rays(self.scene)
         self.model = model_of(self.scene, pack(self.scene, as_float32), rays)
         self.pair = type("Pair", (), {"rays": rays})
 

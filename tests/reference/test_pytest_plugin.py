@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from mitsuba_ref.checks import CHECKS
-from mitsuba_ref.ci.pytest_items import PIXEL_CHECKS, SCENE_CHECKS, VERDICT
-from mitsuba_ref.jobs import Crash
-from mitsuba_ref.judge import EXACT
+from mitsuba_ref.judge.checks import CHECKS
+from mitsuba_ref.judge.classification import EXACT
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.runner.pytest_scenes import PIXEL_CHECKS, SCENE_CHECKS, VERDICT
 
 pytest_plugins = "pytester"
 
@@ -31,8 +31,8 @@ radius = 1.3
 """
 STRICT = "[check.depth]\nratio = 1e-6\n"
 NAMES = (VERDICT, *PIXEL_CHECKS, *SCENE_CHECKS)
-HEAVY = ("numba", "mitsuba", "drjit", "caster.kernels.jit")
-PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene", "mitsuba_ref.ci.pytest_items")
+HEAVY = ("numba", "mitsuba", "drjit", "caster.jit.decorators")
+PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene.files", "mitsuba_ref.runner.pytest_scenes")
 
 
 @pytest.fixture
@@ -65,15 +65,15 @@ def folder(keep_modules, pytester, monkeypatch):
 def run(folder, *words, inside=True):
     words = ("-p", "no:cacheprovider", *words)
     if not inside:
-        return folder.runpytest_subprocess("-p", "mitsuba_ref.pytest_plugin", *words)
-    plugin = import_module("mitsuba_ref.pytest_plugin")  # -p would warn that it is imported already
+        return folder.runpytest_subprocess("-p", "mitsuba_ref.runner.pytest_plugin", *words)
+    plugin = import_module("mitsuba_ref.runner.pytest_plugin")  # -p would warn that it is imported already
     return folder.runpytest_inprocess(*words, plugins=[plugin])
 
 
 def test_the_entry_point_is_this_plug_in():
     named = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["pytest11"]
-    assert named == {"mitsuba-ref": "mitsuba_ref.pytest_plugin"}
-    assert import_module("mitsuba_ref.pytest_plugin").OPTION == "--mitsuba-ref"
+    assert named == {"mitsuba-ref": "mitsuba_ref.runner.pytest_plugin"}
+    assert import_module("mitsuba_ref.runner.pytest_plugin").OPTION == "--mitsuba-ref"
 
 
 @pytest.mark.parametrize(
@@ -146,9 +146,9 @@ def crashing(monkeypatch):
         asked.append(job)
         return Crash("abort", "last words", "SIGABRT", 0.1)
 
-    monkeypatch.setattr("mitsuba_ref.child.put", put)
+    monkeypatch.setattr("mitsuba_ref.reference.subprocess_runner.run_request", put)
     monkeypatch.setattr(
-        "mitsuba_ref.reference.variant_for", lambda has_quadrics: "scalar_rgb"
+        "mitsuba_ref.reference.rendering.variant_for", lambda has_quadrics: "scalar_rgb"
     )  # nor asked for this
     return asked
 
@@ -209,8 +209,8 @@ def fake(entries, workers):
         file.write(entry.name + chr(10))
     yield made_verdicts.scene(entry.name, ok=entry.name != "strict")
 def pytest_configure():
-    import mitsuba_ref.campaign
-    mitsuba_ref.campaign.run = fake
+    import mitsuba_ref.runner.scene_runner
+    mitsuba_ref.runner.scene_runner.run = fake
 """
 
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from mitsuba_scenes import job, shape, write
 
-from mitsuba_ref import child, worker
-from mitsuba_ref.export import export
-from mitsuba_ref.jobs import Answer, Crash, Job
-from mitsuba_ref.stress import FAMILIES, sweeping, witnesses
+from mitsuba_ref.reference import session, subprocess_runner
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.rendering import export
+from mitsuba_ref.reference.variants import SCALAR, usable_variants
+from mitsuba_ref.stress import FAMILIES, sweeps, witnesses
 from mitsuba_ref.stress.family import Setting
-from mitsuba_ref.stress.result import Outcome, Sweep
 from mitsuba_ref.stress.score import Score
-from mitsuba_ref.stress.watertight import EDGES
+from mitsuba_ref.stress.surfaces import WATERTIGHT_EDGES
+from mitsuba_ref.stress.sweeps import Outcome, Sweep
 from mitsuba_ref.stress.witnesses import Witness
-from mitsuba_ref.variants import SCALAR, usable
 
 RAYS = 16
 ROBUST, PLAIN = (Witness(str(robust), "", SCALAR, robust=robust) for robust in (True, False))
@@ -27,15 +27,15 @@ def easiest() -> dict[str, Outcome]:
     settings = [
         setting for family in FAMILIES for setting in family.settings(0, RAYS) if setting.x == family.easiest
     ]
-    ready = [witnesses.prepare(setting) for setting in settings]
-    said = sweeping.heard(ready, lambda words: None)
-    outcomes = (sweeping.outcome(each, sights) for each, sights in zip(ready, said, strict=True))
+    ready = [witnesses.prepare_setting(setting) for setting in settings]
+    said = sweeps.observe(ready, lambda words: None)
+    outcomes = (sweeps.score_setting(each, sights) for each, sights in zip(ready, said, strict=True))
     return {family.name: found for family, found in zip(FAMILIES, outcomes, strict=True)}
 
 
 def test_everybody_agrees_where_a_family_is_easiest():
     """So what breaks down later breaks down by what is stressed, and not by how it is asked."""
-    asked = ["scalar", *(["llvm", "llvm-robust"] if usable().llvm else [])]
+    asked = ["scalar", *(["llvm", "llvm-robust"] if usable_variants().llvm else [])]
     found = easiest()
     assert len(found) == len(FAMILIES) >= 22
     for family in FAMILIES:
@@ -50,19 +50,19 @@ def test_everybody_agrees_where_a_family_is_easiest():
 
 def leaks(witness: Witness, setting: Setting) -> int:
     with tempfile.TemporaryDirectory() as folder:
-        (sight,) = witnesses.reference(witness, [witnesses.prepare(setting)], Path(folder))
+        (sight,) = witnesses.ask_reference(witness, [witnesses.prepare_setting(setting)], Path(folder))
     return int(np.sum(~sight.hit))
 
 
 def test_the_robust_mode_is_switched_off_where_that_is_asked_for():
     """Without it, some 6 of 100 rays slip through edges."""
-    setting = next(iter(EDGES.settings(0, 2000)))
+    setting = next(iter(WATERTIGHT_EDGES.settings(0, 2000)))
     assert leaks(ROBUST, setting) == 0
     assert 40 <= leaks(PLAIN, setting) <= 400
 
 
 def test_a_scene_is_exported_for_the_robust_mode_unless_told():
-    ready = witnesses.prepare(next(iter(EDGES.settings(0, RAYS))))
+    ready = witnesses.prepare_setting(next(iter(WATERTIGHT_EDGES.settings(0, RAYS))))
     robust, plain = (
         export(ready.setting.scene, ready.model, **options).xml for options in ({}, {"robust": False})
     )
@@ -76,7 +76,7 @@ def test_a_scene_is_exported_for_the_robust_mode_unless_told():
 
 
 @pytest.fixture
-def scenes(tmp_path) -> list[Job]:
+def scenes(tmp_path) -> list[TraceRequest]:
     """Balls at several places, one more in each scene; the rays meet them all."""
     rng = np.random.default_rng(5)
     jobs = []
@@ -90,18 +90,18 @@ def scenes(tmp_path) -> list[Job]:
     return jobs
 
 
-def assert_same(found: Answer, expected: Answer) -> None:
+def assert_same(found: TraceResponse, expected: TraceResponse) -> None:
     assert found.names == expected.names
-    for name in Answer.ROWS:
+    for name in TraceResponse.ROWS:
         assert np.array_equal(getattr(found, name), getattr(expected, name)), name
 
 
 def test_scenes_asked_together_answer_as_they_do_alone(scenes, monkeypatch):
-    alone = {i: worker.ask(scenes[i]) for i in (0, 2)}
+    alone = {i: session.send_request(scenes[i]) for i in (0, 2)}
     children = []
-    honest = child.put
-    monkeypatch.setattr(child, "put", lambda *args: children.append(1) or honest(*args))
-    together = worker.ask_all(scenes)
+    honest = subprocess_runner.run_request
+    monkeypatch.setattr(subprocess_runner, "run_request", lambda *args: children.append(1) or honest(*args))
+    together = session.send_requests(scenes)
     assert len(children) == 1 and len(together) == len(scenes)
     for i, expected in alone.items():
         assert_same(together[i], expected)
@@ -110,26 +110,28 @@ def test_scenes_asked_together_answer_as_they_do_alone(scenes, monkeypatch):
 
 def test_a_scene_that_is_refused_takes_no_other_with_it(scenes, tmp_path):
     broken = write(tmp_path, '<shape type="no-such-shape"/>', "broken.xml")
-    found = worker.ask_all([job(broken, SCALAR, scenes[2].o, scenes[2].d, lights=False), *scenes[:2]])
-    assert [type(each) for each in found] == [Crash, Answer, Answer]
+    found = session.send_requests([job(broken, SCALAR, scenes[2].o, scenes[2].d, lights=False), *scenes[:2]])
+    assert [type(each) for each in found] == [Crash, TraceResponse, TraceResponse]
     assert "no-such-shape" in found[0].words
     assert [len(each.t) for each in found[1:]] == [10, 20] and found[2].names == ["ball-0", "ball-1"]
 
 
 def test_a_job_of_several_scenes_survives_the_disk_and_takes_no_lights(scenes, tmp_path):
-    together = worker.together(scenes)
+    together = session.merge_requests(scenes)
     together.write(tmp_path)
-    pieces = Job.read(tmp_path).pieces()
+    pieces = TraceRequest.read(tmp_path).pieces()
     assert [piece.xml for piece in pieces] == [each.xml for each in scenes]
     for piece, each in zip(pieces, scenes, strict=True):
         assert np.array_equal(piece.o, each.o) and piece.more == ()
     with pytest.raises(ValueError, match="no lights"):
-        Job(together.xml, SCALAR, together.o, together.d, together.t_max, more=together.more)
+        TraceRequest(together.xml, SCALAR, together.o, together.d, together.t_max, more=together.more)
 
 
 def test_a_large_sphere_which_mitsuba_warns_of_is_asked_about_all_the_same(tmp_path):
     xml = write(tmp_path, shape("sphere", "ball", 0, stretch="1e12 1e12 1e12"))
     question = job(xml, SCALAR, [[0.0, 0.0, 5e12]], [[0.0, 0.0, -1.0]], lights=False)
-    assert isinstance(worker.ask(question), Crash)
-    answer = worker.ask(job(xml, SCALAR, [[0.0, 0.0, 5e12]], [[0.0, 0.0, -1.0]], lights=False, strict=False))
-    assert isinstance(answer, Answer) and answer.t.tolist() == [np.float32(4e12)]
+    assert isinstance(session.send_request(question), Crash)
+    answer = session.send_request(
+        job(xml, SCALAR, [[0.0, 0.0, 5e12]], [[0.0, 0.0, -1.0]], lights=False, strict=False)
+    )
+    assert isinstance(answer, TraceResponse) and answer.t.tolist() == [np.float32(4e12)]

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from edited_tree import DEADLINE, ROOT, Forks, copy_tree, edit, run
 
-from caster.exr import read_exr
-from mitsuba_ref.verdict import CLASSES, Failure
+from caster.image.exr import read_exr
+from mitsuba_ref.judge.verdict import CLASSES, Failure
 
 SIZE = ("--size", "12", "10")
 CAMERA = '[film]\nwidth = 12\nheight = 10\n\n[camera]\ntype = "pinhole"\neye = [0.1, 0.2, 5.3]\nlook_at = [0, 0, 0]\n'
@@ -206,7 +206,12 @@ def test_out_holds_the_verdict_and_the_pictures_it_is_about(ref, tmp_path):
 
 def test_a_failure_is_in_json_and_junit_with_where_and_why(tmp_path):
     tree = copy_tree(tmp_path / "tree")
-    edit(tree, "caster/kernels/roots.py", "roots.near_off, t_min, t_max", "roots.near_off, -math.inf, t_max")
+    edit(
+        tree,
+        "caster/kernels/math/quadric_roots.py",
+        "roots.near_off, t_min, t_max",
+        "roots.near_off, -math.inf, t_max",
+    )
     words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml", "--out", tmp_path / "out"]
     words += ["--html", tmp_path / "html"]
     found = started(

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from mitsuba_scenes import job, random_mesh, shape, write
 
-from mitsuba_ref import child, worker
-from mitsuba_ref.jobs import Answer, Crash, Job
+from mitsuba_ref.reference import session, subprocess_runner
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 
 ROOT = Path(__file__).resolve().parents[2]
 MESH = '<shape type="ply" id="strewn"><string name="filename" value="strewn.ply"/></shape>'
@@ -30,7 +30,7 @@ time.sleep(600)
 
 
 @pytest.fixture
-def ball(tmp_path) -> Job:
+def ball(tmp_path) -> TraceRequest:
     return job(write(tmp_path, shape("sphere", "ball", 0)), "scalar_rgb", [[0, 0, 5]], [[0, 0, -1]])
 
 
@@ -41,7 +41,7 @@ def left_behind(tmp_path, monkeypatch):
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     yield
-    assert list(folder.iterdir()) == [] and not child._running
+    assert list(folder.iterdir()) == [] and not subprocess_runner._running
 
 
 @pytest.fixture
@@ -57,8 +57,8 @@ def in_place_of_mitsuba(tmp_path, monkeypatch) -> Callable[[str], None]:
     return plant
 
 
-def crash(ball: Job, timeout: float = 60) -> Crash:
-    answer = worker.ask(ball, timeout)
+def crash(ball: TraceRequest, timeout: float = 60) -> Crash:
+    answer = session.send_request(ball, timeout)
     assert isinstance(answer, Crash), answer
     return answer
 
@@ -79,8 +79,8 @@ def wait_for(condition: Callable[[], object]) -> None:
 
 
 def test_a_scene_is_answered(ball):
-    answer = worker.ask(ball)
-    assert isinstance(answer, Answer)
+    answer = session.send_request(ball)
+    assert isinstance(answer, TraceResponse)
     assert answer.t.tolist() == [4.0] and answer.names == ["ball"]
 
 
@@ -96,9 +96,9 @@ def test_a_real_abort_in_an_old_libllvm_is_a_result(tmp_path, monkeypatch):
     monkeypatch.setenv("DRJIT_CACHE_DIR", str(tmp_path))  # a kernel from another libLLVM would hide it
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
-    found = worker.ask(job(write(tmp_path, MESH), "llvm_ad_rgb", [[0, 0, 5]], [[0, 0, -1]]), 60)
+    found = session.send_request(job(write(tmp_path, MESH), "llvm_ad_rgb", [[0, 0, 5]], [[0, 0, -1]]), 60)
     if "avx512" not in Path("/proc/cpuinfo").read_text():
-        assert isinstance(found, Answer)
+        assert isinstance(found, TraceResponse)
         return
     assert isinstance(found, Crash), "it was to abort"
     assert (found.kind, found.exit) == ("abort", "SIGABRT")
@@ -112,15 +112,15 @@ def test_a_worker_killed_in_the_middle_of_its_rays_is_a_result(tmp_path):
     question = job(write(tmp_path, MESH), "scalar_rgb", o, d)
 
     def kill() -> None:
-        wait_for(lambda: child._running)
-        (pid,) = child._running
+        wait_for(lambda: subprocess_runner._running)
+        (pid,) = subprocess_runner._running
         wait_for(lambda: "/ply.so" in Path(f"/proc/{pid}/maps").read_text())
         time.sleep(0.5)
         os.kill(pid, signal.SIGKILL)
 
     thread = threading.Thread(target=kill)
     thread.start()
-    found = worker.ask(question, 60)
+    found = session.send_request(question, 60)
     thread.join()
     assert isinstance(found, Crash), found
     assert (found.kind, found.exit) == ("signal", "SIGKILL")
@@ -144,27 +144,29 @@ def test_a_hang_ends_in_time_and_leaves_no_process(ball, in_place_of_mitsuba, tm
 
 def test_whoever_waits_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsuba, tmp_path):
     in_place_of_mitsuba(HANG.format(pids=str(tmp_path / "pid")))
-    found: list[Answer | Crash] = []
-    threads = [threading.Thread(target=lambda: found.append(worker.ask(ball, 60))) for _ in range(2)]
+    found: list[TraceResponse | Crash] = []
+    threads = [
+        threading.Thread(target=lambda: found.append(session.send_request(ball, 60))) for _ in range(2)
+    ]
     for thread in threads:
         thread.start()
-    wait_for(lambda: len(child._running) == 2)
-    child.stop_all()
+    wait_for(lambda: len(subprocess_runner._running) == 2)
+    subprocess_runner.kill_subprocesses()
     try:
         for thread in threads:
             thread.join(10)
         assert [answer.exit for answer in found] == ["SIGKILL", "SIGKILL"]
-        late = worker.ask(ball, 60)
+        late = session.send_request(ball, 60)
         assert isinstance(late, Crash) and "before it began" in late.words
     finally:
-        child.start_again()
+        subprocess_runner.allow_subprocesses()
 
 
 ASK = """
 import sys
 from pathlib import Path
 from mitsuba_ref import worker
-from mitsuba_ref.jobs import Job
+from mitsuba_ref.reference.messages import Job
 worker.ask(Job.read(Path(sys.argv[1])), 60)
 """
 
@@ -184,7 +186,7 @@ def test_the_child_goes_with_the_one_that_asked(ball, in_place_of_mitsuba, tmp_p
     try:
         wait_for(lambda: gone(pid))
     finally:  # where nobody was left to do it
-        child._kill(pid)
+        subprocess_runner._kill(pid)
     if how == signal.SIGINT:
         assert b"KeyboardInterrupt" in words
         assert list((tmp_path / "asked").iterdir()) == []
@@ -216,7 +218,10 @@ def test_a_missing_file_and_an_unknown_variant_are_refused(tmp_path, ball):
         "file does not exist"
         in crash(job(tmp_path / "nope.xml", "scalar_rgb", [[0, 0, 5]], [[0, 0, -1]])).words
     )
-    assert "unsupported variant" in crash(Job(ball.xml, "scalar_rgbx", ball.o, ball.d, ball.t_max)).words
+    assert (
+        "unsupported variant"
+        in crash(TraceRequest(ball.xml, "scalar_rgbx", ball.o, ball.d, ball.t_max)).words
+    )
 
 
 @pytest.mark.parametrize(
@@ -263,7 +268,7 @@ print("done")
 """
     xml = write(tmp_path, shape("sphere", "ball", 0))
     question = job(xml, "scalar_rgb", [[0, 0, 5], [0, 0, 5]], [[0, 0, -1], [0, 0, 1]])
-    found = child.put(question, 60, command=[sys.executable, "-c", program])
+    found = subprocess_runner.run_request(question, 60, command=[sys.executable, "-c", program])
     assert isinstance(found, Crash), found
     assert (found.kind, found.exit) == ("garbage", "exit code 0"), found.words
     assert says in found.words and found.words.startswith("done")
@@ -290,8 +295,8 @@ def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_
     monkeypatch.delenv("PYTHONPATH", raising=False)
     if path is not None:
         monkeypatch.setenv("PYTHONPATH", path)
-    answer = worker.ask(Job(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max))
-    assert isinstance(answer, Answer), answer
+    answer = session.send_request(TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max))
+    assert isinstance(answer, TraceResponse), answer
 
 
 def test_asking_imports_no_mitsuba_and_the_child_nothing_slow():
@@ -304,7 +309,7 @@ def test_asking_imports_no_mitsuba_and_the_child_nothing_slow():
     child_side = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    assert not {"numba", "pydantic", "OpenEXR", "caster.scene", "caster.kernels"} & set(
+    assert not {"numba", "pydantic", "OpenEXR", "caster.scene.files", "caster.kernels"} & set(
         child_side.stdout.split()
     )
 
@@ -312,14 +317,16 @@ def test_asking_imports_no_mitsuba_and_the_child_nothing_slow():
 def test_a_job_and_its_rays_survive_the_disk_bit_for_bit(tmp_path):
     rng = np.random.default_rng(7)
     bits = rng.integers(0, 2**32, (100, 7), np.uint32).view(np.float32)
-    question = Job(tmp_path / "a.xml", "scalar_rgb", bits[:, :3], bits[:, 3:6], bits[:, 6])
+    question = TraceRequest(tmp_path / "a.xml", "scalar_rgb", bits[:, :3], bits[:, 3:6], bits[:, 6])
     question.write(tmp_path)
-    again = Job.read(tmp_path)
+    again = TraceRequest.read(tmp_path)
     assert json.loads((tmp_path / "job.json").read_text())["xml"] == str(tmp_path / "a.xml") == str(again.xml)
-    for name in Job.ROWS:
+    for name in TraceRequest.ROWS:
         assert getattr(question, name).tobytes() == getattr(again, name).tobytes()
 
 
 def test_rays_that_are_not_float32_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"d: expected float32\[1, 3\], got float64\[1, 3\]"):
-        Job(tmp_path, "scalar_rgb", np.zeros((1, 3), np.float32), np.zeros((1, 3)), np.zeros(1, np.float32))
+        TraceRequest(
+            tmp_path, "scalar_rgb", np.zeros((1, 3), np.float32), np.zeros((1, 3)), np.zeros(1, np.float32)
+        )

@@ -10,8 +10,8 @@ import pytest
 import textbook_pages
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from mitsuba_ref.doctor import CHROMIUM
-from mitsuba_ref.verdict import SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.reference.installation import CHROMIUM
 
 # As root, as in containers, Chromium does not start with its sandbox; and it opens nothing here but our own files.
 OPTIONS = ["--no-sandbox"]

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from caster import Ambient, Diffuse, Film, Pinhole, Plane, Scene, Sphere
-from caster.view import View
-from mitsuba_ref import judging
-from mitsuba_ref.candidate.function import function_called
-from mitsuba_ref.candidate.validation import validate_candidate
-from mitsuba_ref.export import shape_ids
-from mitsuba_ref.jobs import Answer, Job
-from mitsuba_ref.pair import our_view
-from mitsuba_ref.rays import share
-from mitsuba_ref.validation import validate_scene
-from mitsuba_ref.verdict import SceneVerdict
+from caster.rendering.view import View
+from mitsuba_ref.judge import classification
+from mitsuba_ref.judge.verdict import SceneVerdict
+from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
+from mitsuba_ref.reference.rays import shared_rays
+from mitsuba_ref.reference.rendering import shape_ids
+from mitsuba_ref.runner.candidate_validation import validate_candidate
+from mitsuba_ref.runner.validation import validate_scene
+from mitsuba_ref.subjects.function import function_subject
+from mitsuba_ref.subjects.ours import cast_ours
 
 WIDTH, HEIGHT = 24, 20
 OURS_WRONG, REFERENCE_MISSES, NAN, INFINITE = (
@@ -26,7 +26,7 @@ OURS_WRONG, REFERENCE_MISSES, NAN, INFINITE = (
     (4, 17),
 )  # x, y of pixels that are hit
 
-Plant = Callable[[Answer], None]
+Plant = Callable[[TraceResponse], None]
 Trace = Callable[[Scene, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray | None]]
 
 
@@ -56,16 +56,16 @@ def bad(patch: pytest.MonkeyPatch) -> SceneVerdict:
     """Our t is too large by 1e-5 of itself at one pixel; at three more, Mitsuba's answer is none."""
 
     def wrong_view(*given: object) -> View:
-        view = our_view(*given)
+        view = cast_ours(*given)
         t = view.nearest.t.copy()
         t[row_of(OURS_WRONG)] *= 1.0 + 1e-5
         return replace(view, nearest=view.nearest._replace(t=t))
 
-    patch.setattr(judging, "our_view", wrong_view)
+    patch.setattr(classification, "cast_ours", wrong_view)
     return judged("bad & <worse>", plant)
 
 
-def plant(answer: Answer) -> None:
+def plant(answer: TraceResponse) -> None:
     miss = row_of(REFERENCE_MISSES)
     answer.t[miss], answer.shape[miss], answer.prim[miss] = np.inf, -1, -1
     answer.n[row_of(NAN), 1] = np.nan
@@ -75,32 +75,32 @@ def plant(answer: Answer) -> None:
 def judged(name: str, plant: Plant = lambda answer: None) -> SceneVerdict:
     asked = scene()
 
-    def ask(job: Job, timeout: float) -> Answer:
+    def send(job: TraceRequest, timeout: float) -> TraceResponse:
         answer = rounded_answer(asked, job)
         plant(answer)
         return answer
 
-    return validate_scene(asked, name, f"scenes/{name}.toml", ask=ask, keep=True)
+    return validate_scene(asked, name, f"scenes/{name}.toml", send=send, keep=True)
 
 
 def judged_candidate(name: str, trace: Trace, asked: Scene) -> SceneVerdict:
     """Somebody's ray caster in the place of ours, which is the reference, rounded."""
 
-    def ask(job: Job, timeout: float) -> Answer:
+    def send(job: TraceRequest, timeout: float) -> TraceResponse:
         return rounded_answer(asked, job)
 
-    candidate = function_called(trace, f"docs.candidates.{name}:trace")
-    return validate_candidate(candidate, asked, name, f"scenes/{name}.toml", ask=ask, keep=True)
+    candidate = function_subject(trace, f"docs.candidates.{name}:trace")
+    return validate_candidate(candidate, asked, name, f"scenes/{name}.toml", send=send, keep=True)
 
 
-def rounded_answer(asked: Scene, job: Job) -> Answer:
+def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:
     """What Mitsuba would say if it did nothing but round."""
-    rays = share(asked)
-    view = our_view(asked, rays)
+    rays = shared_rays(asked)
+    view = cast_ours(asked, rays)
     count, surfaces = len(view.hit), view.surfaces
     single = {name: np.asarray(getattr(surfaces, name), np.float32) for name in ("p", "n", "sh_n")}
     albedo = np.array([[0.6, 0.1, 0.1], [0.5, 0.5, 0.5], [0.0, 0.0, 0.0]], np.float32)[view.shape_id]
-    return Answer(
+    return TraceResponse(
         t=np.where(view.hit, view.nearest.t, np.inf).astype(np.float32),
         n=single["n"],
         sh_n=single["sh_n"],

@@ -8,15 +8,15 @@ import planted
 import pytest
 import textbook_pages
 
-from mitsuba_ref.report.index import row
-from mitsuba_ref.report.record import LAYERS, record
-from mitsuba_ref.verdict import CLASSES, OURS_WRONG, UNLISTED, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, OURS_WRONG, UNLISTED, Verdict
+from mitsuba_ref.report.html.page_writer import index_row
+from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, scene_record
 
 WRONG = CLASSES.index(OURS_WRONG)
 
 
 def recorded(verdict, exact=True):
-    return record(verdict, verdict.seen, exact=exact)
+    return scene_record(verdict, verdict.seen, exact=exact)
 
 
 def unpacked(array, like=None):
@@ -37,7 +37,7 @@ def test_a_record_has_what_the_candidate_gives_and_no_more(judged):
     assert set(recorded(judged["single"]).layers) == {"ids", "ratio", "depth"}
     ids = recorded(judged["inside"]).layers["ids"]
     assert set(ids) == {"shape_reference", "prim_reference", "t_reference", "t_ours"}
-    assert set(recorded(judged["inside"]).layers) < set(LAYERS)
+    assert set(recorded(judged["inside"]).layers) < set(PIXEL_LAYERS)
     assert judged["single"].unjudged == ("normal", "position", "shading_normal", "shape_id", "diffuse")
 
 
@@ -93,7 +93,7 @@ def test_the_bound_is_that_of_the_candidates_own_arithmetic(judged):
 
 
 def test_rows_and_pages_name_the_candidate(judged, tmp_path):
-    assert "candidate_wrong" in row(judged["inside"], "", "")["counts"]
+    assert "candidate_wrong" in index_row(judged["inside"], "", "")["counts"]
     index = Verdict(tuple(judged.values())).write_html(tmp_path / "page.html")
     text = index.read_text(encoding="utf-8")
     assert (

@@ -8,8 +8,8 @@ import numpy as np
 import planted
 import pytest
 
-from mitsuba_ref.pixels import flat
-from mitsuba_ref.verdict import SceneVerdict, Verdict
+from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 
 BAD = "bad & <worse>"
 NUMBERS = re.compile(r"-?(?:0x[01]\.[0-9a-f]+p[+-]\d+)")
@@ -111,7 +111,7 @@ def test_numbers_are_those_that_were_compared_to_the_bit(visit, folder, verdicts
     for layer in ("depth", "normal", "shading_normal", "position", "diffuse"):
         text = section(page, layer.replace("_", " ")).inner_text()
         sides = np.column_stack(
-            [np.atleast_1d(flat(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
+            [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
         )
         assert NUMBERS.findall(text) == [float(value).hex() for value in sides.ravel()]
         assert {float(value) for value in sides.ravel()} <= decimals(text)
@@ -147,7 +147,7 @@ def test_every_number_of_the_pictures_comes_back(visit, folder, verdicts):
         row = planted.row_of((x, y))
         for layer in ("depth", "normal", "position", "diffuse"):
             found = NUMBERS.findall(section(page, layer).inner_text())
-            sides = [np.atleast_1d(flat(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
+            sides = [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
             expected = [float(v).hex() for v in np.column_stack(sides).ravel() if np.isfinite(v)]
             assert found == expected, (x, y, layer)
 
@@ -271,12 +271,14 @@ def test_one_file_says_where_it_rounds(visit, one_file, verdicts):
     page = visit(one_file, at((x, y), "good", a="depth")).page
     ready(page)
     pair = verdicts["good"].seen
-    sides = [np.float32(flat(aovs, "depth")[planted.row_of((x, y))]) for aovs in (pair.ours, pair.reference)]
+    sides = [
+        np.float32(aov_rows(aovs, "depth")[planted.row_of((x, y))]) for aovs in (pair.ours, pair.reference)
+    ]
     text = section(page, "depth").inner_text()
     assert NUMBERS.findall(text) == [float(value).hex() for value in sides] and "Rounded to float32" in text
     exact = visit(one_file, at((x, y), BAD, a="depth")).page
     ready(exact)
-    mine = flat(verdicts["bad"].seen.ours, "depth")[planted.row_of((x, y))]
+    mine = aov_rows(verdicts["bad"].seen.ours, "depth")[planted.row_of((x, y))]
     text = section(exact, "depth").inner_text()
     assert float(mine).hex() in text and "Rounded" not in text
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import planted
 
-from caster.scene import Scene, load_scene
-from mitsuba_ref.verdict import SceneVerdict
+from caster.scene.files import Scene, load_scene
+from mitsuba_ref.judge.verdict import SceneVerdict
 
 ROOT = Path(__file__).parents[2]
 WIDTH, HEIGHT = 20, 16

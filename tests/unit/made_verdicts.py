@@ -1,7 +1,7 @@
 """Verdicts made up, for tests of what is written about them."""
 
-from mitsuba_ref.scene_check import SceneCheck
-from mitsuba_ref.verdict import CLASSES, Failure, SceneVerdict, Verdict
+from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck
+from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
 
 
 def scene(name="ball", *, ok=True, problem="", path=None, **more):

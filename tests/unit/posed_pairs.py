@@ -9,10 +9,10 @@ import numpy as np
 from aimed_rays import Rng, Setting, rays_at, scene_of
 from exact_meetings import Met, exactly
 
-from caster.packing import pack
-from caster.placing import as_float32
-from mitsuba_ref.meeting import Meetings
-from mitsuba_ref.model import reference_of
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from mitsuba_ref.error_model.intersections import Intersections
+from mitsuba_ref.error_model.scene_model import reference_of
 
 Off = Callable[[np.ndarray], np.ndarray]
 
@@ -32,9 +32,9 @@ class Pairs:
     def name(self) -> str:
         return type(self.prims).__name__
 
-    def meet(self, ku: float, *, ours: bool = False) -> tuple[Meetings, ...]:
-        meet = (ours and self.model.meet_ours) or self.model.meet
-        return meet(self.seen, self.k, self.o, self.d, ku)
+    def intersect(self, ku: float, *, ours: bool = False) -> tuple[Intersections, ...]:
+        intersect = (ours and self.model.intersect_ours) or self.model.intersect
+        return intersect(self.seen, self.k, self.o, self.d, ku)
 
     def solve(self, off: Off = lambda numbers: numbers) -> tuple[Met, ...]:
         """Exactly; `off` moves every number that an error model takes for rounded."""

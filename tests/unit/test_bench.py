@@ -13,15 +13,12 @@ import numpy as np
 import pytest
 
 import mitsuba_ref.bench.entries
-from caster.packing import pack
-from caster.placing import as_float32, as_given
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32, as_given
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.bench import measuring, page, plots, scenes, sweeps, table, targets
-from mitsuba_ref.bench.contestants import BY_KEY, CONTESTANTS, Contestant, field_of
-from mitsuba_ref.bench.error import Score, Truth
-from mitsuba_ref.bench.measuring import Settings, time_scene
-from mitsuba_ref.bench.preparing import prepare
-from mitsuba_ref.bench.process import Gone, Process
+from mitsuba_ref.bench import measuring, page, run, scenes, table
+from mitsuba_ref.bench.contestants import BY_KEY, CONTESTANTS, Contestant, contestants_for
+from mitsuba_ref.bench.measuring import ContestantEnded, ContestantProcess, Settings, time_scene
 from mitsuba_ref.bench.result import (
     Row,
     Run,
@@ -33,6 +30,7 @@ from mitsuba_ref.bench.result import (
     from_json,
     ratio,
 )
+from mitsuba_ref.bench.scoring import ExactAnswers, Score, prepare_scene
 from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING, Work
 from mitsuba_ref.bench.worker import peak_memory
 
@@ -81,23 +79,23 @@ def test_no_slope_goes_through_one_point():
 
 
 def test_a_slow_picture_is_made_smaller_until_it_fits():
-    assert measuring.fitting(32, measuring.LONGEST / 1025.0, 1024) == 1024
-    assert measuring.fitting(32, measuring.LONGEST / 16.5, 1024) == 128
-    assert measuring.fitting(32, 60.0, 1024) == 32
-    assert measuring.fitting(32, 1e-6, 16) == 16
+    assert measuring.fitting_size(32, measuring.MAX_CAST_S / 1025.0, 1024) == 1024
+    assert measuring.fitting_size(32, measuring.MAX_CAST_S / 16.5, 1024) == 128
+    assert measuring.fitting_size(32, 60.0, 1024) == 32
+    assert measuring.fitting_size(32, 1e-6, 16) == 16
 
 
 # --- who is wrong
 
 
 @pytest.fixture(scope="module")
-def truth(tmp_path_factory) -> Truth:
+def truth(tmp_path_factory) -> ExactAnswers:
     return truth_of("cornell-box", tmp_path_factory.mktemp("cornell"))
 
 
-def truth_of(name: str, folder: Path) -> Truth:
+def truth_of(name: str, folder: Path) -> ExactAnswers:
     scene = SCENES[name]
-    return Truth(prepare(scene, folder, 16), scene.asks, 0, sample=80)
+    return ExactAnswers(prepare_scene(scene, folder, 16), scene.asks, 0, sample=80)
 
 
 def test_the_exact_answer_is_not_wrong(truth):
@@ -153,8 +151,8 @@ def test_shadow_rays_have_masks_alone(tmp_path):
 @pytest.mark.parametrize("name", ["cornell-box", "one-sphere"])
 def test_edges_and_silhouettes_are_aimed_at(name, tmp_path):
     """A hundred-thousandth of the way beside, no more; rays of the picture are elsewhere."""
-    ready = prepare(SCENES[name], tmp_path, 16)
-    truth = Truth(ready, FILM, 0, sample=40)
+    ready = prepare_scene(SCENES[name], tmp_path, 16)
+    truth = ExactAnswers(ready, FILM, 0, sample=40)
     o, d = truth.o.astype(np.float64), truth.d.astype(np.float64)
     beside = np.array([distance_beside(ready.packed.parts[0], *line) for line in zip(o, d, strict=True)])
     assert (beside[truth.pictured :] < 1e-5).all()
@@ -192,7 +190,7 @@ class Fake:
             if self.left is not None:
                 self.left -= 1
                 if self.left < 0:
-                    raise Gone("died: SIGSEGV")
+                    raise ContestantEnded("died: SIGSEGV")
             return {"seconds": 2.0 if self.key == "open3d" else 1.0, "casts": 1, "rays": 256}
         if question["do"] == "answer":
             with np.load(question["rays"]) as rays:
@@ -218,7 +216,7 @@ def timed(
 def test_contestants_take_turns_and_nobody_is_always_first():
     keys = ["ours", "raw-robust", "open3d"]
     found, fakes = timed(keys, {})
-    warm = len(keys) * (measuring.WARM_UPS + 1)
+    warm = len(keys) * (measuring.WARM_UP_CASTS + 1)
     assert Fake.log[warm:] == [*keys, "raw-robust", "open3d", "ours", "open3d", "ours", "raw-robust"]
     assert found.ratio("open3d") == 2.0 and found.ratio("ours") == 1.0
     assert [one.memory for one in found.rows] == [4096] * 3
@@ -229,7 +227,7 @@ def test_contestants_take_turns_and_nobody_is_always_first():
 
 def test_whoever_dies_takes_nobody_along():
     found, fakes = timed(
-        ["ours", "raw-robust", "open3d"], {"raw-robust": measuring.WARM_UPS + 2, "open3d": 0}
+        ["ours", "raw-robust", "open3d"], {"raw-robust": measuring.WARM_UP_CASTS + 2, "open3d": 0}
     )
     ours, raw, open3d = found.rows
     assert len(ours.seconds) == 3 and ours.why == ""
@@ -267,8 +265,8 @@ ENDS = {
 @pytest.mark.parametrize("name", ENDS)
 def test_every_end_of_a_process_is_a_reason(name):
     script, why = ENDS[name]
-    process = Process(WORK, command=(sys.executable, "-c", script))
-    with pytest.raises(Gone) as end:
+    process = ContestantProcess(WORK, command=(sys.executable, "-c", script))
+    with pytest.raises(ContestantEnded) as end:
         process.ask(0.5 if name == "hangs" else 30.0, do="build", size=4)
     assert str(end.value) == why
     process.close()  # again does nothing
@@ -276,8 +274,8 @@ def test_every_end_of_a_process_is_a_reason(name):
 
 
 def test_a_worker_says_what_is_missing_and_lives_in_few_bytes():
-    process = Process(replace(WORK, entry="no_such_entry:Nobody"))
-    with pytest.raises(Gone, match=r"No module named .*no_such_entry"):
+    process = ContestantProcess(replace(WORK, entry="no_such_entry:Nobody"))
+    with pytest.raises(ContestantEnded, match=r"No module named .*no_such_entry"):
         process.ask(30.0, do="build", size=4)
     assert 2**20 < peak_memory() < 2**40
 
@@ -301,17 +299,17 @@ def test_every_contestant_has_an_entry_that_can_do_all_that_is_asked():
         (found,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name)
         methods = {node.name for node in found.body if isinstance(node, ast.FunctionDef)}
         assert {"build", "take_rays", "cast", "answer"} <= methods, contestant.key
-        assert contestant.key in plots.STYLE or contestant.asks == (SHADING,), contestant.key
+        assert contestant.key in page.STYLE or contestant.asks == (SHADING,), contestant.key
 
 
 def test_what_the_contract_names_is_there():
-    asked = {each.key for each in field_of(FILM, peers=True)}
+    asked = {each.key for each in contestants_for(FILM, peers=True)}
     assert {"ours", "ours-bvh", "ours-1-thread", "ours-python", "scalar-aov", "scalar-loop"} <= asked
     assert {"raw-robust", "raw-default", "aov-robust", "aov-default", "open3d", "trimesh", "copy"} <= asked
-    assert not {"open3d", "embreex", "trimesh"} & {each.key for each in field_of(FILM, peers=False)}
+    assert not {"open3d", "embreex", "trimesh"} & {each.key for each in contestants_for(FILM, peers=False)}
     assert {scene.asks for scene in scenes.SCENES} == {FILM, NEAREST, ANY, SHADING}
     assert len(scenes.SCENES) >= 12
-    assert sweeps.TRIANGLES[-1] == 10_000_000 and (sweeps.PIXELS[0], sweeps.PIXELS[-1]) == (64, 4096)
+    assert run.TRIANGLE_COUNTS[-1] == 10_000_000 and (run.FILM_SIDES[0], run.FILM_SIDES[-1]) == (64, 4096)
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name not in ("mesh-1m", "spheres-10k")])
@@ -323,9 +321,9 @@ def test_everybody_is_given_the_very_same_numbers(name, tmp_path):
 
 def test_threads_are_swept_up_to_all():
     settings = Settings(threads=6)
-    assert [x for x, _, _ in sweeps.over_threads(settings)] == [1.0, 2.0, 4.0, 6.0]
-    assert [here.threads for _, _, here in sweeps.over_threads(settings)] == [1, 2, 4, 6]
-    assert [x for x, _, _ in sweeps.over_threads(Settings(threads=1))] == [1.0]
+    assert [x for x, _, _ in run.over_threads(settings)] == [1.0, 2.0, 4.0, 6.0]
+    assert [here.threads for _, _, here in run.over_threads(settings)] == [1, 2, 4, 6]
+    assert [x for x, _, _ in run.over_threads(Settings(threads=1))] == [1.0]
 
 
 # --- what is told
@@ -380,7 +378,7 @@ def test_json_brings_the_run_back_and_what_follows_from_it():
 
 
 def test_targets_are_reached_missed_or_not_measured():
-    found = list(targets.outcomes(FIXED))
+    found = list(page.outcomes(FIXED))
     marks = {it.what: it.ok for it in found}
     assert marks["Mitsuba LLVM, robust, AOV integrator: each scene"] is True  # 6 >= 5
     assert marks["Mitsuba LLVM, robust, AOV integrator: geometric mean"] is False  # 6 < 7
@@ -395,14 +393,14 @@ def test_the_worst_scene_counts_and_the_mean_is_geometric():
     """1 and 4 times as fast are twice as fast, and not two and a half."""
     four = SceneResult("a", "", FILM, 1, (row("ours", (1.0,)), row("aov-robust", (4.0,))))
     one = SceneResult("b", "", FILM, 1, (row("ours", (1.0,)), row("aov-robust", (1.0,))))
-    worst, mean, *_ = targets.outcomes(replace(FIXED, scenes=(four, one)))
+    worst, mean, *_ = page.outcomes(replace(FIXED, scenes=(four, one)))
     assert (worst.reached, worst.where) == (1.0, "b")
     assert mean.reached == pytest.approx(math.sqrt(4.0))
 
 
 def test_the_front_is_of_those_nobody_beats_in_both():
     """The third is slower than the second and no more right, the last slower and worse."""
-    assert plots.front([(9.0, 1.0), (1.0, 5.0), (3.0, 5.0), (2.0, 3.0), (10.0, 4.0)]) == [
+    assert page.front([(9.0, 1.0), (1.0, 5.0), (3.0, 5.0), (2.0, 3.0), (10.0, 4.0)]) == [
         (1, 5),
         (2, 3),
         (9, 1),
@@ -426,7 +424,7 @@ def test_the_page_says_all_of_it(tmp_path):
     assert "| mesh-70k | 16.00 | 1.60 | 10.0 | 10.0 % |" in text  # 16 bytes in 1 ns are 16 GB/s
     assert "mesh-70k 2.00" in text  # what `coherent` is worth
     assert all(len(line) <= 120 or line.startswith(("|", "!", "<!--")) for line in text.splitlines())
-    drawn = {path.stem for path in (tmp_path / page.PICTURES).iterdir()}
+    drawn = {path.stem for path in (tmp_path / page.IMAGE_FOLDER).iterdir()}
     assert drawn == {"pareto", "triangles", "copying"}
     assert all(f"performance/{name}.png" in text for name in drawn)
 

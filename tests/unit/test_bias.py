@@ -8,43 +8,41 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from caster.packing import pack
-from caster.placing import as_float32
-from caster.scene import load_scene
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from caster.scene.files import load_scene
 from caster.shapes import SHAPES
-from mitsuba_ref.bias import (
-    FEWEST_GROUPS,
+from mitsuba_ref.error_model.intersections import K
+from mitsuba_ref.judge.scene_checks.bias import (
+    GROUP_KEYS,
+    GROUP_KEYS_LLVM,
     LARGEST_Z,
-    Bias,
-    Statistics,
-    check_bias,
-    extremes,
-    least,
-    looseness,
-    z_of_groups,
-)
-from mitsuba_ref.junit import junit
-from mitsuba_ref.meeting import K
-from mitsuba_ref.shared_roundings import (
-    GROUPS,
-    GROUPS_OF_LLVM,
-    SAME_NORMAL,
-    all_one,
+    MIN_GROUPS,
+    SAME_NORMAL_TOLERANCE,
+    ErrorStatistics,
+    KindBias,
     by_approach,
     by_center,
     by_corner,
     by_matrix,
     by_normal,
+    check_bias,
+    extremes,
+    looseness,
+    single_group,
+    weakest_bias,
+    z_of_groups,
 )
-from mitsuba_ref.table import failure, summary
-from mitsuba_ref.verdict import SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.report.junit import junit
+from mitsuba_ref.report.terminal import failure_text, summary_text
 
 SCENES = Path(__file__).parents[2] / "scenes"
 NOTHING = np.zeros((0, 3))
 
 
-def errors_of(*biases: Bias, k: float = 1.25) -> Statistics:
-    return Statistics(1000, k, 0.5, 0.75, 0.25, 30.0, biases)
+def errors_of(*biases: KindBias, k: float = 1.25) -> ErrorStatistics:
+    return ErrorStatistics(1000, k, 0.5, 0.75, 0.25, 30.0, biases)
 
 
 def alone(error: np.ndarray) -> tuple[int, float]:
@@ -65,7 +63,7 @@ def test_errors_that_are_all_alike_give_the_root_of_their_number_and_no_more(siz
     for count in (1, 9, 400):
         groups, z = alone(np.full(count, -size))
         assert groups == count and z == pytest.approx(-math.sqrt(count))
-    assert math.sqrt(FEWEST_GROUPS - 1) <= LARGEST_Z < math.sqrt(FEWEST_GROUPS)
+    assert math.sqrt(MIN_GROUPS - 1) <= LARGEST_Z < math.sqrt(MIN_GROUPS)
 
 
 def test_a_group_counts_once_however_many_pixels_it_has():
@@ -110,18 +108,18 @@ def test_every_kind_of_primitive_has_its_groups():
     scenes = [load_scene(SCENES / f"{name}.toml") for name in ("every-shape", "ellipsoids")]
     assert {type(shape) for scene in scenes for shape in scene.shapes} == set(SHAPES)
     kinds = {type(kind.prims).__name__ for scene in scenes for kind in pack(scene, as_float32).kinds}
-    assert kinds == set(GROUPS)
+    assert kinds == set(GROUP_KEYS)
 
 
 def test_a_kind_that_nobody_described_is_one_group():
-    assert groups(all_one(None, np.arange(5), NOTHING, NOTHING, NOTHING)) == 1
+    assert groups(single_group(None, np.arange(5), NOTHING, NOTHING, NOTHING)) == 1
 
 
 def test_parallel_faces_and_mirror_images_are_one_group():
     n = np.array([[0.0, 0, 1], [-0.0, 0, 1], [0, 0.6, 0.8], [0, 0.6 + 2.0**-30, 0.8], [0, -0.6, 0.8]])
     assert groups(by_normal(None, np.arange(5), n, NOTHING, NOTHING)) == 2
     assert groups(by_normal(None, np.arange(3), n[:1] @ np.eye(3)[[1, 2, 0]], NOTHING, NOTHING)) == 1
-    turned = np.array([[0.0, 0, 1], [2 * SAME_NORMAL, 0, 1]])
+    turned = np.array([[0.0, 0, 1], [2 * SAME_NORMAL_TOLERANCE, 0, 1]])
     assert groups(by_normal(None, np.arange(2), turned, NOTHING, NOTHING)) == 2
 
 
@@ -135,7 +133,7 @@ def test_faces_on_a_ring_are_one_group_of_those_that_share_a_coordinate():
 
 
 def test_what_any_way_to_group_explains_is_no_bias():
-    assert least([(900, 8.5), (30, -2.5), (400, 3.0)]) == (30, -2.5)
+    assert weakest_bias([(900, 8.5), (30, -2.5), (400, 3.0)]) == (30, -2.5)
 
 
 def test_primitives_of_one_matrix_are_one_group():
@@ -156,7 +154,7 @@ def test_balls_are_grouped_by_where_the_ray_passes_their_centres():
 def test_balls_in_float32_are_grouped_by_their_centres():
     prims = SimpleNamespace(center=np.array([[0.0, 0, 0], [3, 0, 0], [3, 0, 0]]))
     assert groups(by_center(prims, np.array([0, 0, 1, 2]), NOTHING, NOTHING, NOTHING)) == 2
-    assert GROUPS_OF_LLVM["Spheres"] == (by_center,) and set(GROUPS_OF_LLVM) == set(GROUPS)
+    assert GROUP_KEYS_LLVM["Spheres"] == (by_center,) and set(GROUP_KEYS_LLVM) == set(GROUP_KEYS)
 
 
 # ---- what is recorded and checked ----
@@ -164,15 +162,15 @@ def test_balls_in_float32_are_grouped_by_their_centres():
 
 def test_the_check_fails_on_a_bias_and_says_of_what():
     for z in (5.1, -15.0):
-        found = check_bias(errors_of(Bias("Spheres", 900, z), Bias("Disks", 1, 1.0)))
+        found = check_bias(errors_of(KindBias("Spheres", 900, z), KindBias("Disks", 1, 1.0)))
         assert found.name == "bias" and not found.ok and found.ratio == pytest.approx(abs(z) / 5.0)
         assert found.what == f"Spheres z {z:.1f} of 900 groups; Disks z 1.0 of 1 groups, too few to tell"
-    assert check_bias(errors_of(Bias("Spheres", 900, -4.9))).ok
+    assert check_bias(errors_of(KindBias("Spheres", 900, -4.9))).ok
     assert check_bias(errors_of()).ok
 
 
 def test_a_kind_with_few_groups_is_recorded_and_never_the_one_that_leans_most():
-    few, many = Bias("Planes", FEWEST_GROUPS - 1, 4.9), Bias("Triangles", FEWEST_GROUPS, -2.0)
+    few, many = KindBias("Planes", MIN_GROUPS - 1, 4.9), KindBias("Triangles", MIN_GROUPS, -2.0)
     assert (few.tells, many.tells) == (False, True)
     assert errors_of(few, many).z == -2.0 and errors_of(few).z == 0.0
 
@@ -184,7 +182,7 @@ def test_sizes_of_errors():
 
 
 def test_the_verdict_tells_of_it():
-    biased = errors_of(Bias("Spheres", 900, -15.0))
+    biased = errors_of(KindBias("Spheres", 900, -15.0))
     scene = SceneVerdict("ball", "ball.toml", checks=(check_bias(biased),), statistics=biased)
     verdict = Verdict((scene,))
     (record,) = json.loads(json.dumps(verdict.to_dict(), allow_nan=False))["scenes"]
@@ -196,8 +194,10 @@ def test_the_verdict_tells_of_it():
         "z": -15.0,
         "biases": [{"kind": "Spheres", "groups": 900, "z": -15.0, "tells": True}],
     }
-    assert not scene.checks_pass and "bias: 3x its bound; Spheres z -15.0 of 900 groups" in failure(scene)
-    assert "of t at most 1.25 of 4 roundings (ball); bias at most |z| 15.0 of 5 (ball)" in summary(
+    assert not scene.checks_pass and "bias: 3x its bound; Spheres z -15.0 of 900 groups" in failure_text(
+        scene
+    )
+    assert "of t at most 1.25 of 4 roundings (ball); bias at most |z| 15.0 of 5 (ball)" in summary_text(
         verdict, 1.0
     )
     assert "k_t=1.25 k_normal=0.75 z=-15.0" in junit(verdict)
@@ -206,4 +206,4 @@ def test_the_verdict_tells_of_it():
 def test_a_scene_without_an_answer_has_none():
     verdict = Verdict((SceneVerdict("ball", "ball.toml", problem="Mitsuba ended"),))
     assert verdict.to_dict()["scenes"][0]["statistics"] is None
-    assert "errors:" not in summary(verdict, 1.0) and "k_t" not in junit(verdict)
+    assert "errors:" not in summary_text(verdict, 1.0) and "k_t" not in junit(verdict)

@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.packing import pack
-from caster.placing import as_float32
-from caster.scene import Scene
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from caster.scene.files import Scene
 from caster.shapes import Icosphere, Plane, Sphere, Triangle
-from mitsuba_ref.bracket import Bracket, Claims, Finding
-from mitsuba_ref.cases import SLACK
-from mitsuba_ref.meeting import KU, KU_OURS, U
-from mitsuba_ref.model import Model, model_of
-from mitsuba_ref.rays import SharedRays
+from mitsuba_ref.error_model.bracket import Bracket, BracketResult, Claims
+from mitsuba_ref.error_model.intersections import KU, KU_OURS, U
+from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.judge.known_defects import WIDENED_BOUNDS_FACTOR
+from mitsuba_ref.reference.rays import SharedRays
 
 UP = np.array([0.0, 0.0, 1.0])
 DOWN = -UP
@@ -22,7 +22,7 @@ A, B, C, D = (np.array(p) / 3.0 for p in ([-1, -1, 0], [1, -1, 0], [1, 1, 0], [-
 RIGHT, LEFT = Triangle(name="right", vertices=(A, B, C)), Triangle(name="left", vertices=(A, C, D))
 
 
-def modelled(shapes: list[Any], o: Any, d: Any) -> Model:
+def modelled(shapes: list[Any], o: Any, d: Any) -> SceneModel:
     camera = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
     scene = Scene(camera=camera, shapes=shapes)
     o, d = (np.atleast_2d(np.asarray(v, np.float32)) for v in (o, d))
@@ -44,7 +44,7 @@ def judged(
     *,
     t_max: float = np.inf,
     ours: bool = False,
-) -> Finding:
+) -> BracketResult:
     """One ray, one claim; the claimed point follows from t."""
     o, d, n = (np.asarray(v, float)[None] for v in (o, d, n))
     p = o + (t if np.isfinite(t) else 0.0) * d
@@ -155,7 +155,7 @@ def test_a_primitive_is_looked_at_beyond_its_box_if_it_is_named():
     thin = Sphere(to_world=[{"scale": [1e-6, 1.0, 1e-6]}, {"rotate": {"axis": [1, 0, 0], "degrees": 30}}])
     o, d = np.array([[0.0, 5.0, 5.0]]), DOWN[None]
     claims = Claims(np.array([5.0]), np.array([0]), UP[None], UP[None], o + 5.0 * d)
-    judge = Bracket(modelled([thin], o, d), SLACK * KU, ours=False).judge
+    judge = Bracket(modelled([thin], o, d), WIDENED_BOUNDS_FACTOR * KU, ours=False).judge
     assert not judge(o, d, np.array([np.inf]), claims).allowed[0]
     assert judge(o, d, np.array([np.inf]), claims, also=np.array([0])).allowed[0]
     assert not judge(o, d, np.array([np.inf]), claims, also=np.array([-1])).allowed[0]

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from caster.cameras import CAMERAS, Ray
-from caster.fields import Camera
+from caster.kernels.math.vec import UNIT_SQUARE_ATOL
 from caster.kernels.nearest import Rays
-from caster.kernels.vec import ABOUT_ONE
-from caster.rendering import camera_rays
-from caster.scene import Film, Scene
-from mitsuba_ref import scene_checks
-from mitsuba_ref.export import camera_reference
-from mitsuba_ref.scene_checks import check_camera, pixel_centers
+from caster.rendering.images import camera_rays
+from caster.scene.fields import Camera
+from caster.scene.files import Film, Scene
+from mitsuba_ref.judge.scene_checks import render_checks
+from mitsuba_ref.judge.scene_checks.render_checks import check_camera, pixel_centers
+from mitsuba_ref.reference.rendering import camera_reference
 
 TYPES = [cls.model_fields["type"].default for cls in CAMERAS if issubclass(cls, Camera)]  # that look around
 every_camera = pytest.mark.parametrize("camera", TYPES)
@@ -60,8 +60,8 @@ def test_directions_are_of_length_one(camera):
         rays = camera_rays(random_scene(camera, rng))
         squares = (rays.d[rays.t_max >= 0.0] ** 2).sum(axis=1)
         off = max(off, np.abs(squares - 1.0).max())
-    assert off <= ABOUT_ONE
-    assert camera == "orthographic" or off > 0.1 * ABOUT_ONE  # not vacuous
+    assert off <= UNIT_SQUARE_ATOL
+    assert camera == "orthographic" or off > 0.1 * UNIT_SQUARE_ATOL  # not vacuous
 
 
 Fault = Callable[[Scene], Any]
@@ -165,7 +165,7 @@ def fixed_scene(camera: str) -> Scene:
 def seen(monkeypatch: pytest.MonkeyPatch, scene: Scene, fault: Fault) -> bool:
     assert check_camera(scene).ok
     rays = fault(scene)
-    monkeypatch.setattr(scene_checks, "camera_rays", lambda scene: rays)
+    monkeypatch.setattr(render_checks, "camera_rays", lambda scene: rays)
     return not check_camera(scene).ok
 
 

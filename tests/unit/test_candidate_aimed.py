@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting, rays_at, scene_of
 
-from caster.packing import pack
-from caster.placing import as_float32
-from mitsuba_ref.candidate.aimed import AimedModel
-from mitsuba_ref.meeting import KU_OURS, norm, unit
-from mitsuba_ref.model import Model, model_of
-from mitsuba_ref.rays import SharedRays
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from mitsuba_ref.error_model.intersections import KU_OURS, norm, unit
+from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.error_model.uncertain_rays import UncertainRaysModel
+from mitsuba_ref.reference.rays import SharedRays
 
 TURN, SHIFT = 1e-6, 2e-6  # so much more than float64's rounding that this is nothing beside them
 SETTINGS = (Setting(), Setting(distances=(0.5, 3.0)), Setting(slopes=(1e-4, 1e-2)), Setting(edges=1.0))
@@ -18,11 +18,11 @@ ROOM = (
 )
 
 
-def aimed(model: Model) -> AimedModel:
-    return AimedModel(model.packed, model.parts, model.kinds, model.models, TURN, SHIFT)
+def aimed(model: SceneModel) -> UncertainRaysModel:
+    return UncertainRaysModel(model.packed, model.parts, model.kinds, model.models, TURN, SHIFT)
 
 
-def cases(kind: str, seed: int) -> tuple[Model, np.ndarray, np.ndarray, np.ndarray]:
+def cases(kind: str, seed: int) -> tuple[SceneModel, np.ndarray, np.ndarray, np.ndarray]:
     """(model, primitive, o, d) of rays at primitives, one each."""
     rng = np.random.default_rng([120, seed])
     scene = scene_of(kind, rng, SETTINGS[seed], 1 if kind == "meshes" else 40)
@@ -51,10 +51,10 @@ def test_whatever_rays_a_camera_shoots_their_hits_are_within_the_widened_bounds(
     held, hits, beside = 0, 0, 0
     for seed in range(len(SETTINGS)):
         model, prim, o, d = cases(kind, seed)
-        wide = aimed(model).meet(prim, o, d, KU_OURS, ours=True).at
+        wide = aimed(model).intersect(prim, o, d, KU_OURS, ours=True).at
         rng = np.random.default_rng([121, seed])
         for _ in range(4):
-            at = model.meet(prim, *another(o, d, rng), KU_OURS, ours=True).at
+            at = model.intersect(prim, *another(o, d, rng), KU_OURS, ours=True).at
             ahead = (wide.t > 0.0) & (at.t > 0.0)
             assert not np.any(ahead & wide.certain & ~at.possible), "a miss that was held to be impossible"
             beside += int((ahead & at.certain & ~wide.possible).sum())
@@ -70,7 +70,7 @@ def test_whatever_rays_a_camera_shoots_their_hits_are_within_the_widened_bounds(
 def test_the_widened_bound_is_a_few_times_what_rays_need(kind):
     """A bound that holds everything would hold this, too."""
     model, prim, o, d = cases(kind, 0)
-    pair, wide = aimed(model).meet(prim, o, d, KU_OURS, ours=True)
+    pair, wide = aimed(model).intersect(prim, o, d, KU_OURS, ours=True)
     d = d[pair]
     rows = wide.certain & np.isfinite(wide.t_error)
     cosine = np.abs((wide.n * unit(d)).sum(axis=1))[rows]

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mitsuba_ref import cases
-from mitsuba_ref.cases import CASES, NAMES, Measured, case_of
-from mitsuba_ref.measuring import cosine, has_area
+from mitsuba_ref.judge import known_defects
+from mitsuba_ref.judge.defect_features import abs_cosine, has_area
+from mitsuba_ref.judge.known_defects import DEFECT_NAMES, KNOWN_DEFECTS, DefectFeatures, case_of
 
 INSIDE = frozenset({"inside"})
-ORDINARY = Measured(
+ORDINARY = DefectFeatures(
     "Triangles",
     "Triangles",
     INSIDE,
@@ -28,7 +28,11 @@ ORDINARY = Measured(
     1.0,
     True,
 )
-FAR, EDGE_ON, ALONG = 2.0 * cases.FAR, 0.5 * cases.NEARLY_EDGE_ON, 0.5 * cases.ALONG_THE_AXIS
+FAR, EDGE_ON, ALONG = (
+    2.0 * known_defects.FAR_IN_SIZES,
+    0.5 * known_defects.NEARLY_EDGE_ON_COSINE,
+    0.5 * known_defects.ALONG_AXIS_SINE,
+)
 KINDS = ("Triangles", "Planes", "Disks", "Spheres", "Ellipsoids", "Cylinders")
 
 
@@ -53,7 +57,7 @@ EXAMPLES = {
     26: at("Triangles", cosine=2.0**-12),
     43: at("Disks", cosine=2.0**-12),
     53: at("Cylinders", axis_angle=ALONG),
-    8: at("Ellipsoids", stretch=2.0 * cases.SQUASHED),
+    8: at("Ellipsoids", stretch=2.0 * known_defects.SQUASHED_STRETCH),
     57: at("Cylinders", distance=FAR),
     2: at("Spheres", distance=FAR),
     35: at("Triangles", distance=FAR),
@@ -65,7 +69,9 @@ EXAMPLES = {
 
 
 def test_every_case_has_an_example():
-    assert [case.number for case in CASES] == list(EXAMPLES) and len(NAMES) == len(CASES)
+    assert [case.number for case in KNOWN_DEFECTS] == list(EXAMPLES) and len(DEFECT_NAMES) == len(
+        KNOWN_DEFECTS
+    )
 
 
 @pytest.mark.parametrize("number", EXAMPLES)
@@ -106,5 +112,5 @@ def test_an_area_is_told_exactly():
 
 
 def test_a_cosine_is_one_where_a_vector_has_no_length():
-    assert cosine(np.array([0.0, 0, 2]), np.array([0, 3.0, 4])) == pytest.approx(0.8)
-    assert cosine(np.zeros(3), np.ones(3)) == 1.0
+    assert abs_cosine(np.array([0.0, 0, 2]), np.array([0, 3.0, 4])) == pytest.approx(0.8)
+    assert abs_cosine(np.zeros(3), np.ones(3)) == 1.0

@@ -7,16 +7,16 @@ from pathlib import Path
 import pytest
 import yaml
 
-from caster import command_line, exits
-from caster.commands import COMMANDS as CASTER
-from mitsuba_ref.commands import COMMANDS as JUDGE
+from caster.cli import application, exit_codes
+from caster.cli.commands import COMMANDS as CASTER
+from mitsuba_ref.cli import COMMANDS as JUDGE
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
 STORY = (ROOT / "docs/debugging-an-edge-case.md").read_text(encoding="utf-8")
 PARSERS = {
-    "caster": command_line.parser("caster", "", CASTER, ()),
-    "mitsuba-ref": command_line.parser("mitsuba-ref", "", JUDGE, ()),
+    "caster": application.build_parser("caster", "", CASTER, ()),
+    "mitsuba-ref": application.build_parser("mitsuba-ref", "", JUDGE, ()),
 }
 SECRET = re.compile(r"\$\{\{ *([\w.]+)[^}]*\}\}")  # an expression of GitHub's
 
@@ -94,4 +94,4 @@ def test_our_own_workflow_parses_too():
 
 def test_every_exit_code_is_explained():
     told = {int(code) for code in re.findall(r"^\| (\d+) \|", PAGE, re.MULTILINE)}
-    assert told == set(exits.MEANINGS) - {exits.PIPE_CLOSED}
+    assert told == set(exit_codes.MEANINGS) - {exit_codes.PIPE_CLOSED}

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 from made_verdicts import scene as made
 
-from mitsuba_ref import campaign
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.ci import out_folder, resuming
+from mitsuba_ref.runner import resume, scene_runner
 
 CAMERA = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
 SCENE = "# {name}\n" + CAMERA + '[[shape]]\ntype = "{shape}"\n{more}'
@@ -30,12 +29,12 @@ def judged(tmp_path, monkeypatch):
         if entry.name in asked_to_fail:
             raise KeyboardInterrupt
         asked.append(entry.name)
-        for which in out_folder.PICTURES:
+        for which in resume.IMAGES:
             (folder / f"{entry.name}.{which}.exr").write_bytes(f"{entry.name} {which}".encode())
         return made(entry.name, ok=entry.name != "b")
 
     asked_to_fail = judge.stops = set()
-    monkeypatch.setattr(campaign, "judge_entry", judge)
+    monkeypatch.setattr(scene_runner, "judge_entry", judge)
 
     def run(*words, stop=()):
         asked_to_fail.clear()
@@ -91,7 +90,7 @@ def test_what_has_changed_is_judged_anew(judged, change, anew, tmp_path):
     assert kept() == [name for name in ("a", "b", "m") if name not in anew]
 
 
-@pytest.mark.parametrize("which", out_folder.PICTURES)
+@pytest.mark.parametrize("which", resume.IMAGES)
 @pytest.mark.parametrize("content", [b"", b"m ", b"m anything", b"M reference"], ids=str)
 def test_a_picture_that_is_not_what_was_written_is_judged_anew(judged, which, content):
     """Cut short, replaced, or of the same size and other bytes; a reproducer as well."""
@@ -115,8 +114,8 @@ def test_a_verdict_that_does_not_say_what_was_written_is_judged_anew(judged, tmp
 )
 def test_other_code_or_versions_judge_all_anew(judged, monkeypatch, other):
     judged()
-    now = resuming.surroundings() | other
-    monkeypatch.setattr(resuming, "surroundings", lambda: now)
+    now = resume.environment() | other
+    monkeypatch.setattr(resume, "environment", lambda: now)
     assert judged("--resume")[1] == ["a", "b", "m"]
 
 
@@ -124,21 +123,21 @@ def test_another_variant_or_size_judges_all_anew(judged, monkeypatch):
     judged()
     assert judged("--resume", "--size", "20", "10")[1] == ["a", "b", "m"]
     judged()
-    monkeypatch.setattr(resuming, "variant_of", lambda scene: "another")
-    monkeypatch.setattr(resuming.variants, "settings", lambda variant: {})
+    monkeypatch.setattr(resume, "variant_of", lambda scene: "another")
+    monkeypatch.setattr(resume.variants, "settings", lambda variant: {})
     assert judged("--resume")[1] == ["a", "b", "m"]
 
 
 def test_every_source_file_counts(tmp_path, monkeypatch):
-    for name in ("caster/deep/x.py", "mitsuba_ref/ci/resuming.py"):
+    for name in ("caster/deep/x.py", "mitsuba_ref/runner/resume.py"):
         (tmp_path / name).parent.mkdir(parents=True)
         (tmp_path / name).write_text("x = 1\n")
-    monkeypatch.setattr(resuming, "__file__", str(tmp_path / "mitsuba_ref/ci/resuming.py"))
-    first = resuming.code_hash.__wrapped__()
+    monkeypatch.setattr(resume, "__file__", str(tmp_path / "mitsuba_ref/runner/resume.py"))
+    first = resume.code_hash.__wrapped__()
     (tmp_path / "caster/deep/x.py").write_text("x = 2\n")
-    second = resuming.code_hash.__wrapped__()
+    second = resume.code_hash.__wrapped__()
     (tmp_path / "caster/deep/x.py").rename(tmp_path / "caster/deep/y.py")
-    assert len({first, second, resuming.code_hash.__wrapped__()}) == 3
+    assert len({first, second, resume.code_hash.__wrapped__()}) == 3
 
 
 def test_an_interrupted_run_goes_on_where_it_ended(judged, tmp_path):
@@ -170,14 +169,14 @@ def test_what_is_kept_outlives_an_interruption_of_the_run_that_goes_on(judged, t
 
 
 def test_a_crash_of_mitsuba_is_not_kept(judged, monkeypatch):
-    healthy = campaign.judge_entry
+    healthy = scene_runner.judge_entry
     monkeypatch.setattr(
-        campaign,
+        scene_runner,
         "judge_entry",
         lambda entry, folder, *, keep=False: made(entry.name, ok=False, problem="crash"),
     )
     assert judged() == (1, []) and written()["scenes"][0]["problem"] == "crash"
-    monkeypatch.setattr(campaign, "judge_entry", healthy)
+    monkeypatch.setattr(scene_runner, "judge_entry", healthy)
     assert judged("--resume") == (1, ["a", "b", "m"]) and kept() == []
 
 

@@ -10,19 +10,18 @@ from made_verdicts import scene as made
 
 import caster
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.campaign import Entry
-from mitsuba_ref.ci.arguments import about
-from mitsuba_ref.ci.reading import read_verdict, verdict_of
-from mitsuba_ref.ci.shards import Shard, chosen
-from mitsuba_ref.ci.versions import judged_with, version_in
-from mitsuba_ref.verdict import Finding, Verdict
+from mitsuba_ref.cli.output_options import about
+from mitsuba_ref.judge.verdict import Finding, Verdict
+from mitsuba_ref.runner.scene_runner import SceneEntry
+from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard, version_in
+from mitsuba_ref.runner.verdict_file import read_verdict, verdict_of
 
 CAMERA = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
 
 
 def entries(sizes):
     return [
-        Entry(
+        SceneEntry(
             caster.Scene(film=caster.Film(width=w, height=h), camera=CAMERA), f"scene-{i}", f"scene-{i}.toml"
         )
         for i, (w, h) in enumerate(sizes)
@@ -33,7 +32,7 @@ def entries(sizes):
 def test_every_scene_is_in_exactly_one_shard_and_none_is_much_larger(parts):
     rng = random.Random(3)
     every = entries([(rng.randint(1, 300), rng.randint(1, 300)) for _ in range(40)])
-    shards = [chosen(every, Shard(part, parts)) for part in range(1, parts + 1)]
+    shards = [scenes_of_shard(every, Shard(part, parts)) for part in range(1, parts + 1)]
     names = [entry.name for shard in shards for entry in shard]
     assert sorted(names) == sorted(entry.name for entry in every)
     for shard in shards:
@@ -42,7 +41,10 @@ def test_every_scene_is_in_exactly_one_shard_and_none_is_much_larger(parts):
     largest = max(e.scene.film.width * e.scene.film.height for e in every)
     assert max(loads) <= sum(loads) / parts + largest  # of any greedy choice
     shuffled = every[::-1]
-    again = [{entry.name for entry in chosen(shuffled, Shard(part, parts))} for part in range(1, parts + 1)]
+    again = [
+        {entry.name for entry in scenes_of_shard(shuffled, Shard(part, parts))}
+        for part in range(1, parts + 1)
+    ]
     assert again == [{entry.name for entry in shard} for shard in shards]
 
 
@@ -254,7 +256,9 @@ def test_a_verdict_on_a_candidate_comes_back_from_json_as_it_was():
 
 def test_shards_of_other_scenes_of_the_same_names_are_of_different_runs(tmp_path):
     args = argparse.Namespace(shard=Shard(1, 2))
-    entries = [Entry(caster.load_scene("scenes/one-sphere.toml"), "a", "a.toml")]
-    other = [Entry(caster.load_scene("scenes/one-sphere.toml").with_film(width=8, height=8), "a", "a.toml")]
+    entries = [SceneEntry(caster.load_scene("scenes/one-sphere.toml"), "a", "a.toml")]
+    other = [
+        SceneEntry(caster.load_scene("scenes/one-sphere.toml").with_film(width=8, height=8), "a", "a.toml")
+    ]
     assert about(args, entries) == about(args, list(entries)) and about(args, entries)["selected"] == ("a",)
     assert about(args, entries)["code"] != about(args, other)["code"]

@@ -6,8 +6,8 @@ import re
 import pytest
 from made_verdicts import scene, verdict
 
-from caster.whole_files import OutputError
-from mitsuba_ref.ci.summary import LIMIT, append, markdown
+from caster.image.atomic_files import OutputError
+from mitsuba_ref.report.markdown import SUMMARY_LIMIT_BYTES, append, markdown
 
 NASTY = (
     "a|b",
@@ -21,14 +21,14 @@ NASTY = (
 )
 
 
-def rows_of(text):
+def matrix_rows(text):
     return [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| ---")]
 
 
 def test_the_verdict_comes_first_then_what_fails_with_its_replay_and_what_passes_is_folded():
     text = markdown(verdict(scene("good"), scene("bad", ok=False)), 2.0)
     assert text.startswith("## FAIL: 2 scenes: 1 pass, 1 fail\n")
-    bad = next(line for line in rows_of(text) if line.startswith("| bad "))
+    bad = next(line for line in matrix_rows(text) if line.startswith("| bad "))
     cells = [html.unescape(cell) for cell in bad.strip("| ").split(" | ")]
     assert cells[:9] == ["bad", "100", "99", "0", "0", "0", "0", "1", "0"]
     assert cells[9:] == ["(3, 4): depth 41x its bound", "<code>mitsuba-ref probe scenes/bad.toml 3 4</code>"]
@@ -68,9 +68,9 @@ def test_a_kept_result_is_not_shown_as_one_of_this_run():
 @pytest.mark.parametrize("name", NASTY)
 def test_any_name_stays_in_its_cell_and_means_nothing(name, ok):
     plain, text = (markdown(verdict(scene(each, ok=ok)), 1.0) for each in ("plain", name))
-    assert len(rows_of(text)) == len(rows_of(plain))
-    row = rows_of(text)[-1]
-    assert row.count(" | ") == rows_of(plain)[-1].count(" | ")
+    assert len(matrix_rows(text)) == len(matrix_rows(plain))
+    row = matrix_rows(text)[-1]
+    assert row.count(" | ") == matrix_rows(plain)[-1].count(" | ")
     cell = row[2:].partition(" | ")[0]
     assert not re.search(r"[|<>`*_\[\]\\]", cell)
     assert html.unescape(cell) == name.replace("\n", "\ufffd")
@@ -83,7 +83,7 @@ def test_what_does_not_fit_is_left_out_and_counted():
         *(scene(f"bad-{i}", ok=False) for i in range(40)), *(scene(f"good-{i}") for i in range(400))
     )
     whole = markdown(many, 1.0)
-    assert "Left out" not in whole and len(whole) < LIMIT
+    assert "Left out" not in whole and len(whole) < SUMMARY_LIMIT_BYTES
     for limit in (4096, 16384, 40000):
         text = markdown(many, 1.0, limit)
         assert 0 < len(text.encode()) <= limit
@@ -99,7 +99,7 @@ def test_what_does_not_fit_is_left_out_and_counted():
 def test_a_thousand_crashes_with_long_words_stay_below_githubs_limit():
     crash = "Mitsuba ended without an answer (SIGABRT): " + "x" * 100_000
     text = markdown(verdict(*(scene(f"crash-{i}", ok=False, problem=crash) for i in range(1000))), 1.0)
-    assert LIMIT // 2 < len(text.encode()) <= LIMIT and "Left out" in text
+    assert SUMMARY_LIMIT_BYTES // 2 < len(text.encode()) <= SUMMARY_LIMIT_BYTES and "Left out" in text
     assert text.count("| crash-") == 1000  # the rows come before the texts
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import caster
 from caster.__main__ import main
-from caster.classroom.reading import load_course_scene
+from caster.classroom.course_files import load_course_scene
 
 PAGE = (Path(__file__).parents[2] / "docs/classroom.md").read_text(encoding="utf-8")
 

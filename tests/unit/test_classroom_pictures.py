@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from caster.__main__ import main
-from caster.classroom.drawing import bytes_of, depth_picture, draw, normal_picture
-from caster.classroom.reading import load_course_scene
-from caster.pictures.files import read_picture
+from caster.classroom.course_files import load_course_scene
+from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
+from caster.image.image_files import read_image
 
 pytestmark = pytest.mark.usefixtures("warm")
 
@@ -24,7 +24,7 @@ def course_of(folder, objects, camera=ORTHOGRAPHIC, rest="", size=(40, 40), **op
 
 
 def drawn(folder, *args, **options):
-    return draw(course_of(folder, *args, **options))
+    return render_course(course_of(folder, *args, **options))
 
 
 def box(hit):
@@ -100,15 +100,15 @@ def test_depth_is_grey_from_white_at_near_to_black_at_far(tmp_path):
     found = drawn(tmp_path, SPHERE, size=(41, 41))
     assert found.t[20, 20] == pytest.approx(9.0, abs=1e-14)
     for near, far, grey in [(9, 10, 255), (8, 10, 127), (9.5, 10, 255), (7, 8, 0)]:
-        picture = depth_picture(found, near, far)
+        picture = depth_image(found, near, far)
         assert (picture[20, 20] == grey).all() or abs(int(picture[20, 20, 0]) - grey) <= 1
         assert (picture[~found.hit] == 0).all()
 
 
 def test_normals_are_shown_by_their_absolute_values(tmp_path):
     found = drawn(tmp_path, "Plane { normal 0 -3 -4 offset 0 }", size=(3, 3))
-    assert (normal_picture(found)[1, 1] == bytes_of(np.array([0.0, 0.6, 0.8]))).all()
-    assert (normal_picture(drawn(tmp_path, SPHERE))[0, 0] == 0).all()
+    assert (normal_image(found)[1, 1] == to_bytes_truncated(np.array([0.0, 0.6, 0.8]))).all()
+    assert (normal_image(drawn(tmp_path, SPHERE))[0, 0] == 0).all()
 
 
 SUN = "Lights { numLights 1 DirectionalLight { direction 0 -3 -4 color 0.5 1 1 } }"
@@ -163,7 +163,7 @@ def test_our_own_diffuse_is_the_same_where_our_model_has_the_light(tmp_path):
 
     course = course_of(tmp_path, SPHERE, rest=SUN + FAINT)
     ours = caster.render(course.scene, ("diffuse",))
-    mine = draw(course)
+    mine = render_course(course)
     assert np.allclose(ours["diffuse"][mine.hit], mine.color[mine.hit], rtol=1e-14, atol=1e-15)
 
 
@@ -175,10 +175,10 @@ def test_the_command_writes_its_pictures_and_lists_what_it_left_out(tmp_path, mo
     said = capsys.readouterr()
     assert said.out.startswith("o.png, d.tga, n.png: 30 x 20 pixels, ") and ", t 9.0" in said.out
     assert said.err.startswith("s.txt:1:") and ": left out: light that does not fade" in said.err
-    expected = draw(load_course_scene("s.txt", 30, 20))
-    assert np.array_equal(read_picture("o.png"), bytes_of(expected.color))
-    assert np.array_equal(read_picture("d.tga"), depth_picture(expected, -2.0, 12.0))
-    assert np.array_equal(read_picture("n.png"), normal_picture(expected))
+    expected = render_course(load_course_scene("s.txt", 30, 20))
+    assert np.array_equal(read_image("o.png"), to_bytes_truncated(expected.color))
+    assert np.array_equal(read_image("d.tga"), depth_image(expected, -2.0, 12.0))
+    assert np.array_equal(read_image("n.png"), normal_image(expected))
 
 
 @pytest.mark.parametrize(

@@ -169,9 +169,9 @@ def test_the_mesh_of_the_truncated_case_is_good_when_it_is_whole(folder, capsys)
 def test_a_mesh_dir_brings_a_mesh_into_reach(folder, capsys):
     put(folder, *BAD_SCENES["a mesh path outside reach"][:2])
     said = refused(capsys, 2, "render", "s.toml")
-    way_out = said.splitlines()[0].rpartition("add ")[2].split()
-    assert way_out[0] == "--mesh-dir"
-    assert main(["check", "s.toml", *way_out]) == 0
+    outward_normal = said.splitlines()[0].rpartition("add ")[2].split()
+    assert outward_normal[0] == "--mesh-dir"
+    assert main(["check", "s.toml", *outward_normal]) == 0
     assert main(["check", "--mesh-dir", "elsewhere", "--mesh-dir", str(folder.parent), "s.toml"]) == 0
 
 
@@ -280,7 +280,7 @@ def test_an_output_that_is_a_folder_is_4(folder, capsys):
 
 def test_an_output_that_cannot_be_written_is_told_before_the_scene_is_rendered(folder, capsys, monkeypatch):
     put(folder, CAMERA + SPHERE)
-    monkeypatch.setattr("caster.rendering.look", None)  # calling it would end with 70
+    monkeypatch.setattr("caster.rendering.images.trace_film", None)  # calling it would end with 70
     refused(capsys, 4, "render", "s.toml", "-o", "no/s.exr")
 
 

@@ -13,17 +13,17 @@ from pathlib import Path
 import pytest
 
 import caster
-from caster import exits
 from caster.__main__ import main
 from caster.aovs import BY_NAME
-from caster.command_line import name_of
-from caster.commands import COMMANDS, render
-from caster.rendering import DEFAULT_AOVS
-from caster.scene import scene_schema
-from caster.wording import FileMissing, SceneError
+from caster.cli import exit_codes
+from caster.cli.application import command_name
+from caster.cli.commands import COMMANDS, render
+from caster.rendering.images import DEFAULT_AOVS
+from caster.scene.errors import FileMissing, SceneError
+from caster.scene.files import scene_schema
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = [name_of(command) for command in COMMANDS]
+NAMES = [command_name(command) for command in COMMANDS]
 SLOW = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "numpy"}
 
 
@@ -73,8 +73,8 @@ def test_help_of_a_command_loads_nothing_slow(name):
 
 
 def test_help_names_every_aov_and_the_default(capsys):
-    assert render.AOVS.split(", ") == list(BY_NAME)
-    assert tuple(render.DEFAULT.split(",")) == DEFAULT_AOVS
+    assert render.AOV_NAMES.split(", ") == list(BY_NAME)
+    assert tuple(render.DEFAULT_AOV_LIST.split(",")) == DEFAULT_AOVS
 
 
 def test_version(capsys):
@@ -98,10 +98,10 @@ def test_doctor_reports_as_text_and_as_json(capsys):
 
 
 def test_doctor_ends_with_4_where_something_needed_is_missing(capsys, monkeypatch):
-    from caster import doctor
+    from caster.cli import installation
 
-    missing = doctor.Part("no-such-package", "no_such_package", "1", "nothing")
-    monkeypatch.setattr(doctor, "PARTS", (*doctor.PARTS, missing))
+    missing = installation.Package("no-such-package", "no_such_package", "1", "nothing")
+    monkeypatch.setattr(installation, "PACKAGES", (*installation.PACKAGES, missing))
     assert main(["doctor"]) == 4
     assert "Not usable without no-such-package." in capsys.readouterr().out
 
@@ -131,27 +131,27 @@ def failing(error):
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",
 )
 def test_an_error_that_was_foreseen_is_one_sentence(capsys, error, code, said):
-    assert exits.run(failing(error)) == code
+    assert exit_codes.run_command(failing(error)) == code
     told = capsys.readouterr()
     assert told.out == "" and told.err.startswith(said) and "Traceback" not in told.err
     assert told.err.count("\n") == (1 if said else 0)
 
 
 def test_an_error_that_was_not_shows_a_traceback_and_one_line(capsys):
-    assert exits.run(failing(ZeroDivisionError("division by zero"))) == 70
+    assert exit_codes.run_command(failing(ZeroDivisionError("division by zero"))) == 70
     told = capsys.readouterr().err.splitlines()
     assert told[0] == "Traceback (most recent call last):"
     assert told[-1] == "internal error, please report it: ZeroDivisionError: division by zero"
 
 
 def test_a_command_that_ends_well_hands_on_its_code():
-    assert [exits.run(lambda code=code: code) for code in (0, 1, 3, 5)] == [0, 1, 3, 5]
+    assert [exit_codes.run_command(lambda code=code: code) for code in (0, 1, 3, 5)] == [0, 1, 3, 5]
 
 
 def test_a_reader_that_goes_away_is_no_news():
     process = python("-m", "caster", "schema")
     process.stdout.close()  # before anything was written
-    assert (process.wait(), process.stderr.read()) == (exits.PIPE_CLOSED, "")
+    assert (process.wait(), process.stderr.read()) == (exit_codes.PIPE_CLOSED, "")
     process.stderr.close()
 
 
@@ -190,10 +190,10 @@ def test_an_interrupted_render_leaves_nothing_and_ends_with_130(tmp_path):
         'direction = [0, 0, 1]\n[[shape]]\ntype = "teapot"\n'
     )
     source = (
-        "import sys, caster.film_painting as f; from caster.__main__ import main\n"
-        "shoot = f.shoot_rays\n"
+        "import sys, caster.rendering.tiles as f; from caster.__main__ import main\n"
+        "shoot = f.generate_camera_rays\n"
         "def told(*a):\n    print('begun', flush=True)\n    return shoot(*a)\n"
-        "f.shoot_rays = told\n"
+        "f.generate_camera_rays = told\n"
         "sys.exit(main(['render', 's.toml', '--threads', '1']))"
     )
     process = python("-c", source, cwd=tmp_path)

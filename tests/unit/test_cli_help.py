@@ -3,29 +3,29 @@
 import re
 
 from caster.aovs import BY_NAME
-from caster.commands import render
-from caster.rendering import DEFAULT_AOVS
-from mitsuba_ref.baselines import approval
-from mitsuba_ref.candidate import answer, asking
-from mitsuba_ref.commands import approve, candidate_arguments
-from mitsuba_ref.commands import render as reference_render
-from mitsuba_ref.reference import GIVEN
+from caster.cli.commands import render
+from caster.rendering.images import DEFAULT_AOVS
+from mitsuba_ref.cli import approve, candidate_options
+from mitsuba_ref.cli import render as reference_render
+from mitsuba_ref.exr_compare import approval
+from mitsuba_ref.reference.rendering import REFERENCE_AOVS
+from mitsuba_ref.subjects import answer, subject
 
 
 def test_the_aovs_that_help_names_are_those_of_the_registry():
-    assert render.AOVS.split(", ") == list(BY_NAME)
+    assert render.AOV_NAMES.split(", ") == list(BY_NAME)
 
 
 def test_the_reference_gives_every_aov_there_is():
-    assert reference_render.KNOWN == list(GIVEN) == list(BY_NAME)
+    assert reference_render.KNOWN == list(REFERENCE_AOVS) == list(BY_NAME)
 
 
 def test_both_renderers_write_the_same_channels_unless_told():
-    assert render.DEFAULT == reference_render.DEFAULT == ",".join(DEFAULT_AOVS)
+    assert render.DEFAULT_AOV_LIST == reference_render.DEFAULT_AOV_LIST == ",".join(DEFAULT_AOVS)
 
 
 def test_every_default_exists():
-    assert set(re.split(",", render.DEFAULT)) <= set(BY_NAME)
+    assert set(re.split(",", render.DEFAULT_AOV_LIST)) <= set(BY_NAME)
 
 
 def test_the_modes_of_approval_are_those_that_it_knows():
@@ -33,5 +33,5 @@ def test_the_modes_of_approval_are_those_that_it_knows():
 
 
 def test_a_candidate_gets_the_seconds_and_has_the_precisions_that_help_names():
-    assert candidate_arguments.SECONDS == asking.DEFAULT_SECONDS
-    assert tuple(answer.PRECISIONS) == candidate_arguments.PRECISIONS
+    assert candidate_options.SECONDS == subject.DEFAULT_SECONDS
+    assert tuple(answer.PRECISIONS) == candidate_options.PRECISIONS

@@ -8,9 +8,9 @@ import pytest
 
 import caster
 from caster.__main__ import main
+from caster.geometry.packing import pack
 from caster.kernels.triangles import Triangles
-from caster.packing import pack
-from caster.probing import probe
+from caster.rendering.pixel_probe import probe
 
 SCENE = """
 [film]

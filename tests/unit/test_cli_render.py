@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import caster
-import caster.threads
+import caster.rendering.threads
 from caster.__main__ import main
 from caster.aovs import AOVS
-from caster.channels import aovs_of
-from caster.hits import packed
+from caster.image.channels import channels_to_aovs
+from caster.rendering.hits import packed
 
 pytestmark = pytest.mark.usefixtures("warm")
 
@@ -56,7 +56,7 @@ def test_every_aov_comes_back_as_the_float32_of_what_was_computed(folder):
     render("--aov", ALL)
     exr = caster.read_exr("s.exr")
     computed = caster.render(caster.load_scene("s.toml"), ALL.split(","))
-    stored = aovs_of(exr.channels)
+    stored = channels_to_aovs(exr.channels)
     assert set(stored) == set(computed) == set(ALL.split(","))
     assert 60 < computed.hit.sum() < computed.hit.size - 60
     for name, image in computed.items():
@@ -97,13 +97,13 @@ def test_two_renders_have_the_same_bytes_on_any_number_of_threads(folder):
 def test_threads_are_as_many_as_asked_for(folder, monkeypatch):
     """The one that asks works, too."""
     others = []
-    pool = caster.threads._pool
+    pool = caster.rendering.threads._pool
 
     def watched(count):
         others.append(count)
         return pool(count)
 
-    monkeypatch.setattr("caster.threads._pool", watched)
+    monkeypatch.setattr("caster.rendering.threads._pool", watched)
     render("--threads", "3", "--size", "400", "400")
     assert max(others) == 2
     others.clear()

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from caster import doctor
-from caster.doctor import Finding, Part, find_part
-from mitsuba_ref import doctor as judge_doctor
+from caster.cli import installation
+from caster.cli.installation import Finding, Package, find_package
+from mitsuba_ref.reference import installation as judge_doctor
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-NAMED = {finding.name: finding for finding in doctor.report()}
+NAMED = {finding.name: finding for finding in installation.report()}
 
 
 def ask(program: str) -> dict[str, Finding]:
@@ -27,7 +27,7 @@ def describe(**answer: object) -> dict[str, Finding]:
 
 
 def test_every_dependency_is_looked_for_with_its_least_version():
-    least = {part.distribution: part.least for part in doctor.PARTS}
+    least = {part.distribution: part.least for part in installation.PACKAGES}
     assert least == dict(re.split(">=", dependency) for dependency in PROJECT["dependencies"])
 
 
@@ -44,50 +44,54 @@ def test_peers_are_looked_for_with_the_projects_least_versions_and_are_not_neede
 
 def test_matplotlib_is_looked_for_with_the_projects_least_version_and_is_not_needed():
     (least,) = PROJECT["optional-dependencies"]["plots"]
-    assert f"{judge_doctor.PLOTS.distribution}>={judge_doctor.PLOTS.least}" == least
+    assert f"{judge_doctor.MATPLOTLIB.distribution}>={judge_doctor.MATPLOTLIB.least}" == least
     finding = next(each for each in judge_doctor.report() if each.name == "matplotlib")
     assert finding.found and not finding.needed and finding.detail == importlib.metadata.version("matplotlib")
     assert "stress --report" in finding.adds
 
 
 def test_a_judge_without_matplotlib_is_usable_and_says_what_it_would_add(monkeypatch):
-    monkeypatch.setattr(judge_doctor, "PLOTS", judge_doctor.PLOTS._replace(distribution="no-such-matplotlib"))
+    monkeypatch.setattr(
+        judge_doctor, "MATPLOTLIB", judge_doctor.MATPLOTLIB._replace(distribution="no-such-matplotlib")
+    )
     finding = describe(variants=["scalar_rgb"])["no-such-matplotlib"]
     assert (
-        not finding.found and finding.detail == "not installed" and finding.way_out.startswith("pip install")
+        not finding.found
+        and finding.detail == "not installed"
+        and finding.outward_normal.startswith("pip install")
     )
     assert judge_doctor.exit_code([finding]) == 0
-    assert "would add the pictures" in doctor.format([finding])
+    assert "would add the pictures" in installation.format_table([finding])
 
 
 def test_this_environment_is_usable():
-    assert doctor.exit_code(list(NAMED.values())) == 0, doctor.format(list(NAMED.values()))
+    assert installation.exit_code(list(NAMED.values())) == 0, installation.format_table(list(NAMED.values()))
 
 
 def test_a_package_that_is_not_installed_has_a_way_out():
-    finding = find_part(Part("no-such-package-anywhere", "nothing", "1.2", "wings"))
+    finding = find_package(Package("no-such-package-anywhere", "nothing", "1.2", "wings"))
     assert not finding.found and finding.detail == "not installed"
-    assert finding.way_out == "pip install 'no-such-package-anywhere>=1.2'"
+    assert finding.outward_normal == "pip install 'no-such-package-anywhere>=1.2'"
 
 
 def test_a_package_that_is_too_old_is_not_found():
-    finding = find_part(Part("numpy", "numpy", "999.0", "arrays"))
+    finding = find_package(Package("numpy", "numpy", "999.0", "arrays"))
     assert not finding.found and "too old, 999.0 or newer is needed" in finding.detail
 
 
 def test_versions_are_compared_as_numbers():
-    assert find_part(Part("OpenEXR", "OpenEXR", "3.4.9", "images")).found
-    assert doctor._numbers("3.4.10") > doctor._numbers("3.4.9")
+    assert find_package(Package("OpenEXR", "OpenEXR", "3.4.9", "images")).found
+    assert installation._numbers("3.4.10") > installation._numbers("3.4.9")
 
 
 def test_a_package_that_does_not_import_is_not_found():
-    finding = find_part(Part("numpy", "no_such_module", "1.0", "arrays"))
+    finding = find_package(Package("numpy", "no_such_module", "1.0", "arrays"))
     assert not finding.found and "does not import: No module named 'no_such_module'" in finding.detail
 
 
 def test_a_compiler_that_is_switched_off_is_said(monkeypatch):
     monkeypatch.setenv("CASTER_JIT", "0")
-    (numba,) = (find_part(part) for part in doctor.PARTS if part.module == "numba")
+    (numba,) = (find_package(part) for part in installation.PACKAGES if part.module == "numba")
     assert numba.found and numba.detail.endswith("switched off by CASTER_JIT=0")
 
 
@@ -95,14 +99,14 @@ def test_a_compiler_that_is_switched_off_is_said(monkeypatch):
 def test_only_something_needed_makes_the_machine_unusable(needed, code, verdict):
     missing = Finding("wings", False, needed, "not installed", "flight", "grow them")
     findings = [NAMED["Python"], missing]
-    assert doctor.exit_code(findings) == code
-    *_, line, _, last = doctor.format(findings).splitlines()
+    assert installation.exit_code(findings) == code
+    *_, line, _, last = installation.format_table(findings).splitlines()
     assert "wings" in line and line.endswith(f"{'needed for' if needed else 'would add'} flight (grow them)")
     assert last.startswith(verdict)
 
 
 def test_a_program_can_read_the_findings():
-    answer = json.loads(doctor.format_json(list(NAMED.values())))
+    answer = json.loads(installation.format_json(list(NAMED.values())))
     assert answer["usable"] is True
     assert [Finding(**finding) for finding in answer["findings"]] == list(NAMED.values())
 
@@ -121,7 +125,7 @@ def test_mitsuba_answers_through_the_door():
 def test_the_judge_is_usable_without_libllvm_a_gpu_and_a_browser():
     found = describe(variants=["scalar_rgb"], libllvm=None)
     assert found["variants"].detail == "scalar_rgb"
-    assert not found["libLLVM"].found and found["libLLVM"].way_out == "apt install libllvm19"
+    assert not found["libLLVM"].found and found["libLLVM"].outward_normal == "apt install libllvm19"
     assert not any(found[name].needed for name in ("libLLVM", "GPU", "browser"))
     assert judge_doctor.usable([found["variants"], found["libLLVM"]])
 
@@ -154,7 +158,7 @@ def test_a_mitsuba_that_dies_or_babbles_is_a_finding(program, says):
 
 
 def test_a_mitsuba_that_hangs_is_a_finding(monkeypatch):
-    monkeypatch.setattr(judge_doctor, "PROBE_SECONDS", 0.5)
+    monkeypatch.setattr(judge_doctor, "PROBE_TIMEOUT_SECONDS", 0.5)
     assert ask("import time; time.sleep(60)")["variants"].detail == "no answer within 0.5 s"
 
 

@@ -10,8 +10,8 @@ from aimed_rays import KINDS, Setting
 from exact_meetings import DIGITS, Met, exactly, triangle
 from posed_pairs import Pairs, pose, rounding
 
-from mitsuba_ref.meeting import KU, KU_OURS, Meetings, U, norm
-from mitsuba_ref.shapes.plane import FACES, _face_of_hit, as_triangles
+from mitsuba_ref.error_model.intersections import KU, KU_OURS, Intersections, U, norm
+from mitsuba_ref.shapes.plane import PATCH_FACES, _face_of_hit, as_triangles
 
 SINGLE = [kind for kind in KINDS if kind != "meshes"]  # kinds with one primitive a shape
 SETTINGS = {
@@ -37,7 +37,7 @@ def sixty_digits() -> Iterator[None]:
         yield
 
 
-def share(at: Meetings, met: Met, name: str, error: str) -> np.ndarray:
+def share(at: Intersections, met: Met, name: str, error: str) -> np.ndarray:
     """|the model's - exact| over its bound, where there is a hit that is resolved; (m,)."""
     there = met.hit & np.isfinite(at.t_error)
     model, true = np.array(getattr(at, name)[there]), getattr(met, name)[there]
@@ -45,7 +45,7 @@ def share(at: Meetings, met: Met, name: str, error: str) -> np.ndarray:
     return norm(away) / getattr(at, error)[there]
 
 
-def shares(at: Meetings, met: Met) -> dict[str, float]:
+def shares(at: Intersections, met: Met) -> dict[str, float]:
     """The largest of each quantity."""
     pairs = {"t": "t_error", "n": "n_error", "sh_n": "sh_error"}
     return {name: share(at, met, name, error).max(initial=0.0) for name, error in pairs.items()}
@@ -56,7 +56,7 @@ def shares(at: Meetings, met: Met) -> dict[str, float]:
 def test_the_judges_own_arithmetic_is_right_to_float64(kind, setting):
     pairs = pose(kind, SETTINGS[setting], [100, SINGLE.index(kind)])
     hits = 0
-    for at, met in zip(pairs.meet(KU_OURS, ours=True), pairs.solve(), strict=True):
+    for at, met in zip(pairs.intersect(KU_OURS, ours=True), pairs.solve(), strict=True):
         assert max(shares(at, met).values()) <= 0.5  # the other half is the caster's
         assert not (at.certain & ~met.hit).any()
         assert not (met.hit & ~at.possible).any()
@@ -72,8 +72,8 @@ def test_no_rounding_of_the_inputs_leaves_the_bound(kind, setting):
     ours = pairs.name == "Planes"  # of a patch, the corners are rounded: see below
     for repeat in range(4):
         off = rounding(np.random.default_rng([102, repeat]), U)
-        models = pairs.meet(COUNTS[pairs.name] * U, ours=ours)
-        normals = pairs.meet(NORMAL_COUNTS * U, ours=ours)
+        models = pairs.intersect(COUNTS[pairs.name] * U, ours=ours)
+        normals = pairs.intersect(NORMAL_COUNTS * U, ours=ours)
         for at, twice, met in zip(models, normals, pairs.solve(off), strict=True):
             assert shares(at, met)["t"] <= 1.0
             assert max(shares(twice, met).values()) <= 1.0
@@ -89,7 +89,7 @@ def test_roundings_do_reach_the_bound(kind):
         pairs = pose(kind, setting, [103, number])
         ours = pairs.name == "Planes"
         moved = pairs.solve(rounding(np.random.default_rng([104, number]), U))
-        models = pairs.meet(COUNTS[pairs.name] * U, ours=ours)
+        models = pairs.intersect(COUNTS[pairs.name] * U, ours=ours)
         for at, met, unmoved in zip(models, moved, pairs.solve(), strict=True):
             most = max(most, shares(at, met)["t"])
             flips += int((met.hit != unmoved.hit).sum())
@@ -101,10 +101,10 @@ def test_a_patch_stands_in_for_its_plane_within_the_bound():
     """The float32 corners tilt and shift each triangle: hits on it, exactly, against hits on the plane, exactly."""
     for number, setting in enumerate(SETTINGS.values()):
         pairs = pose("planes", setting, [105, number])
-        (at,), (met,) = pairs.meet(KU), pairs.solve()
+        (at,), (met,) = pairs.intersect(KU), pairs.solve()
         face, within = _face_of_hit(pairs.seen, pairs.k, pairs.o, pairs.d, at.t)
         mesh = as_triangles(pairs.seen)
-        corners = mesh.vertices[mesh.faces[pairs.k * len(FACES) + face]]
+        corners = mesh.vertices[mesh.faces[pairs.k * len(PATCH_FACES) + face]]
         seen = exactly(corners) - exactly(pairs.o)[:, None, :]
         (patch,) = triangle(seen, exactly(pairs.d), exactly(corners))
         fine = within & np.isfinite(at.t_error)
@@ -121,16 +121,16 @@ def test_what_is_neither_certain_nor_impossible_is_near_an_edge(kind):
     doubtful = []
     for setting in (edges, inside):
         pairs = pose(kind, setting, [106])
-        at = pairs.meet(KU)[0]
+        at = pairs.intersect(KU)[0]
         doubtful.append(np.mean(at.possible & ~at.certain))
     if kind in ("triangles", "disks"):  # of a tube every other end is hidden behind its wall
         assert doubtful[0] >= 0.99
     assert doubtful[1] <= 0.01
 
 
-def planted(pairs: Pairs, fault: str) -> Meetings:
+def planted(pairs: Pairs, fault: str) -> Intersections:
     """What a caster with a small fault would say of the first root."""
-    (near, *_), prims = pairs.meet(KU_OURS, ours=True), pairs.prims
+    (near, *_), prims = pairs.intersect(KU_OURS, ours=True), pairs.prims
     if fault == "t by 3e-6":
         return near._replace(t=near.t * (1.0 + 3e-6))
     if fault == "normal by 3e-5":
@@ -138,7 +138,7 @@ def planted(pairs: Pairs, fault: str) -> Meetings:
         return near._replace(n=near.n + 3e-5 * sideways / norm(sideways)[:, None])
     changed = moved(prims) if fault == "moved by 3e-5" else grown(prims, 1.0 + 1e-5)
     faulty = Pairs(changed, pairs.k, pairs.o, pairs.d, pairs.model, changed)
-    return faulty.meet(KU_OURS, ours=True)[0]
+    return faulty.intersect(KU_OURS, ours=True)[0]
 
 
 def moved(prims: Any) -> Any:
@@ -175,7 +175,7 @@ CAUGHT = {
 @every_kind
 def test_a_fault_of_a_few_millionths_is_beyond_the_bound(kind):
     pairs = pose(kind, Setting(distances=(3.0, 10.0), slopes=(0.3, 1.0), edges=0.0), [107])
-    bound = pairs.meet(KU)[0]
+    bound = pairs.intersect(KU)[0]
     sure = bound.certain
     assert sure.sum() >= 200
     for fault, least in zip(FAULTS, CAUGHT[kind], strict=True):

@@ -7,8 +7,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from caster.kernels import integers as big
-from caster.kernels.exact_root import FLOAT_ERROR, Root, as_float, is_within, number, order
+from caster.kernels.exact import integers as big
+from caster.kernels.exact.surds import AS_FLOAT_REL_ERROR, Root, as_float, compare, is_within, surd_of_float
 
 RNG = np.random.default_rng(70)
 
@@ -122,13 +122,13 @@ def test_roots_are_in_order():
     equal = 0
     for (x, a), (y, b) in zip(roots, roots[1:] + roots[:1], strict=True):
         expected = 0 if same(a, b) else (1 if precisely(a) > precisely(b) else -1)
-        assert order(x, y) == expected == -order(y, x), (a, b)
-        assert order(x, x) == 0
+        assert compare(x, y) == expected == -compare(y, x), (a, b)
+        assert compare(x, x) == 0
     for x, a in roots[:60]:
         for y, b in roots[:60]:
             if same(a, b):
                 equal += 1
-                assert order(x, y) == 0
+                assert compare(x, y) == 0
     assert equal >= 70, "more pairs than each with itself"
 
 
@@ -136,7 +136,7 @@ def test_a_root_as_a_float_is_within_its_error():
     for x, key in some_roots(400):
         exact = precisely(key)
         got = Fraction(as_float(x))
-        assert abs(got - exact) <= Fraction(FLOAT_ERROR) * abs(exact) + Fraction(1, 1 << 300), key
+        assert abs(got - exact) <= Fraction(AS_FLOAT_REL_ERROR) * abs(exact) + Fraction(1, 1 << 300), key
 
 
 def test_limits_are_exact_and_closed_above():
@@ -144,7 +144,9 @@ def test_limits_are_exact_and_closed_above():
     below, above = 1.0 / 3.0, math.nextafter(1.0 / 3.0, 1.0)  # 1/3 rounds down
     assert is_within(third, below, above) and not is_within(third, above, math.inf)
     assert not is_within(third, 0.0, below)
-    assert is_within(number(2.0), math.nextafter(2.0, 0.0), 2.0) and not is_within(number(2.0), 2.0, math.inf)
+    assert is_within(surd_of_float(2.0), math.nextafter(2.0, 0.0), 2.0) and not is_within(
+        surd_of_float(2.0), 2.0, math.inf
+    )
     root2 = a_root(0, 2, 1, 1, 0)
     rounded = math.sqrt(2.0)  # rounded up
     assert is_within(root2, math.nextafter(rounded, 0.0), rounded) and not is_within(root2, rounded, math.inf)

@@ -7,9 +7,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from caster.exr import UnreadableExr, read_exr, write_exr
-from caster.fields import FileMissing, SceneError
-from mitsuba_ref.exr.compare import DEPTH_RTOL, FileComparison, Tolerances, compare_exr
+from caster.image.exr import UnreadableExr, read_exr, write_exr
+from caster.scene.fields import FileMissing, SceneError
+from mitsuba_ref.exr_compare.two_files import DEPTH_RTOL, FileComparison, Tolerances, compare_exr
 
 WIDTH, HEIGHT = 32, 24
 EYE = (0.3, 0.4, 3.0)

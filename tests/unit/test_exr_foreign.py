@@ -8,11 +8,11 @@ import pytest
 
 import caster
 from caster import __version__
-from caster.channels import channels_of, provenance
-from caster.exr import write_exr
-from caster.wording import SceneError
-from mitsuba_ref.exr.compare import FileComparison, Reading, Tolerances, compare_exr
-from mitsuba_ref.exr.conventions import View
+from caster.image.channels import aovs_to_channels, provenance
+from caster.image.exr import write_exr
+from caster.scene.errors import SceneError
+from mitsuba_ref.exr_compare.depth_conventions import ViewRays
+from mitsuba_ref.exr_compare.two_files import FileComparison, Reading, Tolerances, compare_exr
 
 Channels = dict[str, np.ndarray]
 FLT_MAX = float(np.finfo(np.float32).max)
@@ -25,13 +25,13 @@ def scene_of(**camera: object) -> caster.Scene:
 
 
 SCENE = scene_of()
-VIEW = View.of(SCENE)
+VIEW = ViewRays.of(SCENE)
 
 
 @pytest.fixture(scope="module")
 def ours() -> Channels:
     """What our caster gives, as an EXR file has it."""
-    given = channels_of(caster.render(SCENE, aovs=("depth", "normal", "shading_normal", "position")))
+    given = aovs_to_channels(caster.render(SCENE, aovs=("depth", "normal", "shading_normal", "position")))
     assert 150 < given["A"].sum() < given["A"].size - 150
     return {name: values.astype(np.float32) for name, values in given.items()}
 
@@ -181,13 +181,13 @@ def test_depth_along_z_is_seen_by_the_camera_of_our_file_and_stated(tmp_path, ou
 
 def test_depth_from_the_near_plane_is_seen(tmp_path, ours):
     near = scene_of(near=1.0)
-    depth = np.where(ours["A"] == 1, ours["depth.Z"] - View.of(near).near, 0).astype(np.float32)
+    depth = np.where(ours["A"] == 1, ours["depth.Z"] - ViewRays.of(near).near, 0).astype(np.float32)
     result = compared(tmp_path, ours, {"depth.T": depth}, scene=near)
     assert result.ok and "the distance from the near plane along the ray" in text(result), text(result)
 
 
 def test_a_near_plane_that_the_camera_does_not_have_may_be_given(tmp_path, ours):
-    depth = np.where(ours["A"] == 1, ours["depth.Z"] - View.of(SCENE, 0.5).near, 0).astype(np.float32)
+    depth = np.where(ours["A"] == 1, ours["depth.Z"] - ViewRays.of(SCENE, 0.5).near, 0).astype(np.float32)
     result = compared(tmp_path, ours, {"depth.T": depth}, near=0.5)
     assert result.ok and "the distance from the near plane along the ray" in text(result), text(result)
     assert compared(tmp_path, ours, {"depth.T": depth}).exit_code == 1
@@ -196,7 +196,9 @@ def test_a_near_plane_that_the_camera_does_not_have_may_be_given(tmp_path, ours)
 def test_parallel_rays_along_the_axis_leave_nothing_to_ask(tmp_path):
     along = caster.Orthographic(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), width=4)
     scene = SCENE.model_copy(update={"camera": along})
-    given = {n: a.astype(np.float32) for n, a in channels_of(caster.render(scene, aovs=("depth",))).items()}
+    given = {
+        n: a.astype(np.float32) for n, a in aovs_to_channels(caster.render(scene, aovs=("depth",))).items()
+    }
     write_exr(tmp_path / "a.exr", given, provenance(scene, __version__))
     OpenEXR.File({}, named(given, depth="Z", miss=0.0)).write(str(tmp_path / "b.exr"))
     assert compare_exr(tmp_path / "a.exr", tmp_path / "b.exr").ok
@@ -252,7 +254,9 @@ def test_a_depth_of_no_convention_fails_and_says_so(tmp_path, ours):
 def test_where_two_conventions_fit_it_is_a_question(tmp_path):
     """A view so narrow that z and distance are nearly the same, and a picture that is not exact enough to tell."""
     narrow = scene_of(fov=1.0, eye=(0.3, 0, 500.0), look_at=(0.3, 0, 0))
-    given = {n: a.astype(np.float32) for n, a in channels_of(caster.render(narrow, aovs=("depth",))).items()}
+    given = {
+        n: a.astype(np.float32) for n, a in aovs_to_channels(caster.render(narrow, aovs=("depth",))).items()
+    }
     theirs = {"Z": np.where(given["A"] == 1, given["depth.Z"] * np.float32(1.0001), 0).astype(np.float32)}
     write_exr(tmp_path / "a.exr", given, provenance(narrow, __version__))
     OpenEXR.File({}, theirs).write(str(tmp_path / "b.exr"))

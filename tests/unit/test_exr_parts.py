@@ -9,12 +9,12 @@ import pytest
 import caster
 from caster import __version__
 from caster.__main__ import main as caster_main
-from caster.channels import channels_of, provenance
-from caster.exits import FILE, NOT_COMPARABLE
-from caster.exr import UnreadableExr, read_exr, write_exr
+from caster.cli.exit_codes import FILE, NOT_COMPARABLE
+from caster.image.channels import aovs_to_channels, provenance
+from caster.image.exr import UnreadableExr, read_exr, write_exr
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.exr.compare import compare_exr
-from mitsuba_ref.exr.conventions import View
+from mitsuba_ref.exr_compare.depth_conventions import ViewRays
+from mitsuba_ref.exr_compare.two_files import compare_exr
 
 SHAPE = (5, 7)
 FLAT = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
@@ -158,7 +158,7 @@ SCENE = caster.Scene(
 
 @pytest.fixture(scope="module")
 def ours() -> dict[str, np.ndarray]:
-    given = channels_of(caster.render(SCENE, aovs=("depth", "normal", "shading_normal", "position")))
+    given = aovs_to_channels(caster.render(SCENE, aovs=("depth", "normal", "shading_normal", "position")))
     return {name: values.astype(np.float32) for name, values in given.items()}
 
 
@@ -173,7 +173,7 @@ def compared(folder, ours, parts):
 
 def by_program(ours, program):
     """The layers of a picture, cut into parts as programs do; depth along z, 1e10 on a miss, but with Nuke's names."""
-    z = np.where(ours["A"] == 1, ours["depth.Z"] * View.of(SCENE).cosine, np.float32(1e10))
+    z = np.where(ours["A"] == 1, ours["depth.Z"] * ViewRays.of(SCENE).cosine, np.float32(1e10))
     z = z.astype(np.float32)
     if program == "Blender":
         normal, position = layer(ours, "shading_normal"), layer(ours, "position")

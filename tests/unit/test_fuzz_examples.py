@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 
 from caster.cameras import CAMERAS
-from caster.fields import SceneError
-from caster.packing import pack
+from caster.geometry.packing import pack
+from caster.scene.fields import SceneError
 from caster.shapes import SHAPES
-from mitsuba_ref.fuzz import cameras, shapes, spots
+from mitsuba_ref.fuzz import aims, kinds
 from mitsuba_ref.fuzz.campaign import look_at
-from mitsuba_ref.fuzz.example import example, scene_of
-from mitsuba_ref.fuzz.families import BY_NAME, FAMILIES
-from mitsuba_ref.fuzz.finding import Tally
-from mitsuba_ref.fuzz.setting import Setting, any_setting, nudged
+from mitsuba_ref.fuzz.families import BY_NAME, FAMILIES, example, scene_of
+from mitsuba_ref.fuzz.findings import Tally
+from mitsuba_ref.fuzz.settings import Setting, perturbed_by_ulps, random_setting
 
 FEW = 8  # examples of each family
 
@@ -51,15 +50,17 @@ def test_other_seeds_and_numbers_give_other_examples():
 def test_every_kind_of_shape_and_camera_is_drawn(examples):
     counted = collections.Counter(shape["type"] for each in examples for shape in each.data["shape"])
     assert set(counted) == {cls.model_fields["type"].default for cls in SHAPES}, (
-        shapes.OWN.keys() - counted.keys()
+        kinds.RANDOM_SHAPE_FIELDS.keys() - counted.keys()
     )
     seen = {each.data["camera"]["type"] for each in examples}
-    assert seen == {cls.model_fields["type"].default for cls in CAMERAS}, cameras.DRAW.keys() - seen
+    assert seen == {cls.model_fields["type"].default for cls in CAMERAS}, (
+        kinds.RANDOM_CAMERA_FIELDS.keys() - seen
+    )
 
 
 def test_every_kind_of_primitive_has_places_to_aim_at(examples):
     kinds = {type(part).__name__ for each in examples for part in pack(scene_of(each.data)).parts}
-    assert kinds == set(spots.PLACES)
+    assert kinds == set(aims.SURFACE_SAMPLERS)
 
 
 def test_transforms_are_mirrored_and_reach_a_condition_of_a_million():
@@ -73,7 +74,7 @@ def test_transforms_are_mirrored_and_reach_a_condition_of_a_million():
 
 
 def test_settings_span_decades_of_size_and_offset():
-    settings = [any_setting(np.random.default_rng([9, i])) for i in range(300)]
+    settings = [random_setting(np.random.default_rng([9, i])) for i in range(300)]
     sizes = [setting.size for setting in settings]
     away = [np.abs(setting.middle).max() / setting.size for setting in settings]
     assert min(sizes) < 1e-2 and max(sizes) > 1e2 and max(away) > 1e5
@@ -104,14 +105,14 @@ def test_a_family_finds_trouble_to_look_at(family):
 def test_lattice_coordinates_differ_without_rounding():
     """Which is what makes a ray from one to another pass exactly through it."""
     setting = Setting(size=0.25, lattice=True)
-    points = setting.snapped(np.random.default_rng(1).uniform(-4.0, 4.0, (200, 3)))
+    points = setting.on_lattice(np.random.default_rng(1).uniform(-4.0, 4.0, (200, 3)))
     for a, b in itertools.pairwise(points):
         assert np.array_equal(a + (b - a), b)
 
 
 def test_nudged_moves_by_units_in_the_last_place():
     x = np.array([1.0, -3.5, 0.0, 1e300, 5e-324])
-    moved = np.array([nudged(np.random.default_rng(i), x, 2) for i in range(50)])
+    moved = np.array([perturbed_by_ulps(np.random.default_rng(i), x, 2) for i in range(50)])
     assert np.all(np.abs(moved - x) <= 2.0 * np.spacing(np.abs(x)))
     assert np.all((moved != x).any(axis=0))
 
@@ -119,12 +120,15 @@ def test_nudged_moves_by_units_in_the_last_place():
 @pytest.mark.parametrize(
     ("draw", "says"),
     [
-        (lambda rng: shapes.drawn(rng, "cone", Setting()), "add a line 'cone': .*mitsuba_ref/fuzz/shapes.py"),
         (
-            lambda rng: cameras.drawn(rng, Setting(), ["drone"]),
-            "add a line 'drone': .*mitsuba_ref/fuzz/cameras.py",
+            lambda rng: kinds.random_shape(rng, "cone", Setting()),
+            "add a line 'cone': .*mitsuba_ref/fuzz/kinds.py",
         ),
-        (lambda rng: spots.place_of(Setting()), "add a line 'Setting': .*mitsuba_ref/fuzz/spots.py"),
+        (
+            lambda rng: kinds.random_camera(rng, Setting(), ["drone"]),
+            "add a line 'drone': .*mitsuba_ref/fuzz/kinds.py",
+        ),
+        (lambda rng: aims.place_of(Setting()), "add a line 'Setting': .*mitsuba_ref/fuzz/aims.py"),
     ],
 )
 def test_what_cannot_be_drawn_is_named_with_what_to_write(draw, says):

@@ -3,14 +3,20 @@
 import numpy as np
 import pytest
 
-from caster.packing import pack
-from caster.scene import Scene
-from mitsuba_ref.exact import Oracle
-from mitsuba_ref.fuzz import picture_check, rays_check
+from caster.geometry.packing import pack
+from caster.scene.files import Scene
+from mitsuba_ref.fuzz import checks
 from mitsuba_ref.fuzz.aims import Shots
-from mitsuba_ref.fuzz.finding import KINDS, Finding, Tally, first_of_each_kind
-from mitsuba_ref.fuzz.rays_check import adjudicate, check_rays, check_surfaces, subject_of
-from mitsuba_ref.fuzz.routes import Found, by_culling
+from mitsuba_ref.fuzz.checks import (
+    NearestHits,
+    adjudicate,
+    cast_by_culling,
+    check_rays,
+    check_surfaces,
+    prepared_scene,
+)
+from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally, first_of_each_kind
+from mitsuba_ref.oracle.oracle import Oracle
 
 SQUARE = (
     [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0]],
@@ -31,12 +37,12 @@ def rays(d=1.0):
 
 @pytest.fixture(scope="module")
 def subject():
-    return subject_of(Scene.model_validate(SCENE))
+    return prepared_scene(Scene.model_validate(SCENE))
 
 
 def found_by(subject, t, prim):
     tally = Tally()
-    findings = adjudicate(subject, rays(), Found(np.array(t), np.array(prim)), tally)
+    findings = adjudicate(subject, rays(), NearestHits(np.array(t), np.array(prim)), tally)
     return [(int(np.flatnonzero((rays().o == f.ray.o[0]).all(axis=1))[0]), f.kind) for f in findings], tally
 
 
@@ -80,23 +86,23 @@ def test_limits_are_compared_exactly(subject):
     """A hit at t = 2 lies within t <= 2 and without t > 2."""
     for t_min, t_max, hit in ((0.0, 2.0, True), (2.0, np.inf, False), (np.nextafter(2.0, 0.0), 2.0, True)):
         shots = rays()._replace(t_min=np.full(4, t_min), t_max=np.full(4, t_max))
-        ours = Found(*(np.array(column) for column in RIGHT))
+        ours = NearestHits(*(np.array(column) for column in RIGHT))
         kinds = [finding.kind for finding in adjudicate(subject, shots, ours, Tally())]
         assert kinds == ([] if hit else 3 * ["phantom"])
 
 
 def test_a_bit_between_two_cullings_is_found(subject, monkeypatch):
     def off_by_a_bit(packed, shots, culling):
-        found = by_culling(packed, shots, culling)
-        return found if culling == "bvh" else Found(np.nextafter(found.t, 0.0), found.prim)
+        found = cast_by_culling(packed, shots, culling)
+        return found if culling == "bvh" else NearestHits(np.nextafter(found.t, 0.0), found.prim)
 
-    monkeypatch.setattr(rays_check, "by_culling", off_by_a_bit)
+    monkeypatch.setattr(checks, "cast_by_culling", off_by_a_bit)
     kinds = [finding.kind for finding in check_rays(subject, rays(), Tally())]
     assert kinds == 4 * ["culling"], "t of a miss counts, too"
 
 
 def test_a_bit_between_two_pictures_is_found(subject, monkeypatch):
-    usual = picture_check.render
+    usual = checks.render
 
     def off_by_a_bit(scene, names, *, culling, threads):
         images = usual(scene, names, culling=culling, threads=threads)
@@ -104,33 +110,33 @@ def test_a_bit_between_two_pictures_is_found(subject, monkeypatch):
             images["position"][1, 2, 0] = np.nextafter(images["position"][1, 2, 0], 9.0)
         return images
 
-    monkeypatch.setattr(picture_check, "render", off_by_a_bit)
-    (finding,) = picture_check.check_picture(subject, Tally())
+    monkeypatch.setattr(checks, "render", off_by_a_bit)
+    (finding,) = checks.check_image(subject, Tally())
     assert finding.kind == "culling" and finding.pixel == (2, 1) and "position" in finding.what
 
 
 def test_a_wrong_depth_in_all_pictures_is_found(subject, monkeypatch):
-    usual = picture_check.render
+    usual = checks.render
 
     def too_deep(scene, names, **options):
         images = usual(scene, names, **options)
         images["depth"][1, 2] *= 1.0 + 2.0**-40
         return images
 
-    monkeypatch.setattr(picture_check, "render", too_deep)
-    (finding,) = picture_check.check_picture(subject, Tally())
+    monkeypatch.setattr(checks, "render", too_deep)
+    (finding,) = checks.check_image(subject, Tally())
     assert finding.kind == "t" and finding.pixel == (2, 1) and finding.ray is not None
 
 
 def test_a_normal_of_another_length_is_found(subject, monkeypatch):
-    usual = rays_check.cast
+    usual = checks.cast
 
     def longer(scene, o, d):
         hits = usual(scene, o, d)
         hits.surface.n[1] *= 1.0 + 2.0**-40
         return hits
 
-    monkeypatch.setattr(rays_check, "cast", longer)
+    monkeypatch.setattr(checks, "cast", longer)
     (finding,) = check_surfaces(subject.scene, rays())
     assert finding.kind == "surface" and np.array_equal(finding.ray.o[0], rays().o[1])
 
@@ -139,14 +145,14 @@ def test_the_caster_itself_is_right_about_this_square(subject):
     tally = Tally()
     assert check_rays(subject, rays(), tally, np.random.default_rng(1)) == []
     assert tally.rays == 4 + 3, "three hits are cast again with limits"
-    assert picture_check.check_picture(subject, tally) == []
+    assert checks.check_image(subject, tally) == []
     assert tally.rays == 4 + 3 + 16
 
 
 def test_one_of_each_kind_is_reported_first_things_first():
     findings = [Finding("t", "a"), Finding("missed", "b"), Finding("t", "c")]
     assert [(f.kind, f.what) for f in first_of_each_kind(findings)] == [("missed", "b"), ("t", "a")]
-    assert next(iter(KINDS)) == "error"
+    assert next(iter(FINDING_KINDS)) == "error"
 
 
 def test_subjects_share_what_is_packed(subject):
@@ -159,7 +165,7 @@ def test_the_largest_error_of_t_is_told_in_units_of_its_bound(subject):
     told = []
     for t in (RIGHT[0], [2.0 + 2.0**-51, 2.0, 2.0, np.inf], [2.0, 2.0, 2.0 + 2.0**-30, np.inf]):
         tally = Tally()
-        adjudicate(subject, rays(), Found(np.array(t), np.array(RIGHT[1])), tally)
+        adjudicate(subject, rays(), NearestHits(np.array(t), np.array(RIGHT[1])), tally)
         told.append(tally.worst)
     assert told[0] == 0.0 < told[1] < 1.0 < told[2] < np.inf
     tally.add(Tally(worst=2.0 * told[2]))

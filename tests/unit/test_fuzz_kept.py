@@ -7,13 +7,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from caster.fields import SceneError
-from caster.hits import cast
-from caster.scene import load_scene
-from caster.wording import FileMissing
-from mitsuba_ref.fuzz import kept
-from mitsuba_ref.fuzz.case import Case, one_ray
-from mitsuba_ref.fuzz.meshes import mesh_files
+from caster.rendering.hits import cast
+from caster.scene.errors import FileMissing
+from caster.scene.fields import SceneError
+from caster.scene.files import load_scene
+from mitsuba_ref.fuzz import cases
+from mitsuba_ref.fuzz.cases import Case, one_ray
+from mitsuba_ref.fuzz.kinds import mesh_files
 
 numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
 points = st.lists(numbers, min_size=3, max_size=3)
@@ -27,14 +27,14 @@ def a_case(ray=None, shapes=(BALL,)):
 
 
 def written(folder, case, kind="missed"):
-    return kept.write(folder, "name", kind, "ours misses,\nexactly it is hit", FOUND_BY, case)
+    return cases.write_kept(folder, "name", kind, "ours misses,\nexactly it is hit", FOUND_BY, case)
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(points, points.filter(any), numbers.map(abs), st.one_of(st.just(np.inf), numbers.map(abs)))
 def test_a_ray_comes_back_to_the_bit(tmp_path, o, d, t_min, t_max):
     case = a_case(one_ray(o, d, t_min, t_max))
-    one = kept.read(written(tmp_path, case))
+    one = cases.read_kept(written(tmp_path, case))
     assert one.kind == "missed" and one.found_by == FOUND_BY
     for ours, theirs in zip(one.case.ray, case.ray, strict=True):
         assert ours.tobytes() == theirs.tobytes()
@@ -51,7 +51,7 @@ def test_the_scene_casts_the_very_ray(tmp_path):
 
 
 def test_a_picture_keeps_its_camera(tmp_path):
-    one = kept.read(written(tmp_path, a_case()))
+    one = cases.read_kept(written(tmp_path, a_case()))
     assert one.case.ray is None
     assert one.case.camera == a_case().camera and one.case.film == a_case().film
 
@@ -60,7 +60,7 @@ def test_a_mesh_goes_along(tmp_path):
     case = a_case(shapes=[{"type": "mesh", "file": mesh_files()[0], "face_normals": True}])
     file = written(tmp_path / "new", case)
     assert sorted(path.name for path in file.parent.iterdir()) == ["name.toml", "octahedron.obj"]
-    again = kept.write(tmp_path / "new", "name", "t", "", FOUND_BY, kept.read(file).case)
+    again = cases.write_kept(tmp_path / "new", "name", "t", "", FOUND_BY, cases.read_kept(file).case)
     assert load_scene(again).shapes[0].load().faces.shape == (8, 3)
 
 
@@ -101,14 +101,14 @@ def changed(**ray):
 def test_a_damaged_file_is_told_with_its_line(tmp_path, record, says):
     file = written(tmp_path, a_case(one_ray([0.0] * 3, [0.0, 0.0, 1.0], 0.0, np.inf)))
     lines = file.read_text().splitlines()
-    (number,) = (i for i, line in enumerate(lines) if line.startswith(kept.MARK))
-    file.write_text("\n".join([*lines[:number], kept.MARK + record, *lines[number + 1 :]]))
+    (number,) = (i for i, line in enumerate(lines) if line.startswith(cases.RECORD_PREFIX))
+    file.write_text("\n".join([*lines[:number], cases.RECORD_PREFIX + record, *lines[number + 1 :]]))
     with pytest.raises(SceneError, match=rf"name.toml:{number + 1}: damaged: .*{says}"):
-        kept.read(file)
+        cases.read_kept(file)
 
 
 def test_a_good_record_passes():
-    assert kept.checked(GOOD)["ray"]["t_max"] == np.inf
+    assert cases.checked_record(GOOD)["ray"]["t_max"] == np.inf
 
 
 def test_a_plain_scene_is_no_kept_one(tmp_path):
@@ -116,18 +116,18 @@ def test_a_plain_scene_is_no_kept_one(tmp_path):
         '[camera]\ntype = "panorama"\neye = [0, 0, 0]\nlook_at = [1, 0, 0]\n'
     )
     with pytest.raises(SceneError, match="expected one line that begins with '# fuzz:', found 0"):
-        kept.read(tmp_path / "plain.toml")
+        cases.read_kept(tmp_path / "plain.toml")
 
 
 def test_a_scene_that_does_not_load_is_told_as_any_other(tmp_path):
     file = written(tmp_path, a_case())
     file.write_text(file.read_text().replace('"sphere"', '"spear"'))
     with pytest.raises(SceneError, match=r"name.toml:\d+:\d+: .*spear.*did you mean 'sphere'"):
-        kept.read(file)
+        cases.read_kept(file)
 
 
 def test_files_are_found(tmp_path):
     file = written(tmp_path, a_case())
-    assert kept.files_in(str(tmp_path)) == kept.files_in(str(file)) == [file]
+    assert cases.kept_files(str(tmp_path)) == cases.kept_files(str(file)) == [file]
     with pytest.raises(FileMissing, match="expected a scene file that fuzz has kept"):
-        kept.files_in(str(tmp_path / "none"))
+        cases.kept_files(str(tmp_path / "none"))

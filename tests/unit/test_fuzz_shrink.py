@@ -5,17 +5,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from caster.packing import pack
-from mitsuba_ref.exact import Oracle
-from mitsuba_ref.fuzz.as_packed import as_packed, moved
-from mitsuba_ref.fuzz.case import NO_SCENE, Case, one_ray
-from mitsuba_ref.fuzz.example import example, scene_of
-from mitsuba_ref.fuzz.families import BY_NAME
-from mitsuba_ref.fuzz.finding import Finding
-from mitsuba_ref.fuzz.shapes import TYPES
-from mitsuba_ref.fuzz.shrink import Budget, Shrinker, fewer_fields, fewer_shapes, rounder_numbers, walk
-from mitsuba_ref.fuzz.simpler import cost, simpler
-from mitsuba_ref.fuzz.smaller import smallest
+from caster.geometry.packing import pack
+from mitsuba_ref.fuzz.cases import SCENE_ERRORS, Case, one_ray
+from mitsuba_ref.fuzz.families import BY_NAME, example, scene_of
+from mitsuba_ref.fuzz.findings import Finding
+from mitsuba_ref.fuzz.kinds import SHAPE_TYPES
+from mitsuba_ref.fuzz.shrink import (
+    Budget,
+    Shrinker,
+    as_packed,
+    complexity,
+    fewer_fields,
+    fewer_shapes,
+    rounder_numbers,
+    simpler_numbers,
+    smallest_case,
+    translated,
+    walk,
+)
+from mitsuba_ref.oracle.oracle import Oracle
 
 floats = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -23,13 +31,13 @@ floats = st.floats(allow_nan=False, allow_infinity=False)
 @given(floats)
 def test_simpler_numbers_are_finite_simpler_and_finitely_many(x):
     """So replacing numbers by simpler ones ends."""
-    for other in simpler(x):
-        assert np.isfinite(other) and (cost(other) < cost(x) or (other == 0.0 and x == 0.0))
+    for other in simpler_numbers(x):
+        assert np.isfinite(other) and (complexity(other) < complexity(x) or (other == 0.0 and x == 0.0))
 
 
 @given(floats)
 def test_always_the_simplest_leads_to_zero(x):
-    first = next(simpler(x), None)
+    first = next(simpler_numbers(x), None)
     assert first == 0.0 if x != 0.0 else first in (None, 0.0)
 
 
@@ -37,11 +45,11 @@ def test_always_the_simplest_leads_to_zero(x):
     ("simple", "less"), [(0.0, 1.0), (1.0, 3.0), (0.5, 0.75), (3.0, 0.1), (-1.0, 1e-300)]
 )
 def test_cost_orders_numbers_by_bits_then_by_size(simple, less):
-    assert cost(simple) < cost(less)
+    assert complexity(simple) < complexity(less)
 
 
 def test_an_infinite_limit_has_nothing_simpler():
-    assert list(simpler(np.inf)) == []
+    assert list(simpler_numbers(np.inf)) == []
 
 
 def has_three_and_seven(data):
@@ -82,7 +90,7 @@ def test_a_walk_goes_through_everything():
     assert ("shape", 0, "a", 1, "b") in paths and len(paths) == 6
 
 
-@pytest.mark.parametrize("kind", TYPES)
+@pytest.mark.parametrize("kind", SHAPE_TYPES)
 def test_shapes_written_anew_have_the_same_primitives(kind):
     """In the same order, so that ties stay what they are."""
     exercised = 0
@@ -112,23 +120,23 @@ def corners(part, k):
 
 def test_what_is_moved_is_all_of_it():
     by = np.array([1.0, 2.0, 3.0])
-    assert moved({"type": "sphere", "center": [0.0, 0.0, 1.0]}, by) == {
+    assert translated({"type": "sphere", "center": [0.0, 0.0, 1.0]}, by) == {
         "type": "sphere",
         "center": [1.0, 2.0, 4.0],
     }
     matrix = np.eye(4).tolist()
-    (step,) = moved({"type": "disk", "to_world": [{"matrix": matrix}]}, by)["to_world"]
+    (step,) = translated({"type": "disk", "to_world": [{"matrix": matrix}]}, by)["to_world"]
     assert np.array(step["matrix"])[:3, 3].tolist() == by.tolist() and matrix == np.eye(4).tolist()
-    assert moved({"type": "cube"}, by) is None
+    assert translated({"type": "cube"}, by) is None
 
 
 def hits_something(case):
     """A stand-in for a fault: every ray that meets a triangle is said to be wrong."""
     try:
         packed = pack(case.scene())
-    except NO_SCENE:
+    except SCENE_ERRORS:
         return []
-    answer = Oracle(packed).ask(case.ray.o[0].tolist(), case.ray.d[0].tolist())
+    answer = Oracle(packed).first_hit(case.ray.o[0].tolist(), case.ray.d[0].tolist())
     return [Finding("prim", "it is hit", case.ray)] if answer.hit else []
 
 
@@ -141,11 +149,11 @@ def test_a_mesh_shrinks_to_one_triangle_and_round_numbers(number):
     for i in range(len(shots.t_min)):
         with_ray = case._replace(ray=shots.taken(slice(i, i + 1)))
         if hits_something(with_ray):
-            small = smallest(with_ray, hits_something(with_ray)[0], hits_something)
+            small = smallest_case(with_ray, hits_something(with_ray)[0], hits_something)
             assert [shape["type"] for shape in small.shapes] == ["triangle"]
             assert hits_something(small)
             numbers = [x for _, x in walk(small.to_data()["shape"]) if isinstance(x, float)]
-            assert len(numbers) == 9 and sum(cost(x)[0] <= 4 for x in numbers) >= 6
+            assert len(numbers) == 9 and sum(complexity(x)[0] <= 4 for x in numbers) >= 6
             return
     raise AssertionError("no ray hits anything")
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.fields import Shape
-from caster.packing import pack
-from caster.placing import as_float32, as_given
-from caster.scene import Scene, load_scene
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32, as_given
+from caster.scene.fields import Shape
+from caster.scene.files import Scene, load_scene
 from caster.shapes import (
     Cube,
     Cylinder,
@@ -27,10 +27,10 @@ from caster.shapes import (
     Torus,
     Triangle,
 )
-from mitsuba_ref import shape_checks
-from mitsuba_ref.model import reference_of
-from mitsuba_ref.scene_check import Shares
-from mitsuba_ref.shape_checks import PRECISIONS, check_geometry
+from mitsuba_ref.error_model.scene_model import reference_of
+from mitsuba_ref.judge.scene_checks import shape_checks
+from mitsuba_ref.judge.scene_checks.scene_check import Shares
+from mitsuba_ref.judge.scene_checks.shape_checks import PRECISIONS, check_geometry
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"
 SCENES = sorted(FOLDER.glob("*.toml"))

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import pytest
 
-from caster.kernels.compiling.kernel_cache import WITHOUT_KERNELS
+from caster.jit.kernel_cache import WITHOUT_KERNELS
 
 ROOT = Path(__file__).resolve().parents[2]
-JIT = "caster/kernels/jit.py"
+JIT = "caster/jit/decorators.py"
 LOADER = "caster.kernels.compiling"
 COMPILING = tuple(
     f"caster.kernels.compiling{part}"
@@ -23,28 +23,32 @@ TYPING = ("typing", "collections.abc")  # words for the type checker; nothing of
 
 # What descriptions are made of: the checks of fields, and placing geometry in the world.
 DESCRIBING = (
-    "caster.fields",
-    "caster.mesh",
-    "caster.mesh_files",
-    "caster.mesh_shape",
-    "caster.placing",
-    "caster.procedural",
-    "caster.transform",
+    "caster.scene.fields",
+    "caster.geometry.mesh",
+    "caster.geometry.mesh_files",
+    "caster.geometry.world_space",
+    "caster.geometry.world_space",
+    "caster.geometry.procedural",
+    "caster.geometry.transform",
     "pydantic",
 )
 PLUGGED_IN = {
     "shapes": DESCRIBING,
     "cameras": DESCRIBING,
-    "aovs": ("caster.fields", "caster.view", "caster.lights"),  # a view: rays, hits and surfaces of one scene
+    "aovs": (
+        "caster.scene.fields",
+        "caster.rendering.view",
+        "caster.scene.lights",
+    ),  # a view: rays, hits and surfaces of one scene
 }
 
 # What the oracle takes from the rest of the tree: the packed arrays' own record, and the registry of its arithmetic.
-ORACLE = ("caster.packing.Packed", "mitsuba_ref.exact_arithmetic", "mitsuba_ref.shapes.REFERENCES")
+ORACLE = ("caster.geometry.packing.Packed", "mitsuba_ref.oracle", "mitsuba_ref.shapes.REFERENCES")
 
 
 # The names that make a kernel of a function; what was done for kernels may be asked by anybody.
 MAKE_KERNELS = tuple(
-    f"caster.kernels.jit.{name}" for name in ("generic", "generic_inlined", "implement", "inlined", "jit")
+    f"caster.jit.decorators.{name}" for name in ("generic", "generic_inlined", "implement", "inlined", "jit")
 )
 
 
@@ -60,24 +64,29 @@ class Rule(NamedTuple):
 
 RULES = (
     Rule("caster", "caster knows nothing of its judge", never=("mitsuba_ref", "mitsuba", "drjit")),
-    Rule("caster", "only caster/exr.py imports OpenEXR", never=("OpenEXR",), except_in=("caster.exr",)),
     Rule(
         "caster",
-        "only caster/pictures/files.py imports Pillow",
-        never=("PIL",),
-        except_in=("caster.pictures.files",),
+        "only caster/image/exr.py imports OpenEXR",
+        never=("OpenEXR",),
+        except_in=("caster.image.exr",),
     ),
-    Rule("caster", f"only {JIT} imports numba", never=("numba",), except_in=("caster.kernels.jit",)),
+    Rule(
+        "caster",
+        "only caster/image/image_files.py imports Pillow",
+        never=("PIL",),
+        except_in=("caster.image.image_files",),
+    ),
+    Rule("caster", f"only {JIT} imports numba", never=("numba",), except_in=("caster.jit.decorators",)),
     Rule(
         "caster.kernels",
         "a kernel imports math, numpy and kernels",
         only=("math", "numpy", *TYPING, "caster.kernels"),
-        except_in=("caster.kernels.jit", *COMPILING),
+        except_in=("caster.jit.decorators", *COMPILING),
     ),
     Rule(
-        "caster.kernels.jit",
+        "caster.jit.decorators",
         "jit.py imports the standard library, numba and what it is made of",
-        only=(*STDLIB, "numba", "caster.kernels.compiling", "caster.kernels.lanes"),
+        only=(*STDLIB, "numba", "caster.kernels.compiling", "caster.jit.simd"),
     ),
     *(
         Rule(f"caster.{folder}", "what kept kernels are not named after has none", never=MAKE_KERNELS)
@@ -102,9 +111,9 @@ RULES = (
     Rule("mitsuba_ref", "OpenEXR and numba are caster's business", never=("OpenEXR", "numba")),
     Rule(
         "mitsuba_ref",
-        "only mitsuba_ref/door.py imports Mitsuba",
+        "only mitsuba_ref/reference/mitsuba_process.py imports Mitsuba",
         never=("mitsuba", "drjit"),
-        except_in=("mitsuba_ref.door",),
+        except_in=("mitsuba_ref.reference.mitsuba_process",),
     ),
     Rule(
         "mitsuba_ref",
@@ -113,14 +122,14 @@ RULES = (
         except_in=("mitsuba_ref.bench.entries.open3d_peer", "mitsuba_ref.bench.entries.embreex_peer"),
     ),
     Rule(
-        "mitsuba_ref.exact",
+        "mitsuba_ref.oracle.oracle",
         "an oracle shares no code with what it judges",
         only=(*STDLIB, "numpy", *ORACLE),
     ),
     Rule(
-        "mitsuba_ref.exact_arithmetic",
+        "mitsuba_ref.oracle",
         "exact arithmetic takes whole numbers, fractions and arrays, and shares no code with what it judges",
-        only=(*STDLIB, "numpy", "mitsuba_ref.exact_arithmetic"),
+        only=(*STDLIB, "numpy", "mitsuba_ref.oracle"),
     ),
 )
 
@@ -216,36 +225,56 @@ def test_the_walk_reads_the_whole_tree():
     [
         ("caster/render.py", "import mitsuba_ref", "knows nothing of its judge"),
         ("caster/render.py", "def f():\n    from mitsuba import load_file", "knows nothing of its judge"),
-        ("caster/render.py", "import OpenEXR", "only caster/exr.py"),
-        ("caster/commands/render.py", "from PIL import Image", "only caster/pictures/files.py"),
+        ("caster/render.py", "import OpenEXR", "only caster/image/exr.py"),
+        ("caster/cli/commands/render.py", "from PIL import Image", "only caster/image/image_files.py"),
         ("caster/render.py", "from numba import njit", "only " + JIT),
         ("caster/render.py", "import importlib\nimportlib.import_module('numba')", "only " + JIT),
-        ("caster/kernels/bvh.py", "import numba.extending", "only " + JIT),
-        ("caster/kernels/bvh.py", "import os", "a kernel imports"),
-        ("caster/kernels/bvh.py", "from ..scene import Scene", "a kernel imports"),
-        ("caster/kernels/jit.py", "from caster.scene import Scene", "jit.py imports"),
-        ("caster/rendering.py", "import llvmlite.binding", "only " + LOADER),
-        ("caster/commands/info.py", "from caster.kernels.jit import jit", "not named after"),
+        ("caster/kernels/bvh/traversal.py", "import numba.extending", "only " + JIT),
+        ("caster/kernels/bvh/traversal.py", "import os", "a kernel imports"),
+        ("caster/kernels/bvh/traversal.py", "from ..scene import Scene", "a kernel imports"),
+        ("caster/jit/decorators.py", "from caster.scene.files import Scene", "jit.py imports"),
+        ("caster/rendering/images.py", "import llvmlite.binding", "only " + LOADER),
+        ("caster/cli/commands/info.py", "from caster.jit.decorators import jit", "not named after"),
         (
-            "caster/kernels/compiling/arguments.py",
-            "from caster.kernels.vec import dot",
+            "caster/jit/arguments.py",
+            "from caster.kernels.math.vec import dot",
             "what jit.py is made of",
         ),
         ("caster/shapes/disk.py", "from caster.shapes.sphere import Sphere", "not its siblings"),
         ("caster/shapes/disk.py", "from .sphere import Sphere", "not its siblings"),
         ("caster/cameras/fisheye.py", "import caster.shapes", "not its siblings"),
         ("caster/aovs/depth.py", "from caster import scene", "not its siblings"),
-        ("mitsuba_ref/xml.py", "from caster import kernels", "never imports caster.kernels"),
-        ("mitsuba_ref/xml.py", "from caster.kernels.vec import dot", "never imports caster.kernels"),
-        ("mitsuba_ref/xml.py", "import mitsuba as mi", "only mitsuba_ref/door.py"),
-        ("mitsuba_ref/worker.py", "import drjit", "only mitsuba_ref/door.py"),
+        ("mitsuba_ref/reference/xml_writer.py", "from caster import kernels", "never imports caster.kernels"),
+        (
+            "mitsuba_ref/reference/xml_writer.py",
+            "from caster.kernels.math.vec import dot",
+            "never imports caster.kernels",
+        ),
+        (
+            "mitsuba_ref/reference/xml_writer.py",
+            "import mitsuba as mi",
+            "only mitsuba_ref/reference/mitsuba_process.py",
+        ),
+        ("mitsuba_ref/reference/session.py", "import drjit", "only mitsuba_ref/reference/mitsuba_process.py"),
         ("mitsuba_ref/render.py", "import OpenEXR", "caster's business"),
-        ("mitsuba_ref/exact.py", "from caster.mesh import Mesh", "shares no code"),
-        ("mitsuba_ref/exact.py", "from caster.packing import joined", "shares no code"),
-        ("mitsuba_ref/exact.py", "from mitsuba_ref.nearby import Nearby", "shares no code"),
-        ("mitsuba_ref/exact_arithmetic/root.py", "from caster.packing import Packed", "shares no code"),
-        ("mitsuba_ref/exact_arithmetic/root.py", "from mitsuba_ref.meeting import dot", "shares no code"),
-        ("mitsuba_ref/exact_arithmetic/root.py", "import flint", "shares no code"),
+        ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.mesh import Mesh", "shares no code"),
+        ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.packing import joined", "shares no code"),
+        (
+            "mitsuba_ref/oracle/oracle.py",
+            "from mitsuba_ref.error_model.bracket import Nearby",
+            "shares no code",
+        ),
+        (
+            "mitsuba_ref/oracle/exact_numbers.py",
+            "from caster.geometry.packing import Packed",
+            "shares no code",
+        ),
+        (
+            "mitsuba_ref/oracle/exact_numbers.py",
+            "from mitsuba_ref.error_model.intersections import dot",
+            "shares no code",
+        ),
+        ("mitsuba_ref/oracle/exact_numbers.py", "import flint", "shares no code"),
     ],
 )
 def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, source, says):
@@ -257,16 +286,28 @@ def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, sourc
 @pytest.mark.parametrize(
     ("path", "source"),
     [
-        ("caster/exr.py", "import OpenEXR"),
-        ("caster/kernels/jit.py", "import os\nimport numba.extending"),
-        ("caster/kernels/bvh.py", "import math\nfrom typing import NamedTuple\nfrom .vec import dot"),
+        ("caster/image/exr.py", "import OpenEXR"),
+        ("caster/jit/decorators.py", "import os\nimport numba.extending"),
+        (
+            "caster/kernels/bvh/traversal.py",
+            "import math\nfrom typing import NamedTuple\nfrom .vec import dot",
+        ),
         ("caster/shapes/__init__.py", "from caster.shapes.sphere import Sphere"),
-        ("caster/shapes/disk.py", "from caster.fields import Shape\nfrom caster.kernels.vec import dot"),
-        ("caster/commands/info.py", "from caster.kernels.jit import WORK"),
-        ("mitsuba_ref/door.py", "import drjit\nimport mitsuba"),
-        ("mitsuba_ref/xml.py", "from caster import Scene\nfrom caster.shapes.disk import Disk"),
-        ("mitsuba_ref/exact.py", "import fractions\nfrom mitsuba_ref.exact_arithmetic.root import Root"),
-        ("mitsuba_ref/exact_arithmetic/box_tree.py", "import math\nimport numpy as np"),
+        (
+            "caster/shapes/disk.py",
+            "from caster.scene.fields import Shape\nfrom caster.kernels.math.vec import dot",
+        ),
+        ("caster/cli/commands/info.py", "from caster.jit.decorators import WORK"),
+        ("mitsuba_ref/reference/mitsuba_process.py", "import drjit\nimport mitsuba"),
+        (
+            "mitsuba_ref/reference/xml_writer.py",
+            "from caster import Scene\nfrom caster.shapes.disk import Disk",
+        ),
+        (
+            "mitsuba_ref/oracle/oracle.py",
+            "import fractions\nfrom mitsuba_ref.oracle.exact_numbers import Root",
+        ),
+        ("mitsuba_ref/oracle/primitive_index.py", "import math\nimport numpy as np"),
     ],
 )
 def test_an_import_the_rules_allow_is_left_alone(tmp_path, path, source):

@@ -8,20 +8,20 @@ from made_verdicts import scene as made
 from made_verdicts import verdict
 
 import caster
-from mitsuba_ref import campaign
-from mitsuba_ref.ci.reading import scene_of
-from mitsuba_ref.ci.summary import markdown
-from mitsuba_ref.in_common import in_common, simplest
-from mitsuba_ref.made_of import MadeOf
-from mitsuba_ref.scene_check import SceneCheck
-from mitsuba_ref.table import summary
+from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck
+from mitsuba_ref.judge.verdict import SceneStatistics
+from mitsuba_ref.report.failure_groups import in_common, simplest_failing
+from mitsuba_ref.report.markdown import markdown
+from mitsuba_ref.report.terminal import summary_text
+from mitsuba_ref.runner import scene_runner
+from mitsuba_ref.runner.verdict_file import scene_of
 
 
 def scene(name, shapes=("sphere",), *, ok=False, checks=("depth",), camera="pinhole", primitives=1, **more):
     """One that passes, or fails these checks."""
     one = made(name, ok=ok, **more)
     failing = {} if ok or one.problem else dict.fromkeys(checks, 3)
-    of = MadeOf(camera, dict.fromkeys(shapes, 1), primitives)
+    of = SceneStatistics(camera, dict.fromkeys(shapes, 1), primitives)
     failures = tuple(replace(each, check=checks[0]) for each in one.failures)
     return replace(one, failing_by=failing, made_of=of, failures=failures)
 
@@ -51,7 +51,10 @@ A, B = scene("a", ("sphere", "mesh"), checks=("depth", "exact")), scene("b", che
         ([scene("a", checks=("exact",)), scene("b", checks=("exact",))], ["exact fails"]),
         ([A, scene("b", problem="crash")], []),
         ([scene("a", problem="crash"), scene("b", problem="no mesh")], ["there is no comparison"]),
-        ([replace(A, made_of=MadeOf()), B, scene("p", ("disk",), ok=True)], ["depth fails"]),  # not told
+        (
+            [replace(A, made_of=SceneStatistics()), B, scene("p", ("disk",), ok=True)],
+            ["depth fails"],
+        ),  # not told
     ],
 )
 def test_only_what_is_so_in_all_that_fail_and_not_in_all_that_pass_is_said(scenes, told):
@@ -66,16 +69,16 @@ def test_a_check_that_is_made_once_a_scene_counts_too():
 
 def test_the_simplest_has_the_fewest_primitives_then_shapes_then_pixels():
     few, many = scene("few", primitives=2), scene("many", primitives=70_000)
-    assert simplest([many, few, scene("fewest", ok=True)]) is few
-    assert simplest([few, replace(few, name="a", pixels=few.pixels + 1)]) is few
-    assert simplest([few, scene("a", ("sphere", "disk"), primitives=2)]) is few
-    assert simplest([scene("unknown", primitives=0), many]) is many  # not told is not the fewest
-    assert simplest([few]) is None and simplest([scene("a", ok=True)] * 3) is None
+    assert simplest_failing([many, few, scene("fewest", ok=True)]) is few
+    assert simplest_failing([few, replace(few, name="a", pixels=few.pixels + 1)]) is few
+    assert simplest_failing([few, scene("a", ("sphere", "disk"), primitives=2)]) is few
+    assert simplest_failing([scene("unknown", primitives=0), many]) is many  # not told is not the fewest
+    assert simplest_failing([few]) is None and simplest_failing([scene("a", ok=True)] * 3) is None
 
 
 def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_nothing_to_say():
     failing = verdict(A, replace(B, made_of=replace(B.made_of, primitives=9)), scene("p", ("disk",), ok=True))
-    lines = summary(failing, 1.0).splitlines()
+    lines = summary_text(failing, 1.0).splitlines()
     at = lines.index("in common:  of all 2 that fail: depth fails; shape sphere (in 0 of 1 that pass)")
     assert lines[at + 1 : at + 3] == [
         "look first: a, the simplest of them (1 primitive, 120 pixels)",
@@ -83,15 +86,15 @@ def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_n
     ]
     assert "- look first: a, the simplest of them" in markdown(failing, 1.0)
     for few in (verdict(A, scene("p", ok=True)), verdict(scene("p", ok=True), scene("q", ok=True))):
-        assert "in common" not in summary(few, 1.0) and "look first" not in summary(few, 1.0)
+        assert "in common" not in summary_text(few, 1.0) and "look first" not in summary_text(few, 1.0)
 
 
 def test_a_verdict_says_what_its_scene_is_made_of_also_after_json_and_where_there_is_no_comparison():
     ball = caster.Scene(
         camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere(), caster.Cube()]
     )
-    entry = campaign.Entry(ball, "ball", "ball.toml")
+    entry = scene_runner.SceneEntry(ball, "ball", "ball.toml")
     for found in (made("ball"), made("ball", problem="crash")):
-        judged = campaign.judge_entry(entry, None, validate=Mock(return_value=found))
-        assert judged.made_of == MadeOf("pinhole", {"sphere": 1, "cube": 1}, 13)
+        judged = scene_runner.judge_entry(entry, None, validate=Mock(return_value=found))
+        assert judged.made_of == SceneStatistics("pinhole", {"sphere": 1, "cube": 1}, 13)
         assert scene_of(judged.to_dict()).made_of == judged.made_of

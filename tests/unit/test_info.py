@@ -6,10 +6,19 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from caster.exr import UnreadableExr, write_exr
-from caster.fields import FileMissing
-from caster.info import describe_exr, format_info, hit_mask
-from caster.pictures.histogram import ASCII, BINS, BLOCKS, bars, counts, ramp_for
+from caster.image.exr import UnreadableExr, write_exr
+from caster.image.exr_info import (
+    ASCII_RAMP,
+    BINS,
+    BLOCK_RAMP,
+    bin_counts,
+    describe_exr,
+    format_info,
+    histogram_text,
+    hit_mask,
+    ramp_for,
+)
+from caster.scene.fields import FileMissing
 
 NO_ID = 0xFFFFFFFF
 
@@ -152,15 +161,15 @@ def test_histograms_count_every_finite_value_once(tmp_path):
     ],
 )
 def test_histograms_of_few_values(values, expected):
-    assert counts(np.array(values), 4) == expected
+    assert bin_counts(np.array(values), 4) == expected
 
 
 def test_a_histogram_is_drawn_in_what_the_terminal_can_show():
     """A single value among many still shows."""
-    assert bars([0, 1, 400, 800]) == " ▁▄█" and bars([]) == ""
-    assert bars([0, 1, 400, 800], ramp_for("latin-1")) == " .=@"
-    assert ramp_for("utf-8") == BLOCKS and ramp_for(None) == ramp_for("no-such-encoding") == ASCII
-    assert len(BLOCKS) == len(ASCII)
+    assert histogram_text([0, 1, 400, 800]) == " ▁▄█" and histogram_text([]) == ""
+    assert histogram_text([0, 1, 400, 800], ramp_for("latin-1")) == " .=@"
+    assert ramp_for("utf-8") == BLOCK_RAMP and ramp_for(None) == ramp_for("no-such-encoding") == ASCII_RAMP
+    assert len(BLOCK_RAMP) == len(ASCII_RAMP)
 
 
 def test_info_shows_a_histogram_for_each_channel(tmp_path):

@@ -6,26 +6,26 @@ import numpy as np
 import pytest
 
 from caster.cameras import Orthographic, Pinhole
-from caster.packing import pack
-from caster.placing import as_float32
-from caster.rendering import Aovs, render
-from caster.scene import Scene
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from caster.rendering.images import Aovs, render
+from caster.scene.files import Scene
 from caster.shapes import Cylinder, Disk, Plane, Sphere, Triangle
-from mitsuba_ref import render_check, shape_checks
-from mitsuba_ref.bounds import nearest_root
-from mitsuba_ref.bracket import Claims
-from mitsuba_ref.camera_reference import Limits, clip_planes
-from mitsuba_ref.cases import case_of
-from mitsuba_ref.exact import Oracle
-from mitsuba_ref.judging import our_view
-from mitsuba_ref.measuring import Measure
-from mitsuba_ref.meeting import KU, KU_OURS
-from mitsuba_ref.model import Model, model_of
-from mitsuba_ref.placed import Claim
-from mitsuba_ref.rays import SharedRays
-from mitsuba_ref.render_check import check_render
-from mitsuba_ref.shape_checks import check_geometry
-from mitsuba_ref.shapes import cylinder, disk, sphere, triangles
+from mitsuba_ref.cameras.camera_reference import ClipRange, clip_planes
+from mitsuba_ref.error_model.bounds import nearest_root
+from mitsuba_ref.error_model.bracket import Claims
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
+from mitsuba_ref.error_model.intersections import KU, KU_OURS
+from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.judge.classification import cast_ours
+from mitsuba_ref.judge.defect_features import FeatureMeasurement
+from mitsuba_ref.judge.known_defects import case_of
+from mitsuba_ref.judge.scene_checks import render_checks, shape_checks
+from mitsuba_ref.judge.scene_checks.render_checks import check_render
+from mitsuba_ref.judge.scene_checks.shape_checks import check_geometry
+from mitsuba_ref.oracle.oracle import Oracle
+from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.shapes import cylinder, disk, sphere, triangle_error
 
 # --- a near plane far from the origin
 
@@ -60,7 +60,7 @@ def altered(monkeypatch: pytest.MonkeyPatch, change: Any) -> None:
         ours = render(scene, names)
         return Aovs({**{name: ours[name].copy() for name in names}, **change(ours)}, ours.hit)
 
-    monkeypatch.setattr(render_check, "render", other)
+    monkeypatch.setattr(render_checks, "render", other)
 
 
 @pytest.mark.parametrize(
@@ -81,10 +81,10 @@ def test_a_faulty_picture_behind_a_near_plane_is_still_seen(change, monkeypatch)
 def test_a_picture_that_forgets_the_near_plane_is_seen(monkeypatch):
     """It shows the triangle, which ends before a near plane at 0.55; beyond that there is the ball."""
     scene = behind_a_near_plane(near=0.55)
-    without = render(behind_a_near_plane(near=0.0), render_check.NAMES)
+    without = render(behind_a_near_plane(near=0.0), render_checks.CHECKED_AOVS)
     assert check_render(scene).ok
     assert (without["depth"] < 0.55).any()
-    monkeypatch.setattr(render_check, "render", lambda scene, names: without)
+    monkeypatch.setattr(render_checks, "render", lambda scene, names: without)
     assert not check_render(scene).ok
 
 
@@ -98,7 +98,7 @@ def test_a_sensor_has_its_near_plane_before_its_far_plane(camera, near, far):
     given = camera(
         eye=(0, 0, 0), direction=(0, 0, 1), up=(0, 1, 0), near=near, **({"far": far} if far else {})
     )
-    planes = clip_planes(given, Limits(2.0**-20 * 1e9, 2.0**10 * 1e9))
+    planes = clip_planes(given, ClipRange(2.0**-20 * 1e9, 2.0**10 * 1e9))
     assert 0.0 < planes["near_clip"] < planes["far_clip"]
     assert not near or planes["near_clip"] == near
     assert not far or planes["far_clip"] == far
@@ -108,7 +108,7 @@ def test_a_sensor_has_its_near_plane_before_its_far_plane(camera, near, far):
 # --- positions of ours
 
 
-def modelled(shape: Any, o: np.ndarray, d: np.ndarray) -> tuple[Scene, SharedRays, Model]:
+def modelled(shape: Any, o: np.ndarray, d: np.ndarray) -> tuple[Scene, SharedRays, SceneModel]:
     """The judge's view of one shape and some rays (n, 3), in float32."""
     camera = {"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]}
     o, d = (np.atleast_2d(np.asarray(v, np.float32)) for v in (o, d))
@@ -125,11 +125,11 @@ def test_our_position_on_a_small_triangle_seen_from_afar_is_within_its_bound():
     d = np.array([0.0, 0.0, -1.0])  # an axis, so that the edge functions do not know how far away o is
     o = as_float32(weights @ corners - 3000.0 * d)
     scene, rays, model = modelled(Triangle(vertices=corners), o, np.tile(d, (len(o), 1)))
-    view = our_view(scene, rays)
+    view = cast_ours(scene, rays)
     hit = view.nearest.prim == 0
     o, d, prim = o[hit], rays.d[hit].astype(float), np.zeros(hit.sum(), int)
-    at = model.meet(prim, o, d, KU_OURS, ours=True).at
-    (bare,) = triangles.meet(model.kinds[0], prim, o, d, KU_OURS)
+    at = model.intersect(prim, o, d, KU_OURS, ours=True).at
+    (bare,) = triangle_error.intersect(model.kinds[0], prim, o, d, KU_OURS)
     point = o + view.nearest.t[hit, None] * d
     away = np.linalg.norm(view.surfaces.p[hit] - point, axis=1)
     assert hit.sum() >= 50
@@ -144,8 +144,8 @@ FLATTENED = [{"matrix": [[0.5, 0.4, 0.45, 0], [0.4, 0.33, 0.37, 0], [0.06, 0.02,
 @pytest.mark.parametrize(
     ("shape", "bare"),
     [
-        (Disk(to_world=FLATTENED), disk.meet),
-        (Cylinder(to_world=FLATTENED), cylinder.meet),
+        (Disk(to_world=FLATTENED), disk.intersect),
+        (Cylinder(to_world=FLATTENED), cylinder.intersect),
         (Sphere(to_world=FLATTENED), sphere.meet_ellipsoid),
     ],
     ids=["disk", "cylinder", "ellipsoid"],
@@ -156,11 +156,11 @@ def test_our_position_under_a_matrix_of_large_condition_is_within_its_bound(shap
     targets = shape.matrix[:3, :3] @ rng.uniform(-0.5, 0.5, (3, 400))
     o = np.tile([2.1, -1.7, 1.3], (400, 1))
     scene, rays, model = modelled(shape, o, targets.T - o)
-    view = our_view(scene, rays)
+    view = cast_ours(scene, rays)
     hit = np.flatnonzero(view.nearest.prim == 0)
     o, d, t = rays.o[hit].astype(float), rays.d[hit].astype(float), view.nearest.t[hit]
     prim = np.zeros(len(hit), int)
-    at = nearest_root(model.meet(prim, o, d, KU_OURS, ours=True), t)
+    at = nearest_root(model.intersect(prim, o, d, KU_OURS, ours=True), t)
     away = np.linalg.norm(view.surfaces.p[hit] - (o + t[:, None] * d), axis=1)
     assert len(hit) >= 150
     assert (away <= at.p_error).all()
@@ -172,9 +172,9 @@ def test_our_position_under_a_matrix_of_large_condition_is_within_its_bound(shap
         assert any(np.array_equal(root.p_error, p) for p in per_root(model, prim, o, d))
 
 
-def per_root(model: Model, prim: np.ndarray, o: np.ndarray, d: np.ndarray) -> list[np.ndarray]:
+def per_root(model: SceneModel, prim: np.ndarray, o: np.ndarray, d: np.ndarray) -> list[np.ndarray]:
     """Bounds on the position for Mitsuba, one array a root."""
-    met = model.meet(prim, o, d, KU, ours=False)
+    met = model.intersect(prim, o, d, KU, ours=False)
     return [met.at.p_error[i : i + len(prim)] for i in range(0, len(met.pair), len(prim))]
 
 
@@ -186,7 +186,7 @@ def test_a_plane_whose_patch_has_no_area_leaves_its_normal_open():
     o = np.array([[-2.6e9, 4.8e10, 3.6e11]])
     plane = Plane(point=o[0] + 20.0, normal=(-0.04, -0.89, 0.456))
     _, rays, model = modelled(plane, o, [[0.0, 0.6, -0.8]])
-    at = model.meet(np.array([0]), rays.o.astype(float), rays.d.astype(float), KU, ours=False).at
+    at = model.intersect(np.array([0]), rays.o.astype(float), rays.d.astype(float), KU, ours=False).at
     assert np.isinf(at.t_error).all() and np.isinf(at.n_error).all()
 
 
@@ -198,10 +198,10 @@ def measured(shape: Any, o: Any, d: Any, t: float, n: Any, p: Any) -> int | None
     _, rays, model = modelled(shape, o, d)
     line = rays.o.astype(float), rays.d.astype(float), rays.t_max.astype(float)
     oracle = Oracle(model.packed)
-    answers = [oracle.ask(line[0][0].tolist(), line[1][0].tolist())]
+    answers = [oracle.first_hit(line[0][0].tolist(), line[1][0].tolist())]
     n, p = (np.asarray(v, float)[None] for v in (n, p))
     claims = Claims(np.array([t]), np.array([0]), n, n, p)
-    (found,) = Measure(model, oracle).all_of(line, claims, answers, [0])
+    (found,) = FeatureMeasurement(model, oracle).all_of(line, claims, answers, [0])
     return case_of(found)
 
 
@@ -262,7 +262,9 @@ def test_denormal_corners_are_rounded_by_the_spacing_of_denormal_numbers(tiny):
 def test_corners_that_are_off_by_more_than_that_are_seen():
     float32 = shape_checks.PRECISIONS[1][2:]
     off = 2.0**-140
-    right = Claim("vertices", np.zeros(3), np.full(3, 2.0**-149), np.full(3, 2.0**-149))
-    assert shape_checks._share_of_claim(right, *float32) <= 1.0
-    assert shape_checks._share_of_claim(right._replace(expected=right.packed + off), *float32) > 1.0
-    assert shape_checks._share_of_claim(right._replace(size=np.zeros(3), rounded=False), *float32) == np.inf
+    right = ExpectedNumbers("vertices", np.zeros(3), np.full(3, 2.0**-149), np.full(3, 2.0**-149))
+    assert shape_checks._packing_error_ratio(right, *float32) <= 1.0
+    assert shape_checks._packing_error_ratio(right._replace(expected=right.packed + off), *float32) > 1.0
+    assert (
+        shape_checks._packing_error_ratio(right._replace(size=np.zeros(3), rounded=False), *float32) == np.inf
+    )

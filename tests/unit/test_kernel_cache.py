@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from caster.kernels.compiling import machine_code
-from caster.kernels.compiling.arguments import OTHER, checked_call, key_of
-from caster.kernels.compiling.kernel_cache import COMPILED, compiler_version, source_hash
+from caster.jit import machine_code
+from caster.jit.arguments import MISMATCH, checked_call, signature_key
+from caster.jit.kernel_cache import COMPILED, compiler_version, source_hash
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -19,13 +19,13 @@ pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba nothing is c
 SMALL = """
 import sys
 import numpy as np
-from caster.kernels.jit import WORK
-from caster.kernels.paint import paint_seen
-from caster.kernels.tile import new_tile, PLACE, put_none
-from caster.kernels.tree import cheapest
+from caster.jit.decorators import WORK
+from caster.kernels.surface.normals import paint_seen
+from caster.kernels.raster.tile import new_tile, PLACE, clear_rays
+from caster.kernels.bvh.build import cheapest
 WORK.compiling = lambda name: print("compiling", name)
 tile, hit = new_tile(), np.ones((2, 3), bool)
-put_none(tile, 0, 4)
+clear_rays(tile, 0, 4)
 tile[PLACE + 1] = 5.0
 paint_seen(tile, (0, 0, 3, 2), hit, np.zeros((2, 3), bool), np.zeros((0, 0)))
 assert hit.tolist()[0] == [False, True, False], hit
@@ -103,5 +103,5 @@ def test_a_call_made_for_some_classes_of_arguments_takes_no_others():
         (args[0], 1, 2.5, (4, 0)),
         (args[0], 1, 2.5, [4, None]),
     ):
-        assert call(*other) is OTHER, other
-        assert key_of(other) != key_of(args), other
+        assert call(*other) is MISMATCH, other
+        assert signature_key(other) != signature_key(args), other

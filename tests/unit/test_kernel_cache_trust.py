@@ -5,11 +5,11 @@ import stat
 
 import pytest
 
-from caster.kernels.compiling import kernel_cache, machine_code
-from caster.kernels.compiling.kernel_cache import cache_folder
-from caster.kernels.compiling.machine_code import Code
-from caster.kernels.jit import WORK
-from caster.progress import announced, say_if_not_kept
+from caster.cli.compile_progress import announce_compilation, say_if_not_kept
+from caster.jit import kernel_cache, machine_code
+from caster.jit.decorators import COMPILATION_LOG
+from caster.jit.kernel_cache import cache_folder
+from caster.jit.machine_code import ObjectCode
 
 NEW = cache_folder.__wrapped__  # what it would be in a new process
 
@@ -65,7 +65,7 @@ def test_a_folder_of_another_user_is_not_used(home, monkeypatch):
 
 def test_a_file_that_others_may_write_or_own_is_not_loaded(tmp_path, monkeypatch):
     path = tmp_path / "kernel.o"
-    Code("symbol", "i", "", b"machine code").write(path)
+    ObjectCode("symbol", "i", "", b"machine code").write(path)
     assert machine_code.read(path) is not None
     for mode in (0o620, 0o602, 0o666):
         path.chmod(mode)
@@ -81,8 +81,8 @@ def test_that_nothing_is_kept_is_said_once_with_the_way_out(home, capsys):
     NEW().parent.chmod(0o777)
     NEW()
     for what in ("mesh files", "sphere, pinhole"):
-        with announced(what):
-            WORK.compiling("a kernel")
+        with announce_compilation(what):
+            COMPILATION_LOG.compiling("a kernel")
     said = capsys.readouterr().err.splitlines()
     assert [line.startswith("compiling the kernels") for line in said] == [True, False, True]
     assert said[1] == (
@@ -93,6 +93,6 @@ def test_that_nothing_is_kept_is_said_once_with_the_way_out(home, capsys):
 
 def test_a_run_that_keeps_its_kernels_says_no_more_than_before(home, capsys):
     NEW()
-    with announced("sphere"):
-        WORK.compiling("a kernel")
+    with announce_compilation("sphere"):
+        COMPILATION_LOG.compiling("a kernel")
     assert capsys.readouterr().err.count("\n") == 1

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.scene import Scene
-from mitsuba_ref import shadows
-from mitsuba_ref.lambert import Hit, ambient, lit
-from mitsuba_ref.meeting import KU, Meetings
+from caster.scene.files import Scene
+from mitsuba_ref.error_model import shadows
+from mitsuba_ref.error_model.intersections import KU, Intersections
+from mitsuba_ref.error_model.lambert import ShadingPoints, ambient_radiance, light_contribution
 
 LIGHTS = [
     {"type": "point", "position": [1.3, 2.1, 0.4], "intensity": [10, 20, 5]},
@@ -35,14 +35,16 @@ def units(rng: np.random.Generator) -> np.ndarray:
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def hits(rng: np.random.Generator, p: Any, d: Any, sh_n: Any, p_error: float, sh_error: float) -> Hit:
+def hits(
+    rng: np.random.Generator, p: Any, d: Any, sh_n: Any, p_error: float, sh_error: float
+) -> ShadingPoints:
     flat, none = np.zeros(COUNT), np.zeros(COUNT, bool)
     errors = np.full(COUNT, sh_error)
-    at = Meetings(flat, flat, sh_n, errors, sh_n, errors, ~none, ~none, np.full(COUNT, p_error))
-    return Hit(p, d, np.arange(COUNT) % 2, at)
+    at = Intersections(flat, flat, sh_n, errors, sh_n, errors, ~none, ~none, np.full(COUNT, p_error))
+    return ShadingPoints(p, d, np.arange(COUNT) % 2, at)
 
 
-def some(rng: np.random.Generator, p_error: float = 0.0, sh_error: float = 0.0) -> Hit:
+def some(rng: np.random.Generator, p_error: float = 0.0, sh_error: float = 0.0) -> ShadingPoints:
     return hits(rng, rng.uniform(-1.0, 1.0, (COUNT, 3)), 3.0 * units(rng), units(rng), p_error, sh_error)
 
 
@@ -67,7 +69,7 @@ def radiance(light: dict[str, Any], material: dict[str, Any], p: Any, d: Any, n:
 @pytest.mark.parametrize("light", [0, 1], ids=["point", "directional"])
 def test_radiance_is_that_of_the_textbook(light):
     hit = some(np.random.default_rng([140, light]))
-    found = lit(SCENE, SCENE.lights[light], hit, KU)
+    found = light_contribution(SCENE, SCENE.lights[light], hit, KU)
     materials = list(MATERIALS.values())
     expected = np.array(
         [radiance(LIGHTS[light], materials[i % 2], hit.p[i], hit.d[i], hit.at.sh_n[i]) for i in range(COUNT)]
@@ -83,12 +85,12 @@ def test_the_bound_holds_for_points_and_normals_that_are_off_by_theirs(light, er
     """And is not far from what happens: some point uses more than half of it."""
     rng = np.random.default_rng([141, light])
     hit = some(rng, error, error)
-    found = lit(SCENE, SCENE.lights[light], hit, KU)
+    found = light_contribution(SCENE, SCENE.lights[light], hit, KU)
     used = np.zeros(COUNT)
     for _ in range(10):
         n = hit.at.sh_n + error * units(rng)
         moved = hits(rng, hit.p + error * units(rng), hit.d, n, 0.0, 0.0)
-        change = np.abs(lit(SCENE, SCENE.lights[light], moved, KU).radiance - found.radiance)
+        change = np.abs(light_contribution(SCENE, SCENE.lights[light], moved, KU).radiance - found.radiance)
         sure = ~found.doubtful  # where either side may be seen, the judge tries both
         with np.errstate(invalid="ignore"):
             share = np.where(change[sure] == 0.0, 0.0, change[sure] / found.error[sure]).max(axis=1)
@@ -99,7 +101,7 @@ def test_the_bound_holds_for_points_and_normals_that_are_off_by_theirs(light, er
 
 def test_ambient_light_is_reflectance_times_radiance():
     assert np.allclose(
-        ambient(SCENE, np.array([0, 1])), [[0.055, 0.05, 0.24], [0.022, 0.18, 0.128]], rtol=1e-15
+        ambient_radiance(SCENE, np.array([0, 1])), [[0.055, 0.05, 0.24], [0.022, 0.18, 0.128]], rtol=1e-15
     )
 
 
@@ -111,9 +113,9 @@ def test_mitsubas_constants():
 def test_mitsubas_shadow_rays_start_off_the_surface_and_stop_short_of_the_light():
     rng = np.random.default_rng(142)
     hit, normals = some(rng), units(rng)
-    point, sun = (lit(SCENE, SCENE.lights[i], hit, KU) for i in (0, 1))
+    point, sun = (light_contribution(SCENE, SCENE.lights[i], hit, KU) for i in (0, 1))
     p = hit.p + 1e-6 * units(rng)
-    near, far = (shadows.reference_rays(hit, light, p, normals) for light in (point, sun))
+    near, far = (shadows.reference_shadow_rays(hit, light, p, normals) for light in (point, sun))
     for rays, way in ((near, np.array(LIGHTS[0]["position"]) - p), (far, sun.to_light)):
         height = np.sum((rays.o - p) * normals, axis=1)
         assert np.allclose(np.abs(height), (1.0 + np.abs(p).max(axis=1)) * 8.940697e-05, rtol=1e-6)

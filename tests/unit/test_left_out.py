@@ -5,8 +5,8 @@ import pytest
 
 import caster
 from caster.__main__ import main
-from caster.left_out import LeftOut, left_out
-from caster.placing import LARGEST_COORDINATE, as_float32
+from caster.geometry.rejected import RejectedFaces, left_out
+from caster.geometry.world_space import LARGEST_COORDINATE, as_float32
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\n"
 GOOD = "f 1 2 3\nf 1 3 4\n"
@@ -28,13 +28,13 @@ def ids_across(scene):
 @pytest.mark.parametrize(
     ("corner", "count"),
     [
-        ("nan 0 0", LeftOut(1, 0, 0)),
-        ("0 inf 0", LeftOut(1, 0, 0)),
-        ("0 0 -1e400", LeftOut(1, 0, 0)),
-        ("1e19 0 1", LeftOut(0, 1, 0)),
-        (f"0 {-LARGEST_COORDINATE!r} 1", LeftOut(0, 1, 0)),
-        ("3 3 0", LeftOut(0, 0, 1)),  # on the line through corners 1 and 3
-        ("-1 -1 0", LeftOut(0, 0, 1)),
+        ("nan 0 0", RejectedFaces(1, 0, 0)),
+        ("0 inf 0", RejectedFaces(1, 0, 0)),
+        ("0 0 -1e400", RejectedFaces(1, 0, 0)),
+        ("1e19 0 1", RejectedFaces(0, 1, 0)),
+        (f"0 {-LARGEST_COORDINATE!r} 1", RejectedFaces(0, 1, 0)),
+        ("3 3 0", RejectedFaces(0, 0, 1)),  # on the line through corners 1 and 3
+        ("-1 -1 0", RejectedFaces(0, 0, 1)),
     ],
 )
 def test_a_face_that_cannot_be_hit_is_counted_and_its_neighbours_stay(tmp_path, corner, count):
@@ -56,7 +56,7 @@ def test_a_face_just_within_the_limit_is_hit(tmp_path):
 
 def test_what_float32_makes_too_large_is_left_out_of_what_is_judged(tmp_path):
     scene = a_mesh(tmp_path, "v 1e39 0 1\nf 1 3 5\n")
-    assert left_out(scene, as_float32)["shape-0"] == LeftOut(1, 0, 0)  # inf in float32
+    assert left_out(scene, as_float32)["shape-0"] == RejectedFaces(1, 0, 0)  # inf in float32
 
 
 def test_a_mesh_none_of_which_stays_finite_is_refused(tmp_path):
@@ -77,7 +77,7 @@ def test_without_area_is_decided_exactly(tmp_path):
         for p in (a, b, mean, (np.nextafter(mean[0], 9.0).item(), *mean[1:]))
     ]
     (got,) = left_out(a_mesh(tmp_path, "".join(rows) + "f 5 6 7\nf 5 6 8\n")).values()
-    assert got == LeftOut(0, 0, 1)
+    assert got == RejectedFaces(0, 0, 1)
 
 
 def test_the_count_is_told(tmp_path, capsys, monkeypatch):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from caster import Pinhole, Scene
-from caster.left_out import left_out
-from caster.packing import pack
+from caster.geometry.packing import pack
+from caster.geometry.rejected import left_out
 from caster.shapes import Heightfield
 
 RESOLUTION = 500

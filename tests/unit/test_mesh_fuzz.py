@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from caster.fields import SceneError
-from caster.mesh import check_mesh
-from caster.mesh_files.obj import parse_obj
-from caster.mesh_files.ply import parse_ply
-from caster.placing import as_given, triangles
+from caster.geometry.mesh import check_mesh
+from caster.geometry.mesh_files.obj import parse_obj
+from caster.geometry.mesh_files.ply import parse_ply
+from caster.geometry.world_space import as_given, transform_mesh
+from caster.scene.fields import SceneError
 
 HEADER = (
     "ply\nformat {} 1.0\ncomment x\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
@@ -46,7 +46,7 @@ def usable_or_refused(parse, data):
         return
     assert mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)
     if np.isfinite(mesh.vertices).any():  # else it is refused when it is put into place
-        placed = triangles(mesh, np.eye(4), as_given, face_normals=False)
+        placed = transform_mesh(mesh, np.eye(4), as_given, face_normals=False)
         assert np.isfinite(placed.vertices).all() and np.isfinite(placed.normals).all()
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from caster.fields import SceneError
-from caster.mesh import Mesh, check_mesh, unit_rows, vertex_normals
+from caster.geometry.mesh import Mesh, check_mesh, normalize_rows, vertex_normals
+from caster.scene.fields import SceneError
 
 # About twenty roundings of u = 2^-53 lie between the corners and a component of a unit vector.
 ROUNDING = 32 * 2.0**-53
@@ -95,7 +95,9 @@ def test_a_degenerate_face_adds_nothing():
 
 
 def test_unit_rows_keeps_zeros_and_spans_all_magnitudes():
-    rows = unit_rows(np.array([(0, 0, 0), (3e300, 4e300, 0), (0, 3e-320, 4e-320), (0, 0, -5e-324)], float))
+    rows = normalize_rows(
+        np.array([(0, 0, 0), (3e300, 4e300, 0), (0, 3e-320, 4e-320), (0, 0, -5e-324)], float)
+    )
     # 3e-320 has 13 bits only: its direction is off by 2^-13
     assert np.abs(rows - [(0, 0, 0), (0.6, 0.8, 0), (0, 0.6, 0.8), (0, 0, -1)]).max() <= 2.0**-12
     assert np.abs(np.linalg.norm(rows[1:], axis=1) - 1).max() <= ROUNDING

@@ -5,14 +5,14 @@ import random
 import numpy as np
 import pytest
 
-from caster.kernels.compiling.kernel_cache import COMPILED
-from caster.kernels.text import POWERS, real
-from caster.mesh_files import obj as obj_files
-from caster.mesh_files.obj import parse_any_obj, parse_obj
-from caster.mesh_files.plain_text import read_plain_obj, read_plain_rows
-from caster.mesh_files.ply import parse_ply
-from caster.mesh_files.ply_ascii import _read_plain, read_any_ascii
-from caster.mesh_files.ply_header import parse_header
+from caster.geometry.mesh_files import obj as obj_files
+from caster.geometry.mesh_files.obj import parse_any_obj, parse_obj
+from caster.geometry.mesh_files.plain_text import read_plain_obj, read_plain_rows
+from caster.geometry.mesh_files.ply import parse_ply
+from caster.geometry.mesh_files.ply_body import _read_plain, read_any_ascii
+from caster.geometry.mesh_files.ply_header import parse_header
+from caster.geometry.mesh_files.text_kernels import POWERS_OF_TEN, parse_real
+from caster.jit.kernel_cache import COMPILED
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba there is one reader only, the slow one")
 
@@ -52,7 +52,7 @@ def test_numbers_are_rounded_to_the_nearest():
         assert read[0].tobytes() == np.array([[float(text)]]).tobytes(), (text, read[0], float(text))
     for _ in range(200):  # and those of 17 digits, which programs write, are nearly all read in the fast way
         text = np.frombuffer(f"{draw.uniform(-1, 1):.17g}".encode(), np.uint8)
-        sure += real.function(text, 0, POWERS)[2]
+        sure += parse_real.function(text, 0, POWERS_OF_TEN)[2]
     assert sure > 190
 
 
@@ -161,7 +161,7 @@ def test_random_ply_files_give_the_same_bits_or_the_same_words_both_ways(monkeyp
         plain += _read_plain(data, header) is not None
         fast = outcome(data)
         with monkeypatch.context() as without:
-            without.setattr("caster.mesh_files.ply.read_ascii", read_any_ascii)
+            without.setattr("caster.geometry.mesh_files.ply.read_ascii", read_any_ascii)
             slow = outcome(data)
         assert fast == slow, data
     assert plain > 200

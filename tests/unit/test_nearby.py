@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting, rays_at, scene_of
 
-from caster.packing import pack
-from caster.placing import as_float32
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
 from caster.shapes import Plane
-from mitsuba_ref import nearby
-from mitsuba_ref.meeting import KU_OURS
-from mitsuba_ref.model import Model, model_of
-from mitsuba_ref.nearby import GROUP, Nearby, along_a_curve, spread_bits
-from mitsuba_ref.rays import SharedRays
+from mitsuba_ref.error_model import bracket
+from mitsuba_ref.error_model.bracket import PRIMS_PER_GROUP, BroadPhase, morton_order, spread_bits
+from mitsuba_ref.error_model.intersections import KU_OURS
+from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.reference.rays import SharedRays
 
 SETTINGS = (
     Setting(),
@@ -21,7 +21,9 @@ SETTINGS = (
 )
 
 
-def crowd(kind: str, seed: list[int], setting: Setting, rays: int) -> tuple[Model, np.ndarray, np.ndarray]:
+def crowd(
+    kind: str, seed: list[int], setting: Setting, rays: int
+) -> tuple[SceneModel, np.ndarray, np.ndarray]:
     """A scene of many primitives with a plane among them, and rays at every one."""
     rng = np.random.default_rng(seed)
     scene = scene_of(kind, rng, setting, 1 if kind == "meshes" else 70)
@@ -42,10 +44,10 @@ def test_every_possible_hit_ahead_is_near(kind):
         model, o, d = crowd(kind, [110, number], setting, 400)
         count = len(model.boxes[0])
         ray, prim = (a.ravel() for a in np.meshgrid(np.arange(len(o)), np.arange(count), indexing="ij"))
-        met = model.meet(prim, o[ray], d[ray], KU_OURS, ours=True)
+        met = model.intersect(prim, o[ray], d[ray], KU_OURS, ours=True)
         sure = met.pair[met.at.possible & (met.at.t > 0.0)]
         needed = set((ray[sure] * count + prim[sure]).tolist())
-        given = [r * count + p for r, p in Nearby(*model.boxes).pairs(o, d)]
+        given = [r * count + p for r, p in BroadPhase(*model.boxes).pairs(o, d)]
         assert needed <= set(np.concatenate(given).tolist())
         tried, hits = tried + len(ray), hits + len(needed)
     assert tried >= 1e5 and hits >= 1000
@@ -54,9 +56,9 @@ def test_every_possible_hit_ahead_is_near(kind):
 def test_each_ray_is_in_one_piece_only(monkeypatch):
     """And pieces change nothing."""
     model, o, d = crowd("triangles", [111], Setting(), 500)
-    whole = list(Nearby(*model.boxes).pairs(o, d))
-    monkeypatch.setattr(nearby, "TESTS_AT_ONCE", 64 * GROUP * 7)
-    pieces = list(Nearby(*model.boxes).pairs(o, d))
+    whole = list(BroadPhase(*model.boxes).pairs(o, d))
+    monkeypatch.setattr(bracket, "BOX_TESTS_PER_BATCH", 64 * PRIMS_PER_GROUP * 7)
+    pieces = list(BroadPhase(*model.boxes).pairs(o, d))
     assert len(whole) == 1 and len(pieces) > 50
     rays = [set(ray.tolist()) for ray, _ in pieces]
     assert sum(map(len, rays)) == len(set.union(*rays))
@@ -66,7 +68,7 @@ def test_each_ray_is_in_one_piece_only(monkeypatch):
 
 def test_most_of_what_a_ray_passes_by_is_left_out():
     model, o, d = crowd("meshes", [112], Setting(distances=(10.0, 20.0)), 300)
-    ((_, prim),) = Nearby(*model.boxes).pairs(o, d)
+    ((_, prim),) = BroadPhase(*model.boxes).pairs(o, d)
     assert len(prim) < 0.1 * len(o) * len(model.boxes[0])
 
 
@@ -76,21 +78,21 @@ def test_boxes_without_bounds_come_last_and_spoil_no_others():
     high = low + 0.01
     endless = np.arange(0, 200, 5)
     low[endless], high[endless] = -np.inf, np.inf
-    order = along_a_curve(low, high)
+    order = morton_order(low, high)
     assert sorted(order.tolist()) == list(range(200))
     assert order[-len(endless) :].tolist() == endless.tolist()
-    boxes = Nearby(low, high)
-    assert np.isfinite(boxes.group_low[: 160 // GROUP]).all()
+    boxes = BroadPhase(low, high)
+    assert np.isfinite(boxes.group_low[: 160 // PRIMS_PER_GROUP]).all()
     ((_, prim),) = boxes.pairs(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, 1.0]]))  # away from all
     assert sorted(prim.tolist()) == endless.tolist()
 
 
 def test_boxes_at_one_place_or_none_at_all_are_fine():
-    same = np.zeros((GROUP + 1, 3))
-    ((_, prim),) = Nearby(same, same).pairs(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, -1.0]]))
-    assert len(prim) == GROUP + 1
+    same = np.zeros((PRIMS_PER_GROUP + 1, 3))
+    ((_, prim),) = BroadPhase(same, same).pairs(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, -1.0]]))
+    assert len(prim) == PRIMS_PER_GROUP + 1
     nothing = np.zeros((0, 3))
-    ((ray, prim),) = Nearby(nothing, nothing).pairs(np.zeros((2, 3)), np.ones((2, 3)))
+    ((ray, prim),) = BroadPhase(nothing, nothing).pairs(np.zeros((2, 3)), np.ones((2, 3)))
     assert len(ray) == len(prim) == 0
 
 

@@ -4,9 +4,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from caster.kernels.triangles import HALF_KNOWN, across
-from caster.kernels.twofold import difference, product
-from caster.kernels.vec import U, cross, permanent, sub
+from caster.kernels.math.error_free import two_diff, two_product
+from caster.kernels.math.vec import U, cross, permanent, sub
+from caster.kernels.triangles import MIN_SIN_SQUARED, triangle_normal
 
 MANY = 300
 FEW_U = 4 * U
@@ -48,18 +48,18 @@ def test_the_normal_of_a_needle_is_known_to_the_last_bits():
             e1, e2 = sub(b, a), sub(c, a)
             plain, spread = np.linalg.norm(cross(e1, e2)), np.linalg.norm(permanent(e1, e2))
             lost += plain <= 4 * U * spread
-            half = plain**2 > HALF_KNOWN * spread**2
+            half = plain**2 > MIN_SIN_SQUARED * spread**2
             known = 4 * U * (1 + 2 * spread / plain if half else 1)
-            assert abs(np.array(across(a, b, c)) - to_unit(exact)).max() <= known, (bits, corners)
+            assert abs(np.array(triangle_normal(a, b, c)) - to_unit(exact)).max() <= known, (bits, corners)
     assert lost > MANY // 30  # the textbook's cross product is nothing worth for many of them
 
 
 def test_a_line_has_a_normal_across_it_and_a_point_has_none():
     for axis in np.vstack([np.eye(3), [[1.0, -2.0, 3.0], [1e-200, 3e-200, 0.0], [0.0, 1e15, -1e15]]]):
         a, b, c = of(np.array([0.0 * axis, 2.0 * axis, axis]))
-        n = np.array(across(a, b, c))
+        n = np.array(triangle_normal(a, b, c))
         assert abs(np.linalg.norm(n) - 1.0) <= FEW_U and abs(n @ axis) <= FEW_U * np.abs(axis).max()
-    assert across((1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (1.0, 2.0, 3.0)) == (0.0, 0.0, 0.0)
+    assert triangle_normal((1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (1.0, 2.0, 3.0)) == (0.0, 0.0, 0.0)
 
 
 def test_twofold_numbers_lack_nothing():
@@ -68,8 +68,8 @@ def test_twofold_numbers_lack_nothing():
     with_error = 0
     for a, b in numbers.tolist():
         for (x, y), exact in (
-            (difference(a, b), Fraction(a) - Fraction(b)),
-            (product(a, b), Fraction(a) * Fraction(b)),
+            (two_diff(a, b), Fraction(a) - Fraction(b)),
+            (two_product(a, b), Fraction(a) * Fraction(b)),
         ):
             assert Fraction(x) + Fraction(y) == exact
             with_error += y != 0.0

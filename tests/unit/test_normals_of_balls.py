@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from caster.kernels.roots import plain_way_out, way_out
+from caster.kernels.math.quadric_roots import outward_normal, outward_normal_in_range
 
 
 def test_both_ways_to_a_normal_round_a_tiny_component_alike():
@@ -13,4 +13,6 @@ def test_both_ways_to_a_normal_round_a_tiny_component_alike():
         d = rng.normal(size=2)
         y, z = (d / np.linalg.norm(d)).tolist()
         f = (-tiny, -3.0 * r * y + 0.2 * r * z, -3.0 * r * z - 0.2 * r * y)
-        assert way_out(f, (0.0, y, z), 2.0 * r, r) == plain_way_out(f, (0.0, y, z), 2.0 * r, r)
+        assert outward_normal(f, (0.0, y, z), 2.0 * r, r) == outward_normal_in_range(
+            f, (0.0, y, z), 2.0 * r, r
+        )

@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 from made_verdicts import scene as made
 
-from caster.whole_files import OutputError
-from mitsuba_ref import campaign
+from caster.image.atomic_files import OutputError
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.ci import out_folder
-from mitsuba_ref.report.writing import PICTURES_UP_TO, Report
-from mitsuba_ref.written import LIST, Written
+from mitsuba_ref.report.html.html_report import MAX_PIXELS_WITH_IMAGES, HtmlReport
+from mitsuba_ref.report.output_manifest import MANIFEST, OutputManifest
+from mitsuba_ref.runner import resume, scene_runner
 
 SCENE = (
     '# {name}\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
@@ -37,11 +36,11 @@ def judged(tmp_path, monkeypatch):
         if entry.name in settings["problem"]:
             return made(entry.name, ok=False, problem="crash")
         files = tuple(f"{entry.name}.{each}.toml" for each in settings["reproducers"])
-        for file in (*files, *(f"{entry.name}.{which}.exr" for which in out_folder.PICTURES)):
+        for file in (*files, *(f"{entry.name}.{which}.exr" for which in resume.IMAGES)):
             (folder / file).write_bytes(f"{file}\n".encode())
         return made(entry.name, reproducers=files)
 
-    monkeypatch.setattr(campaign, "judge_entry", judge)
+    monkeypatch.setattr(scene_runner, "judge_entry", judge)
 
     def run(*words, places=("scenes",), **changed):
         settings.update(reproducers=(), problem=(), stop=())
@@ -63,7 +62,7 @@ def test_files_of_a_scene_that_is_renamed_or_gone_are_removed_and_counted(judged
     capsys.readouterr()
     assert judged(*resume) == 0
     assert f"out: removed 6 {REMOVED}" in capsys.readouterr().err
-    assert names(".exr") == sorted(f"{name}.{which}.exr" for name in "cz" for which in out_folder.PICTURES)
+    assert names(".exr") == sorted(f"{name}.{which}.exr" for name in "cz" for which in resume.IMAGES)
     assert judged() == 0 and "removed" not in capsys.readouterr().err  # once
 
 
@@ -110,13 +109,13 @@ def test_a_run_of_some_scenes_removes_only_what_is_theirs(judged, capsys, words,
 def test_no_verdict_of_an_earlier_run_is_there_while_one_goes_on(judged, monkeypatch):
     """Who is killed leaves none, and --resume has the journal."""
     judged()
-    judge, seen = campaign.judge_entry, []
+    judge, seen = scene_runner.judge_entry, []
 
     def looking(entry, folder, *, keep=False):
         seen.append(Path("out/verdict.json").exists())
         return judge(entry, folder, keep=keep)
 
-    monkeypatch.setattr(campaign, "judge_entry", looking)
+    monkeypatch.setattr(scene_runner, "judge_entry", looking)
     Path("scenes/a.toml").write_text(SCENE.format(name="another"))
     assert judged("--resume") == 0 and seen == [False]
     assert judged() == 0 and seen == [False] * 4 and Path("out/verdict.json").exists()
@@ -130,8 +129,8 @@ def test_shards_in_one_folder_spare_each_other(judged, capsys):
 
 def test_a_candidates_pictures_are_listed_too():
     one = made("a")
-    assert out_folder.files_of(one)[0] == "a.ours.exr"
-    assert out_folder.files_of(replace(one, candidate="x:y"))[0] == "a.candidate.exr"
+    assert resume.files_of(one)[0] == "a.ours.exr"
+    assert resume.files_of(replace(one, candidate="x:y"))[0] == "a.candidate.exr"
 
 
 def test_a_run_that_was_killed_leaves_a_list_that_is_read_as_far_as_it_goes(tmp_path):
@@ -140,29 +139,29 @@ def test_a_run_that_was_killed_leaves_a_list_that_is_read_as_far_as_it_goes(tmp_
     folder.mkdir()
     for path in (folder / "a.exr", folder / "b.exr", tmp_path / "outside.exr"):
         path.write_bytes(b"x")
-    first = Written(folder)
+    first = OutputManifest(folder)
     first.add("a", ["a.exr", "missing.exr"])
-    line = json.loads((folder / LIST).read_text())
+    line = json.loads((folder / MANIFEST).read_text())
     others = [json.dumps(line | {"file": "../outside.exr"}), "[1]", json.dumps(line | {"file": "b.exr"})[:-9]]
-    with (folder / LIST).open("a") as file:
+    with (folder / MANIFEST).open("a") as file:
         file.write("\n".join(others))
-    second = Written(folder)
+    second = OutputManifest(folder)
     second.add("c", ["b.exr"])
     assert second.sweep().removed == ("a.exr",)
     assert (tmp_path / "outside.exr").exists() and (folder / "b.exr").exists()
-    assert [json.loads(each)["file"] for each in (folder / LIST).read_text().splitlines()] == ["b.exr"]
+    assert [json.loads(each)["file"] for each in (folder / MANIFEST).read_text().splitlines()] == ["b.exr"]
 
 
 def test_what_another_run_writes_meanwhile_is_not_removed(tmp_path):
     """Not even where it writes the same bytes that an earlier run wrote."""
     for name in ("a", "b", "c"):
         (tmp_path / f"{name}.exr").write_bytes(b"x")
-    Written(tmp_path).add("a", ["a.exr", "b.exr"])
-    one, other = Written(tmp_path), Written(tmp_path)
+    OutputManifest(tmp_path).add("a", ["a.exr", "b.exr"])
+    one, other = OutputManifest(tmp_path), OutputManifest(tmp_path)
     other.add("b", ["b.exr", "c.exr"])
     assert one.sweep().removed == ("a.exr",)
     assert other.sweep().removed == () and set(other.now) == {"b.exr", "c.exr"}
-    assert Written(tmp_path).sweep().removed == ("b.exr", "c.exr")
+    assert OutputManifest(tmp_path).sweep().removed == ("b.exr", "c.exr")
 
 
 def test_a_file_that_cannot_be_removed_is_an_output_error(judged, monkeypatch, capsys):
@@ -187,7 +186,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np, OpenEXR
-from caster.exr import write_exr
+from caster.image.exr import write_exr
 write = OpenEXR.File.write
 def half(file, path):
     Path(path).write_bytes(b"half a picture")
@@ -204,10 +203,10 @@ def test_a_run_that_is_killed_while_it_writes_leaves_no_half_picture_under_its_n
 
 
 def test_a_folder_whose_list_cannot_be_written_is_said_before_any_work(judged, capsys):
-    Path(f"out/{LIST}").mkdir(parents=True)
+    Path(f"out/{MANIFEST}").mkdir(parents=True)
     assert (
         judged() == OutputError.exit_code
-        and f"out/{LIST}: expected a file to write" in capsys.readouterr().err
+        and f"out/{MANIFEST}: expected a file to write" in capsys.readouterr().err
     )
 
 
@@ -217,11 +216,13 @@ def test_a_folder_whose_list_cannot_be_written_is_said_before_any_work(judged, c
 @pytest.fixture
 def report(tmp_path, monkeypatch):
     """report(scene, ...): a report on them in tmp_path, swept. What goes into its pages is made up."""
-    monkeypatch.setattr("mitsuba_ref.report.writing.record", lambda verdict, seen, *, exact: Recorded())
-    monkeypatch.setattr("mitsuba_ref.report.writing.page", lambda *_: ["<title>ray-reference"])
+    monkeypatch.setattr(
+        "mitsuba_ref.report.html.html_report.scene_record", lambda verdict, seen, *, exact: Recorded()
+    )
+    monkeypatch.setattr("mitsuba_ref.report.html.html_report.page", lambda *_: ["<title>ray-reference"])
 
     def made_of(*scenes, spared=()):
-        one = Report(tmp_path, len(scenes))
+        one = HtmlReport(tmp_path, len(scenes))
         for each in scenes:
             one.add(one.keep(each))
         one.write()
@@ -247,7 +248,7 @@ def test_a_report_keeps_no_scene_that_its_page_does_not_lead_to(tmp_path, report
     (tmp_path / "data/mine.js").write_text("mine")
     report(judged_now("a"), judged_now("b c"))
     assert report(judged_now("b c"), judged_now("d"))[1].removed == ("a.js",)
-    assert pages(tmp_path) == ["b c.js", "d.js", "mine.js", LIST]
+    assert pages(tmp_path) == ["b c.js", "d.js", "mine.js", MANIFEST]
     assert report(judged_now("d"), spared=["b c"])[1].removed == ()
 
 
@@ -256,9 +257,9 @@ def test_the_page_of_a_kept_scene_is_kept_and_says_so(tmp_path, report):
     before, _ = report(judged_now("a"))
     kept = replace(made("a", inputs="same"), kept=True)
     for _ in range(2):  # also of a report that had kept it
-        assert Report(tmp_path, 1).holds(kept)
+        assert HtmlReport(tmp_path, 1).holds(kept)
         after, swept = report(kept)
-        assert swept.removed == () and pages(tmp_path) == ["a.js", LIST]
+        assert swept.removed == () and pages(tmp_path) == ["a.js", MANIFEST]
         assert after.rows[0] == before.rows[0] | {"kept": True}
     assert after.rows[0]["file"] == "a.js" and after.rows[0]["thumbnail"] == Recorded.thumbnail
 
@@ -272,14 +273,16 @@ def test_data_of_another_verdict_are_not_those_of_a_kept_scene(tmp_path, report,
         (tmp_path / "data/a.js").unlink()
     inputs = {"other inputs": "other", "no inputs": ""}.get(what, "same")
     kept = replace(made("a", inputs=inputs), kept=True)
-    assert not Report(tmp_path, 1).holds(kept)
+    assert not HtmlReport(tmp_path, 1).holds(kept)
     assert report(kept)[0].rows[0]["file"] == ""
 
 
 def test_one_file_has_no_data_to_keep_and_huge_films_have_none_at_all(tmp_path):
     kept = replace(made("a", inputs="same"), kept=True)
-    one = Report(tmp_path / "r.html", 1)
-    assert one.holds(kept) and Report(tmp_path / "page", 1).holds(replace(kept, pixels=PICTURES_UP_TO + 1))
+    one = HtmlReport(tmp_path / "r.html", 1)
+    assert one.holds(kept) and HtmlReport(tmp_path / "page", 1).holds(
+        replace(kept, pixels=MAX_PIXELS_WITH_IMAGES + 1)
+    )
     one.close()
 
 

@@ -9,19 +9,25 @@ from PIL import Image
 import caster
 from caster.__main__ import main
 from caster.aovs import BY_NAME
-from caster.pictures.colors import (
-    CONES_OF_LAB,
-    RGB_OF_CONES,
-    linear_of_lab,
-    of_numbers,
-    path_of_scale,
-    scale,
-    screen,
+from caster.image.aov_views import (
+    CHECKER_GREYS,
+    CHECKER_PIXELS,
+    COLORINGS,
+    LINEAR_SRGB_FROM_LMS,
+    LMS_FROM_OKLAB,
+    NON_FINITE_COLOR,
+    LabelledImage,
+    aov_view,
+    checkerboard,
+    colormap,
+    colormap_path,
+    label_colors,
+    oklab_to_linear_srgb,
+    srgb_encoded,
     to_bytes,
 )
-from caster.pictures.files import SUFFIXES, label, read_picture
-from caster.pictures.layout import GAP, LABEL, sheet
-from caster.pictures.views import CHECK, CHECKER, NOT_FINITE, PAINTERS, Picture, checker, view
+from caster.image.image_files import IMAGE_FORMATS, label_image, read_image
+from caster.image.previews import GAP_PIXELS, LABEL_PIXELS, sheet
 
 pytestmark = pytest.mark.usefixtures("warm")
 
@@ -56,48 +62,55 @@ def lab_of(pixels):
     """Bytes of a screen -> OKLab, by the inverses of what is tested."""
     x = np.asarray(pixels) / 255.0
     linear = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
-    return np.cbrt(linear @ np.linalg.inv(RGB_OF_CONES).T) @ np.linalg.inv(CONES_OF_LAB).T
+    return np.cbrt(linear @ np.linalg.inv(LINEAR_SRGB_FROM_LMS).T) @ np.linalg.inv(LMS_FROM_OKLAB).T
 
 
 def test_oklab_has_the_values_its_author_publishes():
     """White is (1, 0, 0); red of sRGB is (0.628, 0.225, 0.126)."""
-    assert linear_of_lab(np.array([1.0, 0.0, 0.0])) == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
+    assert oklab_to_linear_srgb(np.array([1.0, 0.0, 0.0])) == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
     assert lab_of([255, 0, 0]) == pytest.approx([0.627955, 0.224863, 0.125846], abs=1e-5)
 
 
 def test_the_scale_fits_a_screen_and_its_steps_are_even():
     """Rounding to bytes moves a colour by up to 0.004 in OKLab; a step is 0.0041."""
-    linear = linear_of_lab(path_of_scale(np.linspace(0.0, 1.0, 1000)))
+    linear = oklab_to_linear_srgb(colormap_path(np.linspace(0.0, 1.0, 1000)))
     assert linear.min() > 0.0 and linear.max() < 1.0
-    lab = lab_of(scale())
+    lab = lab_of(colormap())
     eighths = np.linalg.norm(np.diff(lab[::15], axis=0), axis=1)  # of fifteen steps each
     assert np.ptp(eighths) < 0.1 * eighths.mean()
     assert (np.diff(lab[::5, 0]) > 0.0).all()
 
 
 def test_light_is_shown_by_the_curve_of_srgb():
-    assert to_bytes(screen(np.array([-1.0, 0.0, 0.002, 0.5, 1.0, 9.0]))).tolist() == [0, 0, 7, 188, 255, 255]
+    assert to_bytes(srgb_encoded(np.array([-1.0, 0.0, 0.002, 0.5, 1.0, 9.0]))).tolist() == [
+        0,
+        0,
+        7,
+        188,
+        255,
+        255,
+    ]
 
 
 def test_numbers_have_colours_of_their_own():
-    colors = of_numbers(np.arange(64))
+    colors = label_colors(np.arange(64))
     apart = np.linalg.norm(lab_of(colors)[:, None] - lab_of(colors)[None], axis=-1) + np.eye(64)
     assert apart.min() > 0.005  # no two of 64 are the same, and
     near = np.array([apart[i, j] for i in range(64) for j in range(i + 1, min(i + 4, 64))])
     assert near.min() > 0.07  # of numbers that follow each other none are alike
-    assert of_numbers(np.array([2**31 - 1])).shape == (1, 3)
+    assert label_colors(np.array([2**31 - 1])).shape == (1, 3)
 
 
 def test_every_aov_has_a_picture():
-    assert PAINTERS.keys() == BY_NAME.keys()
+    assert COLORINGS.keys() == BY_NAME.keys()
 
 
 def test_every_aov_of_a_render_is_shown(folder):
     """Hits are not the checker, misses are; broken values are magenta."""
     aovs = caster.render(caster.load_scene("s.toml"), tuple(BY_NAME))
-    behind = checker(aovs.hit.shape)
+    behind = checkerboard(aovs.hit.shape)
     for name in BY_NAME:
-        shown = view(name, aovs[name], aovs.hit)
+        shown = aov_view(name, aovs[name], aovs.hit)
         assert shown.pixels.shape == (16, 24, 3) and shown.pixels.dtype == np.uint8
         if name != "hit":
             assert (shown.pixels[~aovs.hit] == behind[~aovs.hit]).all(), name
@@ -108,22 +121,27 @@ def test_values_that_are_not_finite_are_magenta_and_counted():
     values, hit = np.ones((2, 3)), np.ones((2, 3), bool)
     values[0, 1], values[1] = np.nan, np.inf
     hit[1, 2] = False
-    shown = view("depth", values, hit)
+    shown = aov_view("depth", values, hit)
     assert shown.words.endswith("; 1 pixel NaN, 2 pixels infinite: magenta")
-    assert (shown.pixels == NOT_FINITE).all(axis=-1).tolist() == [[False, True, False], [True, True, False]]
-    assert view("normal", np.full((1, 1, 3), np.nan), np.ones((1, 1), bool)).words.startswith(
+    assert (shown.pixels == NON_FINITE_COLOR).all(axis=-1).tolist() == [
+        [False, True, False],
+        [True, True, False],
+    ]
+    assert aov_view("normal", np.full((1, 1, 3), np.nan), np.ones((1, 1), bool)).words.startswith(
         "nothing to show; 1 "
     )
 
 
 def test_the_checker_has_squares_of_two_greys():
-    squares = checker((2 * CHECK, CHECK))
-    assert (squares[:CHECK] == CHECKER[0]).all() and (squares[CHECK:] == CHECKER[1]).all()
+    squares = checkerboard((2 * CHECKER_PIXELS, CHECKER_PIXELS))
+    assert (squares[:CHECKER_PIXELS] == CHECKER_GREYS[0]).all() and (
+        squares[CHECKER_PIXELS:] == CHECKER_GREYS[1]
+    ).all()
 
 
 def one_row(name, *values):
     rows = np.array([values], np.float64)
-    return view(name, rows, np.ones(rows.shape[:2], bool))
+    return aov_view(name, rows, np.ones(rows.shape[:2], bool))
 
 
 @pytest.mark.parametrize(
@@ -137,12 +155,12 @@ def one_row(name, *values):
 def test_depth_is_light_near_and_dark_far_and_says_its_range(depths, middle, says):
     shown = one_row("depth", *depths)
     assert shown.words == says
-    colors = scale()
+    colors = colormap()
     assert shown.pixels[0].tolist() == [colors[i].tolist() for i in (255, round(255 * middle), 0)]
 
 
 def test_a_flat_depth_is_one_colour():
-    assert (one_row("depth", 3.0, 3.0).pixels == scale()[255]).all()
+    assert (one_row("depth", 3.0, 3.0).pixels == colormap()[255]).all()
 
 
 def test_directions_positions_uv_and_light_have_known_colours():
@@ -159,16 +177,16 @@ def test_directions_positions_uv_and_light_have_known_colours():
 
 
 def test_a_sheet_has_a_cell_with_a_label_for_each(folder):
-    pictures = [Picture(f"p{i}", np.full((10 + i, 30, 3), i, np.uint8), "") for i in range(5)]
+    pictures = [LabelledImage(f"p{i}", np.full((10 + i, 30, 3), i, np.uint8), "") for i in range(5)]
     found = sheet(pictures, 2)
-    assert found.shape == (3 * (14 + LABEL) + 2 * GAP, 2 * 30 + GAP, 3)
+    assert found.shape == (3 * (14 + LABEL_PIXELS) + 2 * GAP_PIXELS, 2 * 30 + GAP_PIXELS, 3)
     assert (found[2:12, :30] == 0).all() and (found[1:12, 34:] == 1).all()
-    assert found[14 : 14 + LABEL].min() < 128 and found[-1, -1].tolist() == [255, 255, 255]
+    assert found[14 : 14 + LABEL_PIXELS].min() < 128 and found[-1, -1].tolist() == [255, 255, 255]
 
 
 def test_labels_that_are_too_long_are_cut():
-    assert label("x" * 500, 60, LABEL).shape == (LABEL, 60, 3)
-    assert (label("iii", 60, LABEL) != label("iij", 60, LABEL)).any()
+    assert label_image("x" * 500, 60, LABEL_PIXELS).shape == (LABEL_PIXELS, 60, 3)
+    assert (label_image("iii", 60, LABEL_PIXELS) != label_image("iij", 60, LABEL_PIXELS)).any()
 
 
 def test_render_writes_a_preview_and_says_what_it_shows(folder, capsys):
@@ -177,14 +195,14 @@ def test_render_writes_a_preview_and_says_what_it_shows(folder, capsys):
     assert said.err.startswith("p.png: diffuse: 0 to ") and said.out.startswith("s.exr: 24 x 16 pixels")
     first = (folder / "p.png").read_bytes()
     aovs = caster.render(caster.load_scene("s.toml"))
-    assert np.array_equal(read_picture("p.png"), view("diffuse", aovs["diffuse"], aovs.hit).pixels)
+    assert np.array_equal(read_image("p.png"), aov_view("diffuse", aovs["diffuse"], aovs.hit).pixels)
     assert main(["render", "s.toml", "--preview", "p.png"]) == 0
     assert (folder / "p.png").read_bytes() == first and b"diffuse: 0 to" in first
 
 
 def test_several_aovs_become_a_strip(folder, capsys):
     assert main(["render", "s.toml", "--preview", "p.tga", "--preview-aov", "depth,normal,hit"]) == 0
-    assert read_picture("p.tga").shape == (16 + LABEL, 3 * 24 + 2 * GAP, 3)
+    assert read_image("p.tga").shape == (16 + LABEL_PIXELS, 3 * 24 + 2 * GAP_PIXELS, 3)
     assert [line.split(": ")[1] for line in capsys.readouterr().err.splitlines()] == [
         "depth",
         "normal",
@@ -197,7 +215,7 @@ def test_a_file_is_shown_as_its_render_was(folder, capsys):
     assert main(["render", "s.toml", "--preview", "p.png", "--preview-aov", "normal"]) == 0
     assert main(["preview", "s.exr", "--aov", "normal"]) == 0
     assert capsys.readouterr().out.endswith("s.png\n")
-    assert np.abs(read_picture("p.png").astype(int) - read_picture("s.png")).max() <= 1
+    assert np.abs(read_image("p.png").astype(int) - read_image("s.png")).max() <= 1
 
 
 def test_classes_have_the_colours_and_names_that_their_file_gives_them(folder, capsys):
@@ -207,9 +225,9 @@ def test_classes_have_the_colours_and_names_that_their_file_gives_them(folder, c
     caster.write_exr("v.exr", {"class.I": classes, "A": hit}, about)
     assert main(["preview", "v.exr"]) == 0
     assert capsys.readouterr().err == "v.png: class: agree 2, tie 2, 7 1\n"
-    pixels = read_picture("v.png").tolist()
-    assert pixels[0][:2] == [[1, 2, 3], [255, 0, 0]] and pixels[0][2] == of_numbers(np.array(7)).tolist()
-    assert pixels[1][1] == [CHECKER[0]] * 3
+    pixels = read_image("v.png").tolist()
+    assert pixels[0][:2] == [[1, 2, 3], [255, 0, 0]] and pixels[0][2] == label_colors(np.array(7)).tolist()
+    assert pixels[1][1] == [CHECKER_GREYS[0]] * 3
 
 
 @pytest.mark.parametrize(
@@ -228,7 +246,7 @@ def test_classes_have_the_colours_and_names_that_their_file_gives_them(folder, c
 def test_wrong_use_is_told_with_its_exit_code(folder, capsys, words, code, says):
     assert main(words.split()) == code
     assert says in capsys.readouterr().err
-    assert not list(folder.glob("*.exr")) and not [p for s in SUFFIXES for p in folder.glob(f"*{s}")]
+    assert not list(folder.glob("*.exr")) and not [p for s in IMAGE_FORMATS for p in folder.glob(f"*{s}")]
 
 
 def test_an_aov_that_a_file_lacks_is_named(folder, capsys):
@@ -244,8 +262,8 @@ def test_a_sheet_of_scenes_shows_each_in_its_size(folder, capsys):
     (folder / "dark.toml").write_text(SCENE)
     assert main(["sheet", ".", "s.toml", "-o", "all.png", "--side", "12", "--columns", "2"]) == 0
     assert capsys.readouterr().out == "all.png: 2 scenes\n"
-    found = read_picture("all.png")
-    assert found.shape == (8 + LABEL, 2 * 12 + GAP, 3)
+    found = read_image("all.png")
+    assert found.shape == (8 + LABEL_PIXELS, 2 * 12 + GAP_PIXELS, 3)
     assert (
         len(np.unique(found[:8, :12].reshape(-1, 3), axis=0)) > 10
     )  # normals: without lights, colours are black

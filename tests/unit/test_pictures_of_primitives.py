@@ -7,12 +7,21 @@ import numpy as np
 import pytest
 
 from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, fisheye, panorama, parabolic
-from caster.kernels.outlook import between_corners
-from caster.kernels.protocol import bent, intersect, nearest_t, numbers, prepare, project, project_ball, ray
-from caster.kernels.spans import Window
-from caster.kernels.tile import DX, DY, DZ, new_tile, shoot_rays
-from caster.kernels.tile import HEIGHT as TILE_HEIGHT
-from caster.kernels.tile import WIDTH as TILE_WIDTH
+from caster.kernels.protocol import (
+    camera_ray,
+    distortion_bound,
+    intersect,
+    load,
+    prepare,
+    project,
+    project_bounding_sphere,
+    t_lower_bound,
+)
+from caster.kernels.raster.screen_bounds import Window
+from caster.kernels.raster.tile import DX, DY, DZ, generate_camera_rays, new_tile
+from caster.kernels.raster.tile import HEIGHT as TILE_HEIGHT
+from caster.kernels.raster.tile import WIDTH as TILE_WIDTH
+from caster.kernels.raster.tile_casting import direction_bounds_from_corners
 from caster.kernels.triangles import Triangles
 
 WIDTH, HEIGHT = 300, 200
@@ -38,7 +47,7 @@ def met_balls(camera: Any, rng: np.random.Generator, reach: float) -> Any:
     """
     for _ in range(COUNT):
         x, y = rng.uniform(0.0, WIDTH), rng.uniform(0.0, HEIGHT)
-        o, d, _, t_max = ray(camera, x, y)
+        o, d, _, t_max = camera_ray(camera, x, y)
         if t_max < 0.0:
             continue
         t = 10.0 ** rng.uniform(-2, 2)
@@ -52,7 +61,7 @@ def overlap(camera: Any, rng: np.random.Generator, reach: float) -> list[float]:
     """How far from the nearest side of the box each film position lies, over the box's size; negative: outside."""
     found = []
     for (x, y), center, r in met_balls(camera, rng, reach):
-        left, top, right, bottom, depth, valid = project_ball(camera, center, r)
+        left, top, right, bottom, depth, valid = project_bounding_sphere(camera, center, r)
         if valid and left > -math.inf:
             inside = min(x - left, right - x, y - top, bottom - y) + ROOM
             found.append(inside / (max(right - left, bottom - top) + ROOM))
@@ -70,7 +79,7 @@ def test_the_box_of_a_ball_holds_every_ray_that_meets_it_and_touches_some(name, 
 
 
 def test_a_box_that_forgets_how_a_fisheye_bends_lines_is_seen(monkeypatch):
-    monkeypatch.setattr(fisheye, "bend", lambda angle: 0.0)
+    monkeypatch.setattr(fisheye, "curvature_bound", lambda angle: 0.0)
     assert min(overlap(CAMERAS["fisheye"].pack(WIDTH, HEIGHT), np.random.default_rng(141), 0.3)) < 0.0
 
 
@@ -78,7 +87,7 @@ def test_a_box_that_forgets_how_a_fisheye_bends_lines_is_seen(monkeypatch):
 def test_balls_that_no_ray_meets_are_nowhere(name):
     camera = CAMERAS[name].pack(WIDTH, HEIGHT)
     behind = np.array(camera.eye) - 5.0 * np.array(camera.forward)
-    left, top, right, bottom, _, valid = project_ball(camera, tuple(behind), 0.5)
+    left, top, right, bottom, _, valid = project_bounding_sphere(camera, tuple(behind), 0.5)
     assert valid and left > right and top > bottom
 
 
@@ -88,7 +97,7 @@ def test_where_nothing_is_known_nothing_is_said(name, size):
     """Sizes without squares, an eye in the ball, a ball without an end."""
     camera = CAMERAS[name].model_copy(update={"eye": (0.0, 0.0, 0.0)}).pack(WIDTH, HEIGHT)
     for r in (0.1 * size, 10.0 * size, math.inf):
-        *_, depth, valid = project_ball(camera, (min(size, 1e300), 0.0, 0.0), r)
+        *_, depth, valid = project_bounding_sphere(camera, (min(size, 1e300), 0.0, 0.0), r)
         assert not valid and depth <= min(size, 1e300) - r
 
 
@@ -103,7 +112,7 @@ def off_the_line(camera: Any, rng: np.random.Generator) -> list[float]:
     found = []
     for _ in range(COUNT):
         x, y = rng.uniform(0.0, FINE * WIDTH), rng.uniform(0.0, FINE * HEIGHT)
-        o, d, _, t_max = ray(camera, x, y)
+        o, d, _, t_max = camera_ray(camera, x, y)
         if t_max < 0.0:
             continue
         t = 10.0 ** rng.uniform(-2, 2)
@@ -111,7 +120,7 @@ def off_the_line(camera: Any, rng: np.random.Generator) -> list[float]:
         across = along + 1e-6 * t * rng.normal(size=3)  # a needle: of what is allowed, others need less
         corners = np.array(o) + t * np.array(d) + [along, -rng.uniform(0.8, 1.2) * along, across]
         seen = np.array([project(camera, tuple(p)) for p in corners])
-        more, share, valid = bent(camera, math.hypot(*np.ptp(seen[:, :2], axis=0)))
+        more, share, valid = distortion_bound(camera, math.hypot(*np.ptp(seen[:, :2], axis=0)))
         if valid and seen[:, 4].all():
             start, end = seen[0, :2], seen[1, :2]
             edge, aside = end - start, (x, y) - start
@@ -158,8 +167,8 @@ def test_no_ray_of_a_bundle_meets_a_triangle_before_nearest_t():
         )
         many = middle / np.linalg.norm(middle) + wide * rng.uniform(-0.5, 0.5, (12, 3))
         low, high = tuple(many.min(axis=0)), tuple(many.max(axis=0))
-        pre = prepare(prims, numbers(prims, 0), o)
-        least = nearest_t(prims, pre, low, high)
+        pre = prepare(prims, load(prims, 0), o)
+        least = t_lower_bound(prims, pre, low, high)
         met = [
             t
             for t, off in (intersect(prims, pre, tuple(d), 0.0, math.inf) for d in many)
@@ -181,8 +190,8 @@ def test_the_directions_of_a_tile_are_between_those_of_its_corners(fov):
         x, y = (int(n) for n in rng.integers((0, 0), (150, 80)))
         box = x, y, x + int(rng.integers(1, min(129, 201 - x))), y + int(rng.integers(1, min(65, 121 - y)))
         tile = new_tile()
-        shoot_rays(camera, Window(0, 0, 200, 120), box, tile)
-        low, high = between_corners(tile, box)
+        generate_camera_rays(camera, Window(0, 0, 200, 120), box, tile)
+        low, high = direction_bounds_from_corners(tile, box)
         rays = [fields(tile, box, field) for field in (DX, DY, DZ)]
         for d, least, most in zip(rays, low, high, strict=True):
             assert least <= d.min() and d.max() <= most

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.scene import Scene
+from caster.scene.files import Scene
 from caster.shapes import Disk, Sphere
-from mitsuba_ref.placement import disagreement, placement
-from mitsuba_ref.scene_checks import check_placement
+from mitsuba_ref.error_model.independent_transform import compose_transform, transform_error_ratio
+from mitsuba_ref.judge.scene_checks.render_checks import check_placement
 
 TURN = {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}}
 MOVE = {"translate": [0.3, -0.7, 1.9]}
@@ -45,7 +45,7 @@ def random_steps(rng: np.random.Generator) -> list[dict[str, Any]]:
 
 def test_both_sides_agree_on_random_steps():
     rng = np.random.default_rng(120)
-    shares = np.array([disagreement(Disk(to_world=random_steps(rng))) for _ in range(500)])
+    shares = np.array([transform_error_ratio(Disk(to_world=random_steps(rng))) for _ in range(500)])
     assert shares.max() <= 1.0
     assert np.median(shares) > 1e-3  # not vacuous: they do round differently
 
@@ -55,8 +55,8 @@ def test_both_sides_agree_on_random_steps():
 )
 def test_steps_in_the_wrong_order_are_seen(first, then):
     right, wrong = Disk(to_world=[first, then]), Disk(to_world=[then, first])
-    assert disagreement(right) <= 1.0
-    assert disagreement(placed(wrong.matrix, [first, then])) > 1e10
+    assert transform_error_ratio(right) <= 1.0
+    assert transform_error_ratio(placed(wrong.matrix, [first, then])) > 1e10
 
 
 def test_an_axis_that_is_not_normalised_is_seen():
@@ -65,23 +65,23 @@ def test_an_axis_that_is_not_normalised_is_seen():
     cross = np.cross(np.eye(3), axis)
     matrix = np.eye(4)
     matrix[:3, :3] += np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-    assert disagreement(placed(matrix, [TURN])) > 1e10
+    assert transform_error_ratio(placed(matrix, [TURN])) > 1e10
 
 
 @pytest.mark.parametrize("steps", [[TURN], [LOOK], [ROWS]], ids=str)
 def test_a_transposed_matrix_is_seen(steps):
     matrix = Disk(to_world=steps).matrix.copy()
     matrix[:3, :3] = matrix[:3, :3].T
-    assert disagreement(placed(matrix, steps)) > 1e10
+    assert transform_error_ratio(placed(matrix, steps)) > 1e10
 
 
 @pytest.mark.parametrize("step", STEPS, ids=lambda step: next(iter(step)))
 def test_one_entry_off_by_a_billionth_is_seen(step):
     shape = Disk(to_world=[step])
-    assert np.array_equal(placement(shape.to_world).shape, (4, 4))
+    assert np.array_equal(compose_transform(shape.to_world).shape, (4, 4))
     matrix = shape.matrix.copy()
     matrix[0, 0] += 1e-9
-    assert disagreement(placed(matrix, [step])) > 1e3
+    assert transform_error_ratio(placed(matrix, [step])) > 1e3
 
 
 def test_the_check_names_the_shape():

@@ -13,10 +13,10 @@ from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Parabolic, 
 from caster.__main__ import main
 from caster.aovs import BY_NAME
 from caster.cameras import Ray
-from caster.explain import account
-from caster.kernels.compiling.kernel_cache import COMPILED
-from caster.lights import Ambient, Directional, Point
-from caster.rendering import look, render_film
+from caster.jit.kernel_cache import COMPILED
+from caster.rendering.explain import account
+from caster.rendering.images import render_film, trace_film
+from caster.scene.lights import Ambient, Directional, Point
 
 ROOT = Path(__file__).resolve().parents[2]
 EYE = {"eye": (0.3, 0.4, 6.0), "look_at": (0.0, 0.0, 0.0)}
@@ -66,7 +66,7 @@ def test_a_tree_is_grown_where_rays_go_through_it(a_scene, aov, reason):
 def test_shadow_rays_are_those_of_hits_that_face_the_light():
     lamps = [LAMP, Directional(direction=(0, -1, 0), irradiance=(1, 1, 1))]
     a_scene = scene(lights=[*lamps, Ambient(radiance=(1, 1, 1))])
-    view = look(a_scene)
+    view = trace_film(a_scene)
     facing = 0
     for lamp in lamps:
         p, n = view.surfaces.p[view.hit], view.surfaces.sh_n[view.hit]
@@ -173,7 +173,7 @@ def test_kernels_of_absent_shapes_and_of_what_is_not_asked_for_are_not_loaded(tm
     ]
     assert not [name for name in used for other in others if other in name]
     asked_of = {name.partition("(")[0] for name in used}
-    assert not asked_of & {"find_surfaces_in_tile", "aim_at_light", "find_materials"}
+    assert not asked_of & {"surfaces_in_tile", "shadow_rays_in_tile", "materials_in_tile"}
     assert len(used) <= 8, used
 
 
@@ -187,7 +187,7 @@ EVERYTHING_ASKED = """
 import numpy as np, caster
 from caster.aovs import BY_NAME
 from caster.kernels.compiling import machine_code
-from caster.kernels.jit import WORK
+from caster.jit.decorators import WORK
 scene = caster.load_scene("scenes/every-shape.toml").with_film(width=48, height=32)
 bent = scene.model_copy(update={"camera": caster.Fisheye(eye=(0.0, 1.0, 6.0), look_at=(0.0, 0.0, 0.0))})
 for each in (scene, bent):

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from caster.fields import SceneError
-from caster.mesh import check_mesh, unit_rows
-from caster.procedural import teapot
-from caster.procedural.teapot_patches import PARTS, patches
+from caster.geometry.mesh import check_mesh, normalize_rows
+from caster.geometry.procedural import teapot
+from caster.geometry.procedural.teapot import PARTS, patches
+from caster.scene.fields import SceneError
 
 # Three roundings of u = 2^-53 for a weight and three for the sum, of numbers below 4.
 ROUNDING = 8 * 4 * 2.0**-53
@@ -95,7 +95,7 @@ def test_the_left_half_mirrors_the_right_half_to_the_bit():
 def test_normals_have_unit_length_and_look_outwards():
     mesh = teapot(16)
     assert np.abs(np.linalg.norm(mesh.normals, axis=1) - 1).max() <= ROUNDING
-    flat = unit_rows(face_normals(mesh))
+    flat = normalize_rows(face_normals(mesh))
     # at the lip of the spout, which curls within a cell, a face and its corners differ by up to 60 degrees
     assert np.einsum("ij,ikj->ik", flat, mesh.normals[mesh.faces]).min() > 0.5
 
@@ -131,7 +131,7 @@ def test_normals_are_those_of_the_surface():
         du = de_casteljau(de_casteljau(net, 0.5 + h) - de_casteljau(net, 0.5 - h), 0.5)
         along_u = de_casteljau(net, 0.5)
         dv = de_casteljau(along_u, 0.5 + h) - de_casteljau(along_u, 0.5 - h)
-        expected = unit_rows(np.cross(dv, du)[None])[0]
+        expected = normalize_rows(np.cross(dv, du)[None])[0]
         k = np.argmin(np.abs(mesh.vertices - p).max(axis=1))
         # a central difference errs by h^2 of the third derivative and u/h of rounding
         assert np.abs(mesh.normals[k] - expected).max() <= 1e-8

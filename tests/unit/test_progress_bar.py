@@ -8,15 +8,25 @@ import numpy as np
 import pytest
 
 import caster
-from caster import progress_bar
 from caster.__main__ import main
-from caster.progress import Progress
-from caster.progress_bar import PLAIN, QUIET, REDRAWN, WIDTH, Bar, drawn, duration, short
-from caster.rendering import render_film
-from caster.terminal_line import ERASE, Line
-from mitsuba_ref import progress
-from mitsuba_ref.campaign import Entry
-from mitsuba_ref.commands import stress
+from caster.cli import progress_bar
+from caster.cli.compile_progress import CompileProgress
+from caster.cli.progress_bar import (
+    BAR_CHARACTERS,
+    ERASE,
+    LOG_SECONDS,
+    QUIET_SECONDS,
+    REFRESH_SECONDS,
+    ProgressBar,
+    StatusLine,
+    bar_text,
+    duration,
+    si_number,
+)
+from caster.rendering.images import render_film
+from mitsuba_ref.cli import stress
+from mitsuba_ref.runner import scene_progress
+from mitsuba_ref.runner.scene_runner import SceneEntry
 
 SCENE = """
 [film]
@@ -67,9 +77,9 @@ def terminal(monkeypatch):
 def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
     stream, read = terminal
     clock = Clock()
-    bar = Bar("rendering", 4000, "rays", stream, clock)
+    bar = ProgressBar("rendering", 4000, "rays", stream, clock)
     for step in range(1, 4):
-        clock.now = step * QUIET
+        clock.now = step * QUIET_SECONDS
         bar.add(1000)
     half = "rendering ████████████             50 %, 2k of 4k rays, 1k rays/s, 2 s left"
     assert half in read().split(ERASE)
@@ -82,9 +92,9 @@ def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
 def test_short_work_says_nothing(terminal):
     stream, read = terminal
     clock = Clock()
-    bar = Bar("rendering", 100, "rays", stream, clock)
+    bar = ProgressBar("rendering", 100, "rays", stream, clock)
     for _ in range(99):
-        clock.now += 0.9 * QUIET / 99
+        clock.now += 0.9 * QUIET_SECONDS / 99
         bar.add(1)
     bar.close()
     assert read() == ""
@@ -93,11 +103,11 @@ def test_short_work_says_nothing(terminal):
 def test_nothing_is_drawn_more_often_than_the_eye_sees(terminal):
     stream, read = terminal
     clock = Clock()
-    bar = Bar("rendering", 1000, "rays", stream, clock)
-    clock.now = QUIET
+    bar = ProgressBar("rendering", 1000, "rays", stream, clock)
+    clock.now = QUIET_SECONDS
     for _ in range(100):
         bar.add(1)
-    clock.now += REDRAWN
+    clock.now += REFRESH_SECONDS
     bar.add(1)
     assert read().count(ERASE) == 2
 
@@ -105,8 +115,8 @@ def test_nothing_is_drawn_more_often_than_the_eye_sees(terminal):
 def test_the_line_makes_way_for_what_is_printed(terminal):
     stream, read = terminal
     clock = Clock()
-    bar = Bar("validating", 10, "rays", stream, clock)
-    clock.now = QUIET
+    bar = ProgressBar("validating", 10, "rays", stream, clock)
+    clock.now = QUIET_SECONDS
     bar.add(5, "1 of 2 scenes")
     assert "50 %, 1 of 2 scenes, 5 of 10 rays" in read()
     with bar.aside():
@@ -117,16 +127,16 @@ def test_a_narrow_terminal_gets_a_shorter_line(terminal, monkeypatch):
     stream, read = terminal
     monkeypatch.setenv("COLUMNS", "30")
     clock = Clock()
-    bar = Bar("rendering", 10, "rays", stream, clock)
-    clock.now = QUIET
+    bar = ProgressBar("rendering", 10, "rays", stream, clock)
+    clock.now = QUIET_SECONDS
     bar.add(5)
     assert len(read().removeprefix(ERASE)) == 29
 
 
 def test_a_pipe_gets_whole_lines_now_and_then():
     stream, clock = io.StringIO(), Clock()
-    bar = Bar("validating", 4, "rays", stream, clock)
-    for second in (1.0, PLAIN, PLAIN + 1.0, 2 * PLAIN):
+    bar = ProgressBar("validating", 4, "rays", stream, clock)
+    for second in (1.0, LOG_SECONDS, LOG_SECONDS + 1.0, 2 * LOG_SECONDS):
         clock.now = second
         bar.add(1, "1 of 2 scenes")
     bar.close()
@@ -135,21 +145,21 @@ def test_a_pipe_gets_whole_lines_now_and_then():
 
 def test_a_terminal_that_cannot_move_its_cursor_is_as_a_pipe(terminal, monkeypatch):
     monkeypatch.setenv("TERM", "dumb")
-    assert not Bar("rendering", 1, "rays", terminal[0]).line.live
+    assert not ProgressBar("rendering", 1, "rays", terminal[0]).line.live
 
 
 def test_where_standard_error_is_closed_work_goes_on(monkeypatch):
     monkeypatch.setattr("sys.stderr", None)
     clock = Clock()
-    bar = Bar("rendering", 10, "rays", clock=clock)
-    clock.now = PLAIN
+    bar = ProgressBar("rendering", 10, "rays", clock=clock)
+    clock.now = LOG_SECONDS
     bar.add(5)
     bar.close()
     assert bar.done == 5 and not bar.line.live
 
 
 def compiling():
-    said = Progress()
+    said = CompileProgress()
     said.begin("a scene")
     said.compiling("k" * 50)
     return said.end
@@ -162,7 +172,7 @@ def sweeping():
 
 
 def fuzzing():
-    line = Line()
+    line = StatusLine()
     line.show("f" * 50)
     return line.erase
 
@@ -196,26 +206,31 @@ def test_no_line_needs_a_terminal(terminal, monkeypatch, said, where):
 def test_there_is_no_colour_for_no_color_to_forbid(terminal):
     stream, read = terminal
     clock = Clock()
-    bar = Bar("rendering", 10, "rays", stream, clock)
-    clock.now = QUIET
+    bar = ProgressBar("rendering", 10, "rays", stream, clock)
+    clock.now = QUIET_SECONDS
     bar.add(5)
     bar.close()
     assert read().replace(ERASE, "").count("\x1b") == 0
 
 
 def test_bars_fit_the_encoding():
-    assert drawn(0.5, "utf-8") == f"{'█' * (WIDTH // 2):<{WIDTH}}" and drawn(1.0, "utf-8") == "█" * WIDTH
-    assert drawn(0.01, "utf-8") == "▏" + " " * (WIDTH - 1)
-    assert drawn(0.5, "ascii") == drawn(0.5, None) == f"[{'#' * (WIDTH // 2):<{WIDTH}}]"
+    assert (
+        bar_text(0.5, "utf-8") == f"{'█' * (BAR_CHARACTERS // 2):<{BAR_CHARACTERS}}"
+        and bar_text(1.0, "utf-8") == "█" * BAR_CHARACTERS
+    )
+    assert bar_text(0.01, "utf-8") == "▏" + " " * (BAR_CHARACTERS - 1)
+    assert (
+        bar_text(0.5, "ascii") == bar_text(0.5, None) == f"[{'#' * (BAR_CHARACTERS // 2):<{BAR_CHARACTERS}}]"
+    )
 
 
 def test_numbers_are_short():
-    assert [short(x) for x in (7, 850, 2100, 3.14e6, 5e9)] == ["7", "850", "2.1k", "3.14M", "5G"]
+    assert [si_number(x) for x in (7, 850, 2100, 3.14e6, 5e9)] == ["7", "850", "2.1k", "3.14M", "5G"]
     assert [duration(x) for x in (3.2, 150, 7300)] == ["3 s", "2 min", "2.0 h"]
 
 
 def test_work_of_several_threads_is_counted_once():
-    bar = Bar("rendering", 8000, "rays", io.StringIO())
+    bar = ProgressBar("rendering", 8000, "rays", io.StringIO())
     threads = [threading.Thread(target=lambda: [bar.add(1) for _ in range(1000)]) for _ in range(8)]
     for thread in threads:
         thread.start()
@@ -247,11 +262,11 @@ def test_a_render_tells_of_each_of_its_pixels_once(tmp_path, aovs, camera, threa
 def test_a_validation_counts_scenes_and_their_rays(tmp_path):
     (tmp_path / "s.toml").write_text(SCENE)
     small, large = (caster.load_scene(tmp_path / "s.toml").with_film(width=w, height=10) for w in (10, 30))
-    entries = [Entry(small, "a", "a.toml"), Entry(large, "b", "b.toml")]
-    bar = progress.bar_for(entries)
-    progress.count(bar, entries, 1)
+    entries = [SceneEntry(small, "a", "a.toml"), SceneEntry(large, "b", "b.toml")]
+    bar = scene_progress.bar_for(entries)
+    scene_progress.count(bar, entries, 1)
     assert (bar.done, bar.total, bar.extra) == (100, 400, "1 of 2 scenes")
-    progress.count(bar, entries, 2)
+    scene_progress.count(bar, entries, 2)
     assert (bar.done, bar.extra) == (400, "2 of 2 scenes")
 
 
@@ -260,7 +275,7 @@ def test_render_shows_how_far_it_is_on_a_terminal_alone(tmp_path, terminal, monk
     stream, read = terminal
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(SCENE)
-    monkeypatch.setattr(progress_bar, "QUIET", 0.0)
+    monkeypatch.setattr(progress_bar, "QUIET_SECONDS", 0.0)
     assert main(["render", "s.toml", "--aov", "depth,position"]) == 0  # standard error is a pipe here
     said = capsys.readouterr()
     assert "rendering" not in said.err

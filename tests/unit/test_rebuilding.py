@@ -7,14 +7,20 @@ import numpy as np
 import pytest
 
 import caster
-from caster.mesh_files import load_mesh
-from caster.packing import count, pack
-from caster.placing import as_float32
-from caster.scene import Scene, scene_from_text
+from caster.geometry.mesh_files import load_mesh
+from caster.geometry.packing import pack, primitive_count
+from caster.geometry.world_space import as_float32
+from caster.scene.files import Scene, scene_from_text
 from caster.shapes import SHAPES
-from mitsuba_ref.rebuilding import WRITERS, numbers_of, of_unit_length, rebuilt, same_numbers
-from mitsuba_ref.reproducer import pack_one, to_the_bit
+from mitsuba_ref.report.reproducers import pack_one, with_hex_floats
 from mitsuba_ref.shapes import REFERENCES
+from mitsuba_ref.subjects.traced_scene import (
+    DESCRIBERS,
+    describe_primitive,
+    numbers_of,
+    packs_identically,
+    unit_vector_rounding_to,
+)
 
 STRETCH = [
     {"scale": [0.913, -1.7, 0.4]},
@@ -60,9 +66,9 @@ def test_every_shape_packs_to_the_same_bits_again(shape, folder):
     checked = 0
     for one in shapes_of(shape, folder):
         (part,) = pack(Scene(camera=AT, shapes=[one]), as_float32).parts
-        for k in np.random.default_rng(1).permutation(count(part))[:PRIMS]:
-            again = pack_one(read_back(rebuilt(part, k)))
-            assert same_numbers(part, k, again), (one, k)
+        for k in np.random.default_rng(1).permutation(primitive_count(part))[:PRIMS]:
+            again = pack_one(read_back(describe_primitive(part, k)))
+            assert packs_identically(part, k, again), (one, k)
             for a, b in zip(numbers_of(again.parts[0], 0), numbers_of(part, k), strict=True):
                 assert (np.asarray(a) + 0.0).tobytes() == (
                     np.asarray(b) + 0.0
@@ -77,23 +83,23 @@ AT = caster.Ray(origin=(0, 0, 0), direction=(0, 0, 1))
 def read_back(shape):
     """Through the text of a scene file, numbers as hex floats."""
     line = {"type": "ray", "origin": [0, 0, 0], "direction": [0, 0, 1]}
-    scene = scene_from_text(json.dumps({"camera": line, "shape": [to_the_bit(shape)]}), "json")
+    scene = scene_from_text(json.dumps({"camera": line, "shape": [with_hex_floats(shape)]}), "json")
     return scene.shapes[0].model_dump(by_alias=True, exclude_none=True)
 
 
 def test_every_kind_that_the_judge_knows_can_be_written():
     kinds = {kind for reference in REFERENCES for kind in reference.models}
-    assert set(WRITERS) == kinds, "write a new kind's description in mitsuba_ref/rebuilding.py"
+    assert set(DESCRIBERS) == kinds, "write a new kind's description in mitsuba_ref/subjects/traced_scene.py"
 
 
 def test_other_numbers_are_noticed():
     (part,) = pack(Scene(camera=AT, shapes=[caster.Sphere(center=(0.1, 0.2, 0.3))]), as_float32).parts
-    shape = rebuilt(part, 0)
-    assert same_numbers(part, 0, pack_one(shape))
-    assert not same_numbers(
+    shape = describe_primitive(part, 0)
+    assert packs_identically(part, 0, pack_one(shape))
+    assert not packs_identically(
         part, 0, pack_one(shape | {"radius": float(np.nextafter(np.float32(1), np.float32(2)))})
     )
-    assert not same_numbers(part, 0, pack_one({"type": "disk"}))
+    assert not packs_identically(part, 0, pack_one({"type": "disk"}))
 
 
 def test_vectors_of_unit_length_round_back():
@@ -102,18 +108,18 @@ def test_vectors_of_unit_length_round_back():
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     single = as_float32(n)
     assert (np.linalg.norm(single, axis=1) != 1.0).sum() > 2000  # else there would be nothing to do
-    found = np.array([of_unit_length(each) for each in single])
+    found = np.array([unit_vector_rounding_to(each) for each in single])
     assert np.array_equal(as_float32(found), single)
     assert np.abs(np.linalg.norm(found, axis=1) - 1.0).max() <= 4 * 2.0**-53
     for exact in ([0.0, -1.0, 0.0], [0.6, 0.0, 0.8]):
         assert np.array_equal(
-            as_float32(of_unit_length(as_float32(np.array(exact)))), as_float32(np.array(exact))
+            as_float32(unit_vector_rounding_to(as_float32(np.array(exact)))), as_float32(np.array(exact))
         )
-    assert of_unit_length(np.array([0.0, -1.0, 0.0])).tolist() == [0.0, -1.0, 0.0]
+    assert unit_vector_rounding_to(np.array([0.0, -1.0, 0.0])).tolist() == [0.0, -1.0, 0.0]
 
 
 @pytest.mark.parametrize("number", [0.0, -0.0, 1.0, 0.1, -2.5e10, 5e-324, 1e308, 1024.0])
 def test_hex_floats_are_short_and_exact(number):
-    (text,) = to_the_bit([number])
+    (text,) = with_hex_floats([number])
     assert float.fromhex(text).hex() == number.hex() and len(text) <= len(number.hex())
-    assert to_the_bit(1.5) == "0x1.8p+0" and to_the_bit({"a": (2.0,)}) == {"a": ["0x1p+1"]}
+    assert with_hex_floats(1.5) == "0x1.8p+0" and with_hex_floats({"a": (2.0,)}) == {"a": ["0x1p+1"]}

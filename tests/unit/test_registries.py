@@ -4,14 +4,14 @@ import pytest
 
 from caster.aovs import AOVS
 from caster.cameras import CAMERAS
-from caster.fields import Shape
-from caster.mesh_shape import MeshShape
+from caster.geometry.world_space import MeshShape
+from caster.scene.fields import Shape
 from caster.shapes import SHAPES
 from mitsuba_ref import cameras, shapes
-from mitsuba_ref.checks import CHECKS
-from mitsuba_ref.model import missing_reference, reference_of
-from mitsuba_ref.pair import COMPARED
-from mitsuba_ref.reference import GIVEN
+from mitsuba_ref.error_model.scene_model import missing_reference, reference_of
+from mitsuba_ref.judge.checks import CHECKS
+from mitsuba_ref.reference.rendering import REFERENCE_AOVS
+from mitsuba_ref.subjects.ours import COMPARED_AOVS
 
 # AOVs that are not compared with the reference, and why; all but uv have to follow from our own hits (coherence.py).
 NOT_COMPARED = {
@@ -38,22 +38,22 @@ def test_every_camera_has_exactly_one_reference():
 
 def test_every_aov_is_compared_or_listed_as_not_compared():
     for aov in AOVS:
-        assert (aov.NAME in COMPARED or aov.NAME in SEEN_THROUGH) != (aov.NAME in NOT_COMPARED), (
-            f"{aov.NAME}: write mitsuba_ref/checks/{aov.NAME}.py, add its line to mitsuba_ref/checks/__init__.py "
-            "and its name to COMPARED in mitsuba_ref/pair.py, or say in NOT_COMPARED why it is not compared"
+        assert (aov.NAME in COMPARED_AOVS or aov.NAME in SEEN_THROUGH) != (aov.NAME in NOT_COMPARED), (
+            f"{aov.NAME}: write mitsuba_ref/checks/{aov.NAME}.py, add its line to mitsuba_ref/judge/checks/__init__.py "
+            "and its name to COMPARED in mitsuba_ref/subjects/ours.py, or say in NOT_COMPARED why it is not compared"
         )
-    assert {*COMPARED, *SEEN_THROUGH, *NOT_COMPARED} == {aov.NAME for aov in AOVS}
+    assert {*COMPARED_AOVS, *SEEN_THROUGH, *NOT_COMPARED} == {aov.NAME for aov in AOVS}
 
 
 def test_what_is_compared_has_a_check_of_its_name():
     checks = [check.NAME for check in CHECKS]
     assert len(set(checks)) == len(checks)
-    for name in (*COMPARED, *SEEN_THROUGH.values()):
-        assert name in checks or name == "diffuse", f"{name}: no module of mitsuba_ref.checks has it"
+    for name in (*COMPARED_AOVS, *SEEN_THROUGH.values()):
+        assert name in checks or name == "diffuse", f"{name}: no module of mitsuba_ref.judge.checks has it"
 
 
 def test_the_reference_gives_every_aov():
-    assert set(GIVEN) == {aov.NAME for aov in AOVS}
+    assert set(REFERENCE_AOVS) == {aov.NAME for aov in AOVS}
 
 
 def test_types_are_named_once():

@@ -7,14 +7,13 @@ from importlib import resources
 
 import pytest
 
-from caster.whole_files import OutputError
-from mitsuba_ref import class_colors
-from mitsuba_ref.report import one_file
-from mitsuba_ref.report.assembling import SCRIPTS, as_json, page
-from mitsuba_ref.report.index import row
-from mitsuba_ref.report.writing import MOST_BYTES, Report
-from mitsuba_ref.table import failure
-from mitsuba_ref.verdict import CLASSES, Failure, SceneVerdict, Verdict
+from caster.image.atomic_files import OutputError
+from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
+from mitsuba_ref.report import class_colors
+from mitsuba_ref.report.html import page_writer
+from mitsuba_ref.report.html.html_report import ONE_FILE_LIMIT_BYTES, HtmlReport
+from mitsuba_ref.report.html.page_writer import SCRIPTS, as_json, index_row, page
+from mitsuba_ref.report.terminal import failure_text
 
 FAILURE = Failure(3, 4, "ours_wrong", "depth", 41.0, "a", "b", "c", "by exact arithmetic, ours is wrong")
 FAILING = SceneVerdict("two words", "scenes/two words.toml", 100, 100, failures=(FAILURE,))
@@ -24,8 +23,8 @@ PASSING = replace(PASSING, counts=PASSING.counts | {"agree": 9})
 LAYERS = ("ids", "depth", "normal")
 
 
-def rows_of(*verdicts):
-    return [row(verdict, f"{verdict.name}.js", "") for verdict in verdicts]
+def matrix_rows(*verdicts):
+    return [index_row(verdict, f"{verdict.name}.js", "") for verdict in verdicts]
 
 
 def sizes_of(rows, **sizes):
@@ -33,34 +32,34 @@ def sizes_of(rows, **sizes):
 
 
 def chosen_within(room, rows):
-    around = one_file.AROUND * 4 * len(rows)
-    return one_file.choose(rows, sizes_of(rows), room + around, LAYERS)
+    around = page_writer.ELEMENT_OVERHEAD_BYTES * 4 * len(rows)
+    return page_writer.choose(rows, sizes_of(rows), room + around, LAYERS)
 
 
 def test_failing_scenes_go_into_one_file_first():
-    rows = rows_of(PASSING, FAILING, replace(PASSING, name="other"))
+    rows = matrix_rows(PASSING, FAILING, replace(PASSING, name="other"))
     everything = chosen_within(3 * 3300, rows)
-    assert len(everything) == 12 and one_file.left_out(sizes_of(rows), everything) == {}
+    assert len(everything) == 12 and page_writer.left_out(sizes_of(rows), everything) == {}
     some = chosen_within(300 + 3200 + 2 * 200 + 1000, rows)
     assert {part for scene, part in some if scene == "two words"} == {"about", "ids", "depth", "normal"}
-    assert one_file.left_out(sizes_of(rows), some) == {"good": ["normal"], "other": ["depth", "normal"]}
+    assert page_writer.left_out(sizes_of(rows), some) == {"good": ["normal"], "other": ["depth", "normal"]}
     nothing = chosen_within(50, rows)
     assert nothing == set()
 
 
 def test_no_layer_comes_without_what_it_belongs_to():
-    (each,) = rows = rows_of(PASSING)
+    (each,) = rows = matrix_rows(PASSING)
     sizes = sizes_of(rows, about=10_000)
-    assert one_file.choose(rows, sizes, 4000, LAYERS) == set()
-    assert one_file.left_out(sizes, set()) == {each["name"]: ["about", "ids", "depth", "normal"]}
+    assert page_writer.choose(rows, sizes, 4000, LAYERS) == set()
+    assert page_writer.left_out(sizes, set()) == {each["name"]: ["about", "ids", "depth", "normal"]}
 
 
 def test_one_file_never_outgrows_its_size(tmp_path, monkeypatch):
-    monkeypatch.setattr("mitsuba_ref.report.writing.MOST_BYTES", 150_000)
-    report = Report(tmp_path / "r.html", 20)
+    monkeypatch.setattr("mitsuba_ref.report.html.html_report.ONE_FILE_LIMIT_BYTES", 150_000)
+    report = HtmlReport(tmp_path / "r.html", 20)
     for i in range(20):
         name = f"scene-{i}"
-        text = one_file.aside({"about": as_json({"number": i}), "depth": as_json("x" * 9_000)})
+        text = page_writer.record_lines({"about": as_json({"number": i}), "depth": as_json("x" * 9_000)})
         (report.data / f"{name}.js").write_text(text, encoding="utf-8")
         kept = {"about": len(as_json({"number": i})), "depth": 9_002}
         report._kept[name] = report._kept.get(name) or kept_of(f"{name}.js", kept)
@@ -73,18 +72,18 @@ def test_one_file_never_outgrows_its_size(tmp_path, monkeypatch):
     assert 0 < depths < 20 and len(told["left_out"]) == 20 - depths
     aside = report.data
     report.close()
-    assert not aside.exists() and MOST_BYTES == 25_000_000
+    assert not aside.exists() and ONE_FILE_LIMIT_BYTES == 25_000_000
 
 
 def kept_of(file, sizes):
-    from mitsuba_ref.report.writing import Kept
+    from mitsuba_ref.report.html.html_report import WrittenScene
 
-    return Kept(file, "", sizes)
+    return WrittenScene(file, "", sizes)
 
 
 def test_a_run_that_is_cut_off_has_its_page(tmp_path):
     """Whatever ends the process: the list is there from the first scene on."""
-    report = Report(tmp_path / "r", 43)
+    report = HtmlReport(tmp_path / "r", 43)
     report.add(PASSING)
     text = (tmp_path / "r/index.html").read_text(encoding="utf-8")
     assert "1 of 1 scenes pass; 42 of 43 were not judged" in text
@@ -93,7 +92,7 @@ def test_a_run_that_is_cut_off_has_its_page(tmp_path):
 def test_no_text_ends_its_script():
     evil = "</script><script>alert(1)</script><!--\u2028"
     text = "".join(
-        page({"summary": evil, "candidate": evil, "classes": []}, rows_of(replace(FAILING, name=evil)))
+        page({"summary": evil, "candidate": evil, "classes": []}, matrix_rows(replace(FAILING, name=evil)))
     )
     assert text.count("<script") == 3 and "alert(1)<" not in text and "\u2028" not in as_json(evil)
     assert json.loads(as_json(evil)) == evil
@@ -138,17 +137,17 @@ def luminance(color):
 
 
 def test_a_failure_names_the_pixel_in_the_report():
-    words = failure(FAILING, "out/index.html")
+    words = failure_text(FAILING, "out/index.html")
     assert "      look:      out/index.html#s=two%20words&x=3&y=4\n" in words
-    assert "look:" not in failure(FAILING)
+    assert "look:" not in failure_text(FAILING)
 
 
 def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(OutputError):
-        Report(tmp_path / "file", 1)
+        HtmlReport(tmp_path / "file", 1)
     with pytest.raises(OutputError):
-        Report(tmp_path / "none" / "r.html", 1)
+        HtmlReport(tmp_path / "none" / "r.html", 1)
 
 
 def test_a_verdict_writes_itself(tmp_path):
@@ -170,5 +169,5 @@ def test_classes_have_the_same_colours_on_the_page_as_in_files():
 def test_a_page_of_others_is_left_alone(tmp_path):
     (tmp_path / "index.html").write_text("<title>my notes</title>")
     with pytest.raises(OutputError, match="is no report of validate"):
-        Report(tmp_path, 1)
+        HtmlReport(tmp_path, 1)
     assert (tmp_path / "index.html").read_text() == "<title>my notes</title>"

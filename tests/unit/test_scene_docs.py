@@ -7,11 +7,11 @@ import pytest
 
 from caster.aovs import BY_NAME
 from caster.cameras import CAMERAS
-from caster.fields import Camera, Shape, show
-from caster.film import LARGEST_SIDE, Check, Film, Shading
-from caster.lights import LIGHTS
-from caster.materials import Diffuse
-from caster.scene import load_scene, scene_from_text
+from caster.scene.fields import Camera, Shape, show
+from caster.scene.files import load_scene, scene_from_text
+from caster.scene.lights import LIGHTS
+from caster.scene.materials import Diffuse
+from caster.scene.model import MAX_FILM_SIDE, Check, Film, Shading
 from caster.shapes import SHAPES
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/scene-format.md").read_text()
@@ -91,5 +91,5 @@ def test_the_example_in_python_runs(tmp_path, monkeypatch):
 
 
 def test_limits_and_names_are_those_of_the_code():
-    assert f"1 to {LARGEST_SIDE}" in section("`[film]`")
+    assert f"1 to {MAX_FILM_SIDE}" in section("`[film]`")
     assert re.findall(r"AOVs are (.*)\.", DOCUMENT) == [", ".join(f"`{name}`" for name in BY_NAME)]

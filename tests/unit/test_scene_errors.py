@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from caster.fields import SceneError
-from caster.scene import scene_from_text
+from caster.scene.fields import SceneError
+from caster.scene.files import scene_from_text
 
 CAMERA = """\
 [camera]

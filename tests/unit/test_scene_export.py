@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from caster.cameras import CAMERAS, Fisheye, Pinhole
-from caster.fields import FileMissing
-from caster.lights import Ambient, Directional, Point
-from caster.materials import Diffuse
-from caster.mesh_shape import MeshShape
-from caster.scene import Check, Film, Scene, Shading, load_scene, scene_from_text
+from caster.geometry.world_space import MeshShape
+from caster.scene.fields import FileMissing
+from caster.scene.files import Check, Film, Scene, Shading, load_scene, scene_from_text
+from caster.scene.lights import Ambient, Directional, Point
+from caster.scene.materials import Diffuse
 from caster.shapes import SHAPES, MeshFile, Sphere
 
 NEEDS = {  # what a shape cannot do without

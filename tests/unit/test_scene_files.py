@@ -5,10 +5,10 @@ import sys
 
 import pytest
 
-from caster import scene_text
-from caster.fields import FileMissing, SceneError
-from caster.mesh_files import load_mesh
-from caster.scene import load_scene, scene_from_text
+from caster.geometry.mesh_files import load_mesh
+from caster.scene import text
+from caster.scene.fields import FileMissing, SceneError
+from caster.scene.files import load_scene, scene_from_text
 
 CAMERA = '[camera]\ntype = "panorama"\neye = [0, 0, 0]\ndirection = [0, 0, 1]\n'
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -155,14 +155,14 @@ def modules_after(code):
 
 def test_fields_load_neither_grammars_nor_compilers():
     heavy = {"tree_sitter", "tree_sitter_toml", "tree_sitter_json", "numba", "llvmlite", "mitsuba", "drjit"}
-    assert not heavy & modules_after("import caster.fields")
+    assert not heavy & modules_after("import caster.scene.fields")
 
 
 def test_a_scene_without_errors_loads_no_grammar():
     assert "tree_sitter" not in modules_after(
-        f"import caster.scene\ncaster.scene.scene_from_text({CAMERA!r})"
+        f"import caster.scene.files\ncaster.scene.scene_from_text({CAMERA!r})"
     )
 
 
 def test_the_shown_part_of_a_line_has_room_for_the_error():
-    assert scene_text.LINE_SHOWN >= 80
+    assert text.MAX_LINE_CHARACTERS >= 80

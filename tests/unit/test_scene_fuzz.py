@@ -6,8 +6,8 @@ import json
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from caster.fields import SceneError
-from caster.scene import scene_from_text
+from caster.scene.fields import SceneError
+from caster.scene.files import scene_from_text
 
 SCENE = {
     "film": {"width": 8, "height": 8, "crop": [0, 0, 4, 4]},

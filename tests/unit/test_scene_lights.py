@@ -5,37 +5,42 @@ import math
 import numpy as np
 import pytest
 
-from caster.kernels.light import arriving, incoming, shadow_ray, way_to
-from caster.lights import Ambient, Directional, Point
+from caster.kernels.surface.lighting import (
+    incident_irradiance,
+    light_direction,
+    received_irradiance,
+    shadow_ray,
+)
+from caster.scene.lights import Ambient, Directional, Point
 
 P = [(0.0, 0.0, 0.0), (3.0, 0.0, 4.0), (1.0, 2.0, 3.0)]
 
 
 def test_a_point_light_fades_with_the_squared_distance():
     light = Point(position=[0, 0, 2], intensity=[4, 8, 12]).pack()
-    assert incoming(light, P[0]) == ((0, 0, 1), (1, 2, 3))
-    assert incoming(light, P[1])[1] == pytest.approx(np.array([4, 8, 12]) / 13)
+    assert incident_irradiance(light, P[0]) == ((0, 0, 1), (1, 2, 3))
+    assert incident_irradiance(light, P[1])[1] == pytest.approx(np.array([4, 8, 12]) / 13)
     for p in P:
-        assert math.hypot(*incoming(light, p)[0]) == pytest.approx(1, abs=2.0**-51)
+        assert math.hypot(*incident_irradiance(light, p)[0]) == pytest.approx(1, abs=2.0**-51)
 
 
 def test_the_shadow_ray_of_a_point_light_ends_in_it():
     light = Point(position=[1, 1, 1], intensity=[1, 1, 1]).pack()
     for p in P:
-        d, reach = way_to(light, p)
+        d, reach = light_direction(light, p)
         assert np.array_equal(np.array(p) + np.array(d) * reach, np.ones(3))
 
 
 def test_a_point_in_the_light_itself_gets_nothing_and_no_nan():
-    towards, strength = incoming(Point(position=[1, 2, 3], intensity=[1, 1, 1]).pack(), P[2])
+    towards, strength = incident_irradiance(Point(position=[1, 2, 3], intensity=[1, 1, 1]).pack(), P[2])
     assert np.isfinite(towards).all() and strength == (0, 0, 0)
 
 
 def test_a_directional_light_is_the_same_everywhere_and_never_ends():
     sun = Directional(direction=[0, -2, 0], irradiance=[1, 2, 3]).pack()
     for p in P:
-        assert incoming(sun, p) == ((0, 1, 0), (1, 2, 3))
-        assert way_to(sun, p) == ((0, 1, 0), math.inf)
+        assert incident_irradiance(sun, p) == ((0, 1, 0), (1, 2, 3))
+        assert light_direction(sun, p) == ((0, 1, 0), math.inf)
 
 
 def test_ambient_light_has_no_direction():
@@ -59,12 +64,12 @@ UP, DOWN, SLANTED = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.8, 0.0)
     ],
 )
 def test_which_side_is_lit(normal, ray, two_sided, lit):
-    seen, flux = arriving(SUN, P[1], normal, ray, two_sided)
+    seen, flux = received_irradiance(SUN, P[1], normal, ray, two_sided)
     assert seen == lit and flux == (1, 2, 4)
 
 
 def test_slanting_light_gives_its_cosine():
-    assert arriving(SUN, P[1], SLANTED, DOWN, False) == (True, (0.8, 1.6, 3.2))
+    assert received_irradiance(SUN, P[1], SLANTED, DOWN, False) == (True, (0.8, 1.6, 3.2))
 
 
 @pytest.mark.parametrize(("normal", "side"), [(UP, 1.0), (DOWN, 1.0), ((1.0, 0.0, 0.0), 0.0)])

@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from caster.locate import Positions, Span
+from caster.scene.text import Positions, Span
 
 TOML = """\
 # a comment

@@ -8,11 +8,11 @@ import pytest
 from pydantic import ValidationError
 
 from caster.cameras import Orthographic, Pinhole
-from caster.fields import Description, SceneError
-from caster.lights import Ambient, Point
-from caster.materials import Diffuse
-from caster.scene import Check, Film, Scene, Shading
-from caster.scene_model import one_of
+from caster.scene.fields import Description, SceneError
+from caster.scene.files import Check, Film, Scene, Shading
+from caster.scene.lights import Ambient, Point
+from caster.scene.materials import Diffuse
+from caster.scene.model import one_of
 from caster.shapes import SHAPES, Cube, Disk, Sphere
 
 CAMERA = Pinhole(eye=[0, 0, 5], look_at=[0, 0, 0])

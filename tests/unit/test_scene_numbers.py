@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from caster import fields
-from caster.fields import Description, SceneError
+from caster.scene import fields
+from caster.scene.fields import Description, SceneError
 
 seeded = settings(derandomize=True, deadline=None)  # the same examples in every run
 

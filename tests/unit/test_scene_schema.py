@@ -6,8 +6,8 @@ import tomllib
 import jsonschema
 import pytest
 
-from caster.fields import SceneError
-from caster.scene import scene_from_text, scene_schema
+from caster.scene.fields import SceneError
+from caster.scene.files import scene_from_text, scene_schema
 
 SCENE = """
 [film]

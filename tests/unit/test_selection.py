@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from caster.commands.scene_arguments import names_of, scene_files
-from caster.wording import FileMissing, SceneError
-from mitsuba_ref.selection import matching
+from caster.cli.scene_arguments import display_names, scene_files
+from caster.scene.errors import FileMissing, SceneError
+from mitsuba_ref.runner.scene_selection import matching
 
 NAMES = ("teapot", "mesh-tea", "mesh", "sphere")
 
@@ -101,7 +101,7 @@ def test_a_place_that_is_not_there_is_named(tmp_path):
 )
 def test_no_two_scenes_have_the_same_name(files, names):
     """They name the files of --out: one would be written over the other."""
-    assert names_of(files) == names
+    assert display_names(files) == names
 
 
 def test_a_file_name_that_is_no_utf_8_is_told(tmp_path):

@@ -10,20 +10,20 @@ import pytest
 
 from caster.aovs import BY_NAME
 from caster.cameras import CAMERAS
-from caster.description import Description
+from caster.geometry.packing import pack, primitive_count
 from caster.kernels.triangles import Triangles
-from caster.lights import LIGHTS
-from caster.packing import count, pack
-from caster.rendering import render
-from caster.scene import Film, Scene, Shading, load_scene, scene_schema
+from caster.rendering.images import render
+from caster.scene.description import Description
+from caster.scene.files import Film, Scene, Shading, load_scene, scene_schema
+from caster.scene.lights import LIGHTS
+from caster.scene.to_world import Step
 from caster.shapes import SHAPES
-from caster.steps import Step
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"
 SCENES = sorted(FOLDER.glob("*.toml"))
 SIDE = 32  # pixels
 
-every_scene = pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+warm_up_scenes = pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 
 
 @functools.cache
@@ -49,7 +49,7 @@ def test_at_least_24_scenes_are_shipped():
     assert len(SCENES) >= 24, f"{len(SCENES)} in {FOLDER}"
 
 
-@every_scene
+@warm_up_scenes
 def test_the_first_line_is_a_comment_of_one_sentence(path):
     purpose = purpose_of(path)
     assert purpose.startswith("# ") and len(purpose.split()) > 4
@@ -61,7 +61,7 @@ def test_no_two_scenes_have_the_same_purpose():
     assert len({purpose_of(path).casefold() for path in SCENES}) == len(SCENES)
 
 
-@every_scene
+@warm_up_scenes
 def test_a_scene_satisfies_the_published_schema(path):
     errors = validator().iter_errors(tomllib.loads(path.read_text(encoding="utf-8")))
     assert [f"{error.json_path}: {error.message}" for error in errors] == []
@@ -100,7 +100,7 @@ def test_every_step_of_to_world_is_used(step):
     assert any(getattr(one, step) is not None for one in steps)
 
 
-@every_scene
+@warm_up_scenes
 def test_a_scene_shows_something_and_no_nan(path):
     scene = scene_of(path)
     aovs = render(scene.with_film(width=SIDE, height=SIDE), tuple(BY_NAME))
@@ -124,7 +124,9 @@ def test_a_mesh_has_more_than_100000_triangles():
 
 
 def largest_mesh(scene: Scene) -> int:
-    return max((count(part) for part in pack(scene).parts if isinstance(part, Triangles)), default=0)
+    return max(
+        (primitive_count(part) for part in pack(scene).parts if isinstance(part, Triangles)), default=0
+    )
 
 
 def test_a_scene_has_more_than_1500_spheres():

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.stress import FAMILIES, plot, sweeping, table, truth, witnesses
-from mitsuba_ref.stress.result import Sweep, as_json
+from mitsuba_ref.reference.variants import Variants
+from mitsuba_ref.stress import FAMILIES, page, score, sweeps, table, witnesses
 from mitsuba_ref.stress.score import Scorer
-from mitsuba_ref.stress.selecting import selected
-from mitsuba_ref.stress.watertight import check_closed
-from mitsuba_ref.stress.witnesses import Absent, Sight
-from mitsuba_ref.variants import Variants
+from mitsuba_ref.stress.selection import select_families
+from mitsuba_ref.stress.surfaces import check_closed
+from mitsuba_ref.stress.sweeps import Sweep, as_json
+from mitsuba_ref.stress.witnesses import Absent, Observation
 
 RAYS = 25
 BY_NAME = {family.name: family for family in FAMILIES}
@@ -46,15 +46,15 @@ STRESSED = (
 def no_mitsuba(monkeypatch):
     """A machine where no variant works: the sweeps go on with ours and exact arithmetic."""
     nothing = Variants(False, False, None, "planted: nothing works")
-    monkeypatch.setattr(witnesses, "usable", lambda: nothing)
-    monkeypatch.setattr(sweeping, "usable", lambda: nothing)
+    monkeypatch.setattr(witnesses, "usable_variants", lambda: nothing)
+    monkeypatch.setattr(sweeps, "usable_variants", lambda: nothing)
 
 
 def run(name: str, *places: int) -> Sweep:
     """A family, or some of its settings."""
     family = BY_NAME[name]
     values = tuple(family.values[i] for i in places) or family.values
-    return sweeping.sweep(replace(family, values=values), 0, RAYS)
+    return sweeps.sweep(replace(family, values=values), 0, RAYS)
 
 
 def shortened(monkeypatch, name: str, *places: int) -> None:
@@ -118,24 +118,24 @@ def test_a_screen_casts_every_ray_of_a_setting_once(name):
 # --- planted faults
 
 
-def slowed(sight: Sight) -> Sight:
+def slowed(sight: Observation) -> Observation:
     return sight._replace(t=sight.t * (1.0 + 1e-6))
 
 
-def without_a_primitive(sight: Sight) -> Sight:
+def without_a_primitive(sight: Observation) -> Observation:
     gone = sight.prim == Counter(sight.prim[sight.hit].tolist()).most_common(1)[0][0]
-    return Sight(np.where(gone, np.inf, sight.t), np.where(gone, -1, sight.prim))
+    return Observation(np.where(gone, np.inf, sight.t), np.where(gone, -1, sight.prim))
 
 
-def misnamed(sight: Sight) -> Sight:
+def misnamed(sight: Observation) -> Observation:
     return sight._replace(prim=np.where(sight.hit, sight.prim + 1, -1))
 
 
-def hitting_always(sight: Sight) -> Sight:
-    return Sight(np.where(sight.hit, sight.t, 1.0), np.where(sight.hit, sight.prim, 0))
+def hitting_always(sight: Observation) -> Observation:
+    return Observation(np.where(sight.hit, sight.t, 1.0), np.where(sight.hit, sight.prim, 0))
 
 
-def not_a_number(sight: Sight) -> Sight:
+def not_a_number(sight: Observation) -> Observation:
     return sight._replace(t=np.where(sight.hit, np.nan, sight.t))
 
 
@@ -152,8 +152,8 @@ FAULTS = {
     ("fault", "name"), [(fault, name) for fault, names in FAULTS.items() for name in names]
 )
 def test_a_fault_of_ours_fails_the_run(fault, name, monkeypatch, capsys):
-    honest = witnesses.ours
-    monkeypatch.setattr(witnesses, "ours", lambda ready: fault(honest(ready)))
+    honest = witnesses.cast_by_bvh
+    monkeypatch.setattr(witnesses, "cast_by_bvh", lambda ready: fault(honest(ready)))
     shortened(monkeypatch, name, -1)
     assert main(["stress", name, "--rays", str(RAYS)]) == 1
     shown = capsys.readouterr().out
@@ -161,8 +161,8 @@ def test_a_fault_of_ours_fails_the_run(fault, name, monkeypatch, capsys):
 
 
 def test_a_fault_of_the_screen_alone_fails_the_run(monkeypatch, capsys):
-    honest = witnesses.on_screen
-    monkeypatch.setattr(witnesses, "on_screen", lambda ready: without_a_primitive(honest(ready)))
+    honest = witnesses.cast_by_raster
+    monkeypatch.setattr(witnesses, "cast_by_raster", lambda ready: without_a_primitive(honest(ready)))
     shortened(monkeypatch, "film-size", 0)
     assert main(["stress", "film-size"]) == 1
     assert "screen: " in capsys.readouterr().out
@@ -180,7 +180,7 @@ def test_rays_that_show_nothing_fail_the_run(monkeypatch, capsys):
 
     def only_hits(rng, x, count):
         setting = family.make(rng, x, 100)
-        sight = witnesses.ours(witnesses.prepare(setting))
+        sight = witnesses.cast_by_bvh(witnesses.prepare_setting(setting))
         return replace(setting, o=setting.o[sight.hit], d=setting.d[sight.hit])
 
     monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", (replace(family, make=only_hits, values=(1e-2,)),))
@@ -197,20 +197,20 @@ def test_an_open_mesh_is_no_closed_one():
 
 
 def test_a_closed_mesh_that_exact_arithmetic_gets_out_of_is_an_error():
-    ready = witnesses.prepare(replace(next(iter(BY_NAME["tangency"].settings(0, RAYS))), closed=True))
+    ready = witnesses.prepare_setting(replace(next(iter(BY_NAME["tangency"].settings(0, RAYS))), closed=True))
     with pytest.raises(AssertionError, match="leaves a closed mesh"):
-        truth.find_truth(ready, np.zeros(RAYS, bool))
+        score.exact_answers(ready, np.zeros(RAYS, bool))
 
 
 # --- scores
 
 
 @pytest.fixture(scope="module")
-def ball() -> tuple[Scorer, Sight]:
+def ball() -> tuple[Scorer, Observation]:
     """One sphere on another: every hit is a tie."""
     family = BY_NAME["coincident-spheres"]
-    ready = witnesses.prepare(family.make(np.random.default_rng(3), 0.0, RAYS))
-    return Scorer(ready, truth.find_truth(ready, np.zeros(RAYS, bool))), witnesses.ours(ready)
+    ready = witnesses.prepare_setting(family.make(np.random.default_rng(3), 0.0, RAYS))
+    return Scorer(ready, score.exact_answers(ready, np.zeros(RAYS, bool))), witnesses.cast_by_bvh(ready)
 
 
 def test_any_member_of_a_tie_is_right(ball):
@@ -224,7 +224,7 @@ def test_any_member_of_a_tie_is_right(ball):
 def test_each_kind_of_mistake_is_counted_as_what_it_is(ball):
     scorer, sight = ball
     hits = int(sight.hit.sum())
-    lost = scorer.score(Sight(np.full(RAYS, np.inf), np.full(RAYS, -1)), ours=True)
+    lost = scorer.score(Observation(np.full(RAYS, np.inf), np.full(RAYS, -1)), ours=True)
     assert (lost.false_misses, lost.compared, lost.error, lost.breaks) == (hits, 0, None, True)
     assert scorer.score(hitting_always(sight), ours=True).false_hits == RAYS - hits > 0
     broken = scorer.score(not_a_number(sight), ours=True)
@@ -291,14 +291,14 @@ def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
 def test_what_is_missing_is_said_in_table_picture_and_json():
     sweep = run("tangency", 0, -1)
     assert "Mitsuba LLVM, robust: missing: planted: nothing works" in table.as_text(sweep)
-    assert b"Mitsuba LLVM, robust: missing" in plot.as_svg(sweep)
+    assert b"Mitsuba LLVM, robust: missing" in page.as_svg(sweep)
     text = json.dumps(as_json([sweep], ["tangency"], 0, {}))
     assert text.count('"status": "missing"') == 3 * len(sweep.outcomes)
 
 
 def test_leaks_are_added_up(monkeypatch):
-    honest = witnesses.ours
-    monkeypatch.setattr(witnesses, "ours", lambda ready: without_a_primitive(honest(ready)))
+    honest = witnesses.cast_by_bvh
+    monkeypatch.setattr(witnesses, "cast_by_bvh", lambda ready: without_a_primitive(honest(ready)))
     sweep = run("watertight-vertices", 0, 1)
     lost = sum(outcome.scores["ours"].false_misses for outcome in sweep.outcomes)
     assert lost > 0 and f"leaks of {2 * RAYS} rays: ours {lost}, screen 0, scalar missing" in table.as_text(
@@ -309,9 +309,9 @@ def test_leaks_are_added_up(monkeypatch):
 @pytest.mark.parametrize("name", ["watertight-edges", "coincident-triangles", "scale-mesh"])
 def test_a_picture_is_well_formed_small_and_the_same_again(name):
     sweep = run(name, 0, 1, -1)
-    picture = plot.as_svg(sweep)
+    picture = page.as_svg(sweep)
     words = " ".join(ElementTree.fromstring(picture).itertext())
-    assert picture == plot.as_svg(sweep) and len(picture) < 90_000
+    assert picture == page.as_svg(sweep) and len(picture) < 90_000
     for word in (
         sweep.family.quantity,
         sweep.family.error,
@@ -346,12 +346,14 @@ def test_without_matplotlib_there_are_tables_and_a_word_what_to_install(tmp_path
 
 
 def test_a_part_of_the_name_selects_all_that_begin_with_it():
-    assert [family.name for family in selected(FAMILIES, ["watertight"], None)] == NAMES[10:12]
-    assert [family.name for family in selected(FAMILIES, ["axis", "scale-mesh"], None)] == [
+    assert [family.name for family in select_families(FAMILIES, ["watertight"], None)] == NAMES[10:12]
+    assert [family.name for family in select_families(FAMILIES, ["axis", "scale-mesh"], None)] == [
         "scale-mesh",
         "axis",
     ]
-    assert [family.name for family in selected(FAMILIES, [], "shadow and not mesh")] == ["shadow-sphere"]
+    assert [family.name for family in select_families(FAMILIES, [], "shadow and not mesh")] == [
+        "shadow-sphere"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -376,14 +378,14 @@ def test_the_list_names_all_families(capsys):
 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path, monkeypatch, capsys):
-    honest = sweeping.sweep
+    honest = sweeps.sweep
 
     def interrupted(family, *rest):
         if family.name == "offset-sphere":
             raise KeyboardInterrupt
         return honest(family, *rest)
 
-    monkeypatch.setattr(sweeping, "sweep", interrupted)
+    monkeypatch.setattr(sweeps, "sweep", interrupted)
     out = tmp_path / "out.json"
     assert main(["stress", "offset", "--rays", str(RAYS), "--json", str(out)]) == 130
     kept = json.loads(out.read_text())

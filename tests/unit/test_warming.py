@@ -5,38 +5,38 @@ import json
 
 import pytest
 
-from caster import warming
 from caster.__main__ import main
 from caster.cameras import CAMERAS
-from caster.kernels import jit
-from caster.kernels.protocol import intersect, project_ball
-from caster.packing import pack
-from caster.progress import Progress, announced
+from caster.cli.compile_progress import CompileProgress, announce_compilation
+from caster.geometry.packing import pack
+from caster.jit import decorators
+from caster.kernels.protocol import intersect, project_bounding_sphere
+from caster.rendering import warm_up
 
 SCENE = "scenes/one-sphere.toml"
 
 
 def test_every_kind_of_primitive_and_every_camera_is_warmed():
-    scenes = [scene for _, scene in warming.every_scene()]
+    scenes = [scene for _, scene in warm_up.warm_up_scenes()]
     everything = [scene for scene in scenes if len(scene.shapes) > 1]
     assert [type(scene.camera) for scene in everything] == list(CAMERAS)
     kinds = {type(kind.prims) for kind in pack(everything[0]).kinds}
-    assert kinds == set(jit._GENERICS[intersect].bodies)
+    assert kinds == set(decorators._GENERICS[intersect].bodies)
     alone = {(type(scene.camera), type(pack(scene).parts[0])) for scene in scenes if len(scene.shapes) == 1}
-    cameras = {camera for camera in jit._GENERICS[project_ball].bodies}
+    cameras = {camera for camera in decorators._GENERICS[project_bounding_sphere].bodies}
     assert len(alone) == len(kinds) * len(cameras) and {kind for _, kind in alone} == kinds
 
 
 @pytest.fixture
 def little(monkeypatch):
     """One AOV by one culling: the rest is as much again, many times."""
-    monkeypatch.setattr(warming, "AOV_SETS", (("depth",),))
-    monkeypatch.setattr(warming, "get_args", lambda culling: ("screen",))
-    monkeypatch.setattr(warming, "_warm_decisions", lambda packed: None)
-    monkeypatch.setattr(jit.WORK, "compiling", jit.WORK.compiling)
+    monkeypatch.setattr(warm_up, "WARM_UP_AOV_SETS", (("depth",),))
+    monkeypatch.setattr(warm_up, "get_args", lambda culling: ("screen",))
+    monkeypatch.setattr(warm_up, "_warm_decisions", lambda packed: None)
+    monkeypatch.setattr(decorators.COMPILATION_LOG, "compiling", decorators.COMPILATION_LOG.compiling)
 
 
-@pytest.mark.skipif(not jit.COMPILED, reason="without Numba nothing is compiled")
+@pytest.mark.skipif(not decorators.COMPILED, reason="without Numba nothing is compiled")
 def test_what_was_done_is_told(little, capsys):
     assert main(["doctor", "--warm", SCENE]) == 0
     told = capsys.readouterr()
@@ -51,11 +51,11 @@ def test_a_scene_that_is_not_there_is_told_before_anything_is_compiled(capsys):
 
 
 def test_one_line_is_said_before_the_first_kernel_is_compiled(capsys, monkeypatch):
-    monkeypatch.setattr(jit.WORK, "compiling", jit.WORK.compiling)
-    with announced("sphere, pinhole"):
-        jit.WORK.compiling("one")
-        jit.WORK.compiling("another")
-    jit.WORK.compiling("later")
+    monkeypatch.setattr(decorators.COMPILATION_LOG, "compiling", decorators.COMPILATION_LOG.compiling)
+    with announce_compilation("sphere, pinhole"):
+        decorators.COMPILATION_LOG.compiling("one")
+        decorators.COMPILATION_LOG.compiling("another")
+    decorators.COMPILATION_LOG.compiling("later")
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("compiling the kernels for sphere, pinhole: once") and "doctor --warm" in line
 
@@ -68,7 +68,7 @@ def test_a_terminal_gets_one_line_and_a_file_one_for_each_scene(monkeypatch):
             return True
 
     for stream, expected in ((Terminal(), 0), (io.StringIO(), 2)):
-        progress = Progress(stream)
+        progress = CompileProgress(stream)
         for scene in ("pinhole", "fisheye"):
             progress.begin(scene)
             progress.compiling("cast_shared_origin(Spheres)")

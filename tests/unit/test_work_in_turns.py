@@ -4,14 +4,14 @@ import threading
 
 import pytest
 
-from caster.threads import in_bands, in_turns, thread_count
+from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])
 @pytest.mark.parametrize("count", [0, 1, 2, 97])
 def test_every_piece_is_done_once(workers, count):
     done: list[int] = []
-    in_turns(lambda: done.append, list(range(count)), workers)
+    parallel_for_pieces(lambda: done.append, list(range(count)), workers)
     assert sorted(done) == list(range(count))
 
 
@@ -19,21 +19,23 @@ def test_every_piece_is_done_once(workers, count):
 def test_every_piece_that_is_done_is_told_of_once_after_it(workers):
     done: list[int] = []
     told: list[tuple[int, bool]] = []
-    in_turns(lambda: done.append, list(range(97)), workers, lambda piece: told.append((piece, piece in done)))
+    parallel_for_pieces(
+        lambda: done.append, list(range(97)), workers, lambda piece: told.append((piece, piece in done))
+    )
     assert sorted(told) == [(piece, True) for piece in range(97)]
 
 
 @pytest.mark.parametrize("threads", [1, 2, 7])
 def test_bands_cover_everything(threads):
     done: list[range] = []
-    in_bands(lambda start, stop: done.append(range(start, stop)), 1000, threads)
+    parallel_for(lambda start, stop: done.append(range(start, stop)), 1000, threads)
     assert sorted(i for band in done for i in band) == list(range(1000))
-    in_bands(lambda start, stop: pytest.fail("nothing to do"), 0, threads)
+    parallel_for(lambda start, stop: pytest.fail("nothing to do"), 0, threads)
 
 
 def test_too_little_for_a_second_thread_stays_on_this_one():
     where = set()
-    in_bands(lambda start, stop: where.add(threading.get_ident()), 99, 4, least=50)
+    parallel_for(lambda start, stop: where.add(threading.get_ident()), 99, 4, least=50)
     assert where == {threading.get_ident()}
 
 
@@ -46,7 +48,7 @@ def test_an_error_is_raised_and_what_has_not_begun_is_not_begun():
             raise ValueError("planted")
 
     with pytest.raises(ValueError, match="planted"):
-        in_turns(lambda: work, list(range(10**6)), 1)
+        parallel_for_pieces(lambda: work, list(range(10**6)), 1)
     assert begun == [0, 1, 2, 3]
 
 
@@ -60,7 +62,7 @@ def test_an_error_of_another_thread_is_raised():
         caught.wait(0.01)
 
     with pytest.raises(ValueError, match="planted elsewhere"):
-        in_turns(lambda: work, list(range(1000)), 2)
+        parallel_for_pieces(lambda: work, list(range(1000)), 2)
     assert caught.is_set()
 
 
@@ -69,9 +71,9 @@ def test_work_within_work_ends():
     done: list[int] = []
 
     def outer(piece: int) -> None:
-        in_turns(lambda: done.append, list(range(10)), 2)
+        parallel_for_pieces(lambda: done.append, list(range(10)), 2)
 
-    in_turns(lambda: outer, list(range(8)), 2)
+    parallel_for_pieces(lambda: outer, list(range(8)), 2)
     assert len(done) == 80
 
 

@@ -4,9 +4,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from caster import Film, Icosphere, Pinhole, Scene, film_casting
-from caster.hits import packed
-from caster.rendering import render
+from caster import Film, Icosphere, Pinhole, Scene
+from caster.rendering import rasterization
+from caster.rendering.hits import packed
+from caster.rendering.images import render
 
 
 def a_scene() -> Scene:
@@ -37,6 +38,6 @@ def test_pictures_at_the_same_time_have_their_own():
 
 def test_what_is_too_large_is_not_kept(monkeypatch):
     scene = a_scene()
-    monkeypatch.setattr(film_casting, "MOST_KEPT", 0)
+    monkeypatch.setattr(rasterization, "MAX_KEPT_WORKSPACE", 0)
     render(scene, ("depth",))
     assert packed(scene).kinds[0].spare == []

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from mitsuba_ref.bench.work import CannotRun, Work
-from mitsuba_ref.door import dr, mi
+from mitsuba_ref.reference.mitsuba_process import dr, mi
 
 AOVS = "depth:depth,normal:geo_normal"
 

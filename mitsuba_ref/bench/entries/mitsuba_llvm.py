@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mitsuba_ref.bench.work import ANY, SHADOW_END, Work, blocked, given_rays
-from mitsuba_ref.door import dr, mi
+from mitsuba_ref.reference.mitsuba_process import dr, mi
 
 VARIANT = "llvm_ad_rgb"
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from mitsuba_ref.bench.entries.mitsuba_aov import one_by_one
 from mitsuba_ref.bench.work import ANY, SHADOW_END, Work, blocked, given_rays
-from mitsuba_ref.door import mi
+from mitsuba_ref.reference.mitsuba_process import mi
 
 VARIANT = "scalar_rgb"
 

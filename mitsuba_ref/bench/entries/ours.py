@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import caster
-from mitsuba_ref.bench.work import ANY, FIRST_RAY, NEAREST, SCENE, SHADOW_END, Work, blocked, given_rays
+from mitsuba_ref.bench.work import ANY, FIRST_RAY, NEAREST, SCENE_FILE, SHADOW_END, Work, blocked, given_rays
 
 AOVS = ("depth", "normal")
 FEW = 8  # pixels a side: enough to make everything that is made before rays are cast
@@ -18,7 +18,7 @@ class Ours:
     def __init__(self, work: Work) -> None:
         self.work = work
         self.aovs = tuple(work.options.get("aovs", AOVS))
-        self.file = Path(work.folder) / SCENE
+        self.file = Path(work.folder) / SCENE_FILE
 
     def build(self, size: int) -> None:
         """A scene of which nothing is known yet, and a picture of a few pixels; of meshes, the file is read before."""

@@ -11,13 +11,13 @@ import numpy as np
 
 from cases.case import FLOAT32, Case, Maker, Question
 from cases.probes import probed
-from mitsuba_ref.exact import Oracle
-from mitsuba_ref.export import export
-from mitsuba_ref.jobs import Answer, Crash, Job
-from mitsuba_ref.model import model_of
-from mitsuba_ref.rays import SharedRays
-from mitsuba_ref.variants import usable
-from mitsuba_ref.worker import ask_all
+from mitsuba_ref.error_model.scene_model import model_of
+from mitsuba_ref.oracle.oracle import Oracle
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.rendering import export
+from mitsuba_ref.reference.session import send_requests
+from mitsuba_ref.reference.variants import usable_variants
 
 DATA = Path(__file__).parent.parent / "mitsuba_behaviour.json"
 MODES = {"robust": True, "default": False}
@@ -47,7 +47,7 @@ class Asked:
     def __init__(self, case: Case, folder: Path) -> None:
         self.case, self.folder = case, folder
         self.exact: list[list[Any]] = []
-        self.jobs: dict[str, list[Job]] = {mode: [] for mode in MODES}
+        self.jobs: dict[str, list[TraceRequest]] = {mode: [] for mode in MODES}
         for i, question in enumerate(questions(case)):
             self._add(question, folder / f"{case.number}-{i}")
 
@@ -59,8 +59,8 @@ class Asked:
             model = model_of(question.scene, packed, SharedRays(o, d, t_max, np.zeros(len(o))))
             for mode, robust in MODES.items():
                 xml = export(question.scene, model, robust=robust).write(folder / mode)
-                self.jobs[mode].append(Job(xml, "", o, d, t_max, lights=False, strict=False))
-        self.exact.append(Oracle(packed, model.kinds).ask_all(question.o, question.d, 0.0, question.t_max))
+                self.jobs[mode].append(TraceRequest(xml, "", o, d, t_max, lights=False, strict=False))
+        self.exact.append(Oracle(packed, model.kinds).first_hits(question.o, question.d, 0.0, question.t_max))
 
 
 def measured(cases: Sequence[Case], with_probes: bool = True) -> dict[str, dict[str, Counts]]:
@@ -68,11 +68,11 @@ def measured(cases: Sequence[Case], with_probes: bool = True) -> dict[str, dict[
     found: dict[str, dict[str, Counts]] = {str(case.number): {} for case in cases}
     with tempfile.TemporaryDirectory(prefix="edge-cases-") as folder:
         asked = [Asked(case, Path(folder)) for case in cases]
-        for variant in usable().names:
+        for variant in usable_variants().names:
             short = variant.partition("_")[0]
             for mode in MODES:
                 jobs = [job_of(job, variant) for one in asked for job in one.jobs[mode]]
-                answers = iter(ask_all(jobs) if jobs else [])
+                answers = iter(send_requests(jobs) if jobs else [])
                 for one in asked:
                     pairs = [(exact, next(answers)) for exact in one.exact]
                     if pairs:
@@ -84,11 +84,11 @@ def measured(cases: Sequence[Case], with_probes: bool = True) -> dict[str, dict[
     return {number: counts for number, counts in found.items() if counts}
 
 
-def job_of(job: Job, variant: str) -> Job:
-    return Job(job.xml, variant, job.o, job.d, job.t_max, lights=False, strict=False)
+def job_of(job: TraceRequest, variant: str) -> TraceRequest:
+    return TraceRequest(job.xml, variant, job.o, job.d, job.t_max, lights=False, strict=False)
 
 
-def counted(pairs: Sequence[tuple[list[Any], Answer | Crash]]) -> Counts:
+def counted(pairs: Sequence[tuple[list[Any], TraceResponse | Crash]]) -> Counts:
     counts: Counts = {"rays": 0, "missed": 0, "invented": 0, "no number": 0, "worst t": 0.0}
     refused = 0
     for exact, answer in pairs:

@@ -9,9 +9,9 @@ from cases import whole
 from cases.case import PRECISIONS, Case, Maker, Question
 from cases.shapes import mesh_of, rays_at, shape_of
 from caster import Cube, Icosphere, MeshFile
-from caster.casting import find_nearest
-from caster.hits import checked_rays
 from caster.kernels.nearest import Rays
+from caster.rendering.casting import find_nearest
+from caster.rendering.hits import validated_rays
 
 
 def random_boxes(make: Maker, offsets: tuple[float, ...] = (0.0, 1e6)) -> Iterator[Question]:
@@ -37,7 +37,7 @@ def random_boxes(make: Maker, offsets: tuple[float, ...] = (0.0, 1e6)) -> Iterat
 def scaled_rays(question: Question) -> Rays:
     """As `cast` hands them on: d of about length 1, by powers of two."""
     exponent = np.frexp(np.abs(question.d).max(axis=1))[1]
-    return checked_rays(question.o, np.ldexp(question.d, -exponent[:, None]), 0.0, np.inf)
+    return validated_rays(question.o, np.ldexp(question.d, -exponent[:, None]), 0.0, np.inf)
 
 
 def trees() -> int:

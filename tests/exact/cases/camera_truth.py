@@ -10,8 +10,8 @@ from flint import arb, ctx
 from cases.case import Maker
 from cases.judging import ROUNDED
 from caster import Film, Pinhole, Scene, render
-from caster.rendering import camera_rays, look
-from mitsuba_ref.exact import Oracle
+from caster.rendering.images import camera_rays, trace_film
+from mitsuba_ref.oracle.oracle import Oracle
 
 U = 2.0**-53
 BITS = 160  # of balls around the exact directions
@@ -89,16 +89,16 @@ def right_directions(camera: Pinhole, film: Film, count: int = 64) -> int:
 
 def in_the_picture(scene: Scene) -> int:
     """Every pixel against the exact answer along the camera's own ray, and its AOVs; how many were hit."""
-    view, picture = look(scene), render(scene, AOVS)
+    view, picture = trace_film(scene), render(scene, AOVS)
     rays, seen = view.rays, view.nearest
-    answers = Oracle(view.packed).ask_all(rays.o, rays.d, rays.t_min, rays.t_max)
+    answers = Oracle(view.packed).first_hits(rays.o, rays.d, rays.t_min, rays.t_max)
     depth = picture["depth"].ravel()
     for i, answer in enumerate(answers):
         assert seen.prim[i] == answer.prim, f"pixel {i}: {seen.prim[i]}, exactly {answer.prim}"
         assert bool(picture.hit.ravel()[i]) is answer.hit
         if answer.hit:
             assert answer.t.off(float(seen.t[i])) <= seen.off[i] * ROUNDED
-            # depth is t times a length that is 1 within 16 u (vec.ABOUT_ONE); that and the product are rounded
+            # depth is t times a length that is 1 within 16 u (vec.UNIT_SQUARE_ATOL); that and the product are rounded
             assert abs(depth[i] - seen.t[i]) <= 18 * U * seen.t[i]
         else:
             assert depth[i] == math.inf

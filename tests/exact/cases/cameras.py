@@ -10,8 +10,8 @@ from cases.case import FLOAT64, Case, Maker
 from cases.refusals import refused
 from cases.shapes import shape_of
 from caster import Film, Pinhole, Plane, Scene, Sphere
-from caster.film import LARGEST_SIDE
-from caster.rendering import camera_rays
+from caster.rendering.images import camera_rays
+from caster.scene.model import MAX_FILM_SIDE
 
 FOVS = (0.001, 0.01, 0.1, 1.0, 45.0, 90.0, 120.0, 170.0, 179.0, 179.9, 179.99)
 
@@ -101,7 +101,7 @@ def small_films() -> int:
     return count
 
 
-WIDE = (4096, LARGEST_SIDE)
+WIDE = (4096, MAX_FILM_SIDE)
 
 
 def wide_films() -> int:
@@ -114,9 +114,9 @@ def wide_films() -> int:
             count += right_directions(camera, film, 40)
             d = camera_rays(Scene(film=film, camera=camera)).d
             assert len(np.unique(d, axis=0)) == 1000
-    for side in (LARGEST_SIDE + 1, 2**20, 2**24):
-        count += refused(lambda side=side: Film(width=side, height=1), "width", str(LARGEST_SIDE))
-        count += refused(lambda side=side: Film(width=1, height=side), "height", str(LARGEST_SIDE))
+    for side in (MAX_FILM_SIDE + 1, 2**20, 2**24):
+        count += refused(lambda side=side: Film(width=side, height=1), "width", str(MAX_FILM_SIDE))
+        count += refused(lambda side=side: Film(width=1, height=side), "height", str(MAX_FILM_SIDE))
     return count
 
 

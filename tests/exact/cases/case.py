@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster import Film, Pinhole, Scene
-from caster.packing import pack
-from caster.placing import Rounding, as_float32, as_given
+from caster.geometry.packing import pack
+from caster.geometry.world_space import Rounding, as_float32, as_given
 
 MORE = "EDGE_CASE_RAYS"  # environment variable: so many times as many rays
 

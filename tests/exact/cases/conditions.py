@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.packing import Packed
+from caster.geometry.packing import Packed
 
 ULP = 2.0**-52
 
@@ -18,7 +18,8 @@ ULP = 2.0**-52
 T_ULPS = 4.0
 
 # The bound that we give beside t may be so many: where a ray is taken to object space, d is off by 6 u there
-# (SEEN_ERROR), so d.d by 3 times that, which comes in twice, and everything is doubled for the division: 72 u. Other
+# (TO_OBJECT_SPACE_ERROR), so d.d by 3 times that, which comes in twice, and everything is doubled for the
+# division: 72 u. Other
 # terms are at most 12 u (`moved` in roots.py; 9 u in triangles.py), doubled or doubled twice: 48 u. u is half an ulp.
 OFF_ULPS = 64.0
 

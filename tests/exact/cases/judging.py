@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import caster.casting
+import caster.rendering.casting
 from cases.case import Question
 from cases.conditions import T_ULPS, ULP, conditions
 from cases.normals import UNIT_ATOL, bound, normal
 from caster import Hits, cast
-from caster.kernels.exact_root import FLOAT_ERROR
-from caster.packing import Packed
-from mitsuba_ref.exact import ExactAnswer, Oracle
+from caster.geometry.packing import Packed
+from caster.kernels.exact.surds import AS_FLOAT_REL_ERROR
+from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 
 NORMALS = 24  # of each question's hits, spread over them: so many normals are worked out exactly
 SHOWN = 5  # wrong rays in a message
@@ -34,24 +34,24 @@ class Found(NamedTuple):
 @contextmanager
 def doubtful() -> Iterator[list[int]]:
     """Counts the rays that float64 leaves to exact arithmetic."""
-    decide, seen = caster.casting.decide, []
+    decide, seen = caster.rendering.casting.exact_nearest, []
 
     def counted(packed: Packed, rays: Any, threads: int | None = None, **options: Any) -> Any:
         seen.append(len(rays.t_min))
         return decide(packed, rays, threads, **options)
 
-    caster.casting.decide = counted
+    caster.rendering.casting.exact_nearest = counted
     try:
         yield seen
     finally:
-        caster.casting.decide = decide
+        caster.rendering.casting.exact_nearest = decide
 
 
 def judged(question: Question) -> Found:
     packed = question.scene.kept["packed"]
     with doubtful() as exactly:
         hits = cast(question.scene, question.o, question.d, t_min=question.t_min, t_max=question.t_max)
-    answers = Oracle(packed).ask_all(question.o, question.d, question.t_min, question.t_max)
+    answers = Oracle(packed).first_hits(question.o, question.d, question.t_min, question.t_max)
     wrong = [f"{question.name}: {text}" for text in differences(question, packed, hits, answers)]
     met = tally(answers)
     met["exact"] += sum(exactly)
@@ -100,7 +100,7 @@ def measured(question: Question, packed: Packed, hits: Hits, rows: np.ndarray) -
     nearest, rays = hits.view.nearest, hits.view.rays
     found = conditions(packed, nearest.prim[rows], rays.o[rows], rays.d[rows], nearest.t[rows])
     # Where nothing is resolved, exact arithmetic has decided, and t is rounded a few times only.
-    rounded = FLOAT_ERROR * np.abs(nearest.t[rows]) * ROUNDED
+    rounded = AS_FLOAT_REL_ERROR * np.abs(nearest.t[rows]) * ROUNDED
     limit = np.where(np.isfinite(found.size), found.off_limit(), rounded)
     exponent = powers(question.d[rows]) - powers(rays.d[rows])
     every = (nearest.off[rows], T_ULPS * ULP * found.size, limit)

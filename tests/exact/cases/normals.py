@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from caster.packing import Packed
-from mitsuba_ref.exact_arithmetic.root import Root
+from caster.geometry.packing import Packed
+from mitsuba_ref.oracle.exact_numbers import Root
 
 F = Fraction
 Exact = list[Fraction]

@@ -13,7 +13,8 @@ exactly, shapes of whole numbers are turned by integer quaternions (`tests/exact
 their surfaces exact in float64 and in float32.
 
 `tests/exact/test_edge_cases.py` asks every ray twice, in float64 and in float32 numbers, and holds our answer to the
-oracle's (`mitsuba_ref/exact.py`): hit or miss, the primitive (of exact ties the lowest), t within the bound that the
+oracle's (`mitsuba_ref/oracle/oracle.py`): hit or miss, the primitive (of exact ties the lowest), t
+within the bound that the
 caster itself gives beside it and within 4 ulps times a condition worked out apart (`cases/conditions.py`), that bound
 within its own limit, normals of length 1 and right within a derived bound of the exact ones. Every question says what
 it has to meet, how many tangents, ties, misses, rays left to exact arithmetic, and fails if it does not.

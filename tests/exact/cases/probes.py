@@ -9,14 +9,14 @@ import numpy as np
 
 from cases.shapes import ply_of
 from caster import Film, Pinhole, Scene
-from caster.packing import pack
-from caster.placing import as_float32
-from caster.rendering import camera_rays
-from mitsuba_ref.export import export
-from mitsuba_ref.jobs import Answer, Crash, Job
-from mitsuba_ref.model import model_of
-from mitsuba_ref.rays import share
-from mitsuba_ref.worker import ask, ask_all
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from caster.rendering.images import camera_rays
+from mitsuba_ref.error_model.scene_model import model_of
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.rays import shared_rays
+from mitsuba_ref.reference.rendering import export
+from mitsuba_ref.reference.session import send_request, send_requests
 
 U = 2.0**-24
 
@@ -170,7 +170,7 @@ def probed(numbers: Sequence[int], variant: str, folder: Path) -> dict[str, dict
     ]
     found: dict[str, dict[str, str]] = {}
     for (i, probe, _), answer in zip(
-        asked, ask_all([job for _, _, job in asked]) if asked else [], strict=True
+        asked, send_requests([job for _, _, job in asked]) if asked else [], strict=True
     ):
         found.setdefault(str(i), {})[probe.name] = told(answer)
     for j, (i, probe) in enumerate(chosen):
@@ -179,14 +179,14 @@ def probed(numbers: Sequence[int], variant: str, folder: Path) -> dict[str, dict
     return found
 
 
-def job(probe: Probe, variant: str, folder: Path) -> Job:
+def job(probe: Probe, variant: str, folder: Path) -> TraceRequest:
     folder.mkdir(parents=True)
     head = '<scene version="3.0.0"><boolean name="embree_use_robust_intersections" value="true"/>'
     (folder / "scene.xml").write_text(f"{head}{probe.content}</scene>")
     for name, content in probe.files.items():
         (folder / name).write_bytes(content)
     o, d = np.array(probe.o, np.float32), np.array(probe.d, np.float32)
-    return Job(
+    return TraceRequest(
         folder / "scene.xml",
         variant,
         o,
@@ -197,7 +197,7 @@ def job(probe: Probe, variant: str, folder: Path) -> Job:
     )
 
 
-def told(answer: Answer | Crash) -> str:
+def told(answer: TraceResponse | Crash) -> str:
     if isinstance(answer, Crash):
         return "refused" if answer.kind == "error" else f"crashed ({answer.kind})"
     nan = int(np.isnan(answer.t).sum())
@@ -208,10 +208,12 @@ def told(answer: Answer | Crash) -> str:
 def directions(probe: Sensor, variant: str, folder: Path) -> str:
     """How far the directions of Mitsuba's sensor are from ours, in 2^-24."""
     scene = Scene(film=probe.film, camera=probe.camera)
-    xml = export(scene, model_of(scene, pack(scene, as_float32), share(scene))).write(folder)
+    xml = export(scene, model_of(scene, pack(scene, as_float32), shared_rays(scene))).write(folder)
     none = np.zeros((0, 3), np.float32)
-    answer = ask(
-        Job(xml, variant, none, none, np.zeros(0, np.float32), lights=False, sensor=True, strict=False)
+    answer = send_request(
+        TraceRequest(
+            xml, variant, none, none, np.zeros(0, np.float32), lights=False, sensor=True, strict=False
+        )
     )
     if isinstance(answer, Crash) or answer.sensor_d is None or answer.sensor_o is None:
         return told(answer) if isinstance(answer, Crash) else "no sensor"

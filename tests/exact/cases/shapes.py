@@ -26,7 +26,7 @@ from caster import (
     Torus,
     Triangle,
 )
-from caster.fields import Shape
+from caster.scene.fields import Shape
 
 Rng = np.random.Generator
 

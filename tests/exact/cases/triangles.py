@@ -10,7 +10,7 @@ from cases import whole
 from cases.case import Case, Maker, Question
 from cases.shapes import Aim, mesh_of, rays_at, shape_of, turn
 from caster import Heightfield, Icosphere, Triangle
-from caster.procedural import icosphere, torus
+from caster.geometry.procedural import icosphere, torus
 
 SUBDIVISIONS = 4  # 5120 faces
 STEPS = 64  # of the grid in a radius, at least: four in an edge

@@ -13,7 +13,7 @@ import numpy as np
 
 from cases.shapes import mesh_of
 from caster import Cube, Cylinder, Disk, MeshFile, Plane, Rectangle, Sphere, Triangle
-from caster.procedural import icosphere
+from caster.geometry.procedural import icosphere
 
 Rng = np.random.Generator
 UNIT = 2.0**-5  # what "1" is

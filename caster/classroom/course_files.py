@@ -1,0 +1,97 @@
+"""A 6.837 scene file -> a Scene of ours and what the course has beyond it, or every error with its line."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from caster.classroom.grammar import FILE_START, SourceMessage
+from caster.classroom.parser import Parser
+from caster.classroom.scene_builder import Falloff, SceneBuilder
+from caster.classroom.scene_conversion import build_scene_data
+from caster.scene.diagnostics import Diagnostic, diagnostics_of
+from caster.scene.errors import FileMissing, SceneError
+from caster.scene.files import MeshFolders, resolve_mesh_files
+from caster.scene.model import Scene
+from caster.scene.text import format_excerpt, read_text
+
+
+@dataclass(frozen=True)
+class CourseScene:
+    """A scene, with what the pictures of the course need and a Scene does not have."""
+
+    scene: Scene  # its lights: those of `colors` in their order, then the ambient one
+    background: tuple[float, ...]  # behind everything, r g b
+    colors: tuple[tuple[float, ...], ...]  # of the lights, r g b
+    falloffs: tuple[Falloff | None, ...]  # how they fade; None: directional
+    left_out: tuple[str, ...]  # "file:line:column: left out: ...", in the order of the file
+
+
+def load_course_scene(
+    path: str | PathLike[str],
+    width: int,
+    height: int,
+    *,
+    shade_back: bool = False,
+    shadows: bool = False,
+    mesh_dirs: Iterable[str | PathLike[str]] = (),
+) -> CourseScene:
+    """Read a scene file of the course, and the meshes it names, which are found as in our own scene files.
+
+    width, height: of the film, in pixels. shade_back: surfaces are lit from behind, too. shadows: cast shadows.
+    Raises FileMissing for a file that cannot be read, SceneError with every error and its line for the rest.
+    """
+    text = read_text(path)
+    parser = Parser(text)
+    builder = build_scene_data(parser.sections(), width, height)
+    for material in builder.data["material"].values():
+        material["two_sided"] = shade_back
+    builder.data["shading"]["shadows"] = shadows
+    reach = MeshFolders(Path(path).parent, tuple(Path(folder) for folder in mesh_dirs))
+    scene, errors, missing = _scene_of(builder, reach, whole=not parser.errors)
+    if bad := [*parser.errors, *builder.errors, *errors, *missing]:
+        kind_of_error = FileMissing if len(missing) == len(bad) else SceneError
+        raise kind_of_error(_format_errors(bad, text, str(path)))
+    assert scene is not None  # or there would be faults
+    left_out = tuple(
+        f"{path}:{at.line}:{at.column}: left out: {what}" for at, what in _by_position(builder.left_out)
+    )
+    return CourseScene(scene, builder.background, tuple(builder.colors), tuple(builder.falloffs), left_out)
+
+
+def _scene_of(
+    builder: SceneBuilder, reach: MeshFolders, whole: bool
+) -> tuple[Scene | None, list[SourceMessage], list[SourceMessage]]:
+    """(the scene, faults of it, meshes that are missing). whole: False where blocks lack what they need anyway."""
+    data, unusable, missing = resolve_mesh_files(builder.data, reach, Scene)
+    scene, problems = None, unusable
+    try:
+        scene = Scene.model_validate(data)
+        scene._folder = reach.folder.resolve()
+    except ValidationError as error:
+        found = diagnostics_of(error, data, Scene)
+        problems = problems + [problem for problem in found if whole or "needs the key" not in problem.text]
+    return (
+        scene,
+        [_with_source(builder, each) for each in problems],
+        [_with_source(builder, each) for each in missing],
+    )
+
+
+def _with_source(builder: SceneBuilder, problem: Diagnostic) -> SourceMessage:
+    path = problem.path
+    while path and path not in builder.sources:
+        path = path[:-1]
+    return SourceMessage(builder.sources.get(path, FILE_START), problem.text)
+
+
+def _by_position(errors: Iterable[SourceMessage]) -> list[SourceMessage]:
+    return sorted(errors, key=lambda fault: (fault.at.line, fault.at.column))
+
+
+def _format_errors(errors: Iterable[SourceMessage], text: str, origin: str) -> str:
+    return "\n".join(
+        format_excerpt(at.span, said, text, origin) for at, said in _by_position(dict.fromkeys(errors))
+    )

@@ -1,0 +1,143 @@
+"""The course's orthographic rays come from infinitely far; ours start at the window, which is moved back for them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from caster.cameras import Orthographic
+from caster.classroom.course_files import CourseScene
+from caster.classroom.scene_builder import Falloff
+from caster.geometry.world_space import as_given, world_vertices
+from caster.rendering.images import film_window, trace_film
+from caster.rendering.view import View
+from caster.scene.fields import Shape
+from caster.scene.lights import Ambient, Directional, Light, Point
+from caster.scene.model import Scene
+from caster.shapes import Plane, Sphere
+
+
+def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
+    """(the scene with its window behind everything, how far it was moved). Depths then count from there.
+
+    By 0, and the very same scene, where nothing is behind the window.
+    """
+    camera = scene.camera
+    if not isinstance(camera, Orthographic) or not scene.shapes:
+        return scene, 0.0
+    nearest = min(_entry_bound(scene, camera, shape) for shape in scene.shapes)
+    if nearest > 0.0:
+        return scene, 0.0
+    back = 1.0 - 2.0 * nearest  # well behind it: rounding moves nothing by as much
+    eye = np.array(camera.eye) - back * np.array(camera.frame[2])
+    return scene.model_copy(update={"camera": camera.model_copy(update={"eye": eye.tolist()})}), back
+
+
+def _entry_bound(scene: Scene, camera: Orthographic, shape: Shape) -> float:
+    """A t before which no ray of the window meets the shape."""
+    forward, eye = np.array(camera.frame[2]), np.array(camera.eye)
+    linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
+    if isinstance(shape, Sphere):
+        center = linear @ np.array(shape.center) + move
+        return float(forward @ (center - eye) - shape.radius * np.linalg.norm(linear.T @ forward))
+    if isinstance(shape, Plane):
+        return _plane_entry_bound(scene, camera, shape)
+    assert hasattr(shape, "mesh")  # a triangle, or a file of them
+    return float(np.min((world_vertices(shape.mesh(), shape.matrix, as_given) - eye) @ forward))
+
+
+def _plane_entry_bound(scene: Scene, camera: Orthographic, shape: Plane) -> float:
+    """t is linear over the window, so that it is least at a corner. A plane along the rays is never met."""
+    part = shape.pack(as_given)
+    n, point = part.normal[0], part.point[0]
+    right, up, forward = (np.array(v) for v in camera.frame)
+    half = 0.5 * camera.width
+    tall = half * scene.film.height / scene.film.width
+    corners = [np.array(camera.eye) + x * half * right + y * tall * up for x in (-1, 1) for y in (-1, 1)]
+    slope = float(n @ forward)
+    return min(float(n @ (point - corner)) / slope for corner in corners) if slope else np.inf
+
+
+# The three pictures of the course: colour, depth and normals, from one cast of our rays.
+
+
+Array = np.ndarray[Any, np.dtype[Any]]
+
+
+@dataclass(frozen=True)
+class CourseImages:
+    """(h, w) images; color and normal (h, w, 3)."""
+
+    hit: Array  # bool
+    t: Array  # along the ray, from where the course starts it; inf on a miss
+    normal: Array  # as the surface has it, 0 on a miss
+    color: Array  # linear, 0..1 and beyond
+
+
+def render_course(course: CourseScene, threads: int | None = None) -> CourseImages:
+    """Cast and shade. Surfaces seen from behind are black, unless the scene's materials are two-sided."""
+    scene, back = with_window_behind_scene(course.scene)
+    view = trace_film(scene, threads=threads)
+    window = film_window(scene)
+    shape = (window.height, window.width)
+    return CourseImages(
+        view.hit.reshape(shape),
+        (view.nearest.t - back).reshape(shape),
+        view.normals.reshape(*shape, 3),
+        _colors(course, view).reshape(*shape, 3),
+    )
+
+
+def depth_image(drawn: CourseImages, near: float, far: float) -> Array:
+    """(h, w, 3) bytes: white at `near` and before, black at `far` and beyond, and where nothing is hit."""
+    grey = np.clip((far - np.where(drawn.hit, drawn.t, far)) / (far - near), 0.0, 1.0)
+    return np.repeat(to_bytes_truncated(grey)[..., None], 3, axis=-1)
+
+
+def normal_image(drawn: CourseImages) -> Array:
+    """(h, w, 3) bytes: |x|, |y|, |z| as red, green, blue; black where nothing is hit."""
+    return to_bytes_truncated(np.abs(drawn.normal))
+
+
+def to_bytes_truncated(values: Array) -> Array:
+    """0..1 -> 0..255, linear and cut down to whole numbers, as the course writes its files; the rest is cut off."""
+    return (255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
+
+
+def _colors(course: CourseScene, view: View) -> Array:
+    """(n, 3): ambient light times the diffuse colour, and for each light color max(0, n . l) times it.
+
+    Lights have no 1 / r^2, unless their file says so; this is where the course and our AOV `diffuse` differ.
+    """
+    front = np.sum(view.normals * view.rays.d, axis=1) <= 0.0
+    n = np.where(front[:, None], view.normals, -view.normals)
+    total = np.zeros((len(view.hit), 3))
+    for light in view.scene.lights:
+        if isinstance(light, Ambient):
+            total += light.radiance
+    for light, color, falloff in zip(view.scene.lights, course.colors, course.falloffs, strict=False):
+        total += np.outer(_brightness(light, falloff, n, view), color)
+    shaded = np.where((front | view.two_sided)[:, None], total * view.reflectance, 0.0)
+    return np.where(view.hit[:, None], shaded, course.background)
+
+
+def _brightness(light: Light, falloff: Falloff | None, n: Array, view: View) -> Array:
+    """(n,): what each hit gets of a light's colour; 0 in shadow, where the scene has shadows."""
+    towards, strength = _incident_light(light, falloff, view)
+    brightness = np.where(view.hit, strength * np.maximum(np.sum(n * towards, axis=1), 0.0), 0.0)
+    where = np.flatnonzero(brightness > 0.0)
+    brightness[where[~view.lit(light, where)]] = 0.0
+    return brightness
+
+
+def _incident_light(light: Light, falloff: Falloff | None, view: View) -> tuple[Array, Array]:
+    """(unit vectors to the light, what the distance leaves of its colour); nothing in the light itself."""
+    count = len(view.hit)
+    if isinstance(light, Directional):
+        return np.tile(-np.array(light.direction), (count, 1)), np.ones(count)
+    assert isinstance(light, Point) and falloff is not None
+    way = np.array(light.position) - view.surfaces.p
+    r = np.sqrt(np.sum(way * way, axis=1))
+    apart = r > 0.0
+    r = np.where(apart, r, 1.0)
+    return way / r[:, None], apart / (falloff.constant + falloff.linear * r + falloff.quadratic * r * r)

@@ -1,0 +1,170 @@
+"""The steps of a Transform of a 6.837 scene."""
+
+import math
+from typing import Any
+
+from caster.classroom.grammar import CAMERAS, TEXTURES, TRANSFORM_FIELDS, Field, Node, SourceMessage
+from caster.classroom.scene_builder import GREY, WHITE, Path, SceneBuilder, add_lights
+
+Step = dict[str, Any]
+
+# The course computes in float32: an axis of unit length may be written four roundings away from it.
+UNIT_ATOL = 4 * 2.0**-24
+
+AXES = {"XRotate": (1, 0, 0), "YRotate": (0, 1, 0), "ZRotate": (0, 0, 1)}
+
+
+def transform_steps(out: SceneBuilder, node: Node) -> list[Step]:
+    """In the order they act: the last of the file first. But a matrix acts after all that stand before it."""
+    steps: list[Step] = []
+    for item in node.items:
+        if isinstance(item, Field):
+            where = len(steps) if item.name.startswith("Matrix") else 0
+            steps.insert(where, _step(out, item))
+    return steps
+
+
+def _step(out: SceneBuilder, item: Field) -> Step:
+    numbers = list(item.numbers)
+    if item.name in AXES:
+        return {"rotate": {"axis": list(AXES[item.name]), "degrees": numbers[0]}}
+    if item.name == "Rotate":
+        length = math.hypot(*numbers[:3])
+        if length > 0.0 and abs(length - 1.0) > UNIT_ATOL:
+            text = f"the length {length:g} of the axis of {item.words}: we turn about its direction"
+            out.omit(item.at, text)
+        return {"rotate": {"axis": numbers[:3], "degrees": numbers[3]}}
+    if item.name == "Translate":
+        return {"translate": numbers}
+    if item.name in ("Scale", "UniformScale"):
+        return {"scale": numbers if len(numbers) == 3 else numbers[0]}
+    assert item.name in TRANSFORM_FIELDS
+    rows = [numbers[i : i + 4] for i in range(0, 16, 4)]
+    if item.name == "Matrix4f":  # of 2011, which reads it column by column
+        rows = [list(column) for column in zip(*rows, strict=True)]
+    return {"matrix": rows}
+
+
+# Materials and objects of a 6.837 scene.
+
+
+def add_materials(out: SceneBuilder, node: Node | None) -> None:
+    materials: dict[str, Any] = {}
+    for i, each in enumerate(node.children if node else []):
+        name, color = f"material-{i}", each.get("diffuseColor")
+        rgb = GREY if each.kind in TEXTURES else each.numbers("diffuseColor", WHITE)
+        clipped = [min(c, 1.0) for c in rgb]
+        at = color.at if color else each.at
+        materials[name] = out.put({"reflectance": clipped}, each.at, "material", name)
+        out.put(clipped, at, "material", name, "reflectance")
+        if clipped != list(rgb):
+            out.omit(
+                at,
+                f"what is beyond 1 in {color.words if color else 'it'}: a surface sends back no more than it gets",
+            )
+        if each.kind in TEXTURES:
+            out.omit(each.at, f"{each.kind}: our materials have one colour; grey stands for it")
+        for item in each.items:
+            if isinstance(item, Field) and item.name != "diffuseColor":
+                out.omit(item.at, f"{item.words}: our materials are diffuse, of one colour")
+    out.data["material"] = materials
+
+
+def add_objects(out: SceneBuilder, node: Node, outer: list[Step]) -> None:
+    """MaterialIndex holds for what follows in the file, also outside the group that it stands in."""
+    for item in node.items:
+        if isinstance(item, Node):
+            _object(out, item, outer)
+        elif item.name == "MaterialIndex":
+            name = f"material-{item.numbers[0]:g}"
+            out.material = name if name in out.data["material"] else ""
+            if not out.material:
+                count = len(out.data["material"])
+                out.errors.append(
+                    SourceMessage(item.at, f"{item.words}: the scene has {count} materials, counted from 0")
+                )
+
+
+def _object(out: SceneBuilder, node: Node, outer: list[Step]) -> None:
+    if node.kind == "Group":
+        add_objects(out, node, outer)
+    elif node.kind == "Transform":
+        for child in node.children:
+            _object(out, child, transform_steps(out, node) + outer)
+    else:
+        _shape(out, node, outer)
+
+
+def _shape(out: SceneBuilder, node: Node, steps: list[Step]) -> None:
+    path = ("shape", len(out.data["shape"]))
+    shape: dict[str, Any] = {"type": SHAPE_TYPES[node.kind]}
+    if out.material:
+        shape["material"] = out.material
+    if steps:
+        shape["to_world"] = out.put(steps, node.at, *path, "to_world")
+    SHAPE_BUILDERS[node.kind](out, shape, node, path)
+    out.data["shape"].append(out.put(shape, node.at, *path))
+
+
+def _sphere(out: SceneBuilder, shape: dict[str, Any], node: Node, path: Path) -> None:
+    out.copy(shape, "center", node, "center", *path)
+    out.copy(shape, "radius", node, "radius", *path)
+
+
+def _plane(out: SceneBuilder, shape: dict[str, Any], node: Node, path: Path) -> None:
+    """All p with normal . p = offset, the normal as it is written; ours has it at length 1."""
+    out.copy(shape, "normal", node, "normal", *path)
+    normal, offset = node.numbers("normal"), node.get("offset")
+    if offset is not None:
+        length = math.hypot(*normal) or 1.0
+        shape["offset"] = out.put(offset.numbers[0] / length, offset.at, *path, "offset")
+
+
+def _triangle(out: SceneBuilder, shape: dict[str, Any], node: Node, path: Path) -> None:
+    shape["vertices"] = out.put([], node.at, *path, "vertices")
+    for i in range(3):
+        found = node.get(f"vertex{i}")
+        if found is not None:
+            shape["vertices"].append(out.put(list(found.numbers), found.at, *path, "vertices", i))
+
+
+def _mesh(out: SceneBuilder, shape: dict[str, Any], node: Node, path: Path) -> None:
+    """Flat faces, as in 2003 and 2004."""
+    file = node.get("obj_file")
+    shape["face_normals"] = True
+    if file is not None and file.word is not None:
+        shape["file"] = out.put(file.word.text, file.word, *path, "file")
+
+
+SHAPE_TYPES = {"Sphere": "sphere", "Plane": "plane", "Triangle": "triangle", "TriangleMesh": "mesh"}
+SHAPE_BUILDERS = {"Sphere": _sphere, "Plane": _plane, "Triangle": _triangle, "TriangleMesh": _mesh}
+
+
+# The blocks of a 6.837 scene, put together as the data of a scene file of ours.
+
+
+def build_scene_data(sections: dict[str, Node], width: int, height: int) -> SceneBuilder:
+    """A film of this size; the blocks have the right fields, but their values may still be wrong."""
+    out = SceneBuilder(data={"film": {"width": width, "height": height}, "shading": {"shadows": False}})
+    if "Camera" in sections:
+        _camera(out, sections["Camera"], width, height)
+    add_lights(out, sections)
+    add_materials(out, sections.get("Materials"))
+    out.data["shape"] = []
+    if "Group" in sections:
+        add_objects(out, sections["Group"], [])
+    return out
+
+
+def _camera(out: SceneBuilder, node: Node, width: int, height: int) -> None:
+    """Whatever the film, the longer of its sides spans the angle or the size: the course has one crop the square."""
+    camera: dict[str, Any] = {"type": "pinhole" if node.kind == CAMERAS[0] else "orthographic"}
+    for ours, theirs in (("eye", "center"), ("direction", "direction"), ("up", "up")):
+        out.copy(camera, ours, node, theirs, "camera")
+    if "angle" in node.mentioned:
+        out.copy(camera, "fov", node, "angle", "camera")
+        camera["fov_axis"] = "larger"
+    elif (size := node.get("size")) is not None:
+        share = width / max(width, height)
+        camera["width"] = out.put(size.numbers[0] * share, size.at, "camera", "width")
+    out.data["camera"] = out.put(camera, node.at, "camera")

@@ -1,0 +1,1 @@
+"""The `caster` command line: application framework, exit codes, progress, arguments shared by commands."""

@@ -1,0 +1,99 @@
+"""`caster 6837`: scene files, options and pictures of the course MIT 6.837."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from caster.cli.commands.render import positive_int
+from caster.cli.exit_codes import OK
+from caster.cli.scene_arguments import add_mesh_dirs, error_prefix
+from caster.scene.errors import SceneError
+
+NAME = "6837"
+HELP = "draw a scene file of MIT 6.837, with that course's options and pictures (docs/classroom.md)"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("-input", metavar="SCENE.txt", required=True, help="a scene file of the course")
+    add("-size", nargs=2, type=int, metavar=("W", "H"), default=(100, 100), help="default: 100 100")
+    add("-output", metavar="IMAGE", help="the colours: diffuse and ambient light, .png or .tga")
+    add(
+        "-depth",
+        nargs=3,
+        metavar=("NEAR", "FAR", "IMAGE"),
+        help="t along the ray: white at NEAR, black at FAR and where nothing is hit",
+    )
+    add("-normals", metavar="IMAGE", help="|x|, |y|, |z| of the normal as red, green, blue")
+    add("-shade_back", action="store_true", help="light surfaces from behind, too, instead of black")
+    add("-shadows", action="store_true", help="lights cast shadows")
+    add("--threads", type=positive_int, metavar="N", help="default: as many as there are cores")
+    add_mesh_dirs(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Draw, write, and say what was written and what was left out. Raises SceneError, FileMissing, OutputError."""
+    near, far = depth_range(args.depth)
+    pictures = {"-output": args.output, "-depth": args.depth and args.depth[2], "-normals": args.normals}
+    wanted = {option: path for option, path in pictures.items() if path is not None}
+    check(wanted)
+    check_size(args.size)
+    from caster.classroom.course_files import load_course_scene
+    from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
+    from caster.cli.compile_progress import announce_compilation, type_names
+    from caster.image.image_files import write_image
+
+    options = {"shade_back": args.shade_back, "shadows": args.shadows, "mesh_dirs": args.mesh_dir}
+    with announce_compilation("mesh files"):
+        course = load_course_scene(args.input, *args.size, **options)
+    for text in course.left_out:
+        print(text, file=sys.stderr)
+    with error_prefix(args.input), announce_compilation(type_names(course.scene)):
+        drawn = render_course(course, args.threads)
+    draws = {
+        "-output": lambda: to_bytes_truncated(drawn.color),
+        "-depth": lambda: depth_image(drawn, near, far),
+        "-normals": lambda: normal_image(drawn),
+    }
+    for option, path in wanted.items():
+        write_image(path, draws[option]())
+    height, width = drawn.hit.shape
+    found = (
+        f"t {drawn.t[drawn.hit].min():.6g} to {drawn.t[drawn.hit].max():.6g}" if drawn.hit.any() else "no hit"
+    )
+    print(f"{', '.join(wanted.values())}: {width} x {height} pixels, {int(drawn.hit.sum())} hit, {found}")
+    return OK
+
+
+def depth_range(words: list[str] | None) -> tuple[float, float]:
+    """NEAR and FAR. Raises SceneError unless they are two different numbers."""
+    if words is None:
+        return 0.0, 1.0
+    try:
+        near, far = float(words[0]), float(words[1])
+    except ValueError:
+        raise SceneError(f"-depth {' '.join(words)}: expected two numbers and a file name") from None
+    if not (abs(near) < float("inf") and abs(far) < float("inf") and near < far):
+        raise SceneError(f"-depth {' '.join(words)}: expected NEAR < FAR, two finite numbers")
+    return near, far
+
+
+def check(wanted: dict[str, str]) -> None:
+    """Raise SceneError or OutputError now, and not after the work."""
+    from caster.image.atomic_files import check_writable
+    from caster.image.image_files import check_image_name
+
+    if not wanted:
+        raise SceneError("nothing to draw: expected at least one of -output, -depth, -normals")
+    for option, path in wanted.items():
+        check_image_name(option, path)
+        check_writable(path)
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Raise SceneError for no film, in the words of the option, since a scene file of the course says nothing of it."""
+    from caster.scene.model import Film
+
+    with error_prefix("-size", *size):
+        Film(width=size[0], height=size[1])

@@ -1,0 +1,105 @@
+"""Exit codes, and how the errors of a command end it: `caster` and `mitsuba-ref` share them."""
+
+import contextlib
+import io
+import os
+import sys
+import traceback
+from collections.abc import Callable
+
+from caster.scene.errors import SceneError
+
+OK = 0
+DIFFERENCES = 1
+USAGE = 2  # a wrong option, or a scene that cannot be used
+NOT_COMPARABLE = 3
+FILE = 4  # missing, unreadable or unwritable
+NOTHING_SELECTED = 5
+INTERNAL = 70
+INTERRUPTED = 130  # 128 + SIGINT, as shells report it
+PIPE_CLOSED = 141  # 128 + SIGPIPE: the reader went away before the result was out
+
+MEANINGS = {
+    OK: "pass",
+    DIFFERENCES: "differences",
+    USAGE: "wrong usage or invalid scene",
+    NOT_COMPARABLE: "not comparable",
+    FILE: "file missing, unreadable or unwritable",
+    NOTHING_SELECTED: "nothing selected",
+    INTERNAL: "internal error",
+    INTERRUPTED: "interrupted",
+}
+
+
+def exit_codes_help(*codes: int) -> str:
+    """A line for --help: what these exit codes mean."""
+    return "exit codes: " + ", ".join(f"{code} {MEANINGS[code]}" for code in codes)
+
+
+def run_command(command: Callable[[], int]) -> int:
+    """Run a command, tell its errors on stderr, and give the exit code.
+
+    SceneError and its kinds bring their own code. Only an error that nobody foresaw shows a traceback.
+    """
+    reopen_closed_streams()
+    _escape_unencodable()
+    try:
+        code = _exit_code(command)
+        sys.stdout.flush()  # here, so that a closed pipe or a full disk is noticed
+        return code
+    except BrokenPipeError:
+        return _discard_output(PIPE_CLOSED)
+    except OSError as error:
+        text = str(error) if error.filename else f"standard output: {error.strerror or error}"
+        return _discard_output(_report_error(text, FILE))
+
+
+def reopen_closed_streams() -> None:
+    """Where a standard stream was closed before we began, what goes there goes nowhere, for our children as well.
+
+    Its number would else be given to the next file that is opened.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            nowhere = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115 - as long as the process lasts
+            os.set_inheritable(nowhere.fileno(), True)
+            setattr(sys, name, nowhere)
+
+
+def _exit_code(command: Callable[[], int]) -> int:
+    try:
+        return command()
+    except SystemExit as stop:  # argparse has told what is wrong, or printed its help
+        return stop.code if isinstance(stop.code, int) else USAGE if stop.code else OK
+    except SceneError as error:
+        return _report_error(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return _report_error("interrupted", INTERRUPTED)
+    except MemoryError as error:
+        return _report_error(f"not enough memory: {error}; a smaller film takes less", INTERNAL)
+    except OSError:
+        raise
+    except Exception as error:
+        if type(error).__name__ == "BdbQuit":  # `q` in pdb, which waits for it
+            raise
+        traceback.print_exc()
+        return _report_error(f"internal error, please report it: {type(error).__name__}: {error}", INTERNAL)
+
+
+def _report_error(text: str, code: int) -> int:
+    print(text, file=sys.stderr)
+    return code
+
+
+def _discard_output(code: int) -> int:
+    """What is still in the buffer goes nowhere, or the interpreter would try to write it when it ends."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return code
+
+
+def _escape_unencodable() -> None:
+    """Show characters that the terminal's encoding lacks as escapes: a file name may hold anything."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")

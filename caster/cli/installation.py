@@ -1,0 +1,118 @@
+"""What this machine has for the ray caster, and what each missing thing would add."""
+
+import importlib
+import importlib.metadata
+import json
+import os
+import platform
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class Package(NamedTuple):
+    """A Python package this project builds on."""
+
+    distribution: str
+    module: str
+    least: str  # the oldest version that will do
+    adds: str
+    needed: bool = True
+
+
+PACKAGES = (
+    Package("numpy", "numpy", "2.0", "every array"),
+    Package("numba", "numba", "0.61", "speed: compiled kernels, the same bits", needed=False),
+    Package("OpenEXR", "OpenEXR", "3.4.9", "images in and out"),
+    Package("pillow", "PIL", "10.1", "pictures for people: previews, sheets, caster 6837", needed=False),
+    Package("pydantic", "pydantic", "2.7", "scene descriptions and their checks"),
+    Package("tree-sitter", "tree_sitter", "0.23", "line and column of an error in a scene file"),
+    Package("tree-sitter-toml", "tree_sitter_toml", "0.7", "the same in TOML"),
+    Package("tree-sitter-json", "tree_sitter_json", "0.24", "the same in JSON"),
+)
+
+
+class Finding(NamedTuple):
+    """One thing that was looked for. `detail` says which was found, or why it cannot be used."""
+
+    name: str
+    found: bool
+    needed: bool
+    detail: str
+    adds: str
+    outward_normal: str = ""
+
+
+def report() -> list[Finding]:
+    """Look for everything the ray caster uses."""
+    return [_python(), *(find_package(part) for part in PACKAGES)]
+
+
+def usable(findings: Sequence[Finding]) -> bool:
+    """Whether everything needed was found."""
+    return all(finding.found for finding in findings if finding.needed)
+
+
+def exit_code(findings: Sequence[Finding]) -> int:
+    """0 when usable, else 4: something needed is missing or cannot be loaded."""
+    return 0 if usable(findings) else 4
+
+
+def format_table(findings: Sequence[Finding]) -> str:
+    """The findings as a table, with a verdict in the last line."""
+    width = max(len(finding.name) for finding in findings)
+    return "\n".join([*(_line(finding, width) for finding in findings), "", _verdict(findings)])
+
+
+def format_json(findings: Sequence[Finding]) -> str:
+    """The findings for a program: {"usable": bool, "findings": [{"name", "found", ...}, ...]}."""
+    return json.dumps({"usable": usable(findings), "findings": [f._asdict() for f in findings]}, indent=2)
+
+
+def find_package(part: Package) -> Finding:
+    """Look for one package: installed, new enough, and importable."""
+    problem, detail = "", "not installed"
+    try:
+        detail = importlib.metadata.version(part.distribution)
+        problem = _problem(part, detail)
+    except importlib.metadata.PackageNotFoundError:
+        problem = detail
+    if not problem and part.module == "numba" and os.environ.get("CASTER_JIT") == "0":
+        detail += ", switched off by CASTER_JIT=0"
+    outward_normal = f"pip install '{part.distribution}>={part.least}'" if problem else ""
+    return Finding(part.distribution, not problem, part.needed, problem or detail, part.adds, outward_normal)
+
+
+def _problem(part: Package, version: str) -> str:
+    """Why an installed package cannot be used, or nothing."""
+    if _numbers(version) < _numbers(part.least):
+        return f"{version} is too old, {part.least} or newer is needed"
+    try:
+        importlib.import_module(part.module)
+    except Exception as error:  # a broken wheel may raise anything
+        return f"{version} is installed, but does not import: {error}"
+    return ""
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(number) for number in re.findall(r"\d+", version)[:3])
+
+
+def _python() -> Finding:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    detail = f"{platform.python_version()} on {platform.system()} {platform.machine()}, {cores} cores"
+    return Finding("Python", True, True, detail, "everything")
+
+
+def _line(finding: Finding, width: int) -> str:
+    if finding.found:
+        return f"ok       {finding.name:{width}}  {finding.detail}"
+    state = "MISSING" if finding.needed else "without"
+    use = "needed for" if finding.needed else "would add"
+    outward_normal = f" ({finding.outward_normal})" if finding.outward_normal else ""
+    return f"{state}  {finding.name:{width}}  {finding.detail}; {use} {finding.adds}{outward_normal}"
+
+
+def _verdict(findings: Sequence[Finding]) -> str:
+    missing = [finding.name for finding in findings if finding.needed and not finding.found]
+    return f"Not usable without {', '.join(missing)}." if missing else "Usable: everything needed was found."

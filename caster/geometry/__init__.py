@@ -1,0 +1,1 @@
+"""Meshes, transforms to world space and the packed primitives that kernels read."""

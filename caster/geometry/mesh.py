@@ -1,0 +1,146 @@
+"""A triangle mesh: its arrays, the normals it gets when it brings none, and what makes one unusable."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from caster.scene.fields import SceneError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+class Mesh(NamedTuple):
+    """Triangles that share vertices; everything is per vertex and in object space.
+
+    vertices: (n, 3), scene units. faces: (m, 3), indices of vertices, counter-clockwise seen from outside.
+    normals: (n, 3), unit length, or None. uv: (n, 2) or None.
+    """
+
+    vertices: Floats
+    faces: Ints
+    normals: Floats | None = None
+    uv: Floats | None = None
+
+
+# What a vertex gets that no face with an area touches: Mitsuba's choice, so that both sides see the same.
+NO_NORMAL = (1.0, 0.0, 0.0)
+
+
+def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
+    """The mean of the unit normals of the faces around each vertex, weighted by their angle there.
+
+    vertices: (n, 3); faces: (m, 3) within range. Gives (n, 3) of unit length, (1, 0, 0) where no face with an
+    area and finite corners touches the vertex. Call it on vertices in world space: angles change under a stretch.
+    Source: Thuermer and Wuethrich, Computing Vertex Normals from Polygonal Facets (1998), as Mitsuba does.
+    """
+    vertices = np.asarray(vertices, np.float64)
+    finite = np.isfinite(vertices[faces]).all(axis=(1, 2))
+    faces = faces[finite]
+    weighted = _weighted_normals(vertices[faces])
+    owner = np.ravel(faces)
+    sums = [np.bincount(owner, weighted[:, :, axis].ravel(), len(vertices)) for axis in range(3)]
+    total = np.stack(sums, axis=1).astype(np.float64)
+    normals = normalize_rows(total)
+    normals[~total.any(axis=1)] = NO_NORMAL
+    return normals
+
+
+def normalize_rows(vectors: Floats) -> Floats:
+    """Each row of (n, 3) brought to length 1; rows of zeros stay zeros."""
+    rows = _rescale_rows(vectors)
+    length = np.sqrt(np.sum(rows * rows, axis=1, keepdims=True))
+    return rows / np.where(length == 0.0, 1.0, length)
+
+
+def check_mesh(mesh: Mesh, where: str) -> None:
+    """Refuse a mesh that cannot be cast. Faces without an area pass, and vertices that are not finite: such faces are
+    never hit (caster/geometry/rejected.py counts them).
+
+    Raises SceneError that starts with `where` and names the first bad vertex, face or normal.
+    """
+    count = len(mesh.vertices)
+    if len(mesh.faces) == 0:
+        raise SceneError(f"{where}: the mesh has no faces: expected at least one, got {count} vertices only")
+    _check_indices(mesh.faces, count, where)
+    if mesh.normals is not None:
+        _check_one_per_vertex(mesh.normals, count, "normals", where)
+        _check_finite(mesh.normals, "the normal of vertex", where)
+        _check_not_zero(mesh.normals, where)
+    if mesh.uv is not None:
+        _check_one_per_vertex(mesh.uv, count, "uv", where)
+        _check_finite(mesh.uv, "uv of vertex", where)
+
+
+def format_row(numbers: Any) -> str:
+    """(1, 0.5, nan): a row of numbers for an error message."""
+    return "(" + ", ".join(f"{float(x):g}" for x in numbers) + ")"
+
+
+def _weighted_normals(corners: Floats) -> Floats:
+    """(m, 3, 3) corners of faces -> (m, 3, 3): for each, the face's unit normal times the angle there."""
+    edges = np.roll(corners, -1, axis=1) - corners  # edge i runs from corner i to the next one
+    edges = _rescale_rows(edges.reshape(-1, 9)).reshape(-1, 3, 3)
+    cross = np.cross(edges[:, 0], edges[:, 1])
+    sine = np.sqrt(np.sum(cross * cross, axis=1, keepdims=True))  # times two edge lengths, as the cosine is
+    cosine = -np.sum(edges * np.roll(edges, 1, axis=1), axis=2)
+    angle = np.arctan2(sine, cosine)
+    weighted: Floats = normalize_rows(cross)[:, None, :] * angle[:, :, None]
+    return weighted
+
+
+def _rescale_rows(rows: Floats) -> Floats:
+    """Rows scaled by a power of two, which is exact, so that their squares neither overflow nor vanish."""
+    largest = np.max(np.abs(rows), axis=1, initial=0.0)
+    exponent = np.frexp(largest)[1]
+    scaled: Floats = np.ldexp(rows, -exponent[:, None])
+    return scaled
+
+
+def _check_finite(rows: Floats, what: str, where: str) -> None:
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if len(bad):
+        raise SceneError(f"{where}: {what} {bad[0]} must be finite numbers, got {format_row(rows[bad[0]])}")
+
+
+def _check_indices(faces: Ints, count: int, where: str) -> None:
+    bad = np.flatnonzero(((faces < 0) | (faces >= count)).any(axis=1))
+    if len(bad):
+        raise SceneError(
+            f"{where}: face {bad[0]} must join vertices 0 to {count - 1} (the mesh has {count}), "
+            f"got {format_row(faces[bad[0]])}"
+        )
+
+
+def _check_one_per_vertex(rows: Floats, count: int, what: str, where: str) -> None:
+    if len(rows) != count:
+        raise SceneError(f"{where}: {what} must be one per vertex ({count}), got {len(rows)}")
+
+
+def _check_not_zero(normals: Floats, where: str) -> None:
+    bad = np.flatnonzero(~normals.any(axis=1))
+    if len(bad):
+        raise SceneError(
+            f"{where}: the normal of vertex {bad[0]} must have a direction, got (0, 0, 0); "
+            "leave the normals out to have them generated"
+        )
+
+
+# Polygons of any size, as fans of triangles.
+
+
+Indices = NDArray[np.int64]
+
+
+def triangle_fans(sizes: Indices) -> Indices:
+    """Where the corners of the triangles are in a flat list of the polygons' corners.
+
+    sizes: (k,) corners of each polygon, all >= 3. Gives (m, 3): for each polygon (first, i, i + 1), in order.
+    """
+    first_corner = np.cumsum(sizes) - sizes
+    triangles = sizes - 2
+    first_triangle = np.cumsum(triangles) - triangles
+    first = np.repeat(first_corner, triangles)
+    nth = np.arange(len(first)) - np.repeat(first_triangle, triangles)
+    return np.stack([first, first + nth + 1, first + nth + 2], axis=1)

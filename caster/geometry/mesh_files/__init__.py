@@ -1,0 +1,47 @@
+"""Mesh files: OBJ and PLY, read strictly, because a face that is lost in silence is a wrong picture."""
+
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+
+from caster.geometry.mesh import Mesh, check_mesh, normalize_rows
+from caster.geometry.mesh_files.obj import parse_obj
+from caster.geometry.mesh_files.ply import parse_ply
+from caster.scene.fields import FileMissing, SceneError
+
+FORMATS: dict[str, Callable[[bytes, str], Mesh]] = {".obj": parse_obj, ".ply": parse_ply}
+
+
+def load_mesh(path: str | PathLike[str]) -> Mesh:
+    """Read a mesh file: Wavefront OBJ or PLY (ascii, binary of either byte order), chosen by its ending.
+
+    Polygons become fans of triangles around their first corner. Normals come out with unit length, None where
+    the file has none; the v of an OBJ's uv is turned over (1 - v), as Mitsuba does it.
+    Raises FileMissing for a file that cannot be read, SceneError for one that is not a usable mesh.
+    """
+    where = str(path)
+    parse = _parser_for(where)
+    data = _bytes_of(where)
+    if not data:
+        raise SceneError(f"{where}: the file is empty (0 bytes): expected a mesh; export or copy it again")
+    mesh = parse(data, where)
+    check_mesh(mesh, where)
+    return mesh if mesh.normals is None else mesh._replace(normals=normalize_rows(mesh.normals))
+
+
+def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:
+    ending = Path(where).suffix
+    parse = FORMATS.get(ending.lower())
+    if parse is None:
+        expected = " or ".join(FORMATS)
+        raise SceneError(f"{where}: unknown mesh format '{ending}': expected {expected}; convert it first")
+    return parse
+
+
+def _bytes_of(where: str) -> bytes:
+    try:
+        return Path(where).read_bytes()
+    except OSError as error:
+        raise FileMissing(f"{where}: cannot read this mesh file: {error.strerror or error}") from error
+    except ValueError as error:  # a path with a NUL character in it
+        raise FileMissing(f"{where!r}: cannot read this mesh file: {error}") from error

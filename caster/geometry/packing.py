@@ -1,0 +1,138 @@
+"""Scene -> arrays: a NamedTuple of arrays for each kind of primitive, and where each shape's went."""
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from caster.geometry.world_space import Rounding, as_given
+from caster.kernels.bvh.build import Tree, bounding_boxes
+from caster.kernels.protocol import hull_size
+from caster.kernels.triangles import Triangles as Triangles
+from caster.rendering.acceleration import build_tree
+from caster.rendering.threads import thread_count
+from caster.scene.diagnostics import value_diagnostic
+from caster.scene.errors import SceneError
+from caster.scene.files import Scene
+
+
+@dataclass(frozen=True)
+class Kind:
+    """All primitives of one kind, with their numbers in the scene."""
+
+    prims: Any
+    ids: np.ndarray  # (n,) int32
+    # What one picture has worked in and the next one may: for many triangles, to be given memory takes longer than what
+    # is done with it. Pictures that are painted at the same time do not find it there.
+    spare: list[tuple[np.ndarray, ...]] = field(default_factory=list, compare=False, repr=False)
+
+    @cached_property
+    def bounded(self) -> bool:
+        return bool(hull_size(self.prims) > 0)
+
+    def boxes(self) -> tuple[np.ndarray, np.ndarray]:
+        """(low, high) corners, (n, 3) each; they are not kept, as that may be many millions."""
+        low, high = np.empty((len(self.ids), 3)), np.empty((len(self.ids), 3))
+        bounding_boxes(self.prims, low, high, 0, len(self.ids))
+        return low, high
+
+    @cached_property
+    def extent(self) -> float:
+        """Largest |coordinate| of any box."""
+        low, high = self.boxes()
+        return float(max(-low.min(), low.max(), -high.min(), high.max()))
+
+    @property
+    def has_tree(self) -> bool:
+        """Whether the tree has been grown already."""
+        return "tree" in vars(self)
+
+    @cached_property
+    def tree(self) -> Tree:
+        return build_tree(*self.boxes(), thread_count())
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A scene as the kernels read it. Primitives are numbered through the scene, shape by shape."""
+
+    kinds: tuple[Kind, ...]
+    parts: tuple[Any, ...]  # each shape's own arrays, before they were joined with others of their kind
+    first: np.ndarray  # (shapes + 1,) int64, number of each shape's first primitive
+    kind_of: np.ndarray  # (shapes,) int64, place of the shape's kind in `kinds`
+    start: np.ndarray  # (shapes,) int64, place of its first primitive within the kind
+
+    def shape_of(self, prim: np.ndarray) -> np.ndarray:
+        """Shape index of each primitive number, -1 for -1; int32."""
+        if len(self.parts) == 1:
+            return np.where(prim < 0, np.int32(-1), np.int32(0))
+        return (np.searchsorted(self.first, prim, side="right") - 1).astype(np.int32)
+
+    def place_of(self, prim: int) -> tuple[Kind, int]:
+        """The kind that a primitive number belongs to, and its place within the kind."""
+        shape = int(self.shape_of(np.array(prim)))
+        return self.kinds[self.kind_of[shape]], int(prim - self.first[shape] + self.start[shape])
+
+    def index_in_shape(self, prim: np.ndarray) -> np.ndarray:
+        """Index within its shape of each primitive number, -1 for -1; int32."""
+        shape = self.shape_of(prim)
+        return np.where(prim < 0, -1, prim - self.first[np.maximum(shape, 0)]).astype(np.int32)
+
+
+def pack(scene: Scene, rounded: Rounding = as_given) -> Packed:
+    """World-space arrays of all shapes, every number passed through `rounded`.
+
+    Raises SceneError for a shape whose numbers do not stay finite.
+    """
+    parts = tuple(pack_shape(scene, i, rounded) for i in range(len(scene.shapes)))
+    counts = np.array([primitive_count(part) for part in parts], np.int64)
+    first = np.concatenate([[0], np.cumsum(counts)])
+    classes = list(dict.fromkeys(type(part) for part in parts))
+    kind_of = np.array([classes.index(type(part)) for part in parts], np.int64)
+    kinds, start = [], np.zeros(len(parts), np.int64)
+    for place in range(len(classes)):
+        members = np.flatnonzero(kind_of == place)
+        start[members] = np.concatenate([[0], np.cumsum(counts[members])[:-1]])
+        ids = np.concatenate([np.arange(first[s], first[s + 1]) for s in members])
+        kinds.append(Kind(concatenate_parts([parts[s] for s in members]), ids.astype(np.int32)))
+    return Packed(tuple(kinds), parts, first, kind_of, start)
+
+
+def packed(scene: Scene) -> Packed:
+    """The same of a scene as it is, made once."""
+    if "packed" not in scene.kept:
+        scene.kept["packed"] = pack(scene)
+    return scene.kept["packed"]
+
+
+def pack_shape(scene: Scene, i: int, rounded: Rounding) -> Any:
+    """Arrays of one shape, all finite."""
+    part: Any = None
+    with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
+        part = scene.shapes[i].pack(rounded)
+    if part is None or not all(np.isfinite(array).all() for array in part):
+        text = "must stay finite in world space, but its numbers are too large or too small together"
+        raise SceneError(value_diagnostic(("shapes", i), text, scene, Scene).text)
+    return part
+
+
+def primitive_count(part: Any) -> int:
+    """How many primitives an array tuple holds."""
+    return len(part.faces if isinstance(part, Triangles) else part[0])
+
+
+def concatenate_parts(parts: Sequence[Any]) -> Any:
+    """One array tuple out of several of the same kind; faces keep pointing at their own vertices."""
+    if len(parts) == 1:  # its own arrays, unless kernels for others would have to be compiled for them
+        return type(parts[0])(*(np.require(array, None, ("C", "A", "W")) for array in parts[0]))
+    if isinstance(parts[0], Triangles):
+        shift = np.concatenate([[0], np.cumsum([len(part.vertices) for part in parts])])
+        parts = [part._replace(faces=part.faces + shift[i]) for i, part in enumerate(parts)]
+    fields = zip(*parts, strict=True)
+    arrays = [np.ascontiguousarray(np.concatenate(arrays)) for arrays in fields]
+    if isinstance(parts[0], Triangles):
+        arrays[1] = arrays[1].astype(np.int32)
+    return type(parts[0])(*arrays)

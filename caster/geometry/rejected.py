@@ -1,0 +1,84 @@
+"""Faces that no ray can hit: which kinds there are, and how many (docs/scene-format.md, "Faces that cannot be hit")."""
+
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.geometry.world_space import Rounding, as_given, is_usable, world_vertices
+from caster.scene.files import Scene
+
+# A component of a cross product of two differences is off by at most 4 u of the magnitudes it is made of; u = 2^-53.
+# Products that underflow are off by 2^-1074, far less than TINY.
+CROSS_RELATIVE_ERROR, CROSS_UNDERFLOW = 5.0 * 2.0**-53, 2.0**-1000
+
+FACES_PER_CHUNK = (
+    1 << 16
+)  # faces looked at together: what is found of each takes some 300 bytes, and there may be millions
+
+
+class RejectedFaces(NamedTuple):
+    """Numbers of faces of one shape; each face counts once, in the first that fits."""
+
+    not_finite: int  # a corner is not finite
+    too_large: int  # a coordinate is placing.LARGEST_COORDINATE or more
+    without_area: int  # exactly: its corners lie on one line
+
+    @property
+    def total(self) -> int:
+        return sum(self)
+
+    def __str__(self) -> str:
+        words = ("with a corner that is not finite", "too far out", "without area")
+        return ", ".join(f"{count} {what}" for count, what in zip(self, words, strict=True) if count)
+
+
+def left_out(scene: Scene, rounded: Rounding = as_given) -> Mapping[str, RejectedFaces]:
+    """By the name of the shape, for shapes that have such faces."""
+    names = scene.shape_names()
+    counts = {names[i]: _rejected_of_shape(shape, rounded) for i, shape in enumerate(scene.shapes)}
+    return {name: count for name, count in counts.items() if count.total}
+
+
+def _rejected_of_shape(shape: Any, rounded: Rounding) -> RejectedFaces:
+    if not hasattr(shape, "mesh"):
+        return RejectedFaces(0, 0, 0)
+    mesh = shape.mesh()
+    vertices = world_vertices(mesh, shape.matrix, rounded)
+    finite, usable = np.isfinite(vertices).all(axis=1), is_usable(vertices)
+    total = np.zeros(3, np.int64)
+    for start in range(0, len(mesh.faces), FACES_PER_CHUNK):
+        total += _count_rejected(mesh.faces[start : start + FACES_PER_CHUNK], vertices, finite, usable)
+    return RejectedFaces(*total.tolist())
+
+
+def _count_rejected(
+    faces: np.ndarray, vertices: np.ndarray, finite: np.ndarray, usable: np.ndarray
+) -> np.ndarray:
+    """The numbers of a RejectedFaces. finite, usable: (v,) bool, of the vertices."""
+    sound, good = finite[faces].all(axis=1), usable[faces].all(axis=1)
+    flat = _count_degenerate(vertices[faces[good]])
+    return np.array([(~sound).sum(), (sound & ~good).sum(), flat])
+
+
+def _count_degenerate(corners: np.ndarray) -> int:
+    """corners: (m, 3, 3), finite."""
+    e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    terms = np.roll(e, -1, axis=1) * np.roll(f, 1, axis=1), np.roll(e, 1, axis=1) * np.roll(f, -1, axis=1)
+    sure = (
+        np.abs(terms[0] - terms[1])
+        > CROSS_RELATIVE_ERROR * (np.abs(terms[0]) + np.abs(terms[1])) + CROSS_UNDERFLOW
+    )
+    return sum(_is_degenerate(face) for face in corners[~sure.any(axis=1)].tolist())
+
+
+def _is_degenerate(face: list[list[float]]) -> bool:
+    a, b, c = ([Fraction(x) for x in corner] for corner in face)
+    e, f = [y - x for x, y in zip(a, b, strict=True)], [y - x for x, y in zip(a, c, strict=True)]
+    return all(e[i - 1] * f[i - 2] == e[i - 2] * f[i - 1] for i in range(3))
+
+
+def in_words(scene: Scene) -> str:
+    """For people; "" where there are none."""
+    return "; ".join(f"{name}: {count}" for name, count in left_out(scene).items())

@@ -1,0 +1,159 @@
+"""From a description to numbers in world space: the numbers that are cast, exported and judged.
+
+Every shape packs itself through a `Rounding`. `as_given` keeps float64; `as_float32` rounds each number that
+defines the geometry (corner, centre, radius, matrix entry) once, so that a float32 renderer which is handed
+those numbers traces the same geometry bit for bit. What follows from them (inverses, normals) is float64
+either way.
+"""
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
+
+from caster.geometry.mesh import Mesh, vertex_normals
+from caster.kernels.triangles import Triangles
+from caster.scene.fields import Shape
+
+Rounding = Callable[[np.ndarray], np.ndarray]
+
+# A product of a dozen rotations and uniform scales leaves its columns orthogonal and equally long to about
+# 12 * 8 u of their length, u = 2^-53; a stretch anybody means is far larger.
+SIMILARITY_RTOL = 128 * 2.0**-53
+
+
+# Embree leaves out, silently, a triangle with a corner that is not finite or this far out (its FLT_LARGE). So do we,
+# and count it (left_out.py).
+LARGEST_COORDINATE = 1.844e18
+
+
+def as_given(numbers: np.ndarray) -> np.ndarray:
+    return np.asarray(numbers, np.float64)
+
+
+def as_float32(numbers: np.ndarray) -> np.ndarray:
+    return np.asarray(numbers, np.float64).astype(np.float32).astype(np.float64)
+
+
+def is_similarity(linear: np.ndarray) -> bool:
+    """Whether a 3x3 matrix keeps angles: rotation, mirroring and one scale."""
+    ratios = linear / np.abs(linear).max()  # whose squares neither overflow nor vanish
+    gram = ratios.T @ ratios
+    size = np.trace(gram) / 3.0
+    return bool(np.all(np.abs(gram - size * np.eye(3)) <= SIMILARITY_RTOL * size))
+
+
+def similarity_scale(linear: np.ndarray) -> float:
+    """By how much such a matrix stretches: exact for a mere scale, and twice that for twice the matrix."""
+    largest = float(np.abs(linear).max())
+    ratios = linear / largest
+    return largest * math.sqrt(float((ratios * ratios).sum()) / 3.0)
+
+
+def is_mirrored(matrix: np.ndarray) -> bool:
+    linear = matrix[:3, :3]
+    return bool(np.linalg.det(linear / np.abs(linear).max()) < 0.0)
+
+
+def affine_arrays(
+    center: np.ndarray, linear: np.ndarray, rounded: Rounding
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(center, to_world, to_object) of one primitive, each with a leading axis of 1."""
+    to_world = rounded(linear)
+    return rounded(center)[None], to_world[None], inverse(to_world)[None]
+
+
+def inverse(m: np.ndarray) -> np.ndarray:
+    """The inverse of a 3x3 matrix, every entry rounded once. Raises LinAlgError where it has none in float64."""
+    if not np.isfinite(m).all():
+        raise np.linalg.LinAlgError("not finite")
+    rows = [[Fraction(x) for x in row] for row in m.tolist()]
+    cofactors = [
+        [rows[j - 2][i - 2] * rows[j - 1][i - 1] - rows[j - 2][i - 1] * rows[j - 1][i - 2] for j in range(3)]
+        for i in range(3)
+    ]
+    determinant = sum(rows[0][j] * cofactors[j][0] for j in range(3))
+    if determinant == 0:
+        raise np.linalg.LinAlgError("singular")
+    exact = [[x / determinant for x in row] for row in cofactors]
+    try:
+        rounded = np.array([[float(x) for x in row] for row in exact])
+    except OverflowError:
+        raise np.linalg.LinAlgError("too small to be inverted in float64") from None
+    if np.any((rounded == 0.0) & (np.array(exact) != 0)):
+        raise np.linalg.LinAlgError("too large to be inverted in float64")
+    return rounded
+
+
+def transform_mesh(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_normals: bool) -> Triangles:
+    """A mesh in world space. Where it has no normals and wants some, they are generated there.
+
+    A mirrored matrix turns each face around, so that outside stays outside: normals travel by the inverse
+    transpose, for every shape. Faces that are left out stay as ones without area, so that the others keep their
+    numbers. Raises LinAlgError where no corner stays finite.
+    """
+    vertices = world_vertices(mesh, matrix, rounded)
+    if not np.isfinite(vertices).any():
+        raise np.linalg.LinAlgError("no corner is finite")
+    faces = mesh.faces[:, [0, 2, 1]] if is_mirrored(matrix) else mesh.faces
+    vertices, faces = _collapse_rejected(vertices, faces)
+    normals = np.zeros((len(vertices), 3))
+    if not face_normals:
+        normals = rounded(_world_normals(mesh, matrix, vertices, faces))
+    uv = np.zeros((len(vertices), 2)) if mesh.uv is None else rounded(mesh.uv)
+    return Triangles(
+        np.ascontiguousarray(vertices, np.float64),
+        np.ascontiguousarray(faces, np.int32),
+        normals,
+        uv,
+        np.full(len(faces), not face_normals),
+        np.full(len(faces), mesh.uv is not None),
+    )
+
+
+def world_vertices(mesh: Mesh, matrix: np.ndarray, rounded: Rounding) -> np.ndarray:
+    """(n, 3) in world space; not finite where the mesh's are not, or where they get too large."""
+    with np.errstate(all="ignore"):
+        return rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def is_usable(vertices: np.ndarray) -> np.ndarray:
+    """(n,) bool: corners that a face may have."""
+    usable: np.ndarray = (np.abs(vertices) < LARGEST_COORDINATE).all(axis=1)  # false for NaN
+    return usable
+
+
+def _collapse_rejected(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same with finite numbers: an unusable corner moves to one that is not, and its faces shrink to a point."""
+    usable = is_usable(vertices)
+    if usable.all():
+        return vertices, faces
+    place = int(np.argmax(usable))  # the first; any will do, since nothing can be hit there
+    stand_in = vertices[place] if usable[place] else np.zeros(3)
+    kept = usable[faces].all(axis=1, keepdims=True)
+    return np.where(usable[:, None], vertices, stand_in), np.where(kept, faces, place)
+
+
+def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    if mesh.normals is None:
+        return vertex_normals(vertices, faces)
+    turned = mesh.normals @ np.linalg.inv(matrix[:3, :3])
+    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    return np.divide(turned, length, out=turned, where=length > 0.0)
+
+
+# What every shape made of triangles shares: it says which mesh, the rest follows.
+
+
+class MeshShape(Shape):
+    """Triangles; smooth unless `face_normals`, with normals of its own or generated ones (angle-weighted)."""
+
+    face_normals: bool = False
+
+    def mesh(self) -> Mesh:
+        """The triangles in object space."""
+        raise NotImplementedError  # every subclass in the registry has one (tests/unit/test_registries.py)
+
+    def pack(self, rounded: Rounding) -> Triangles:
+        return transform_mesh(self.mesh(), self.matrix, rounded, self.face_normals)

@@ -1,0 +1,90 @@
+"""Files that are written whole or not at all."""
+
+import contextlib
+import errno
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from caster.scene.errors import SceneError
+
+WRITE_ERRNOS = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES)
+
+
+class OutputError(SceneError):
+    """A file that cannot be written; nothing half-written is left behind."""
+
+    exit_code = 4
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raise OutputError now, and not after a long render, if no file can be made here."""
+    with _os_errors_as_output_errors(target := _resolved_target(path)):
+        _create_temporary(target).unlink()
+
+
+def check_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder, made if need be. Raises OutputError if it cannot be."""
+    folder = Path(path)
+    with _os_errors_as_output_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """A text file, whole or not at all. Raises OutputError."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """The same for bytes."""
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content)
+
+
+@contextlib.contextmanager
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A new file beside `path`, moved onto it if the body succeeds, gone if it does not.
+
+    Raises OutputError, whatever the body raises; an older file of that name is then still there, untouched.
+    """
+    with _os_errors_as_output_errors(target := _resolved_target(path)):
+        temporary = _create_temporary(target)  # a bad folder fails before any work
+        try:
+            yield temporary
+            os.replace(temporary, target)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def _resolved_target(path: str | os.PathLike[str]) -> Path:
+    target = Path(os.path.realpath(path))  # through a link, so that the link stays one
+    if target.exists() and not target.is_file():
+        raise OutputError(f"{target}: expected a file to write, this is a folder or a device")
+    return target
+
+
+def _create_temporary(target: Path) -> Path:
+    """An empty file of ours beside the target, so that its permissions follow the umask."""
+    temporary = target.parent / f".{secrets.token_hex(8)}.part"
+    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    return temporary
+
+
+@contextlib.contextmanager
+def _os_errors_as_output_errors(target: Path) -> Iterator[None]:
+    try:
+        yield
+    except Exception as e:  # the library raises whatever it likes
+        raise OutputError(f"{target}: cannot write: {_reason(e, target)}") from e
+
+
+def _reason(e: Exception, target: Path) -> str:
+    if isinstance(e, OSError) and e.strerror:
+        return f"{e.strerror} (folder {target.parent})"
+    known = [os.strerror(code) for code in WRITE_ERRNOS if os.strerror(code) in str(e)]
+    free = shutil.disk_usage(target.parent).free // 2**20
+    return f"{known[0] if known else 'the EXR library gave up half-way'} ({free} MiB free in {target.parent})"

@@ -1,0 +1,58 @@
+"""AOVs <-> the channels of an EXR file."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from caster.aovs import AOVS
+from caster.geometry.rejected import in_words
+from caster.image.exr import NO_ID
+from caster.rendering.images import Aovs
+from caster.scene.files import Scene
+
+
+def aovs_to_channels(aovs: Aovs) -> dict[str, np.ndarray]:
+    """Channel name -> (h, w) float32 or uint32. The mask A always comes along."""
+    channels = {"A": aovs.hit.astype(np.float32)}
+    for aov in AOVS:
+        if aov.NAME in aovs:
+            image = aovs[aov.NAME]
+            planes = image[..., None] if image.ndim == 2 else image
+            for c, channel in enumerate(aov.CHANNELS):
+                channels[channel] = _to_stored(planes[..., c])
+    return channels
+
+
+def _to_stored(plane: np.ndarray) -> np.ndarray:
+    if np.issubdtype(plane.dtype, np.integer):
+        return np.where(plane < 0, NO_ID, plane.astype(np.int64)).astype(np.uint32)
+    return plane
+
+
+def channels_to_aovs(channels: Mapping[str, np.ndarray]) -> Aovs:
+    """The AOVs whose channels are all there, as `render` gives them; `hit` is channel A."""
+    images = {}
+    for aov in AOVS:
+        if all(channel in channels for channel in aov.CHANNELS):
+            planes = [_from_stored(channels[channel]) for channel in aov.CHANNELS]
+            images[aov.NAME] = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+    return Aovs(images, channels["A"] != 0)
+
+
+def _from_stored(plane: np.ndarray) -> np.ndarray:
+    if plane.dtype == np.uint32:
+        return np.where(plane == NO_ID, -1, plane.astype(np.int64)).astype(np.int32)
+    return plane.astype(np.float64)
+
+
+def provenance(scene: Scene, version: str, path: str = "") -> dict[str, str]:
+    """What the file says about itself, under caster/. path: the scene file, as its user named it."""
+    named = {"caster/scene": path.encode(errors="replace").decode()} if path else {}
+    if words := in_words(scene):
+        named["caster/faces_never_hit"] = words
+    return named | {
+        "caster/version": version,
+        "caster/scene_sha256": scene.sha256(),
+        "caster/scene_json": scene.canonical_json(),
+        "caster/depth": "distance from the eye along the ray, scene units; inf on a miss",
+    }

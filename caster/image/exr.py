@@ -1,0 +1,210 @@
+"""Named channels and provenance <-> OpenEXR. The only module that imports OpenEXR."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import struct
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.image.atomic_files import OutputError, atomic_write
+from caster.image.exr_validation import (
+    PROVENANCE_PREFIX,
+    Part,
+    UnreadableExr,
+    Window,
+    check_all_read,
+    check_parts,
+    checked_window,
+    common_shape,
+    header_attributes,
+    merged_channel_names,
+    merged_provenance,
+    to_storable,
+)
+from caster.scene.errors import FileMissing, SceneError
+
+__all__ = ["NO_ID", "Exr", "OutputError", "Part", "UnreadableExr", "Window", "read_exr", "write_exr"]
+
+NO_ID = 0xFFFFFFFF
+"""`id.shape` and `id.prim` of a pixel that hits nothing."""
+
+MAGIC = 20000630  # the first four bytes of every EXR file, little endian
+DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four
+
+
+class Exr(NamedTuple):
+    """channels: name -> (h, w) float32, float16 or uint32, as stored. provenance: `caster/version` etc.
+
+    parts: of a multi-part file, which channels are of which part; none for a single-part one.
+    """
+
+    channels: dict[str, np.ndarray]
+    provenance: dict[str, str]
+    data_window: Window
+    display_window: Window
+    parts: tuple[Part, ...] = ()
+
+
+def write_exr(
+    path: str | os.PathLike[str],
+    channels: Mapping[str, np.ndarray],
+    provenance: Mapping[str, str] = {},
+    *,
+    data_window: Window | None = None,
+    display_window: Window | None = None,
+) -> None:
+    """Write a single-part scanline EXR, ZIP, float32; the same input gives the same bytes.
+
+    channels: name -> (h, w), any strides; uint32 stays UINT, floats of any width and bools become float32.
+    provenance: string attributes `caster/<key>`; a key without `caster/` gets it.
+    data_window: where the arrays lie on the film, default (0, 0, w, h).
+    display_window: the whole film, default the data window.
+    Raises SceneError for what an EXR cannot hold (another shape, a finite value that float32 cannot),
+    OutputError if the file cannot be written; an older file of that name is then still there, untouched.
+    """
+    import OpenEXR  # here, so that `--help` need not load it
+
+    height, width = common_shape(channels)
+    window = checked_window("data_window", (0, 0, width, height) if data_window is None else data_window)
+    film = checked_window("display_window", window if display_window is None else display_window)
+    if (window[2] - window[0], window[3] - window[1]) != (width, height):
+        raise SceneError(f"data_window {window} does not fit channels of {width} x {height} pixels")
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "lineOrder": OpenEXR.INCREASING_Y,
+        "dataWindow": _inclusive(window),
+        "displayWindow": _inclusive(film),
+        **header_attributes(provenance),
+    }
+    # The library stores the memory order of a strided array and puts its own objects into the dict it is
+    # given: it only ever gets fresh contiguous copies in a dict of ours.
+    copies = {name: to_storable(name, channels[name], window) for name in sorted(channels)}
+    with atomic_write(path) as part:
+        OpenEXR.File(header, copies).write(str(part))
+
+
+def read_exr(path: str | os.PathLike[str]) -> Exr:
+    """Read every channel by name, in the type it is stored in; of a multi-part file those of all parts.
+
+    A channel of a part that names no layer (`Z`) is called after its part (`depth.Z`), but in a part `rgba`, `rgb`,
+    `beauty`, `combined` or `main`. Of several resolutions, the finest is read.
+    Raises FileMissing if there is no such file, UnreadableExr if it is not a whole, flat EXR, or if its parts are no
+    layers of one picture: of different sizes, or of several views.
+    """
+    path = Path(path)
+    read = _decode_multi_part(path) if _is_multi_part(path) else [_decode(path)[0]]
+    names = {part.name(): part.channels for part in read}
+    called = merged_channel_names(path, names) if len(read) > 1 else {}
+    header = read[0].header
+    window = _exclusive(header["dataWindow"])
+    channels: dict[str, np.ndarray] = {}
+    parts: list[Part] = []
+    for part in read:
+        mine = {called.get((part.name(), name), name): channel for name, channel in part.channels.items()}
+        channels |= {name: _pixels(path, name, channel, window) for name, channel in mine.items()}
+        parts.append(Part(part.name(), tuple(sorted(mine))))
+    return Exr(
+        dict(sorted(channels.items())),
+        merged_provenance(path, [_provenance(part.header) for part in read]),
+        window,
+        _exclusive(header["displayWindow"]),
+        tuple(parts) if len(parts) > 1 else (),
+    )
+
+
+def _provenance(header: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        key: value
+        for key, value in header.items()
+        if key.startswith(PROVENANCE_PREFIX) and isinstance(value, str)
+    }
+
+
+def _inclusive(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
+    x0, y0, x1, y1 = window
+    return (x0, y0), (x1 - 1, y1 - 1)
+
+
+def _exclusive(box: Any) -> Window:
+    (x0, y0), (x1, y1) = box
+    return int(x0), int(y0), int(x1) + 1, int(y1) + 1
+
+
+def _is_multi_part(path: Path) -> bool:
+    """Whether there are parts to be read. Raises FileMissing, and UnreadableExr for what is no flat EXR image."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(8)
+    except FileNotFoundError as e:
+        raise FileMissing(f"{path}: no such file") from e
+    except OSError as e:
+        raise UnreadableExr(f"{path}: cannot read: {e.strerror}") from e
+    if not start:
+        raise UnreadableExr(f"{path}: expected an EXR image, the file is empty (0 bytes)")
+    magic, flags = struct.unpack("<II", start.ljust(8, b"\0"))
+    if magic != MAGIC:
+        raise UnreadableExr(f"{path}: expected an EXR image, the file starts with {start[:4]!r}")
+    if flags & DEEP and not flags & MULTI_PART:
+        raise UnreadableExr(f"{path}: a deep EXR has many samples a pixel; write a flat one")
+    return bool(flags & MULTI_PART)
+
+
+def _decode_multi_part(path: Path) -> list[Any]:
+    """The library's parts of a multi-part file, all of them, once it is known that they make one picture."""
+    headers = [part.header for part in _decode(path, header_only=True)]
+    check_parts(path, headers, _exclusive)
+    read = _decode(path)
+    check_all_read(path, headers, [part.name() for part in read])
+    return read
+
+
+def _decode(path: Path, *, header_only: bool = False) -> list[Any]:
+    """The library's parts. Raises UnreadableExr where there is none; one of many may be missing."""
+    import OpenEXR
+
+    size = path.stat().st_size
+    damaged = UnreadableExr(f"{path}: a damaged or truncated EXR ({size} bytes); write it again")
+    try:
+        with _library_output_suppressed():
+            file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
+    except Exception as e:
+        raise damaged from e
+    if not file.parts:  # a part that fails to decode is dropped by the library
+        raise damaged
+    return list(file.parts)
+
+
+def _pixels(path: Path, name: str, channel: Any, window: Window) -> np.ndarray:
+    x0, y0, x1, y1 = window
+    shape = np.shape(channel.pixels)
+    if shape != (y1 - y0, x1 - x0):
+        raise UnreadableExr(f"{path}: channel '{name}' has {shape} values for window {window}: subsampled")
+    return np.array(channel.pixels)  # a copy of ours: the library's own lives as long as its part
+
+
+_redirection_lock = threading.Lock()
+
+
+@contextlib.contextmanager
+def _library_output_suppressed() -> Iterator[None]:
+    """Keep the library's own words from the user: it prints to sys.stdout and to file descriptor 2."""
+    with _redirection_lock, contextlib.redirect_stdout(io.StringIO()), open(os.devnull, "wb") as nowhere:
+        try:
+            terminal = os.dup(2)
+        except OSError:  # no standard error at all
+            yield
+            return
+        try:
+            os.dup2(nowhere.fileno(), 2)
+            yield
+        finally:
+            os.dup2(terminal, 2)
+            os.close(terminal)

@@ -1,0 +1,81 @@
+"""Pixels and labels <-> picture files. The only module that imports Pillow."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from caster.image.atomic_files import write_bytes
+from caster.scene.errors import SceneError, listed
+
+if TYPE_CHECKING:
+    from PIL import ImageFont
+
+Array = np.ndarray[Any, np.dtype[Any]]
+
+IMAGE_FORMATS = {".png": "PNG", ".tga": "TGA"}
+
+
+def check_image_name(option: str, path: str) -> None:
+    """Raise SceneError for a name that does not say which kind of picture it is."""
+    if Path(path).suffix.lower() not in IMAGE_FORMATS:
+        raise SceneError(f"{option} {path}: expected a name that ends in {listed(IMAGE_FORMATS)}")
+
+
+def write_image(path: str, pixels: Array, about: Mapping[str, str] = {}) -> None:
+    """(h, w, 3) bytes as a .png or .tga file; the same pixels, the same bytes. about: texts kept in a PNG.
+
+    Raises OutputError.
+    """
+    write_bytes(path, encode_image(pixels, IMAGE_FORMATS[Path(path).suffix.lower()], about))
+
+
+def encode_image(pixels: Array, kind: str, about: Mapping[str, str] = {}) -> bytes:
+    """(h, w, 3) bytes as a file of one of the kinds of SUFFIXES."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    options: dict[str, Any] = {}
+    if kind == "PNG":
+        info = PngInfo()
+        for key, text in about.items():
+            info.add_itxt(key, text)
+        options = {"pnginfo": info, "optimize": True}
+    out = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(out, kind, **options)
+    return out.getvalue()
+
+
+def read_image(path: str) -> Array:
+    """(h, w, 3) bytes of a picture file."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def label_image(text: str, width: int, height: int) -> Array:
+    """(height, width, 3) bytes: a line of text in the middle, shortened where it is too long."""
+    from PIL import Image, ImageDraw
+
+    font = _font(round(0.7 * height))
+    while len(text) > 1 and font.getlength(text) > width - 4:
+        text = text.rstrip("…")[:-1] + "…"
+    image = Image.new("RGB", (width, height), BACKGROUND)
+    ImageDraw.Draw(image).text((width / 2, height / 2), text, fill=TEXT_COLOR, font=font, anchor="mm")
+    return np.asarray(image)
+
+
+BACKGROUND, TEXT_COLOR = (255, 255, 255), (30, 30, 30)
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    from PIL import ImageFont
+
+    font = ImageFont.load_default(size)
+    assert isinstance(font, ImageFont.FreeTypeFont)  # given a size, Pillow takes the font it brings along
+    return font

@@ -1,0 +1,1 @@
+"""Compilation of kernels by Numba, and the cache of their object code."""

@@ -1,0 +1,309 @@
+"""The only module that names a Numba decorator; without Numba every function is handed back unchanged.
+
+`CASTER_JIT=0` switches the compiler off, so that pdb steps through the very code that runs compiled. Numba itself is
+loaded when a kernel is first compiled: what has been compiled before runs without it (caster/jit/machine_code.py).
+"""
+
+import contextlib
+import hashlib
+import importlib
+import inspect
+import threading
+from collections.abc import Callable, Iterator
+from functools import cache, update_wrapper
+from pathlib import Path
+from typing import Any, TypeVar
+
+from caster.jit import machine_code
+from caster.jit.arguments import (
+    INTEGER,
+    MISMATCH,
+    REAL,
+    argument_forms,
+    checked_call,
+    named_tuple_names,
+    signature_key,
+)
+from caster.jit.kernel_cache import COMPILED, cache_folder
+from caster.jit.simd import (
+    CHILDREN,
+    FAR_PADDING,
+    LANES,
+    LARGEST_T,
+    any_sum_reaches,
+    intersect_boxes,
+    intersect_boxes_packet,
+    lane_max,
+    lane_max_of_sums,
+    lane_min,
+    lowest_bit,
+)
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+OPTIONS = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+}  # no fast-math, IEEE division, no GIL, kept on disk
+
+GIVES = {"none": "", "int64": INTEGER, "float64": REAL}  # what machine code can answer, by Numba's names
+
+_LOCK = threading.RLock()  # LLVM and the lists below are one thread's at a time
+
+
+class CompilationLog:
+    """What this process did to have its kernels, by their names; `compiling` is called before one is compiled."""
+
+    def __init__(self) -> None:
+        self.compiled: list[str] = []
+        self.loaded: list[str] = []  # from the cache
+        self.slowly: list[
+            str
+        ] = []  # of these, what only Numba can call: loading it takes long, and so does each call
+        self.compiling: Callable[[str], None] = lambda name: None
+
+
+COMPILATION_LOG = CompilationLog()
+
+
+@cache
+def _numba() -> Any:
+    numba: Any = importlib.import_module("numba")
+    importlib.import_module("numba.extending")
+    importlib.import_module("numba.core.event")
+    numba.config.CACHE_DIR = str(
+        cache_folder()
+    )  # also where NUMBA_CACHE_DIR names another: that one outlives edits
+    for entry in _GENERICS.values():
+        entry.overload(numba)
+    _overload_lanes(numba)
+    return numba
+
+
+class Kernel:
+    """A function and its machine code for each combination of classes that its arguments may have."""
+
+    __name__: str
+    __qualname__: str
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        update_wrapper(self, function)
+        self.function, self.options = function, {**OPTIONS, **options}
+        self._calls: dict[str | None, Callable[..., Any]] = {}  # by `signature_key` the arguments
+        self._latest: dict[type, Callable[..., Any]] = {}  # by the class of the first argument
+        self._dispatcher: Any = None
+
+    def __call__(self, *args: Any) -> Any:
+        call = self._latest.get(type(args[0]))
+        if call is not None:
+            answer = call(*args)
+            if answer is not MISMATCH:
+                return answer
+        return self._prepared(args)(*args)
+
+    def __reduce__(self) -> str:
+        return self.__qualname__
+
+    @property
+    def dispatcher(self) -> Any:
+        """Numba's own object for this function."""
+        with _LOCK:
+            if self._dispatcher is None:
+                self._dispatcher = _numba().njit(**self.options)(self.function)
+            return self._dispatcher
+
+    @property
+    def _numba_type_(self) -> Any:
+        """How Numba sees a kernel that is called in another one."""
+        return _numba().types.Dispatcher(self.dispatcher)
+
+    def _prepared(self, args: tuple[Any, ...]) -> Callable[..., Any]:
+        """What to call with such arguments: machine code from the cache or just compiled, else Numba."""
+        key = signature_key(args) if machine_code.is_supported() else None
+        with _LOCK:
+            call = self._calls.get(key) if key is not None else None
+            if call is None:
+                code = None if key is None else self._found(key, args) or self._made(key, args)
+                if code is None:
+                    self._compiled(args)
+                    COMPILATION_LOG.slowly.append(_named(self.__name__, args))
+                call = self.dispatcher if code is None else checked_call(args, code.entry(), code.gives)
+                self._calls[key] = call
+        if call is not self._dispatcher:  # which tells no others apart
+            self._latest[type(args[0])] = call
+        return call
+
+    def _place(self, key: str) -> tuple[str, Path]:
+        """Name of the entry, and the file it is kept in."""
+        words = "\n".join([self.__module__, self.__qualname__, key, machine_code.target_description()])
+        symbol = f"caster_{hashlib.sha256(words.encode()).hexdigest()[:32]}"
+        return symbol, cache_folder() / f"{self.__name__}-{symbol}.o"
+
+    def _found(self, key: str, args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
+        code = machine_code.read(self._place(key)[1])
+        if code is not None:
+            COMPILATION_LOG.loaded.append(_named(self.__name__, args))
+        return code
+
+    def _made(self, key: str, args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
+        """Compiled, and kept; None if it needs Numba to run."""
+        result = self._compiled(args)
+        gives = GIVES.get(str(result.signature.return_type))
+        if gives is None:
+            return None
+        symbol, path = self._place(key)
+        function = result.fndesc.llvm_func_name
+        code = machine_code.extract_object_code(result.library, function, symbol, argument_forms(args), gives)
+        if code is not None:
+            code.write(path)
+        return code
+
+    def _compiled(self, args: tuple[Any, ...]) -> Any:
+        """Numba's result for such arguments, counted once."""
+        numba, dispatcher = _numba(), self.dispatcher
+        types = tuple(numba.typeof(arg) for arg in args)
+        if types not in dispatcher.overloads:
+            name = _named(self.__name__, args)
+            with _heard(numba, name):
+                dispatcher.compile(types)
+            (
+                COMPILATION_LOG.loaded if dispatcher.stats.cache_hits.get(types) else COMPILATION_LOG.compiled
+            ).append(name)
+        return dispatcher.overloads[types]
+
+
+@contextlib.contextmanager
+def _heard(numba: Any, name: str) -> Iterator[None]:
+    """Say that a kernel is being compiled, once Numba has not found it in its own cache."""
+    told = False
+
+    class Listener(numba.core.event.Listener):  # type: ignore[misc]  # Numba has no types
+        def on_start(self, event: Any) -> None:
+            nonlocal told
+            if not told:
+                told = True
+                COMPILATION_LOG.compiling(name)
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with numba.core.event.install_listener("numba:compile", Listener()):
+        yield
+
+
+def _named(name: str, args: tuple[Any, ...]) -> str:
+    kinds = ", ".join(named_tuple_names(args))
+    return f"{name}({kinds})" if kinds else name
+
+
+def jit(function: Function) -> Function:
+    """Compile a kernel: no fast-math, IEEE division, no GIL, cached on disk."""
+    return Kernel(function, {}) if COMPILED else function  # type: ignore[return-value]  # called like the function
+
+
+def inlined(function: Function) -> Function:
+    """The same for a function that is too large for LLVM to put it in the place of its call unasked."""
+    return Kernel(function, {"forceinline": True}) if COMPILED else function  # type: ignore[return-value]  # likewise
+
+
+def _overload_lanes(numba: Any) -> None:
+    """What LLVM is to make of the functions of caster/jit/simd.py."""
+    vectors, types = importlib.import_module("caster.jit.vector_intrinsics"), numba.types
+    reaches, least, most, sums, one, several, lowest = map(
+        numba.extending.intrinsic,
+        (
+            vectors.any_sum_reaches(LANES, types),
+            vectors.lane_min(LANES, types),
+            vectors.lane_max(LANES, types),
+            vectors.lane_max_of_sums(LANES, types),
+            vectors.intersect_boxes(CHILDREN, types, FAR_PADDING, LARGEST_T),
+            vectors.intersect_boxes_packet(CHILDREN, types, FAR_PADDING, LARGEST_T),
+            vectors.lowest_bit(types),
+        ),
+    )
+    made = {
+        any_sum_reaches: lambda a, i, j, limit: lambda a, i, j, limit: reaches(a, i, j, limit),
+        lane_min: lambda a, i: lambda a, i: least(a, i),
+        lane_max: lambda a, i: lambda a, i: most(a, i),
+        lane_max_of_sums: lambda a, i, j: lambda a, i, j: sums(a, i, j),
+        intersect_boxes: lambda boxes, node, view, t_min, t_max, near: (
+            lambda boxes, node, view, t_min, t_max, near: one(boxes, node, view, t_min, t_max, near)
+        ),
+        intersect_boxes_packet: lambda boxes, node, view, t_min, t_max, near: (
+            lambda boxes, node, view, t_min, t_max, near: several(boxes, node, view, t_min, t_max, near)
+        ),
+        lowest_bit: lambda mask: lambda mask: lowest(mask),
+    }
+    for stub, choose in made.items():
+        numba.extending.overload(stub, jit_options={"forceinline": True}, strict=False)(choose)
+
+
+class Generic:
+    """A function whose body is chosen by the class of its first argument, a NamedTuple of arrays."""
+
+    def __init__(self, stub: Callable[..., Any], options: dict[str, Any]):
+        self.bodies: dict[type, Callable[..., Any]] = {}
+        self.__name__, self.__doc__ = stub.__name__, stub.__doc__
+        self.stub, self.options = stub, options
+        self.call = self._dispatch()
+
+    def _dispatch(self) -> Callable[..., Any]:
+        bodies = self.bodies
+
+        def dispatch(*args: Any) -> Any:
+            kind = type(args[0])
+            return bodies[kind if kind in bodies else object](*args)
+
+        self._dress(dispatch)
+        return dispatch
+
+    def overload(self, numba: Any) -> None:
+        """Tell Numba how to choose the body."""
+        bodies = self.bodies
+
+        def choose(*args: Any) -> Any:
+            kind: Any = getattr(args[0], "instance_class", None)  # of a Numba type
+            body = bodies.get(kind, bodies.get(object))
+            return body.dispatcher if isinstance(body, Kernel) else body
+
+        self._dress(choose)
+        numba.extending.overload(self.call, jit_options=self.options, strict=False)(choose)
+
+    def _dress(self, function: Any) -> None:
+        function.__name__, function.__doc__ = self.stub.__name__, self.stub.__doc__
+        function.__signature__ = inspect.signature(self.stub)  # Numba reads it
+
+
+_GENERICS: dict[Callable[..., Any], Generic] = {}
+
+
+def generic(stub: Function) -> Function:
+    """Declare a function of the protocol; `implement(function, Kind)` gives it a body for one kind."""
+    return _declared(stub, {})
+
+
+def generic_inlined(stub: Function) -> Function:
+    """The same for a function of the innermost loops, where a call would cost as much as what it does."""
+    return _declared(stub, {"forceinline": True})
+
+
+def _declared(stub: Function, options: dict[str, Any]) -> Function:
+    entry = Generic(stub, options)
+    _GENERICS[entry.call] = entry
+    return entry.call  # type: ignore[return-value]  # called like the stub
+
+
+def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], Function]:
+    """Register the decorated body of `function` for arguments of class `kind`; object: for all without their own."""
+
+    def keep(body: Function) -> Function:
+        _GENERICS[function].bodies[kind] = body
+        return body
+
+    return keep
+
+
+def implements(function: Callable[..., Any], kind: type) -> bool:
+    """Whether `function` has a body for `kind`."""
+    return kind in _GENERICS[function].bodies

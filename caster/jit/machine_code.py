@@ -1,0 +1,297 @@
+"""Functions of Numba's runtime that compiled kernels call, in LLVM's language, so that they run without Numba.
+
+Arrays that are handed to a kernel own no memory as far as it knows (their record is null); what it allocates itself it
+frees before it returns, so that a record is all of its memory.
+"""
+
+import ctypes
+import hashlib
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from caster.jit.arguments import ARRAY, BOOLEAN, INTEGER, NONE, REAL, C, Form
+from caster.jit.kernel_cache import read_trusted, write_atomically
+
+# A record as Numba's code reads it: count of references, two fields for others, address of the data, size of the data.
+RECORD = 64  # bytes, of which it reads 40
+
+ALLOCATE = f"""
+define ptr @NRT_MemInfo_alloc_aligned(i64 %size, i32 %alignment) {{
+  %step = zext i32 %alignment to i64
+  %room = add i64 %size, {RECORD}
+  %whole = add i64 %room, %step
+  %record = call ptr @malloc(i64 %whole)
+  %none = icmp eq ptr %record, null
+  br i1 %none, label %done, label %fill
+fill:
+  %first = ptrtoint ptr %record to i64
+  %behind = add i64 %first, {RECORD}
+  %less = sub i64 %step, 1
+  %beyond = add i64 %behind, %less
+  %down = sub i64 0, %step
+  %data = and i64 %beyond, %down
+  store i64 1, ptr %record
+  %record.1 = getelementptr i64, ptr %record, i64 1
+  store i64 0, ptr %record.1
+  %record.2 = getelementptr i64, ptr %record, i64 2
+  store i64 0, ptr %record.2
+  %record.3 = getelementptr i64, ptr %record, i64 3
+  store i64 %data, ptr %record.3
+  %record.4 = getelementptr i64, ptr %record, i64 4
+  store i64 %size, ptr %record.4
+  br label %done
+done:
+  ret ptr %record
+}}
+declare ptr @malloc(i64)
+"""
+
+FREE = """
+define void @NRT_MemInfo_call_dtor(ptr %record) {
+  call void @free(ptr %record)
+  ret void
+}
+declare void @free(ptr)
+"""
+
+TIMES_POWER = """
+define double @numba_ldexp(double %x, i32 %exponent) {
+  %y = call double @ldexp(double %x, i32 %exponent)
+  ret double %y
+}
+declare double @ldexp(double, i32)
+"""
+
+# What is not finite has the exponent 0 for Numba, and any in C.
+EXPONENT = """
+define double @numba_frexp(double %x, ptr %exponent) {
+  %y = call double @frexp(double %x, ptr %exponent)
+  %off = fsub double %x, %x
+  %finite = fcmp oeq double %off, 0.0
+  br i1 %finite, label %done, label %special
+special:
+  store i32 0, ptr %exponent
+  br label %done
+done:
+  ret double %y
+}
+declare double @frexp(double, ptr)
+"""
+
+RUNTIME_SOURCE = {
+    "NRT_MemInfo_alloc_aligned": ALLOCATE,
+    "NRT_MemInfo_call_dtor": FREE,
+    "numba_ldexp": TIMES_POWER,
+    "numba_frexp": EXPONENT,
+}
+
+MATHEMATICS = (
+    "acos asin atan atan2 ceil cos exp fabs floor fma fmod frexp hypot ldexp log pow rint round sin sqrt tan"
+)
+C_LIBRARY_SYMBOLS = {*MATHEMATICS.split(" "), "trunc", "malloc", "free", "memcpy", "memmove", "memset"}
+"""What object code may ask of the C library; anything else would be Numba's own."""
+
+
+# Compiled kernels without Numba: the object code it made is kept, and loaded and called by llvmlite alone.
+#
+# Loading Numba and what it keeps of a kernel takes longer than most films. The entry that is added to a kernel reads
+# arrays where NumPy keeps their numbers, so that a call costs no more than Numba's own.
+
+
+# Where a NumPy array object (PyArrayObject_fields, part of its stable binary interface) keeps them.
+DATA, SHAPE, STRIDES = 16, 32, 40
+
+LLVM = {INTEGER: "i64", REAL: "double", BOOLEAN: "i8", ARRAY: "i64"}
+
+
+@cache
+def is_supported() -> bool:
+    """Whether this Python, NumPy and machine pass arguments as the entries take them."""
+    if sys.platform != "linux" or platform.machine() not in ("x86_64", "aarch64"):
+        return False
+    probe = np.zeros((5, 7))[::2, ::3]
+    at = [ctypes.c_uint64.from_address(id(probe) + place).value for place in (DATA, SHAPE, STRIDES)]
+    found = [(ctypes.c_int64 * 2).from_address(place) for place in at[1:]] if at[1] and at[2] else []
+    return at[0] == probe.ctypes.data and [tuple(f) for f in found] == [probe.shape, probe.strides]
+
+
+@cache
+def target_description() -> str:
+    """What machine code is made for: another processor in the same home needs its own."""
+    import llvmlite.binding as llvm
+
+    settings = [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith("NUMBA_")]
+    features = llvm.get_host_cpu_features().flatten()
+    return "\n".join(
+        [platform.python_version(), np.__version__, llvm.get_host_cpu_name(), features, *settings]
+    )
+
+
+class ObjectCode:
+    """A kernel's object code and how it is called."""
+
+    def __init__(self, symbol: str, taken: str, gives: str, data: bytes) -> None:
+        self.symbol, self.taken, self.gives, self.data = symbol, taken, gives, data
+
+    def entry(self) -> Callable[..., int]:
+        """Loaded into this process; what it takes first is the address for its answer."""
+        types = [C[form] for form in self.taken]
+        prototype = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64, *types)
+        return prototype(_load(self.symbol, self.data))
+
+    def write(self, path: Path) -> None:
+        about = {
+            "symbol": self.symbol,
+            "taken": self.taken,
+            "gives": self.gives,
+            "sha256": _digest(self.data),
+        }
+        write_atomically(path, json.dumps(about).encode() + b"\n" + self.data)
+
+
+def read(path: Path) -> ObjectCode | None:
+    """What was written; None if it is not there, not whole, or may be by another user."""
+    try:
+        head, _, data = read_trusted(path).partition(b"\n")
+        about = json.loads(head)
+        code = ObjectCode(about["symbol"], about["taken"], about["gives"], data)
+        return code if about["sha256"] == _digest(data) else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+@cache
+def _engine() -> Any:
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    target = llvm.Target.from_default_triple().create_target_machine()
+    return llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
+
+
+def _load(symbol: str, data: bytes) -> int:
+    import llvmlite.binding as llvm
+
+    engine = _engine()
+    engine.add_object_file(llvm.ObjectFileRef.from_data(data))
+    engine.finalize_object()
+    return int(engine.get_function_address(symbol))
+
+
+def extract_object_code(
+    library: Any, function: str, symbol: str, taken: list[Form], gives: str
+) -> ObjectCode | None:
+    """The object code of what Numba compiled, with an entry; None if it needs Numba to run.
+
+    library, function: Numba's code library and the name of the kernel in it. taken: `arguments.forms`.
+    """
+    import llvmlite.binding as llvm
+
+    module = llvm.parse_bitcode(library._get_module_for_linking().as_bitcode())
+    wanted = [str(argument.type) for argument in module.get_function(function).arguments]
+    given = ["ptr", "ptr", *(type_ for form in taken for type_ in _passed(form))]
+    if given != wanted:
+        return None
+    entry = _entry(module, function, symbol, taken, gives)
+    module.link_in(llvm.parse_assembly(entry))
+    for name in [f.name for f in module.functions if f.is_declaration and f.name in RUNTIME_SOURCE]:
+        module.link_in(llvm.parse_assembly(_head(module) + RUNTIME_SOURCE[name]))
+    _keep_only(module, symbol, library._codegen._tm)
+    module.verify()
+    if any(f.is_declaration and not _known(f.name) for f in module.functions):
+        return None
+    forms = "".join(form for form, _, _ in taken if form != NONE)
+    return ObjectCode(symbol, forms, gives, library._codegen._tm.emit_object(module))
+
+
+def _known(name: str) -> bool:
+    return name.startswith("llvm.") or name in C_LIBRARY_SYMBOLS
+
+
+def _keep_only(module: Any, symbol: str, target: Any) -> None:
+    """Drop what the entry does not reach: Numba's own wrappers."""
+    import llvmlite.binding as llvm
+
+    for thing in [*module.functions, *module.global_variables]:
+        if not thing.is_declaration and thing.name != symbol:
+            thing.linkage = "internal"
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.run(module, llvm.create_pass_builder(target, llvm.create_pipeline_tuning_options()))
+
+
+def _passed(form: Form) -> list[str]:
+    """What Numba's calling convention makes of one argument."""
+    kind, dimensions, _ = form
+    if kind == ARRAY:
+        return ["ptr", "ptr", "i64", "i64", "ptr", *["i64"] * (2 * dimensions)]
+    return ["ptr"] if kind == NONE else [LLVM[kind]]
+
+
+def _entry(module: Any, function: str, symbol: str, taken: list[Form], gives: str) -> str:
+    """LLVM's language for a function of whole and real numbers that calls the kernel; it returns its status."""
+    lines, passed, parameters = [], ["ptr %answer", "ptr %trouble"], ["i64 %out"]
+    for n, (kind, dimensions, size) in enumerate(taken):
+        if kind != NONE:
+            parameters.append(f"{LLVM[kind]} %a{n}")
+        if kind == ARRAY:
+            lines += _read_array(n, dimensions)
+            passed += [f"ptr null, ptr null, i64 %count{n}, i64 {size}, ptr %data{n}"]
+            passed += [f"i64 %{what}{n}.{axis}" for what in ("shape", "step") for axis in range(dimensions)]
+        else:
+            passed.append("ptr null" if kind == NONE else f"{LLVM[kind]} %a{n}")
+    types = ", ".join(str(argument.type) for argument in module.get_function(function).arguments)
+    if gives:
+        lines_after = [
+            "%value = load i64, ptr %answer",
+            "%to = inttoptr i64 %out to ptr",
+            "store i64 %value, ptr %to",
+        ]
+    else:
+        lines_after = []
+    body = [
+        "%answer = alloca i64",
+        "%trouble = alloca ptr",
+        *lines,
+        f'%status = call i32 @"{function}"({", ".join(passed)})',
+        *lines_after,
+        "ret i32 %status",
+    ]
+    declared = f'declare i32 @"{function}"({types})\n'
+    return (
+        f"{_head(module)}{declared}define i32 @{symbol}({', '.join(parameters)}) {{\n"
+        + "\n".join(body)
+        + "\n}\n"
+    )
+
+
+def _head(module: Any) -> str:
+    return f'target datalayout = "{module.data_layout}"\ntarget triple = "{module.triple}"\n'
+
+
+def _read_array(n: int, dimensions: int) -> list[str]:
+    """Data, shape, strides and the count of elements of the array at address %a{n}."""
+    lines = [f"%array{n} = inttoptr i64 %a{n} to ptr"]
+    for what, place in (("data", DATA), ("shape", SHAPE), ("step", STRIDES)):
+        lines.append(f"%{what}{n}.at = getelementptr i8, ptr %array{n}, i64 {place}")
+        lines.append(f"%{what}{n} = load ptr, ptr %{what}{n}.at")
+    lines.append(f"%count{n}.0 = add i64 0, 1")
+    for axis in range(dimensions):
+        for what in ("shape", "step"):
+            lines.append(f"%{what}{n}.{axis}.at = getelementptr i64, ptr %{what}{n}, i64 {axis}")
+            lines.append(f"%{what}{n}.{axis} = load i64, ptr %{what}{n}.{axis}.at")
+        lines.append(f"%count{n}.{axis + 1} = mul i64 %count{n}.{axis}, %shape{n}.{axis}")
+    return [*lines, f"%count{n} = add i64 %count{n}.{dimensions}, 0"]

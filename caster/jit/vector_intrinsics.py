@@ -1,0 +1,191 @@
+"""Several numbers handled at once, as LLVM's vectors: it makes none of a short loop by itself.
+
+Each function here is for numba.extending.intrinsic; what it computes is said where it is declared (caster/jit/simd.py).
+"""
+
+from typing import Any
+
+from llvmlite import ir
+
+INT32, INT64, REAL = ir.IntType(32), ir.IntType(64), ir.DoubleType()
+
+
+class Vectors:
+    """Vectors of so many numbers, within one function that is being built."""
+
+    def __init__(self, builder: Any, lanes: int) -> None:
+        self.builder, self.lanes = builder, lanes
+        self.reals = ir.VectorType(REAL, lanes)
+
+    def load(self, data: Any, at: Any, kind: Any = REAL) -> Any:
+        """data[at:at + lanes] as float64, of numbers of a kind."""
+        vector = ir.VectorType(kind, self.lanes)
+        place = self.builder.bitcast(self.builder.gep(data, [at]), vector.as_pointer())
+        loaded = self.builder.load(place, align=4 if kind is not REAL else 8)
+        return loaded if kind is REAL else self.builder.fpext(loaded, self.reals)
+
+    def store(self, vector: Any, data: Any) -> None:
+        self.builder.store(vector, self.builder.bitcast(data, self.reals.as_pointer()), align=8)
+
+    def all(self, number: Any) -> Any:
+        """The same number everywhere."""
+        nothing = ir.Constant(self.reals, ir.Undefined)
+        first = self.builder.insert_element(nothing, number, INT32(0))
+        return self.builder.shuffle_vector(
+            first, nothing, ir.Constant(ir.VectorType(INT32, self.lanes), [0] * self.lanes)
+        )
+
+    def reduced(self, vector: Any, chosen: Any) -> Any:
+        """One number of a vector, chosen(vectors, a, b) of any two."""
+        vectors = self
+        while vectors.lanes > 1:
+            vector = chosen(vectors, *vectors.halves(vector))
+            vectors = Vectors(self.builder, vectors.lanes // 2)
+        return self.builder.extract_element(vector, INT32(0))
+
+    def halves(self, vector: Any) -> tuple[Any, Any]:
+        half = self.lanes // 2
+        starts = (ir.Constant(ir.VectorType(INT32, half), list(range(at, at + half))) for at in (0, half))
+        low, high = (self.builder.shuffle_vector(vector, vector, start) for start in starts)
+        return low, high
+
+    def larger(self, a: Any, b: Any) -> Any:
+        return self.builder.select(self.builder.fcmp_ordered(">", a, b), a, b)
+
+    def lesser(self, a: Any, b: Any) -> Any:
+        return self.builder.select(self.builder.fcmp_ordered("<", a, b), a, b)
+
+    def bits(self, comparison: Any) -> Any:
+        """A bit for each lane, the first one lowest: int64."""
+        return self.builder.zext(self.builder.bitcast(comparison, ir.IntType(self.lanes)), INT64)
+
+
+def any_sum_reaches(lanes: int, types: Any) -> Any:
+    def typed(typing: Any, a: Any, i: Any, j: Any, limit: Any) -> Any:
+        return types.boolean(a, types.uint64, types.uint64, types.float64), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vectors = Vectors(builder, lanes)
+        data = _data(context, builder, signature.args[0], arguments[0])
+        total = builder.fadd(vectors.load(data, arguments[1]), vectors.load(data, arguments[2]))
+        which = vectors.bits(builder.fcmp_ordered(">=", total, vectors.all(arguments[3])))
+        return builder.icmp_unsigned("!=", which, INT64(0))
+
+    return typed
+
+
+FLOAT32 = ir.FloatType()
+SIDES = 6  # rows of a node's boxes
+
+
+class Children:
+    """The boxes of one node's children, a lane each."""
+
+    def __init__(self, vectors: Vectors, data: Any, node: Any) -> None:
+        self.vectors, self.data = vectors, data
+        self.first = vectors.builder.mul(node, INT64(SIDES * vectors.lanes))
+
+    def row(self, number: Any) -> Any:
+        builder = self.vectors.builder
+        at = builder.add(self.first, builder.mul(number, INT64(self.vectors.lanes)))
+        return self.vectors.load(self.data, at, FLOAT32)
+
+
+def intersect_boxes(lanes: int, types: Any, far_padding: float, latest: float) -> Any:
+    return _entering(lanes, types, (far_padding, latest), _by_one)
+
+
+def intersect_boxes_packet(lanes: int, types: Any, far_padding: float, latest: float) -> Any:
+    return _entering(lanes, types, (far_padding, latest), _by_several)
+
+
+def _entering(lanes: int, types: Any, limits: tuple[float, float], sides_along: Any) -> Any:
+    """sides_along(vectors, children, view, axis): where the children are entered and left along an axis."""
+
+    def typed(typing: Any, boxes: Any, node: Any, view: Any, t_min: Any, t_max: Any, near: Any) -> Any:
+        return types.int64(boxes, types.int64, view, types.float64, types.float64, near), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        boxes, node, view, t_min, t_max, near = arguments
+        vectors = Vectors(builder, lanes)
+        children = Children(vectors, _data(context, builder, signature.args[0], boxes), node)
+        enter, leave = sides_along(vectors, children, view, 0)
+        for axis in (1, 2):
+            a, b = sides_along(vectors, children, view, axis)
+            enter, leave = vectors.larger(enter, a), vectors.lesser(leave, b)
+        padding, latest = (vectors.all(ir.Constant(REAL, number)) for number in limits)
+        enter = vectors.larger(enter, vectors.all(t_min))
+        leave = vectors.lesser(builder.fmul(leave, padding), vectors.all(t_max))
+        vectors.store(vectors.lesser(enter, latest), _data(context, builder, signature.args[5], near))
+        return vectors.bits(builder.fcmp_ordered("<=", enter, leave))
+
+    return typed
+
+
+def _data(context: Any, builder: Any, array_type: Any, array: Any) -> Any:
+    return context.make_array(array_type)(context, builder, array).data
+
+
+def _by_one(vectors: Vectors, children: Children, view: Any, axis: int) -> tuple[Any, Any]:
+    builder = vectors.builder
+    near, far, inverse, enter, leave = (builder.extract_value(view, [field, axis]) for field in range(5))
+    slope = vectors.all(inverse)
+    return (
+        builder.fadd(builder.fmul(children.row(near), slope), vectors.all(enter)),
+        builder.fadd(builder.fmul(children.row(far), slope), vectors.all(leave)),
+    )
+
+
+def _by_several(vectors: Vectors, children: Children, view: Any, axis: int) -> tuple[Any, Any]:
+    builder = vectors.builder
+    near, far, least, most, enter, leave = (builder.extract_value(view, [field, axis]) for field in range(6))
+    unit, slopes = vectors.all(builder.extract_value(view, 6)), (vectors.all(least), vectors.all(most))
+    begin = builder.fadd(builder.fmul(children.row(near), unit), vectors.all(enter))
+    end = builder.fadd(builder.fmul(children.row(far), unit), vectors.all(leave))
+    return (
+        vectors.lesser(*(builder.fmul(begin, slope) for slope in slopes)),
+        vectors.larger(*(builder.fmul(end, slope) for slope in slopes)),
+    )
+
+
+def lowest_bit(types: Any) -> Any:
+    def typed(typing: Any, mask: Any) -> Any:
+        return types.int64(types.int64), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return typed
+
+
+def lane_min(lanes: int, types: Any) -> Any:
+    def typed(typing: Any, a: Any, i: Any) -> Any:
+        return types.float64(a, types.uint64), _chosen(lanes, Vectors.lesser)
+
+    return typed
+
+
+def lane_max(lanes: int, types: Any) -> Any:
+    def typed(typing: Any, a: Any, i: Any) -> Any:
+        return types.float64(a, types.uint64), _chosen(lanes, Vectors.larger)
+
+    return typed
+
+
+def lane_max_of_sums(lanes: int, types: Any) -> Any:
+    def typed(typing: Any, a: Any, i: Any, j: Any) -> Any:
+        return types.float64(a, types.uint64, types.uint64), _chosen(lanes, Vectors.larger)
+
+    return typed
+
+
+def _chosen(lanes: int, choose: Any) -> Any:
+    """Of an array from one place on, or of the sums from two places on, one number by choose(vectors, a, b)."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vectors = Vectors(builder, lanes)
+        data = _data(context, builder, signature.args[0], arguments[0])
+        first, *more = (vectors.load(data, at) for at in arguments[1:])
+        return vectors.reduced(builder.fadd(first, *more) if more else first, choose)
+
+    return build

@@ -1,0 +1,250 @@
+"""A tree of boxes over primitives, split where the surface area heuristic costs least (binned; Wald 2007)."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.jit.decorators import inlined, jit
+from caster.jit.simd import CHILDREN
+from caster.kernels.protocol import Vec3, hull_point, hull_size
+
+LEAF_SIZE = 4
+BINS = 16
+# Below this depth runs are halved. A large tree grows in two goes (caster/rendering/acceleration.py), so that
+# with 2^31 primitives it is less than 2 (40 + 31) deep; a traversal holds all but one of a node's boxes a level.
+MAX_SAH_DEPTH = 40
+BUILD_STACK_SIZE = 160  # nodes in two that wait for their turn
+STACK_SIZE = 144 * (CHILDREN - 1)
+
+LEAF_SIZE_BASE = 8  # more than a leaf has
+MAX_PRIMITIVES = 2**31 // LEAF_SIZE_BASE  # whose leaves fit into links
+
+# What is hit is hit exactly, but the points of a hull are sums of four numbers, off by 4 u of their magnitudes at most:
+# 16 u (|o| + extent) cover them. Up to 7 u more are lost where boxes and origins are seen from the tree's centre and
+# multiplied by 1/d (caster/kernels/bvh/traversal.py), so boxes are widened by 24.
+BOX_PADDING = 24.0 * 2.0**-53
+
+
+# What stands for 0 in a direction, over units of a tree: so small that within t < 2^930 no ray gets across a pad by it,
+# and 1 over it still a number times any box, since inf - inf is none. At least MIN_DIRECTION.
+MIN_DIRECTION_PER_UNIT, MIN_DIRECTION = 2.0**-990, 2.0**-1000
+
+
+class Tree(NamedTuple):
+    """Nodes of CHILDREN boxes each, or fewer; the first node is the root, whose own box is not kept.
+
+    Boxes are rounded outwards to float32, seen from `center`, and in units of `unit`, so that a scene of any size, far
+    from the origin or not, has the same tree.
+    """
+
+    # (nodes, 6, CHILDREN) float32: low x, y, z, high x, y, z of each; where there is none, low above high
+    boxes: np.ndarray
+    # (nodes, CHILDREN) int32: what is in each box, the number of a node or ~(NUMBERS start + number) for
+    # order[start:start + number]; nothing where there is no box
+    links: np.ndarray
+    order: np.ndarray  # (n,) int32, primitive numbers within the kind
+    center: Vec3
+    unit: float  # a power of two
+    flat: float  # what stands for 0 in a direction: a power of two
+    extent: float  # largest |coordinate| of any box, in scene units
+    reach: float  # REACH
+
+
+@jit
+def bounding_boxes(prims: Any, low: Any, high: Any, start: int, stop: int) -> None:
+    """Bounds of primitives start..stop."""
+    for k in range(start, stop):
+        for c in range(3):
+            low[k, c], high[k, c] = math.inf, -math.inf
+        for j in range(hull_size(prims)):
+            p = hull_point(prims, k, j)
+            for c in range(3):
+                low[k, c], high[k, c] = min(low[k, c], p[c]), max(high[k, c], p[c])
+
+
+SMALLEST32, ULP32 = 2.0**-149, 2.0**-23
+
+
+@inlined
+def round_up_to_float32(x: float) -> float:
+    """What is at least x once it is rounded to float32, for |x| <= 1."""
+    return x + (abs(x) * ULP32 + SMALLEST32)
+
+
+@jit
+def quantize_boxes(low: Any, high: Any, center: Vec3, unit: float, boxes: Any, start: int, stop: int) -> None:
+    """The boxes start..stop as the tree has them: (n, 6) float32."""
+    for k in range(start, stop):
+        for c in range(3):
+            boxes[k, c] = -round_up_to_float32((center[c] - low[k, c]) / unit)
+            boxes[k, c + 3] = round_up_to_float32((high[k, c] - center[c]) / unit)
+
+
+@inlined
+def half_area(low_x: float, low_y: float, low_z: float, high_x: float, high_y: float, high_z: float) -> float:
+    """Half the surface of a box, 0 of an empty one."""
+    x, y, z = max(high_x - low_x, 0.0), max(high_y - low_y, 0.0), max(high_z - low_z, 0.0)
+    return x * y + y * z + z * x
+
+
+@jit
+def bound_run(boxes: Any, order: Any, start: int, stop: int, into: Any) -> Any:
+    """The box of a run, into (6,); returns (axis along which the middles spread most, least, largest of twice them)."""
+    low = np.full(6, math.inf)  # of the boxes, of the middles
+    high = np.full(6, -math.inf)
+    for at in range(start, stop):
+        k = order[at]
+        for c in range(3):
+            a, b = float(boxes[k, c]), float(boxes[k, c + 3])
+            low[c], high[c] = min(low[c], a), max(high[c], b)
+            low[c + 3], high[c + 3] = min(low[c + 3], a + b), max(high[c + 3], a + b)
+    axis = 0
+    for c in range(3):
+        into[c], into[c + 3] = low[c], high[c]
+        if high[c + 3] - low[c + 3] > high[axis + 3] - low[axis + 3]:
+            axis = c
+    return axis, low[axis + 3], high[axis + 3]
+
+
+@inlined
+def bin_of(boxes: Any, k: int, axis: int, least: float, per_bin: float) -> int:
+    return min(int((float(boxes[k, axis]) + float(boxes[k, axis + 3]) - least) * per_bin), BINS - 1)
+
+
+@jit
+def partition(boxes: Any, order: Any, run: Any, spread: Any, counts: Any, bounds: Any) -> int:
+    """Reorder a run so that its two parts cost least by area times number; return where the second begins.
+
+    spread: what `enclose` returned. counts (BINS,) and bounds (BINS, 6) are room to work in.
+    """
+    start, stop = run
+    axis, least, largest = spread
+    counts[:] = 0
+    bounds[:, :3], bounds[:, 3:] = math.inf, -math.inf
+    per_bin = BINS / (largest - least)
+    for at in range(start, stop):
+        k = order[at]
+        b = bin_of(boxes, k, axis, least, per_bin)
+        counts[b] += 1
+        for c in range(3):
+            bounds[b, c] = min(bounds[b, c], boxes[k, c])
+            bounds[b, c + 3] = max(bounds[b, c + 3], boxes[k, c + 3])
+    last = best_split_bin(counts, bounds)
+    left, right = start, stop - 1
+    while left <= right:
+        k = order[left]
+        if bin_of(boxes, k, axis, least, per_bin) <= last:
+            left += 1
+        else:
+            order[left], order[right] = order[right], k
+            right -= 1
+    return left
+
+
+@jit
+def best_split_bin(counts: Any, bounds: Any) -> int:
+    """The last bin of the first part, where both parts' area times number is least."""
+    costs = np.zeros(BINS)
+    low, high = np.full(3, math.inf), np.full(3, -math.inf)
+    number = 0
+    for b in range(BINS - 1, 0, -1):
+        number += counts[b]
+        for c in range(3):
+            low[c], high[c] = min(low[c], bounds[b, c]), max(high[c], bounds[b, c + 3])
+        costs[b - 1] = number * half_area(low[0], low[1], low[2], high[0], high[1], high[2])
+    low[:], high[:] = math.inf, -math.inf
+    number, best, least = 0, 0, math.inf
+    for b in range(BINS - 1):
+        number += counts[b]
+        for c in range(3):
+            low[c], high[c] = min(low[c], bounds[b, c]), max(high[c], bounds[b, c + 3])
+        cost = costs[b] + number * half_area(low[0], low[1], low[2], high[0], high[1], high[2])
+        if cost < least:
+            best, least = b, cost
+    return best
+
+
+@jit
+def build_binary(
+    boxes: Any, order: Any, start: int, stop: int, enough: int, node_boxes: Any, links: Any
+) -> int:
+    """Fill nodes of two over order[start:stop], down to runs of at most `enough`; return how many there are.
+
+    The first child of an inner node follows it. node_boxes: (room, 6); links: (room, 2), (second child, -1), or in a
+    leaf (start in order, how many).
+    """
+    stack = np.zeros(
+        (BUILD_STACK_SIZE, 4), np.int64
+    )  # start, stop, node whose second child this run is, depth
+    counts, bounds = np.zeros(BINS, np.int64), np.zeros((BINS, 6))
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = start, stop, -1, 0
+    top, nodes = 1, 0
+    while top > 0:
+        top -= 1
+        first, last, parent, depth = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
+        if parent >= 0:
+            links[parent, 0] = nodes
+        node = nodes
+        nodes += 1
+        spread = bound_run(boxes, order, first, last, node_boxes[node])
+        if last - first <= enough:
+            links[node, 0], links[node, 1] = first, last - first
+            continue
+        middle = (first + last) // 2
+        if depth < MAX_SAH_DEPTH and spread[2] > spread[1] and spread[2] - spread[1] < math.inf:
+            middle = partition(boxes, order, (first, last), spread, counts, bounds)
+        links[node, 1] = -1
+        for child in range(2):
+            stack[top, 0], stack[top, 1] = (middle, last) if child == 0 else (first, middle)
+            stack[top, 2], stack[top, 3] = node if child == 0 else -1, depth + 1
+            top += 1
+    return nodes
+
+
+# Where a node has fewer boxes, the rest reach from EMPTY_BOX to -EMPTY_BOX, outside of every tree, and are
+# left before they
+# are entered. From so far away that rays are wider than that they are entered all the same: nothing is in them.
+EMPTY_BOX, EMPTY_LINK = 2.0, ~0
+
+
+@jit
+def collapse(boxes: Any, links: Any, wide_boxes: Any, wide_links: Any) -> int:
+    """Make nodes of CHILDREN out of nodes of two, the largest box opened first; return how many there are."""
+    origin, inside = np.zeros(len(wide_links), np.int64), np.zeros(CHILDREN, np.int64)
+    node, nodes = 0, 1
+    while node < nodes:
+        inside[0] = origin[node]
+        number = open_largest(boxes, links, inside)
+        wide_boxes[node, :3], wide_boxes[node, 3:] = EMPTY_BOX, -EMPTY_BOX
+        wide_links[node] = EMPTY_LINK
+        for j in range(number):
+            child = inside[j]
+            for c in range(6):
+                wide_boxes[node, c, j] = boxes[child, c]
+            if links[child, 1] < 0:
+                origin[nodes] = child
+                wide_links[node, j] = nodes
+                nodes += 1
+            else:
+                wide_links[node, j] = ~(LEAF_SIZE_BASE * links[child, 0] + links[child, 1])
+        node += 1
+    return nodes
+
+
+@jit
+def open_largest(boxes: Any, links: Any, inside: Any) -> int:
+    """Put the two children of inside[0] in its place, and so on with the largest, until CHILDREN are there."""
+    number, opened = 1, 0
+    while opened >= 0 and number < CHILDREN:
+        opened, largest = -1, -1.0
+        for j in range(number):
+            k = inside[j]
+            area = half_area(boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3], boxes[k, 4], boxes[k, 5])
+            if links[k, 1] < 0 and area > largest:
+                opened, largest = j, area
+        if opened >= 0:
+            k = inside[opened]
+            inside[opened], inside[number] = k + 1, links[k, 0]
+            number += 1
+    return number

@@ -1,0 +1,1 @@
+"""Exact ray-primitive intersections in integer arithmetic."""

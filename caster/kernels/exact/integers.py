@@ -1,0 +1,179 @@
+"""Integers of any length, for the decisions that float64 cannot make.
+
+An integer is an array of int64 digits to the base 2^26, lowest first: all but the last in [0, 2^26), the last, which
+carries the sign, in [-2^26, 2^26]. No digit is left out or rounded, and none overflows: see `combined`.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from caster.jit.decorators import jit
+
+BITS = 26
+BASE = 1 << BITS
+MASK = BASE - 1
+MANTISSA = 53
+
+# A product of two digits is at most 2^52, so 2^10 of them, and a carry, stay below 2^63.
+ROWS_PER_CARRY = 1 << 10
+
+Integer = Any  # (digits,) int64
+Integer3 = tuple[Integer, Integer, Integer]
+
+
+@jit
+def propagate_carries(x: Integer) -> None:
+    """Bring all digits but the last into [0, BASE)."""
+    carry = 0
+    for i in range(len(x) - 1):
+        total = x[i] + carry
+        carry = total >> BITS
+        x[i] = total & MASK
+    x[len(x) - 1] += carry
+
+
+@jit
+def trimmed(x: Integer) -> Integer:
+    """x with its digits in range, and no more of them than it needs."""
+    propagate_carries(x)
+    n = len(x)
+    while n > 1 and (x[n - 1] == 0 or x[n - 1] == -1):
+        if x[n - 1] == -1:
+            x[n - 2] -= BASE
+        n -= 1
+    return x[:n]
+
+
+@jit
+def lowest_exponent(v: Any) -> int:
+    """The largest e for which all float64 of a tuple are sure to be whole multiples of 2^e; 0 if all are zero."""
+    lowest = 1 << 20
+    for x in v:
+        if x != 0.0:
+            lowest = min(lowest, math.frexp(x)[1] - MANTISSA)
+    return 0 if lowest == 1 << 20 else lowest
+
+
+@jit
+def integer(x: float, e: int) -> Integer:
+    """x / 2^e, for an e that lowest_exponent gave."""
+    if x == 0.0:
+        return np.zeros(1, np.int64)
+    m, exponent = math.frexp(x)
+    whole = int(math.ldexp(m, MANTISSA))
+    shift = exponent - MANTISSA - e
+    at, left = shift // BITS, shift % BITS
+    out = np.zeros(at + 4, np.int64)
+    out[at] = (whole & MASK) << left
+    out[at + 1] = ((whole >> BITS) & MASK) << left
+    out[at + 2] = (whole >> (2 * BITS)) << left
+    return trimmed(out)
+
+
+@jit
+def integers(v: Any, e: int) -> Integer3:
+    """A vector over 2^e."""
+    return integer(v[0], e), integer(v[1], e), integer(v[2], e)
+
+
+@jit
+def sign(x: Integer) -> int:
+    last = x[len(x) - 1]
+    return 1 if last > 0 else (-1 if last < 0 else 0)
+
+
+PRODUCT = 0
+
+
+@jit
+def sum_or_product(a: Integer, b: Integer, how: int) -> Integer:
+    """a b for how = PRODUCT, else a + how b, how = 1 or -1.
+
+    One function for all three, large enough that LLVM leaves it a call: what decides exactly does so in hundreds of
+    these, and takes a minute to compile with each in its place.
+    """
+    if how == PRODUCT:
+        out = np.zeros(len(a) + len(b), np.int64)
+        for i in range(len(a)):
+            digit = a[i]
+            if digit != 0:
+                for j in range(len(b)):
+                    out[i + j] += digit * b[j]
+            if (i + 1) % ROWS_PER_CARRY == 0:
+                propagate_carries(out)
+    else:
+        out = np.zeros(max(len(a), len(b)) + 1, np.int64)
+        for i in range(len(a)):
+            out[i] = a[i]
+        for i in range(len(b)):
+            out[i] += how * b[i]
+    return trimmed(out)
+
+
+@jit
+def plus(a: Integer, b: Integer) -> Integer:
+    return sum_or_product(a, b, 1)
+
+
+@jit
+def minus(a: Integer, b: Integer) -> Integer:
+    return sum_or_product(a, b, -1)
+
+
+@jit
+def times(a: Integer, b: Integer) -> Integer:
+    return sum_or_product(a, b, PRODUCT)
+
+
+@jit
+def signed(s: int, a: Integer) -> Integer:
+    """s a, for s = -1, 0 or 1."""
+    if s > 0:
+        return a
+    zero = np.zeros(1, np.int64)
+    return sum_or_product(zero, a, -1) if s < 0 else zero
+
+
+@jit
+def shifted(a: Integer, bits: int) -> Integer:
+    """a 2^bits, bits >= 0."""
+    if bits == 0:
+        return a
+    at, left = bits // BITS, bits % BITS
+    out = np.zeros(at + len(a) + 1, np.int64)
+    for i in range(len(a)):
+        out[at + i] = a[i] << left
+    return trimmed(out)
+
+
+@jit
+def minus3(a: Integer3, b: Integer3) -> Integer3:
+    return minus(a[0], b[0]), minus(a[1], b[1]), minus(a[2], b[2])
+
+
+@jit
+def dot_integer(a: Integer3, b: Integer3) -> Integer:
+    """The dot product."""
+    return plus(plus(times(a[0], b[0]), times(a[1], b[1])), times(a[2], b[2]))
+
+
+@jit
+def cross_integer(a: Integer3, b: Integer3) -> Integer3:
+    """The cross product."""
+    x = minus(times(a[1], b[2]), times(a[2], b[1]))
+    y = minus(times(a[2], b[0]), times(a[0], b[2]))
+    z = minus(times(a[0], b[1]), times(a[1], b[0]))
+    return x, y, z
+
+
+@jit
+def leading(a: Integer) -> tuple[float, int]:
+    """(f, e) with a = f 2^e up to 2 u of itself: the four highest digits, added up with at most two roundings."""
+    n = len(a)
+    f, used = float(a[n - 1]), 1
+    while used < min(n, 4):
+        used += 1
+        f = f * BASE + a[n - used]
+    return f, BITS * (n - used)

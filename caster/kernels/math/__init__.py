@@ -1,0 +1,1 @@
+"""Vector algebra, error-free transformations and roots of quadratics with error bounds."""

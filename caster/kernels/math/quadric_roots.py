@@ -1,0 +1,217 @@
+"""Where a ray meets a ball or a tube, in float64 with bounds: roots of a t^2 - 2 b t + c = 0."""
+
+import math
+from typing import Any, NamedTuple
+
+from caster.jit.decorators import inlined, jit
+from caster.kernels.exact.surds import times_power
+from caster.kernels.math.vec import (
+    TINY,
+    U,
+    certain_in_range,
+    dot,
+    filter_result,
+    l1_norm,
+    point_at,
+    row_max_norms,
+    scaled,
+    scaled_near_one,
+    unit_direction,
+)
+from caster.kernels.protocol import Vec3
+
+# The bounds are of second order in the error of d over d's length, which has to be below 1/32 for them to hold.
+MAX_DIRECTION_ERROR_SHARE = 2.0**-10
+
+# 2^ROOM has a square, with room for three of them. Between the other two, squares need no thought at all.
+MAX_SQUARABLE_EXPONENT = 500
+MIN_RANGE, MAX_RANGE = 2.0**-100, 2.0**100
+
+# Squares of shorter directions lose bits to underflow, those of longer ones overflow.
+MIN_SQUARED_DIRECTION, MAX_SQUARED_DIRECTION = 2.0**-900, 2.0**1000
+
+
+class QuadricSetup(NamedTuple):
+    """A ball, or a tube, as seen from the origin of a ray. Errors are bounds, for a d without any."""
+
+    f: Vec3  # the origin, seen from the centre
+    f1: float  # size(f)
+    r: float
+    over_r: float  # 1 / r
+    rr: float  # r^2
+    c: float  # f.f - r^2
+    c_off: float  # error of c
+    b_off: float  # error of -f.d over size(d)
+    moved: float  # how far off the point of closest approach may be
+
+
+class ClosestApproach(NamedTuple):
+    """How near the line through a ray comes to a ball's centre."""
+
+    met: bool  # the line is sure to meet the ball
+    missed: bool  # it is sure not to
+    a: float  # d.d
+    over_a: float  # 1 / a
+    b: float  # -f.d
+    within: float  # the discriminant over a: r^2 less the square of the closest approach
+    within_off: float  # its error
+
+
+class QuadricRoots(NamedTuple):
+    """Both roots, near first, and how far off each may be, if they are sure to exist."""
+
+    met: bool
+    missed: bool
+    near: float
+    far: float
+    near_off: float
+    far_off: float
+
+
+@jit
+def quadric_setup(f: Vec3, r: float, f_off: float) -> QuadricSetup:
+    """|p - f| = r, for an f that is off by no more than f_off."""
+    f1, rr = l1_norm(f), r * r
+    c_off = 5.0 * U * (f1 * f1 + rr) + (3.0 * f1 + 2.0 * f_off) * f_off + TINY
+    return QuadricSetup(
+        f, f1, r, 1.0 / r, rr, dot(f, f) - rr, c_off, 5.0 * U * f1 + 2.0 * f_off, 12.0 * U * f1 + 2.0 * f_off
+    )
+
+
+@inlined
+def closest_approach(ball: Any, d: Vec3, d_off: float) -> ClosestApproach:
+    """Whether |f + t d| = r has roots, for a d that is off by no more than d_off.
+
+    The discriminant is taken at the point of closest approach, f + (b/a) d, where the numbers are as small as
+    the ball: b^2 - a c would cancel for a small ball far away (Haines et al., Ray Tracing Gems, chapter 7).
+    The bounds are worked out in docs/method.md, "Exact decisions".
+    """
+    f, moved, lean = ball.f, ball.moved, 0.0
+    a, b = dot(d, d), -dot(f, d)
+    steady = (
+        (a > MIN_SQUARED_DIRECTION)
+        & (a < MAX_SQUARED_DIRECTION)
+        & (d_off * d_off < MAX_DIRECTION_ERROR_SHARE * a)
+    )
+    over_a = 1.0 / (a if steady else 1.0)
+    s = b * over_a
+    if d_off > 0.0:
+        moved, lean = moved + 2.0 * abs(s) * d_off, ball.f1 * d_off
+        lean = 8.0 * (lean * lean) * over_a
+    x, y, z = f[0] + s * d[0], f[1] + s * d[1], f[2] + s * d[2]
+    gg = x * x + y * y + z * z
+    within = ball.rr - gg
+    # 2 g <= g^2 / r + r, with hardly more than equality where it matters, at the rim
+    within_off = moved * (gg * ball.over_r + ball.r) + moved * moved + lean + 8.0 * U * (gg + ball.rr) + TINY
+    met, missed = steady & (within > 2.0 * within_off), steady & (within < -within_off)
+    return ClosestApproach(met, missed, a, over_a, b, within, within_off)
+
+
+@inlined
+def quadric_roots(ball: Any, d: Vec3, d_off: float) -> QuadricRoots:
+    """The roots, where the discriminant is known to half of itself.
+
+    The root of larger magnitude adds numbers of one sign; the other follows from the roots' product, c / a.
+    """
+    met, missed, a, over_a, b, within, within_off = closest_approach(ball, d, d_off)
+    met &= a * within > MIN_SQUARED_DIRECTION
+    d1, root = l1_norm(d), math.sqrt(a * within if met else 1.0)
+    a_share, b_off = 5.0 * U, ball.b_off * d1 + TINY
+    if d_off > 0.0:
+        a_share, b_off = a_share + 3.0 * d1 * d_off * over_a, b_off + 2.0 * ball.f1 * d_off
+    q = b + root if b >= 0.0 else b - root
+    # the root of a number that is off by a share < 1/2 of itself is off by no more than that share
+    q_off = b_off + root * a_share + a * within_off / root + 5.0 * U * abs(q)
+    met &= 2.0 * q_off < abs(q)
+    over_q = 1.0 / (q if met else 1.0)
+    large, small = q * over_a, ball.c * over_q
+    large_off = 2.0 * (q_off * over_a + abs(large) * a_share) + 3.0 * U * abs(large)
+    small_off = 2.0 * (ball.c_off + abs(small) * q_off) * abs(over_q) + 3.0 * U * abs(small)
+    first = b >= 0.0
+    near, far = small if first else large, large if first else small
+    near_off, far_off = small_off if first else large_off, large_off if first else small_off
+    return QuadricRoots(met, missed, near, far, near_off, far_off)
+
+
+@jit
+def outward_normal(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
+    """The unit vector from the centre of |p| = r to where f + t d meets it."""
+    largest, along_d = max(abs(f[0]), abs(f[1]), abs(f[2])), unit_direction(d)
+    reach = t * dot(d, along_d)
+    if not (r > MIN_RANGE and max(r, largest) < MAX_RANGE):
+        e = min(
+            -math.frexp(r)[1], MAX_SQUARABLE_EXPONENT - math.frexp(largest)[1]
+        )  # so that all squares are numbers
+        f, r = (times_power(f[0], e), times_power(f[1], e), times_power(f[2], e)), math.ldexp(r, e)
+        reach = times_power(reach, e)
+        return normalize_in_range(scaled_near_one(radial_vector(f, along_d, reach, r)))
+    return normalize_in_range(radial_vector(f, along_d, reach, r))
+
+
+@inlined
+def normalize_in_range(v: Vec3) -> Vec3:
+    """v at length 1, for a v whose square is a number."""
+    return scaled(1.0 / math.sqrt(dot(v, v)), v)
+
+
+@inlined
+def outward_normal_in_range(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
+    """The same bits, for r from SMALL to LARGE and an f below LARGE."""
+    along_d = unit_direction(d)
+    return normalize_in_range(radial_vector(f, along_d, t * dot(d, along_d), r))
+
+
+@inlined
+def outward_normal_unit_direction(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
+    """The same bits once more, for a d that is its own `direction`."""
+    return normalize_in_range(radial_vector(f, d, t * dot(d, d), r))
+
+
+@inlined
+def radial_vector(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
+    """From the centre of |p| = r to f + t d, d being of length 1: about r long.
+
+    From the closest approach, g off the centre, and half the chord h: by that a ball that is smaller than the rounding
+    of t keeps its shape. h^2 = r^2 - g^2 is off by u / h, so where h < g, t tells it better.
+    """
+    s = -dot(f, d)
+    closest = point_at(f, s, d)
+    gg, beyond = dot(closest, closest), t - s
+    h = math.sqrt(max(r * r - gg, 0.0))
+    told = min(abs(beyond), r) if h * h < gg else h
+    # where t does not tell the two ends apart, the near one is what a ray from outside meets
+    side = 1.0 if beyond > (4.0 * U * abs(s) if dot(f, f) > r * r else 0.0) else -1.0
+    out = point_at(closest, side * told, d)
+    back = point_at(closest, side * r, d)
+    there = l1_norm(out) > 0.0
+    return out[0] if there else back[0], out[1] if there else back[1], out[2] if there else back[2]
+
+
+@jit
+def is_in_range(center: Vec3, r: float, reach: float) -> bool:
+    """Whether `outward_normal_in_range` will do, for origins whose coordinates are at most `reach`."""
+    return (
+        r > MIN_RANGE
+        and max(r, abs(center[0]) + reach, abs(center[1]) + reach, abs(center[2]) + reach) < MAX_RANGE
+    )
+
+
+@jit
+def is_in_range_through(m: tuple[Vec3, Vec3, Vec3], center: Vec3, reach: float) -> bool:
+    """The same for the unit ball or tube, seen through a matrix: coordinates there are sums of three products."""
+    return is_in_range((0.0, 0.0, 0.0), 1.0, 3.0 * l1_norm(row_max_norms(m)) * (l1_norm(center) + reach))
+
+
+@inlined
+def first_hit(near: tuple[float, float], far: tuple[float, float]) -> tuple[float, float]:
+    """The near answer, unless it is MISS."""
+    behind = near[0] == math.inf
+    return far[0] if behind else near[0], far[1] if behind else near[1]
+
+
+@inlined
+def first_root(roots: QuadricRoots, t_min: float, t_max: float) -> tuple[float, float]:
+    """The first root in (t_min, t_max], as `intersect` answers."""
+    near = certain_in_range(roots.near, roots.near_off, t_min, t_max)
+    t, off = first_hit(near, certain_in_range(roots.far, roots.far_off, t_min, t_max))
+    return filter_result(roots.met, roots.missed, t, off)

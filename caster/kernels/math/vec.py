@@ -1,0 +1,229 @@
+"""Vectors as tuples of three floats."""
+
+import math
+from typing import Any
+
+from caster.jit.decorators import inlined, jit
+from caster.kernels.protocol import Vec3
+
+U = 2.0**-53  # unit round-off of float64
+
+# What `intersect` answers: (t, off) with t in [t - off, t + off] for certain, or one of these.
+MISS = math.inf, 0.0
+UNDECIDED = 0.0, math.inf
+
+# Products that underflow are off by up to 2^-1075 each, a few dozen of them in a test, some multiplied by d later:
+# error bounds get this much on top (and times |d|), and numbers so small that it matters go to exact arithmetic.
+TINY = 2.0**-1020
+
+
+@jit
+def row(a: Any, k: int) -> Vec3:
+    return a[k, 0], a[k, 1], a[k, 2]
+
+
+@jit
+def vector(a: Any) -> Vec3:
+    return a[0], a[1], a[2]
+
+
+@jit
+def dot(a: Vec3, b: Vec3) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@jit
+def l1_norm(a: Vec3) -> float:
+    """Sum of magnitudes; at least the length."""
+    return abs(a[0]) + abs(a[1]) + abs(a[2])
+
+
+@jit
+def all_products_zero(a: Vec3, b: Vec3) -> bool:
+    """Whether a.b is exactly 0 because each of its products has a factor 0."""
+    x, y, z = (a[0] == 0.0) | (b[0] == 0.0), (a[1] == 0.0) | (b[1] == 0.0), (a[2] == 0.0) | (b[2] == 0.0)
+    return x & y & z
+
+
+@jit
+def add(a: Vec3, b: Vec3) -> Vec3:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@jit
+def sub(a: Vec3, b: Vec3) -> Vec3:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@jit
+def point_at(o: Vec3, t: float, d: Vec3) -> Vec3:
+    return o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
+
+
+@jit
+def scaled(s: float, a: Vec3) -> Vec3:
+    return s * a[0], s * a[1], s * a[2]
+
+
+@jit
+def component_min(a: Vec3, b: Vec3) -> Vec3:
+    """Component by component."""
+    return min(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
+
+
+@jit
+def component_max(a: Vec3, b: Vec3) -> Vec3:
+    return max(a[0], b[0]), max(a[1], b[1]), max(a[2], b[2])
+
+
+@jit
+def cross(a: Vec3, b: Vec3) -> Vec3:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@jit
+def permanent(a: Vec3, b: Vec3) -> Vec3:
+    """The cross product with every minus a plus and every number its magnitude: what its error scales with."""
+    x = abs(a[1] * b[2]) + abs(a[2] * b[1])
+    y = abs(a[2] * b[0]) + abs(a[0] * b[2])
+    z = abs(a[0] * b[1]) + abs(a[1] * b[0])
+    return x, y, z
+
+
+# Between these no square has lost bits to underflow and no sum of squares overflows. A power of two, which is
+# exact, brings all other vectors there: from below 2^-450, down to the smallest number, or from above 2^499.
+SMALLEST_SQUARE, LARGEST_SQUARE = 2.0**-900, 2.0**1000
+UP, DOWN = 2.0**600, 2.0**-600
+
+
+@jit
+def normalize(a: Vec3) -> Vec3:
+    """a / |a|, or a itself where it is zero."""
+    square = dot(a, a)
+    if square < SMALLEST_SQUARE or square > LARGEST_SQUARE:
+        a = scaled(UP if square < SMALLEST_SQUARE else DOWN, a)
+        square = dot(a, a)
+    if square == 0.0:
+        return a
+    length = math.sqrt(square)
+    return a[0] / length, a[1] / length, a[2] / length
+
+
+# The square of a camera's d is 1 within this: 10 u for an axis as it was given (transform.UNIT_ATOL), some 4 u for
+# axes that are not quite across each other, and 12 u for six roundings of its length.
+UNIT_SQUARE_ATOL = 32.0 * U
+
+
+@jit
+def unit_direction(a: Vec3) -> Vec3:
+    """a at length 1 but for a few u: a itself where it is that already."""
+    return a if abs(dot(a, a) - 1.0) <= UNIT_SQUARE_ATOL else normalize(a)
+
+
+@jit
+def scaled_near_one(a: Vec3) -> Vec3:
+    """a times a power of two, which is exact: its largest component is in [1/2, 1), or it is zero."""
+    e = -math.frexp(max(abs(a[0]), abs(a[1]), abs(a[2])))[1]
+    return math.ldexp(a[0], e), math.ldexp(a[1], e), math.ldexp(a[2], e)
+
+
+@jit
+def matrix_rows(m: Any, k: int) -> tuple[Vec3, Vec3, Vec3]:
+    """The rows of the 3x3 matrix m[k]."""
+    x = m[k, 0, 0], m[k, 0, 1], m[k, 0, 2]
+    y = m[k, 1, 0], m[k, 1, 1], m[k, 1, 2]
+    z = m[k, 2, 0], m[k, 2, 1], m[k, 2, 2]
+    return x, y, z
+
+
+@jit
+def rows_times_vec(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
+    """The matrix with these rows times v; in loops over rays, where an array would have its references counted."""
+    return dot(m[0], v), dot(m[1], v), dot(m[2], v)
+
+
+@jit
+def transposed_rows_times_vec(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
+    """The transpose of the matrix with these rows times v: `transposed_mat_vec` without an array."""
+    return (
+        m[0][0] * v[0] + m[1][0] * v[1] + m[2][0] * v[2],
+        m[0][1] * v[0] + m[1][1] * v[1] + m[2][1] * v[2],
+        m[0][2] * v[0] + m[1][2] * v[1] + m[2][2] * v[2],
+    )
+
+
+@jit
+def mat_vec(m: Any, k: int, v: Vec3) -> Vec3:
+    """The 3x3 matrix m[k] times v."""
+    return (
+        m[k, 0, 0] * v[0] + m[k, 0, 1] * v[1] + m[k, 0, 2] * v[2],
+        m[k, 1, 0] * v[0] + m[k, 1, 1] * v[1] + m[k, 1, 2] * v[2],
+        m[k, 2, 0] * v[0] + m[k, 2, 1] * v[1] + m[k, 2, 2] * v[2],
+    )
+
+
+# A ray in object space: an entry of the inverse matrix is rounded once (placing.inverse), a difference from the centre
+# once, and a row's three products and two sums add 3 u more; the sixth is for terms in u^2.
+TO_OBJECT_SPACE_ERROR = 6.0 * U
+
+
+@jit
+def to_object_space(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> tuple[Vec3, Vec3]:
+    """(m v, how far off each component may be): for rows m of the rounded inverse of a matrix."""
+    x, y, z = abs_dot(m[0], v), abs_dot(m[1], v), abs_dot(m[2], v)
+    return rows_times_vec(m, v), (
+        TO_OBJECT_SPACE_ERROR * x,
+        TO_OBJECT_SPACE_ERROR * y,
+        TO_OBJECT_SPACE_ERROR * z,
+    )
+
+
+@jit
+def abs_dot(a: Vec3, b: Vec3) -> float:
+    """The dot product of magnitudes."""
+    return abs(a[0] * b[0]) + abs(a[1] * b[1]) + abs(a[2] * b[2])
+
+
+@jit
+def row_max_norms(m: tuple[Vec3, Vec3, Vec3]) -> Vec3:
+    """The largest magnitude in each row: times size(v), at least what `seen` makes an error of."""
+    return max_norm(m[0]), max_norm(m[1]), max_norm(m[2])
+
+
+@jit
+def max_norm(a: Vec3) -> float:
+    return max(abs(a[0]), abs(a[1]), abs(a[2]))
+
+
+@jit
+def transposed_mat_vec(m: Any, k: int, v: Vec3) -> Vec3:
+    """The transpose of m[k] times v: how a normal travels the way that m undoes."""
+    return (
+        m[k, 0, 0] * v[0] + m[k, 1, 0] * v[1] + m[k, 2, 0] * v[2],
+        m[k, 0, 1] * v[0] + m[k, 1, 1] * v[1] + m[k, 2, 1] * v[2],
+        m[k, 0, 2] * v[0] + m[k, 1, 2] * v[1] + m[k, 2, 2] * v[2],
+    )
+
+
+@jit
+def turn_fraction(y: float, x: float) -> float:
+    """atan2(y, x) as a fraction of a turn in [0, 1)."""
+    turn = math.atan2(y, x) / (2.0 * math.pi)
+    return turn + 1.0 if turn < 0.0 else turn
+
+
+# What follows has no branch, so that loops over rays can test several at once (SIMD).
+
+
+@inlined
+def filter_result(hit: bool, missed: bool, t: float, off: float) -> tuple[float, float]:
+    """(t, off) where it is sure to be hit, MISS where it is sure to be missed, else UNDECIDED."""
+    return t if hit else (math.inf if missed else 0.0), off if hit else (0.0 if missed else math.inf)
+
+
+@inlined
+def certain_in_range(t: float, off: float, t_min: float, t_max: float) -> tuple[float, float]:
+    """The answer for a hit at t, within off, if t_min < t <= t_max. TINY: t and off may have underflowed themselves."""
+    off = off + TINY
+    inside = (t - off > t_min) & (t + off <= t_max)
+    return filter_result(inside, (t + off <= t_min) | (t - off > t_max), t, off)

@@ -1,0 +1,275 @@
+"""Where primitives may be seen: a rectangle of pixels around each, and its least depth.
+
+A camera that keeps straight lines straight shows a convex hull within the box around the pictures of its points. Others
+say where they show a ball: there is one around each primitive.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.jit.decorators import inlined, jit
+from caster.kernels.math.vec import LARGEST_SQUARE, SMALLEST_SQUARE, dot, l1_norm, point_at, sub
+from caster.kernels.protocol import (
+    Vec3,
+    distortion_bound,
+    hull_point,
+    hull_size,
+    project,
+    project_bounding_sphere,
+)
+from caster.kernels.raster.tile import Box
+
+# A rectangle reaches so much further than the projected points on each side, plus the distance at which the
+# intersection test may still count a hit (`slack`, in scene units). The margin has to outdo the rounding of the
+# projection alone: below 1e-9 of the film's size, where pinhole.SHALLOWEST holds, so 7e-5 of a pixel on the largest.
+PROJECTION_MARGIN = 2.0**-10  # pixels
+
+
+class Window(NamedTuple):
+    """Which pixels of the film there are rays for, row by row."""
+
+    x0: int
+    y0: int
+    width: int
+    height: int
+
+
+class ScreenBounds(NamedTuple):
+    """Where the primitives of a kind may be seen."""
+
+    pixels: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
+    near: np.ndarray  # (n,) float64: nothing of it has a smaller depth
+    faces: (
+        np.ndarray
+    )  # (n, 3) int32: of triangles, their corners' places in `pictures`; of other kinds (0, 3)
+    pictures: np.ndarray  # (m, 4) float64, a Picture each, in pixels of the window
+    # Along which depth counts. 0: it is the distance from the eye, or the rays are not those of a camera that keeps
+    # straight lines straight, so less is known of them.
+    forward: Vec3
+    least: float  # a depth times this is no more than t: 1 over the length of the longest d
+
+
+ProjectedPoint = tuple[float, float, float, float]
+"""(x, y, how far around it to look, in pixels, inf where it has no picture; depth)"""
+
+# Nothing of a primitive is nearer than the least depth of its points, by more than the `slack` that its box is widened
+# by: 24 u times the largest coordinates (tree.REACH), where depth is off by some 12 u of them; and again as much for
+# the hits themselves. The factor is for the rounding of `min_t_per_depth`.
+DEPTH_ROUNDING = 1.0 - 2.0**-40
+
+
+@inlined
+def project_point(camera: Any, p: Any, reach: tuple[float, float]) -> ProjectedPoint:
+    """Of one point."""
+    x, y, pixels, depth, valid = project(camera, p)
+    return x, y, reach[1] + reach[0] * pixels if valid else math.inf, depth
+
+
+@inlined
+def empty_box() -> tuple[float, float, float, float, float]:
+    """(left, top, right, bottom, least depth) before any point has been seen."""
+    return math.inf, math.inf, -math.inf, -math.inf, math.inf
+
+
+@inlined
+def box_union_point(box: tuple[float, float, float, float, float], point: ProjectedPoint) -> Any:
+    """A box and least depth that hold one more point."""
+    x, y, wide, depth = point
+    left, top, right, bottom, least = box
+    return (
+        min(left, x - wide),
+        min(top, y - wide),
+        max(right, x + wide),
+        max(bottom, y + wide),
+        min(least, depth),
+    )
+
+
+@inlined
+def projected_corner(spans: Any, k: int, j: int) -> ProjectedPoint:
+    """The picture of a triangle's corner."""
+    i = spans.faces[k, j]
+    return spans.pictures[i, 0], spans.pictures[i, 1], spans.pictures[i, 2], spans.pictures[i, 3]
+
+
+@inlined
+def store_bounds(spans: Any, k: int, box: Any, deepest: float, slack: float, window: Any) -> Box:
+    """Turn the box of primitive k, whose points are no deeper than `deepest`, into pixels."""
+    left, top, right, bottom, least = box
+    if deepest < -slack:  # all of it is behind
+        spans.pixels[k, 0], spans.pixels[k, 1], spans.pixels[k, 2], spans.pixels[k, 3] = 0, 0, 0, 0
+        return 0, 0, 0, 0
+    first_x, first_y, width, height = window
+    x0, x1 = pixel_range(left, right, first_x, width)
+    y0, y1 = pixel_range(top, bottom, first_y, height)
+    spans.pixels[k, 0], spans.pixels[k, 1], spans.pixels[k, 2], spans.pixels[k, 3] = x0, y0, x1, y1
+    near = (least - 2.0 * slack) * DEPTH_ROUNDING
+    spans.near[k] = near if near > 0.0 else 0.0  # also where it is none: inf - inf
+    return x0, y0, x1, y1
+
+
+@inlined
+def pixel_range(low: float, high: float, first: int, count: int) -> tuple[int, int]:
+    """Pixels first + start .. first + stop (exclusive) hold all whose centres lie in [low, high]."""
+    start = min(max(low - 0.5 - first, 0.0), float(count))
+    stop = min(max(high + 0.5 - first, 0.0), float(count))
+    return math.ceil(start), math.floor(stop)
+
+
+@jit
+def bound_hulls(
+    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
+) -> None:
+    """The spans of primitives start..stop.
+
+    reach: how far beyond its points a primitive may be seen, in scene units (the slack) and in pixels.
+    """
+    corners = hull_size(prims)
+    for k in range(start, stop):
+        box, deepest = empty_box(), -math.inf
+        for j in range(corners):
+            point = project_point(camera, hull_point(prims, k, j), reach)
+            box, deepest = box_union_point(box, point), max(deepest, point[3])
+        if corners == 0:  # a kind without bounds
+            box, deepest = (-math.inf, -math.inf, math.inf, math.inf, -math.inf), math.inf
+        store_bounds(spans, k, box, deepest, reach[0], window)
+
+
+@jit
+def bound_spheres(
+    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
+) -> None:
+    """The same for balls, which fill the boxes around them badly."""
+    slack, margin = reach
+    for k in range(start, stop):
+        r, center = prims.radius[k], (prims.center[k, 0], prims.center[k, 1], prims.center[k, 2])
+        left, top, right, bottom, least, valid = project_bounding_sphere(camera, center, r + slack)
+        wide = margin if valid else math.inf
+        box = left - wide, top - wide, right + wide, bottom + wide, least
+        store_bounds(spans, k, box, least + 2.0 * (r + slack), slack, window)
+
+
+@jit
+def project_vertices(
+    points: Any, camera: Any, window: Any, pictures: Any, reach: Any, start: int, stop: int
+) -> None:
+    """pictures (n, 4) of points start..stop, which several triangles share."""
+    for i in range(start, stop):
+        x, y, wide, depth = project_point(camera, (points[i, 0], points[i, 1], points[i, 2]), reach)
+        pictures[i, 0], pictures[i, 1] = x - window.x0, y - window.y0
+        pictures[i, 2], pictures[i, 3] = wide, depth
+
+
+# Triangles with a single pixel around them are mostly smaller than it, and three in five lie between the centres.
+
+
+@inlined
+def misses_pixel_center(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, x: int, y: int) -> bool:
+    """Whether a triangle is sure not to hold the centre of a pixel."""
+    p, q = x + 0.5, y + 0.5
+    return (
+        surely_beyond_edge(a, b, c, p, q)
+        | surely_beyond_edge(b, c, a, p, q)
+        | surely_beyond_edge(c, a, b, p, q)
+    )
+
+
+@inlined
+def surely_beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, x: float, y: float) -> bool:
+    """Whether a point is sure to lie on the other side of the line through a and b than c.
+
+    Sure of it for all corners that lie within `wide` of these along x and y, which covers the rounding here many times
+    (MARGIN). False where there is no picture: a `wide` of inf.
+    """
+    across, down = b[0] - a[0], b[1] - a[1]
+    third = across * (c[1] - a[1]) - down * (c[0] - a[0])
+    point = across * (y - a[1]) - down * (x - a[0])
+    far = (abs(across) + abs(down)) * max(max(a[2], b[2]), c[2])
+    return (point if third >= 0.0 else -point) < -far
+
+
+@jit
+def bound_triangles(window: Any, spans: Any, reach: Any, start: int, stop: int) -> None:
+    """The same as `bound_hulls`, for triangles between points whose pictures are known."""
+    for k in range(start, stop):
+        a, b, c = projected_corner(spans, k, 0), projected_corner(spans, k, 1), projected_corner(spans, k, 2)
+        box, deepest = (
+            box_union_point(box_union_point(box_union_point(empty_box(), a), b), c),
+            max(max(a[3], b[3]), c[3]),
+        )
+        x0, y0, x1, y1 = store_bounds(spans, k, box, deepest, reach[0], (0, 0, window.width, window.height))
+        if (x1 - x0) * (y1 - y0) == 1:
+            spans.pixels[k, 2] = x0 if misses_pixel_center(a, b, c, x0, y0) else x1
+
+
+# Where primitives may be seen by a camera that bends straight lines: by balls around them, and how far it bends.
+
+
+@jit
+def bound_by_spheres(
+    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
+) -> None:
+    """The spans of primitives start..stop, by balls around their points; see spans.bound_hulls."""
+    corners = hull_size(prims)
+    for k in range(start, stop):
+        bound_by_sphere(prims, camera, window, spans, reach, k, corners)
+
+
+@inlined
+def bound_by_sphere(
+    prims: Any, camera: Any, window: Any, spans: Any, reach: Any, k: int, corners: int
+) -> None:
+    """Of primitive k, which has so many points."""
+    center, r = bounding_sphere(prims, k, corners)
+    left, top, right, bottom, least, valid = project_bounding_sphere(camera, center, r + reach[0])
+    wide = reach[1] if valid else math.inf
+    box = left - wide, top - wide, right + wide, bottom + wide, least
+    store_bounds(spans, k, box, math.inf, reach[0], window)
+
+
+# Roundings of a radius are some 4 u of it.
+RADIUS_ROUNDING = 1.0 + 2.0**-40
+
+
+@inlined
+def bounding_sphere(prims: Any, k: int, corners: int) -> tuple[Vec3, float]:
+    """(centre, radius) of a ball that holds primitive k; a radius of inf for a kind without bounds."""
+    if corners == 0:
+        return (0.0, 0.0, 0.0), math.inf
+    center, square, widest = (0.0, 0.0, 0.0), 0.0, 0.0
+    for j in range(corners):
+        center = point_at(center, 1.0 / max(corners, 1), hull_point(prims, k, j))
+    for j in range(corners):
+        apart = sub(hull_point(prims, k, j), center)
+        square, widest = max(square, dot(apart, apart)), max(widest, l1_norm(apart))
+    plain = (square > SMALLEST_SQUARE) & (square < LARGEST_SQUARE)
+    return center, RADIUS_ROUNDING * (math.sqrt(square) if plain else widest)
+
+
+@jit
+def bound_distorted_triangles(
+    prims: Any, camera: Any, window: Any, spans: Any, reach: Any, start: int, stop: int
+) -> None:
+    """The same for triangles between points whose pictures are known; of large ones by balls, too."""
+    for k in range(start, stop):
+        a, b, c = projected_corner(spans, k, 0), projected_corner(spans, k, 1), projected_corner(spans, k, 2)
+        left, top, right, bottom, least = box_union_point(
+            box_union_point(box_union_point(empty_box(), a), b), c
+        )
+        wide, high = right - left, bottom - top
+        more, share, valid = distortion_bound(camera, math.sqrt(wide * wide + high * high))
+        if not valid or more > wide + high:
+            bound_by_sphere(prims, camera, window, spans, reach, k, 3)
+            continue
+        box = left - more, top - more, right + more, bottom + more, least * share
+        x0, y0, x1, y1 = store_bounds(spans, k, box, math.inf, reach[0], (0, 0, window.width, window.height))
+        if (x1 - x0) * (y1 - y0) == 1:
+            hidden = misses_pixel_center(widened(a, more), widened(b, more), widened(c, more), x0, y0)
+            spans.pixels[k, 2] = x0 if hidden else x1
+
+
+@inlined
+def widened(point: ProjectedPoint, more: float) -> ProjectedPoint:
+    return point[0], point[1], point[2] + more, point[3]

@@ -1,0 +1,208 @@
+"""A tile of the film: its rays and what each meets first, in one flat array that stays in a core's cache.
+
+A field is numbers in a row, one a pixel, and `tile[T + i]` is t of pixel i. Since all fields lie in one array at
+known distances, the compiler knows that a store into one changes no other, and handles several pixels at once.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from caster.jit.decorators import inlined, jit
+from caster.jit.kernel_cache import COMPILED
+from caster.jit.simd import LANES
+from caster.kernels.nearest import any_hit_result
+from caster.kernels.protocol import camera_ray, intersect, prepare
+
+WIDTH, HEIGHT = 128, 64  # pixels
+PIXELS = WIDTH * HEIGHT
+
+# An index without a sign needs no look at whether it counts from the end.
+lane = np.uint64 if COMPILED else int
+
+# From one field to the next: a cache line more than SIZE, or a pixel's twelve numbers, at distances of a power of two,
+# would all compete for one place in the cache.
+STRIDE = PIXELS + 8
+
+FIELDS = 12
+T, T_ERROR, PRIM, UNCERTAIN, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (
+    lane(STRIDE * field) for field in range(FIELDS)
+)
+# T, OFF: the nearest so far, the true t within OFF; PLACE: number of the primitive, kind by kind, -1 for none;
+# DOUBT: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
+
+# Once all is cast, three of them are free for normals.
+NX, NY, NZ = T_ERROR, T_MIN, T_MAX
+
+# Behind the fields: how the rays of a bundle see boxes (caster/kernels/bvh/packet.py).
+SCRATCH = lane(STRIDE * FIELDS)
+SCRATCH_SIZE = 9 * LANES
+
+Box = tuple[int, int, int, int]  # x0, y0, x1, y1: pixels of the window, x1 and y1 just outside
+
+
+CACHE_LINE = 64  # bytes
+
+
+def new_tile() -> np.ndarray:
+    """Zeros, from the beginning of a cache line, so that LANES numbers never lie in two."""
+    room = np.zeros(FIELDS * STRIDE + SCRATCH_SIZE + CACHE_LINE // 8)
+    first = -room.ctypes.data % CACHE_LINE // 8
+    return room[first : first + FIELDS * STRIDE + SCRATCH_SIZE]
+
+
+@inlined
+def update_nearest(tile: Any, i: Any, place: float, t: float, off: float) -> None:
+    """Fold what `intersect` said of a primitive into the record of pixel i. Without a branch."""
+    ahead, margin = tile[T + i] - t if t < math.inf else -math.inf, tile[T_ERROR + i] + off
+    nearer = ahead > margin
+    tile[UNCERTAIN + i] = 1.0 if abs(ahead) <= margin else tile[UNCERTAIN + i]
+    tile[T + i] = t if nearer else tile[T + i]
+    tile[PRIM + i] = place if nearer else tile[PRIM + i]
+    tile[T_ERROR + i] = off if nearer else tile[T_ERROR + i]
+
+
+@inlined
+def start_ray(tile: Any, i: Any, aim: Any) -> None:
+    """Begin pixel i: its ray (o, d, t_min, t_max), and nothing met."""
+    o, d, t_min, t_max = aim
+    tile[T + i], tile[T_ERROR + i], tile[PRIM + i], tile[UNCERTAIN + i] = math.inf, 0.0, -1.0, 0.0
+    tile[T_MIN + i], tile[T_MAX + i] = t_min, t_max
+    tile[DX + i], tile[DY + i], tile[DZ + i] = d[0], d[1], d[2]
+    tile[OX + i], tile[OY + i], tile[OZ + i] = o[0], o[1], o[2]
+
+
+@inlined
+def cast_lanes(prims: Any, prim: Any, place: float, tile: Any, first: Any, any_hit: bool) -> None:
+    """LANES rays from `first` on, wherever they start, against a primitive given by its `numbers`."""
+    for i in range(first, first + lane(LANES)):
+        o = tile[OX + i], tile[OY + i], tile[OZ + i]
+        d = tile[DX + i], tile[DY + i], tile[DZ + i]
+        t, off = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
+        t, off = any_hit_result(t, off, any_hit)
+        update_nearest(tile, i, place, t, off)
+
+
+@jit
+def clear_rays(tile: Any, start: int, stop: int) -> None:
+    """No rays at start..stop."""
+    for i in range(lane(start), lane(stop)):
+        start_ray(tile, i, ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0))
+
+
+@jit
+def load_ray_range(rays: Any, start: int, stop: int, tile: Any, at: int) -> None:
+    """Begin a tile from `at` on, with rays start..stop."""
+    for n in range(start, stop):
+        o, d = (rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]), (rays.d[n, 0], rays.d[n, 1], rays.d[n, 2])
+        start_ray(tile, lane(at + n - start), (o, d, rays.t_min[n], rays.t_max[n]))
+
+
+@jit
+def load_rays(rays: Any, width: int, box: Box, tile: Any) -> None:
+    """Begin the tile of a box, with rays of a window that is `width` pixels wide."""
+    x0, y0, x1, y1 = box
+    for y in range(y1 - y0):
+        first = (y0 + y) * width + x0
+        load_ray_range(rays, first, first + x1 - x0, tile, y * WIDTH)
+        clear_rays(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
+
+
+@jit
+def generate_camera_rays(camera: Any, window: Any, box: Box, tile: Any) -> None:
+    """Begin the tile of a box, with the camera's rays through its pixel centres."""
+    x0, y0, x1, y1 = box
+    for y in range(y1 - y0):
+        row = window.y0 + y0 + y + 0.5
+        for x in range(x1 - x0):
+            aim = camera_ray(camera, window.x0 + x0 + x + 0.5, row)
+            start_ray(tile, lane(y * WIDTH + x), aim)
+        clear_rays(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
+
+
+@jit
+def store_ray_range(tile: Any, at: int, ids: Any, start: int, stop: int, nearest: Any, doubt: Any) -> None:
+    """From `at` on into the record of rays start..stop; ids[place] is the primitive's number in the scene."""
+    for n in range(start, stop):
+        i = lane(at + n - start)
+        place = int(tile[PRIM + i])
+        nearest.t[n], nearest.off[n], doubt[n] = tile[T + i], tile[T_ERROR + i], tile[UNCERTAIN + i] != 0.0
+        nearest.prim[n] = ids[place] if place >= 0 else -1
+
+
+@jit
+def store_blocked(tile: Any, count: int, first: int, blocked: Any, doubt: Any) -> None:
+    """Whether the first so many rays of a tile have met anything, into the record of rays first.. ."""
+    for n in range(count):
+        i = lane(n)
+        blocked[first + n] = tile[T + i] < math.inf
+        doubt[first + n] = (tile[UNCERTAIN + i] != 0.0) & (tile[T + i] == math.inf)
+
+
+@jit
+def store_nearest(tile: Any, ids: Any, width: int, box: Box, nearest: Any, doubt: Any) -> None:
+    """The same for the rays of a window that is `width` pixels wide."""
+    x0, y0, x1, y1 = box
+    for y in range(y1 - y0):
+        first = (y0 + y) * width + x0
+        store_ray_range(tile, y * WIDTH, ids, first, first + x1 - x0, nearest, doubt)
+
+
+# Which primitives are to be looked for in which tile of the film, near ones first.
+
+
+# Within a tile, primitives are sorted into drawers by their least depth: by its exponent and 4 bits of the fraction.
+# The farthest 8 powers of two have drawers of their own; what is nearer, or behind, shares the first.
+DEPTH_BUCKETS, DEPTH_BUCKET_SHIFT = 128, 52 - 4
+
+
+@inlined
+def is_on_film(pixels: Any, k: int) -> bool:
+    return (pixels[k, 0] < pixels[k, 2]) & (pixels[k, 1] < pixels[k, 3])
+
+
+@inlined
+def depth_bucket(bits: int, last: int) -> int:
+    """Farther primitives are in later drawers; bits, last: of depths, as int64, and of the largest that may be."""
+    return min(
+        max(DEPTH_BUCKETS - 1 - ((last >> DEPTH_BUCKET_SHIFT) - (bits >> DEPTH_BUCKET_SHIFT)), 0),
+        DEPTH_BUCKETS - 1,
+    )
+
+
+@jit
+def count_in_tiles(
+    pixels: Any, bits: Any, last: int, queue: Any, across: int, counts: Any, start: int, stop: int
+) -> int:
+    """How many spans reach into each tile, of primitives queue[start:stop]: counts[n * DRAWERS + drawer].
+
+    Tiles go row by row, `across` in a row. A queue without members stands for all primitives in their own order.
+    Returns how many primitives are looked for anywhere.
+    """
+    seen = 0
+    for place in range(start, stop):
+        k = queue[place] if len(queue) > 0 else place
+        if is_on_film(pixels, k):
+            seen += 1
+            into = depth_bucket(bits[k], last)
+            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
+                for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
+                    counts[(y * across + x) * DEPTH_BUCKETS + into] += 1
+    return seen
+
+
+@jit
+def scatter_to_tiles(
+    pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
+) -> None:
+    """Write them to order[ends[n * DRAWERS + drawer]:], for each tile n they reach into, moving that end on."""
+    for place in range(start, stop):
+        k = queue[place] if len(queue) > 0 else place
+        if is_on_film(pixels, k):
+            into = depth_bucket(bits[k], last)
+            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
+                for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
+                    n = (y * across + x) * DEPTH_BUCKETS + into
+                    order[ends[n]] = k
+                    ends[n] += 1

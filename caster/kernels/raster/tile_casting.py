@@ -1,0 +1,257 @@
+"""What is known of all rays of a tile at once: how far they see, and which way they look."""
+
+import math
+from typing import Any
+
+from caster.jit.decorators import inlined, jit
+from caster.jit.simd import LANES, any_sum_reaches
+from caster.kernels.math.vec import add, component_max, component_min, dot, l1_norm, scaled, sub
+from caster.kernels.protocol import Vec3, intersect, load, prepare, t_lower_bound
+from caster.kernels.raster.screen_bounds import pixel_range, projected_corner
+from caster.kernels.raster.tile import (
+    DX,
+    DY,
+    DZ,
+    OX,
+    OY,
+    OZ,
+    PIXELS,
+    SCRATCH,
+    T_ERROR,
+    T_MAX,
+    T_MIN,
+    WIDTH,
+    Box,
+    T,
+    lane,
+    update_nearest,
+)
+
+
+@jit
+def min_t_per_depth(tile: Any, box: Box, forward: Any) -> float:
+    """By how much a depth is at least to be multiplied for a ray of the tile to be at it: t d . forward = depth."""
+    for j in range(lane(LANES)):
+        tile[SCRATCH + j] = 0.0
+    for y in range(box[3] - box[1]):
+        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
+            for j in range(lane(LANES)):  # some maxima side by side, so that several are compared at once
+                i = first + j
+                ahead = tile[DX + i] * forward[0] + tile[DY + i] * forward[1] + tile[DZ + i] * forward[2]
+                tile[SCRATCH + j] = max(tile[SCRATCH + j], ahead)
+    most = 0.0
+    for j in range(lane(LANES)):
+        most = max(most, tile[SCRATCH + j])
+    return 1.0 / most if most > 0.0 else 0.0
+
+
+@jit
+def max_visible_t(tile: Any, box: Box) -> float:
+    """How far a tile can be seen into anywhere: inf if only at one pixel, which is soon found."""
+    for j in range(lane(LANES)):
+        tile[SCRATCH + j] = 0.0
+    for y in range(box[3] - box[1]):
+        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
+            if any_sum_reaches(tile, T + first, T_ERROR + first, math.inf):
+                return math.inf
+            for j in range(lane(LANES)):
+                tile[SCRATCH + j] = max(tile[SCRATCH + j], tile[T + first + j] + tile[T_ERROR + first + j])
+    far = 0.0
+    for j in range(lane(LANES)):
+        far = max(far, tile[SCRATCH + j])
+    return far
+
+
+@inlined
+def direction_bounds(tile: Any, box: Box, forward: Vec3) -> tuple[Vec3, Vec3]:
+    """(low, high): between which the components of all d of a tile are."""
+    if l1_norm(forward) > 0.0:
+        return direction_bounds_from_corners(tile, box)
+    x, y, z = field_bounds(tile, DX, box), field_bounds(tile, DY, box), field_bounds(tile, DZ, box)
+    return (x[0], y[0], z[0]), (x[1], y[1], z[1])
+
+
+# Of the lengths of four d that are 1 within a few u, and of sums and quotients of them.
+UNIT_LENGTH_ATOL = 2.0**-45
+
+
+@inlined
+def direction_bounds_from_corners(tile: Any, box: Box) -> tuple[Vec3, Vec3]:
+    """The same where straight lines stay straight and |d| = 1: d = s / |s|, s between the d of a tile's corners.
+
+    With weights w_i that add up to 1, |sum w_i d_i|^2 = 1 - sum over i < j of w_i w_j |d_i - d_j|^2, and the products
+    of two of four weights are at most 3/8 together.
+    """
+    right, below = lane(box[2] - box[0] - 1), lane((box[3] - box[1] - 1) * WIDTH)
+    a, b = direction_at(tile, lane(0)), direction_at(tile, right)
+    c, d = direction_at(tile, below), direction_at(tile, below + right)
+    low = component_min(component_min(a, b), component_min(c, d))
+    high = component_max(component_max(a, b), component_max(c, d))
+    wide = sub(high, low)
+    shrunk = 1.0 - 0.375 * dot(wide, wide)
+    longer = (1.0 / math.sqrt(shrunk) if shrunk > 0.0 else math.inf) + UNIT_LENGTH_ATOL
+    less, more = (scaled(longer, low), scaled(longer, high))
+    return add(component_min(low, less), (-UNIT_LENGTH_ATOL, -UNIT_LENGTH_ATOL, -UNIT_LENGTH_ATOL)), add(
+        component_max(high, more), (UNIT_LENGTH_ATOL, UNIT_LENGTH_ATOL, UNIT_LENGTH_ATOL)
+    )
+
+
+@inlined
+def direction_at(tile: Any, i: Any) -> Vec3:
+    return tile[DX + i], tile[DY + i], tile[DZ + i]
+
+
+@inlined
+def field_bounds(tile: Any, field: Any, box: Box) -> tuple[float, float]:
+    """(least, largest) of a field, over the tile's part of a box in whole LANES."""
+    least, most = SCRATCH, SCRATCH + lane(LANES)
+    for j in range(lane(LANES)):
+        tile[least + j], tile[most + j] = math.inf, -math.inf
+    for y in range(box[3] - box[1]):
+        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
+            for j in range(lane(LANES)):  # some side by side, so that several are compared at once
+                d = tile[field + first + j]
+                tile[least + j], tile[most + j] = min(tile[least + j], d), max(tile[most + j], d)
+    low, high = math.inf, -math.inf
+    for j in range(lane(LANES)):
+        low, high = min(low, tile[least + j]), max(high, tile[most + j])
+    return low, high
+
+
+# Culling 1: each primitive against the pixels of a rectangle that holds its picture
+# (caster/kernels/raster/screen_bounds.py).
+
+
+@inlined
+def bounds_in_tile(pixels: Any, k: int, box: Box) -> Box:
+    """The span of primitive k inside the tile of a box, counted from its corner; x_start and x_stop in whole LANES."""
+    x_start, y_start = max(pixels[k, 0] - box[0], 0), max(pixels[k, 1] - box[1], 0)
+    x_stop, y_stop = min(pixels[k, 2], box[2]) - box[0], min(pixels[k, 3], box[3]) - box[1]
+    return x_start // LANES * LANES, y_start, -(-x_stop // LANES) * LANES, y_stop
+
+
+# Triangles that cover so many pixels across in a tile are looked for row by row, where they are: half of the box around
+# a triangle is not in it, and to find a row's part takes as long as three or four bundles of lanes.
+ROW_BOUNDS_MIN_WIDTH = 64
+
+
+@jit
+def row_bounds(spans: Any, k: int, box: Box, span: Box, y: int) -> tuple[int, int]:
+    """Of the span of triangle k in a tile, what row y of the tile needs; in whole LANES."""
+    row, low, high = box[1] + y + 0.5, math.inf, -math.inf
+    for j in range(3):
+        xa, ya, wide, _ = projected_corner(spans, k, j)
+        xb, yb, wide_b, _ = projected_corner(spans, k, (j + 1) % 3)
+        wide = max(wide, wide_b)
+        if not wide < math.inf:
+            return span[0], span[2]
+        top, bottom = min(ya, yb), max(ya, yb)
+        if top - wide <= row <= bottom + wide:
+            if bottom - top > wide:  # the part of the edge that is no farther than `wide` above or below
+                slope = (xb - xa) / (yb - ya)
+                xb = xa + (min(max(row + wide, top), bottom) - ya) * slope
+                xa = xa + (min(max(row - wide, top), bottom) - ya) * slope
+            low, high = min(low, min(xa, xb) - wide), max(high, max(xa, xb) + wide)
+    start, stop = pixel_range(low, high, box[0], box[2] - box[0])
+    return max(start // LANES * LANES, span[0]), min(-(-stop // LANES) * LANES, span[2])
+
+
+@inlined
+def any_lane_visible(tile: Any, first: Any, near: float) -> bool:
+    """Whether one of LANES rays has met nothing sure to be nearer."""
+    return any_sum_reaches(tile, T + first, T_ERROR + first, near)
+
+
+@inlined
+def any_pixel_visible(tile: Any, span: Box, near: float) -> bool:
+    """The same for a span."""
+    x_start, y_start, x_stop, y_stop = span
+    for y in range(y_start, y_stop):
+        for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
+            if any_lane_visible(tile, first, near):
+                return True
+    return False
+
+
+# In spans of no more pixels, what is hidden is looked for once, not in each row again: few show in part.
+SINGLE_VISIBILITY_TEST_MAX_PIXELS = 256
+
+
+@jit
+def cast_shared_origin(prims: Any, order: Any, run: Any, spans: Any, base: int, box: Box, tile: Any) -> None:
+    """Primitives order[run[0]:run[1]] of a kind whose places begin at `base`, for rays that start in one point."""
+    o = tile[OX], tile[OY], tile[OZ]
+    far, tried, patience, stretch = math.inf, 0, PIXELS, spans.least
+    looked, low, high = False, o, o
+    for at in range(run[0], run[1]):
+        k = order[at]
+        near, span = max(spans.near[k], 0.0) * stretch, bounds_in_tile(spans.pixels, k, box)
+        x_start, y_start, x_stop, y_stop = span
+        tries = (x_stop - x_start) * (y_stop - y_start)
+        small = tries <= SINGLE_VISIBILITY_TEST_MAX_PIXELS
+        if near > far or (small and not any_pixel_visible(tile, span, near)):
+            continue
+        pre, place = prepare(prims, load(prims, k), o), float(base + k)
+        if not small:  # worth a closer look
+            if not looked:
+                (low, high), looked = direction_bounds(tile, box, spans.forward), True
+            near = max(near, t_lower_bound(prims, pre, low, high))
+            if near > far or near == math.inf:
+                continue
+            if not any_pixel_visible(tile, span, near):
+                y_start = y_stop  # nothing to try, but that took as long
+        by_row = len(spans.faces) > 0 and x_stop - x_start >= ROW_BOUNDS_MIN_WIDTH
+        for y in range(y_start, y_stop):
+            start, stop = row_bounds(spans, k, box, span, y) if by_row else (x_start, x_stop)
+            for first in range(lane(y * WIDTH + start), lane(y * WIDTH + max(start, stop)), lane(LANES)):
+                if small or any_lane_visible(tile, first, near):
+                    for i in range(first, first + lane(LANES)):
+                        d = tile[DX + i], tile[DY + i], tile[DZ + i]
+                        t, off = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
+                        update_nearest(tile, i, place, t, off)
+        tried += tries
+        if tried >= patience:
+            # worth a look at what all of this has covered, and at the tile's own directions
+            far, tried = max_visible_t(tile, box), 0
+            if far < math.inf:
+                stretch = max(stretch, min_t_per_depth(tile, box, spans.forward))
+            else:
+                patience *= 2
+
+
+@jit
+def cast_own_origins(prims: Any, order: Any, run: Any, spans: Any, base: int, box: Box, tile: Any) -> None:
+    """The same for rays of one direction that start in different places (an orthographic camera)."""
+    d = tile[DX], tile[DY], tile[DZ]
+    far, tried, patience, stretch = math.inf, 0, PIXELS, spans.least
+    for at in range(run[0], run[1]):
+        k = order[at]
+        near, span = max(spans.near[k], 0.0) * stretch, bounds_in_tile(spans.pixels, k, box)
+        x_start, y_start, x_stop, y_stop = span
+        tries = (x_stop - x_start) * (y_stop - y_start)
+        small = tries <= SINGLE_VISIBILITY_TEST_MAX_PIXELS
+        if near > far:
+            continue
+        if not any_pixel_visible(tile, span, near):
+            if small:
+                continue
+            y_start = y_stop  # nothing to try, but that took as long
+        prim, place = load(prims, k), float(base + k)
+        by_row = len(spans.faces) > 0 and x_stop - x_start >= ROW_BOUNDS_MIN_WIDTH
+        for y in range(y_start, y_stop):
+            start, stop = row_bounds(spans, k, box, span, y) if by_row else (x_start, x_stop)
+            for first in range(lane(y * WIDTH + start), lane(y * WIDTH + max(start, stop)), lane(LANES)):
+                if small or any_lane_visible(tile, first, near):
+                    for i in range(first, first + lane(LANES)):
+                        o = tile[OX + i], tile[OY + i], tile[OZ + i]
+                        t, off = intersect(
+                            prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i]
+                        )
+                        update_nearest(tile, i, place, t, off)
+        tried += tries
+        if tried >= patience:
+            far, tried = max_visible_t(tile, box), 0
+            if far < math.inf:
+                stretch = max(stretch, min_t_per_depth(tile, box, spans.forward))
+            else:
+                patience *= 2

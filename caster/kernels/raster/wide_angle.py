@@ -1,0 +1,115 @@
+"""Sines and cosines without a branch or a call, so that loops over pixels can work several out at once.
+
+The bits are the same with and without compiling, on every machine: only sums and products of float64 are taken.
+"""
+
+import math
+from typing import Any
+
+from caster.jit.decorators import inlined, jit
+from caster.kernels.math.vec import add, dot, l1_norm, scaled, sub
+from caster.kernels.protocol import Vec3
+
+# The Taylor series of sin(h) / h and cos(h) in h^2. At h = pi / 2 the first terms left out are
+# (pi / 2)^24 / 25! = 3e-21 and (pi / 2)^24 / 24! = 8e-20: nothing beside a rounding, 1e-16.
+SERIES_TERMS = 12
+SINE = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(SERIES_TERMS))
+COSINE = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(SERIES_TERMS))
+
+
+@inlined
+def sinc_and_cos(square: float) -> tuple[float, float]:
+    """(sin(h) / h, cos(h)) for square = h^2 and h at most a quarter turn, each within 2^-51."""
+    sine, cosine = SINE[SERIES_TERMS - 1], COSINE[SERIES_TERMS - 1]
+    for k in range(SERIES_TERMS - 2, -1, -1):
+        sine, cosine = sine * square + SINE[k], cosine * square + COSINE[k]
+    return sine, cosine
+
+
+# What the cameras that see around share: the eye, its axes, and the circle inscribed in the film.
+
+
+def film_circle(width: int, height: int) -> Vec3:
+    """(centre x, centre y, radius) of the largest centred circle, in pixels."""
+    return 0.5 * width, 0.5 * height, 0.5 * min(width, height)
+
+
+@jit
+def to_circle_units(circle: Any, x: float, y: float) -> tuple[float, float]:
+    """Film position in units of the circle's radius, to the right and up from its centre."""
+    return (x - circle[0]) / circle[2], (circle[1] - y) / circle[2]
+
+
+@jit
+def combine_axes(camera: Any, right: float, up: float, forward: float) -> Vec3:
+    """right, up and forward shares of the camera's axes, added."""
+    sideways = add(scaled(right, camera.right), scaled(up, camera.up))
+    return add(sideways, scaled(forward, camera.forward))
+
+
+@inlined
+def unit_or_forward(camera: Any, d: Vec3, inside: bool) -> Vec3:
+    """d at length 1, or, outside the picture, forward. d is neither long nor short, nor 0 inside."""
+    inverse = 1.0 / math.sqrt(dot(d, d))
+    x, y, z = scaled(inverse, d)
+    forward = camera.forward
+    return x if inside else forward[0], y if inside else forward[1], z if inside else forward[2]
+
+
+# Between these, squares of lengths are numbers that have lost nothing.
+MIN_SQUARABLE_LENGTH, MAX_SQUARABLE_LENGTH = 2.0**-400, 2.0**400
+
+# A ball that fills more than this of the distance to its centre has no picture of its own: 28 degrees on either side.
+MAX_SPHERE_SIZE = 0.47
+
+
+@inlined
+def sphere_in_camera_space(camera: Any, center: Vec3, r: float) -> tuple[Vec3, float, bool]:
+    """(to the right, up, ahead; distance; valid) of a ball's centre, seen from the eye.
+
+    Valid for r at most MAX_SPHERE_SIZE times the distance. Where that has no square, it is 0, which no distance is less
+    than, nor valid.
+    """
+    q = sub(center, camera.eye)
+    plain = (l1_norm(q) + r < MAX_SQUARABLE_LENGTH) & (l1_norm(q) > MIN_SQUARABLE_LENGTH)
+    distance = math.sqrt(dot(q, q)) if plain else 0.0
+    place = dot(q, camera.right), dot(q, camera.up), dot(q, camera.forward)
+    return place, distance, plain & (r <= MAX_SPHERE_SIZE * distance)
+
+
+SphereProjection = tuple[float, float, float, float, float, bool]
+"""(left, top, right, bottom, least depth, valid) of a ball; see protocol.project_bounding_sphere"""
+
+# Depth is the distance from the eye.
+
+
+@inlined
+def off_film(depth: float) -> SphereProjection:
+    """Off the film."""
+    return math.inf, math.inf, -math.inf, -math.inf, depth, True
+
+
+@inlined
+def unknown_projection(depth: float) -> SphereProjection:
+    return 0.0, 0.0, 0.0, 0.0, depth, False
+
+
+MAX_HULL_ANGLE = 0.1  # radians: how far apart the points of a hull may be for `bulge`
+
+# How far beyond the pictures F(p_i) of its points the picture of a convex hull can reach, along any direction w, over
+# M L^2: M bounds the second derivative of f = w . F along great circles, L the angles between any two points. Seen from
+# a point p of the hull, the points are at v_i in its tangent plane, with weights m_i that make sum m_i v_i = 0. So
+# f(p) <= sum m_i f(p_i) + M / 2 sum m_i |v_i|^2, and that sum is at most D^2 / 3 with D the largest |v_i - v_j|
+# (Jung 1901), which is at most L times r / sin r for |v_i| <= r: 1.002 L for r = NEARBY. Instead of 1 / 6:
+BULGE_FACTOR = 0.2
+
+# Angles and their pictures are off by some 20 u of a radian: nothing beside spans.MARGIN, but for a fisheye that is so
+# narrow that its film shows a radian as 2^40 pixels.
+ANGLE_ROUNDING = 2.0**-45
+
+
+@inlined
+def hull_distortion_bound(angle: float, bend: float) -> tuple[float, float, bool]:
+    """What `protocol.bent` answers for points that are at most so far apart, seen from the eye; bend: M, in pixels."""
+    square = angle * angle
+    return (BULGE_FACTOR * square + ANGLE_ROUNDING) * bend, 1.0 - 0.5 * square, angle <= MAX_HULL_ANGLE

@@ -1,0 +1,1 @@
+"""Surfaces, normals and lighting at hits."""

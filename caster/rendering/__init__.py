@@ -1,0 +1,1 @@
+"""The render pipeline: plan, rays, nearest hits, surfaces, AOVs."""

@@ -1,0 +1,107 @@
+"""Growing trees of boxes, on as many threads as there are cores: nodes of two, and then nodes of many out of them."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from caster.jit.simd import CHILDREN
+from caster.kernels.bvh.build import (
+    BOX_PADDING,
+    LEAF_SIZE,
+    MAX_PRIMITIVES,
+    MIN_DIRECTION,
+    MIN_DIRECTION_PER_UNIT,
+    Tree,
+    build_binary,
+    collapse,
+    quantize_boxes,
+)
+from caster.scene.errors import SceneError
+
+PARALLEL_SUBTREES = 16  # a tree is begun by one thread, down to so many parts that grow on their own
+PARALLEL_MIN_PRIMITIVES = 20_000  # primitives; fewer take less time than parting them
+
+Nodes = tuple[np.ndarray, np.ndarray]  # boxes and links
+
+
+def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
+    """A tree over boxes low, high (n, 3), n > 0. The same for every number of threads.
+
+    Raises SceneError for more than MAX_PRIMITIVES.
+    """
+    count = len(low)
+    if count > MAX_PRIMITIVES:
+        raise SceneError(f"a tree holds {MAX_PRIMITIVES} primitives of a kind at most, got {count}")
+    least, largest = low.min(axis=0), high.max(axis=0)
+    x, y, z = (0.5 * least + 0.5 * largest).tolist()
+    center, unit = (x, y, z), _unit(least, largest, np.array([x, y, z]))
+    boxes, order = np.empty((count, 6), np.float32), np.arange(count, dtype=np.int32)
+    quantize_boxes(low, high, center, unit, boxes, 0, count)
+    nodes = (
+        _build_run(boxes, order, 0, count, LEAF_SIZE)
+        if count < PARALLEL_MIN_PRIMITIVES
+        else _build_parallel(boxes, order, threads)
+    )
+    extent = float(max(np.abs(low).max(), np.abs(high).max()))
+    flat = max(MIN_DIRECTION_PER_UNIT * unit, MIN_DIRECTION)
+    return Tree(*_collapsed(*nodes), order, center, unit, flat, extent, BOX_PADDING)
+
+
+def _collapsed(boxes: np.ndarray, links: np.ndarray) -> Nodes:
+    """The same in nodes of CHILDREN, of which there are no more than there were inner nodes of two."""
+    room = max(1, int(np.count_nonzero(links[:, 1] < 0)))
+    wide_boxes = np.empty((room, 6, CHILDREN), np.float32)
+    wide_links = np.empty((room, CHILDREN), np.int32)
+    nodes = collapse(boxes, links, wide_boxes, wide_links)
+    return wide_boxes[:nodes].copy(), wide_links[:nodes].copy()
+
+
+def _unit(least: np.ndarray, largest: np.ndarray, center: np.ndarray) -> float:
+    """A power of two in which the whole box reaches from -1 to 1."""
+    with np.errstate(over="ignore"):
+        half = float(max((center - least).max(), (largest - center).max()))
+    if half == 0.0:
+        return 1.0
+    return 2.0 ** min(max(math.frexp(half)[1], -1021), 1023) if half < math.inf else 2.0**1023
+
+
+def _build_run(boxes: np.ndarray, order: np.ndarray, start: int, stop: int, enough: int) -> Nodes:
+    """Nodes over order[start:stop], counted from 0."""
+    room = 2 * (stop - start)  # a tree of n leaves has n - 1 inner nodes
+    node_boxes, links = np.empty((room, 6), np.float32), np.empty((room, 2), np.int32)
+    nodes = build_binary(boxes, order, start, stop, enough, node_boxes, links)
+    return node_boxes[:nodes].copy(), links[:nodes].copy()
+
+
+def _build_parallel(boxes: np.ndarray, order: np.ndarray, threads: int) -> Nodes:
+    """The same, the parts of the tree each by a thread."""
+    top_boxes, top_links = _build_run(boxes, order, 0, len(order), len(order) // PARALLEL_SUBTREES)
+    ends = np.flatnonzero(top_links[:, 1] > 0)
+
+    def part(node: int) -> Nodes:
+        start, number = top_links[node].tolist()
+        return _build_run(boxes, order, start, start + number, LEAF_SIZE)
+
+    with ThreadPoolExecutor(threads) as pool:
+        parts = list(pool.map(part, ends.tolist()))
+    return _join_subtrees(top_boxes, top_links, dict(zip(ends.tolist(), parts, strict=True)))
+
+
+def _join_subtrees(top_boxes: np.ndarray, top_links: np.ndarray, parts: dict[int, Nodes]) -> Nodes:
+    """One tree, each end of its top replaced by what has grown from there."""
+    place, at = np.empty(len(top_links), np.int64), 0
+    for node in range(len(top_links)):
+        place[node] = at
+        at += len(parts[node][1]) if node in parts else 1
+    boxes, links = np.empty((at, 6), np.float32), np.empty((at, 2), np.int32)
+    for node in range(len(top_links)):
+        start = place[node]
+        if node in parts:
+            part_boxes, part_links = parts[node]
+            stop = start + len(part_links)
+            boxes[start:stop], links[start:stop] = part_boxes, part_links
+            links[start:stop, 0] += np.where(part_links[:, 1] < 0, start, 0).astype(np.int32)
+        else:
+            boxes[start], links[start] = top_boxes[node], (place[top_links[node, 0]], top_links[node, 1])
+    return boxes, links

@@ -1,0 +1,157 @@
+"""Casting one's own rays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from caster.geometry.packing import pack
+from caster.geometry.packing import packed as packed
+from caster.geometry.world_space import Rounding, as_given
+from caster.kernels.nearest import Rays
+from caster.kernels.surface.surfaces import OUT_OF_RANGE, Surfaces, find_invalid_ray
+from caster.rendering.casting import find_any, find_nearest
+from caster.rendering.images import trace_rays
+from caster.rendering.threads import parallel_for
+from caster.rendering.view import View
+from caster.scene.fields import SceneError
+from caster.scene.files import Scene
+
+SMALLEST_NORMAL_FLOAT = 2.0**-1022
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What each ray meets first; all but t is worked out when it is asked for."""
+
+    t: np.ndarray  # (n,) float64, inf on a miss
+    view: View
+
+    @property
+    def shape_id(self) -> np.ndarray:
+        """(n,) int32, -1 on a miss."""
+        return self.view.shape_id
+
+    @property
+    def prim_id(self) -> np.ndarray:
+        """(n,) int32 within the shape, -1 on a miss."""
+        return self.view.prim_id
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(n, 3) geometric normals, 0 on a miss: the n of `surface` without the rest."""
+        return self.view.normals
+
+    @property
+    def surface(self) -> Surfaces:
+        """p, n, sh_n and uv."""
+        return self.view.surfaces
+
+
+def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: float = 0.0, t_max: float = np.inf) -> Hits:
+    """Find the first surface along each ray.
+
+    o, d: (n, 3), scene units; d need not be of unit length, t counts in lengths of d, t_min < t <= t_max.
+    Equal t go to the earlier shape of the scene, then to the lower prim_id.
+    Raises SceneError if a ray is not finite or has no direction, naming the first such ray.
+    Source: docs/method.md, "Exact decisions"; slabs padded after Ize (2013).
+    """
+    given, plain = validated_rays_with_range(o, d, t_min, t_max)
+    if plain:
+        view = trace_rays(scene, packed(scene), given, np.zeros(len(given.t_min)))
+        return Hits(view.nearest.t, view)
+    rays, exponent = _scaled(given)
+    view = trace_rays(scene, packed(scene), rays, np.zeros(len(rays.t_min)))
+    with np.errstate(over="ignore", under="ignore"):
+        t = np.ldexp(view.nearest.t, -exponent)
+    short = np.flatnonzero((exponent < 0) & (view.nearest.t < SMALLEST_NORMAL_FLOAT))
+    if len(short):  # a denormal t has lost digits, and in lengths of a shorter d it is larger
+        t[short] = find_nearest(view.packed, Rays(*(a[short] for a in given))).t
+    return Hits(t, view)
+
+
+def occluded(
+    scene: Scene, o: ArrayLike, d: ArrayLike, t_max: float = np.inf, *, t_min: float = 0.0
+) -> np.ndarray:
+    """Whether anything lies on each ray with t_min < t <= t_max. (n,) bool; arguments as in `cast`.
+
+    Found sooner than what `cast` finds: any hit will do.
+    """
+    given, plain = validated_rays_with_range(o, d, t_min, t_max)
+    return find_any(packed(scene), given if plain else _scaled(given)[0])
+
+
+def trace(
+    scene: Scene,
+    o: ArrayLike,
+    d: ArrayLike,
+    t_max: np.ndarray,
+    start: np.ndarray,
+    *,
+    rounded: Rounding = as_given,
+) -> View:
+    """Cast rays with limits of their own, and give the view that AOVs are evaluated from.
+
+    o, d: (n, 3); t_max: (n,), negative where there is no ray; start: (n,) what depth counts from, beyond o.
+    The geometry's numbers go through `rounded` first: as placing.as_float32 leaves them, a float32 renderer
+    sees them.
+    """
+    rays = validated_rays(o, d, 0.0, np.inf)._replace(t_max=np.ascontiguousarray(t_max, np.float64))
+    return trace_rays(scene, pack(scene, rounded), rays, np.asarray(start, np.float64))
+
+
+def validated_rays(o: ArrayLike, d: ArrayLike, t_min: float, t_max: float) -> Rays:
+    """(n, 3) float64 rays, or a SceneError that names the first bad one."""
+    return validated_rays_with_range(o, d, t_min, t_max)[0]
+
+
+def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: float, t_max: float) -> tuple[Rays, bool]:
+    """The same, and whether all their lengths are far from what float64 cannot square."""
+    origins, directions = _rows(o, "o"), _rows(d, "d")
+    if len(origins) != len(directions):
+        raise SceneError(f"rays: o and d must have equal lengths, got {len(origins)} and {len(directions)}")
+    if not t_min >= 0.0 or np.isnan(t_max):
+        raise SceneError(f"rays: need t_min >= 0 and a t_max, got t_min {t_min} and t_max {t_max}")
+    found: list[int] = []
+    parallel_for(
+        lambda start, stop: found.append(find_invalid_ray(origins, directions, start, stop)), len(origins)
+    )
+    if bad := [i for i in found if i >= 0]:
+        i = min(bad)
+        raise SceneError(
+            f"rays[{i}]: o and d must be finite and d not zero, got o {origins[i]} and d {directions[i]}"
+        )
+    n = len(origins)
+    rays = Rays(origins, directions, np.full(n, float(t_min)), np.full(n, float(t_max)))
+    return rays, OUT_OF_RANGE not in found
+
+
+def _scaled(rays: Rays) -> tuple[Rays, np.ndarray]:
+    """(rays with d of about unit length, k (n,)); t then counts in lengths of 2^-k d.
+
+    Exact, and squares of d neither overflow nor vanish, however long it was.
+    """
+    exponent = np.frexp(np.abs(rays.d).max(axis=1, initial=0.0))[1]
+    numbers = np.column_stack([rays.d, rays.t_min, rays.t_max])
+    powers = exponent[:, None] * np.array([-1, -1, -1, 1, 1])
+    with np.errstate(over="ignore", under="ignore"):
+        lossless = (np.ldexp(np.ldexp(numbers, powers), -powers) == numbers).all(axis=1)
+        exponent = np.where(lossless, exponent, 0)
+        d = np.ldexp(rays.d, -exponent[:, None])
+        t_min, t_max = (np.ldexp(t, exponent) for t in (rays.t_min, rays.t_max))
+    return Rays(rays.o, d, t_min, t_max), exponent
+
+
+def _rows(a: ArrayLike, name: str) -> np.ndarray:
+    given = a if isinstance(a, np.ndarray) and a.dtype.kind == "f" else np.asarray(a, np.float64)
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise SceneError(f"rays: {name} must have shape (n, 3), got {given.shape}")
+    if given.dtype == np.float64 and given.flags.c_contiguous:
+        return given
+    rows = np.empty(given.shape)
+
+    def copy(start: int, stop: int) -> None:
+        rows[start:stop] = given[start:stop]
+
+    parallel_for(copy, len(rows))
+    return rows

@@ -1,0 +1,215 @@
+"""One ray against every primitive of a scene, or against the near ones of a large one, each as if it stood alone."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from caster.geometry.packing import Kind, Packed
+from caster.kernels.brute_force import intersect_each
+from caster.kernels.nearest import Rays, nearest_of_candidates, no_hits
+from caster.rendering.casting import find_nearest
+from caster.rendering.edge_distances import EDGE_ON, EdgeDistance, edge_distances
+from caster.rendering.images import camera_rays, trace_film
+from caster.scene.fields import SceneError
+from caster.scene.files import Scene
+
+MAX_PRIMITIVES_PROBED = (
+    256  # primitives that are looked at one by one; of more, those whose boxes are nearest to the ray
+)
+
+
+@dataclass(frozen=True)
+class PrimitiveResult:
+    """What one primitive answers."""
+
+    shape_id: int
+    prim_id: int  # within its shape
+    t: float  # exactly the first in range, as float64; inf on a miss
+    off: float  # how far float64 alone may be off in t; inf where it could not tell
+    margins: tuple[EdgeDistance, ...]
+    box: tuple[np.ndarray, np.ndarray] | None  # low, high corner (3,); None for a kind without bounds
+    span: tuple[float, float] | None  # t where the ray enters and leaves the box; None where it passes by
+
+    @property
+    def decided_by(self) -> str:
+        return "float64" if math.isfinite(self.off) else "integers"
+
+    @property
+    def nearly(self) -> float:
+        """How far outside its outline the ray passes, for an order among misses; inf where it runs along, elsewhere."""
+        if self.span is None and any(margin.of == EDGE_ON for margin in self.margins):
+            return math.inf
+        return max((-margin.inside for margin in self.margins), default=0.0)
+
+    @property
+    def out_of_range(self) -> bool:
+        """Missed although its line passes inside the outline: behind, beyond t_max, or past a cylinder's ends."""
+        return math.isinf(self.t) and bool(self.margins) and all(m.inside > 0.0 for m in self.margins)
+
+
+def intersect_each_primitive(packed: Packed, rays: Rays) -> tuple[PrimitiveResult, ...]:
+    """The answers of the near primitives to rays[0], hits by t, then misses by how nearly. Without a ray: none."""
+    if rays.t_max[0] < 0.0:
+        return ()
+    found = [tried for kind, rows in _near(packed, rays) for tried in _try(packed, kind, rows, rays)]
+    order = sorted(found, key=lambda each: (each.t, each.nearly, each.shape_id, each.prim_id))
+    return tuple(order[:MAX_PRIMITIVES_PROBED])
+
+
+def _near(packed: Packed, rays: Rays) -> Iterator[tuple[Kind, np.ndarray]]:
+    """(kind, places within it of the MOST nearest): the overall nearest are among them."""
+    for kind in packed.kinds:
+        if len(kind.ids) <= MAX_PRIMITIVES_PROBED or not kind.bounded:
+            yield kind, np.arange(len(kind.ids))[:MAX_PRIMITIVES_PROBED]
+            continue
+        low, high = kind.boxes()
+        away = ray_box_distances(rays.o[0], rays.d[0], low, high)
+        yield kind, np.sort(np.argsort(away, kind="stable")[:MAX_PRIMITIVES_PROBED])
+
+
+def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(n,) a number that is 0 where the ray passes the ball around a box, else its distance from that; behind: more."""
+    with np.errstate(all="ignore"):
+        center, radius = 0.5 * low + 0.5 * high, 0.5 * np.linalg.norm(high - low, axis=1)
+        ahead = np.maximum((center - o) @ d / (d @ d), 0.0)
+        away = np.linalg.norm(o + ahead[:, None] * d - center, axis=1) - radius
+    return np.where(np.isfinite(away), np.maximum(away, 0.0), np.inf)
+
+
+def _try(packed: Packed, kind: Kind, rows: np.ndarray, rays: Rays) -> Iterator[PrimitiveResult]:
+    t, off = intersect_rows(kind, rows, rays)
+    boxes = kind.boxes() if kind.bounded else None
+    ids = kind.ids[rows]
+    shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
+    for j, k in enumerate(rows.tolist()):
+        box = (boxes[0][k], boxes[1][k]) if boxes else None
+        span = box and box_interval(rays.o[0], rays.d[0], *box)
+        edges = edge_distances(kind.prims, k, rays.o[0], rays.d[0])
+        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(off[j]), edges, box, span)
+
+
+def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
+    """(t, off) of some primitives of a kind: what float64 says, and t of integers where off is inf."""
+    t, off = np.full(len(rows), np.inf), np.zeros(len(rows))
+    intersect_each(kind.prims, rows.astype(np.int64), rays, t, off, 0, len(rows))
+    doubtful = np.flatnonzero(np.isinf(off))
+    if len(doubtful):
+        again = Rays(*(np.repeat(a, len(doubtful), axis=0) for a in rays))
+        found, starts = no_hits(len(doubtful)), np.arange(len(doubtful) + 1)
+        nearest_of_candidates(
+            kind.prims, again, starts, rows[doubtful].astype(np.int32), found, 0, len(doubtful)
+        )
+        t[doubtful] = found.t
+    return t, off
+
+
+def box_interval(
+    o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[float, float] | None:
+    """t where the line enters and leaves a box, within some roundings; None where it passes by or lies behind."""
+    enter, leave = -math.inf, math.inf
+    for a, way, start, end in zip(o.tolist(), d.tolist(), low.tolist(), high.tolist(), strict=True):
+        if way == 0.0:
+            if not start <= a <= end:
+                return None
+            continue
+        ends = sorted(((start - a) / way, (end - a) / way))
+        enter, leave = max(enter, ends[0]), min(leave, ends[1])
+    return (enter, leave) if enter <= leave and leave >= 0.0 else None
+
+
+# One pixel under the lens: its ray, what it meets, and what it would meet of every shape alone.
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """The first hit of a ray with one shape, as if that stood alone."""
+
+    t: float
+    shape_id: int
+    prim_id: int
+
+
+@dataclass(frozen=True)
+class Probe:
+    """The ray through a pixel's centre and what it meets. t counts in lengths of d, which is 1."""
+
+    scene: Scene
+    x: int
+    y: int
+    o: np.ndarray  # (3,) float64
+    d: np.ndarray  # (3,) float64
+    t_min: float
+    t_max: float  # < 0: the camera has no ray here
+    hit: Candidate | None
+    surface: dict[str, np.ndarray]  # p, n, sh_n (3,) and uv (2,); empty on a miss
+    candidates: tuple[Candidate, ...]  # one for each shape that is hit, nearest first
+    prims: int  # how many primitives were tried
+    packed: Packed
+    rays: Rays
+
+    @property
+    def missed(self) -> int:
+        """How many shapes the ray does not meet."""
+        return len(self.scene.shapes) - len(self.candidates)
+
+    @cached_property
+    def tried(self) -> tuple[PrimitiveResult, ...]:
+        """Each primitive alone, hits by t and then misses by how nearly; of many, the near ones."""
+        return intersect_each_primitive(self.packed, self.rays)
+
+    @cached_property
+    def pixel(self) -> float | None:
+        """How wide a pixel is at the hit, scene units; None on a miss, or on a film of one pixel."""
+        return pixel_size(self.scene, self.x, self.y, self.hit.t) if self.hit else None
+
+
+def probe(scene: Scene, x: int, y: int) -> Probe:
+    """Cast the ray of one pixel, once as `render` does and once against each shape with no culling.
+
+    Raises SceneError for a pixel outside the film.
+    """
+    film = scene.film
+    if not (0 <= x < film.width and 0 <= y < film.height):
+        inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
+        raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
+    view = trace_film(scene.with_film(crop=(x, y, x + 1, y + 1)), threads=1)
+    rays, nearest = view.rays, view.nearest
+    hit = Candidate(float(nearest.t[0]), int(view.shape_id[0]), int(view.prim_id[0])) if view.hit[0] else None
+    surface = {name: rows[0] for name, rows in view.surfaces._asdict().items()} if hit else {}
+    candidates = tuple(sorted(_each_alone(view.packed, rays), key=lambda c: (c.t, c.shape_id)))
+    ends = float(rays.t_min[0]), float(rays.t_max[0])
+    prims = int(view.packed.first[-1])
+    o, d = rays.o[0], rays.d[0]
+    return Probe(scene, x, y, o, d, *ends, hit, surface, candidates, prims, view.packed, rays)
+
+
+def pixel_size(scene: Scene, x: int, y: int, t: float) -> float | None:
+    """How far apart the rays of this pixel and of one beside it are at t; None where none is beside it."""
+    film = scene.film
+    ends = (x, x + 1) if x + 1 < film.width else (x - 1, x)
+    if ends[0] < 0:
+        return None
+    rays = camera_rays(scene.with_film(crop=(ends[0], y, ends[1] + 1, y + 1)))
+    if (rays.t_max < 0.0).any():
+        return None
+    return float(np.linalg.norm((rays.o[1] + t * rays.d[1]) - (rays.o[0] + t * rays.d[0])))
+
+
+def _each_alone(packed: Packed, rays: Rays) -> Iterator[Candidate]:
+    for shape_id, part in enumerate(packed.parts):
+        nearest = find_nearest(_only(part, packed, shape_id), rays, "everything", threads=1)
+        if nearest.prim[0] >= 0:
+            yield Candidate(float(nearest.t[0]), shape_id, int(nearest.prim[0]))
+
+
+def _only(part: Any, packed: Packed, shape_id: int) -> Packed:
+    """A scene of one shape, its primitives numbered from 0."""
+    count = int(packed.first[shape_id + 1] - packed.first[shape_id])
+    zero = np.zeros(1, np.int64)
+    kind = Kind(part, np.arange(count, dtype=np.int32))
+    return Packed((kind,), (part,), np.array([0, count], np.int64), zero, zero)

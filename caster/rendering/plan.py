@@ -1,0 +1,89 @@
+"""What a scene and the AOVs asked for need: what runs, what is skipped, and why."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from caster.jit.decorators import implements
+from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere
+from caster.rendering.casting import Culling
+from caster.scene.files import Scene
+
+SURFACE_AOVS = ("position", "shading_normal", "uv")
+
+
+class Step(NamedTuple):
+    """Whether something is done, and why so."""
+
+    runs: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a film is rendered."""
+
+    culling: Culling
+    reason: str  # for the culling
+    surfaces: tuple[str, ...]  # what is worked out of each hit's surface: some of position, normals, uv
+    surfaces_reason: str
+    shading: Step  # light that comes from somewhere
+    shadows: Step
+    trees: Step
+
+
+def plan(scene: Scene, aovs: Sequence[str], culling: Culling | None = None) -> Plan:
+    """For rendering these AOVs; culling: one that was asked for."""
+    chosen, reason = culling_for(scene.camera.pack(scene.film.width, scene.film.height))
+    if culling is not None:
+        chosen, reason = culling, "it was asked for"
+    shading = _shading(scene, aovs)
+    shadows = _shadows(scene, shading)
+    return Plan(chosen, reason, *_surfaces(aovs, shading), shading, shadows, _trees(chosen, shadows))
+
+
+def culling_for(camera: Any) -> tuple[Culling, str]:
+    """(culling, reason) for a packed camera's own rays."""
+    if implements(project, type(camera)) and not implements(distortion_bound, type(camera)):
+        return (
+            "screen",
+            "the camera keeps straight lines straight, so each primitive stays in its picture's box",
+        )
+    if implements(project_bounding_sphere, type(camera)):
+        return "screen", "each primitive stays in the picture of a ball around it"
+    return "bvh", "the camera has no picture of a primitive, so rays go through a tree of boxes"
+
+
+def _shading(scene: Scene, aovs: Sequence[str]) -> Step:
+    lights = sum(light.type != "ambient" for light in scene.lights)
+    if "diffuse" not in aovs:
+        return Step(False, "diffuse was not asked for")
+    if not lights:
+        return Step(False, "no light of the scene comes from anywhere")
+    return Step(True, f"diffuse was asked for, and {lights} lights come from somewhere")
+
+
+def _shadows(scene: Scene, shading: Step) -> Step:
+    if not shading.runs:
+        return Step(False, shading.reason)
+    if not scene.shading.shadows:
+        return Step(False, "the scene switches shadows off")
+    return Step(True, "from each hit to the lights it faces, until anything is in the way")
+
+
+def _surfaces(aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]:
+    wanting = [name for name in SURFACE_AOVS if name in aovs]
+    if wanting or shading.runs:
+        why = ", ".join([*wanting, *(["diffuse"] if shading.runs else [])])
+        return (("position", "normals", "uv") if "uv" in aovs else ("position", "normals")), f"for {why}"
+    if "normal" in aovs:
+        return ("normals",), "for normal"
+    return (), "no AOV asked for needs them"
+
+
+def _trees(culling: Culling, shadows: Step) -> Step:
+    if culling == "bvh":
+        return Step(True, "camera rays go through them")
+    if shadows.runs:
+        return Step(True, "shadow rays go through them")
+    return Step(False, "no ray needs one")

@@ -1,0 +1,77 @@
+"""Work in pieces, on as many threads as there are cores: kernels release the GIL."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cache
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+
+CHUNKS_PER_THREAD = 4  # small enough that a thread with an empty sky takes over work from one with a mesh
+
+Piece = TypeVar("Piece")
+
+
+def thread_count(asked: int | None = None) -> int:
+    """As many as asked for, else as many as this process may use."""
+    if asked:
+        return asked
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def parallel_for(
+    work: Callable[[int, int], None], count: int, threads: int | None = None, *, least: int = 1
+) -> None:
+    """Call work(start, stop) over 0..count in pieces, of no fewer than `least` for a second thread to begin."""
+    workers = max(1, min(thread_count(threads), count // max(least, 1)))
+    edges = np.linspace(0, count, min(count, workers * CHUNKS_PER_THREAD) + 1).astype(int).tolist()
+    parallel_for_pieces(lambda: lambda band: work(*band), list(pairwise(edges)), workers)
+
+
+def parallel_for_pieces(
+    begin: Callable[[], Callable[[Piece], None]],
+    pieces: Sequence[Piece],
+    workers: int,
+    done: Callable[[Piece], None] | None = None,
+) -> None:
+    """Have the pieces worked off by so many threads, this one among them; `begin` gives each its function for them.
+
+    done: called by the thread that worked off a piece, after it. After an error or an interruption, what has not begun
+    is not begun; the first error is raised.
+    """
+    left = iter(pieces)  # one step of a list's iterator at a time: no two threads get the same
+
+    def go() -> None:
+        try:
+            work = begin()
+            for piece in left:  # a signal is heard between two pieces
+                work(piece)
+                if done is not None:
+                    done(piece)
+        except BaseException:
+            for _ in left:
+                pass
+            raise
+
+    others = [_pool(workers - 1).submit(go) for _ in range(min(workers, len(pieces)) - 1)]
+    try:
+        go()
+    finally:
+        # Where this thread did all of the work, threads that are busy elsewhere need not begin. It waits for the rest,
+        # whose arrays are the caller's.
+        begun = [other for other in others if not other.cancel()]
+        wait(begun)
+    for other in begun:
+        other.result()
+
+
+@cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    """Threads that stay: to begin them takes as long as a small film."""
+    return ThreadPoolExecutor(workers, thread_name_prefix="caster")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a child has none of them

@@ -1,0 +1,119 @@
+"""Compile ahead what `caster render` may need: small films of every kind of primitive, through every camera."""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+
+from caster.aovs import AOVS
+from caster.cameras import CAMERAS
+from caster.geometry.mesh_files.obj import parse_obj
+from caster.geometry.mesh_files.ply import parse_ply
+from caster.geometry.packing import Packed, pack
+from caster.jit.decorators import COMPILATION_LOG
+from caster.kernels.bvh.build import LEAF_SIZE
+from caster.kernels.nearest import Rays, exact_hit, precedes
+from caster.rendering.casting import Culling, exact_nearest
+from caster.rendering.images import DEFAULT_AOVS, render_film
+from caster.rendering.plan import culling_for
+from caster.scene.files import Scene
+from caster.scene.lights import Directional, Point
+from caster.shapes import SHAPES
+
+# Each alone, the ones that come unasked, and all at once: what else is asked for shares most kernels with these.
+WARM_UP_AOV_SETS: tuple[tuple[str, ...], ...] = (
+    *((aov.NAME,) for aov in AOVS),
+    ("depth", "normal"),
+    DEFAULT_AOVS,
+    tuple(aov.NAME for aov in AOVS),
+)
+
+# Files of one triangle.
+OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+PLY = (
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+)
+
+WARM_UP_FILM_SIDE = 4  # pixels; kernels do not depend on it
+
+
+class WarmUpCounts(NamedTuple):
+    """How many kernels there were to compile, and how many were found in the cache."""
+
+    compiled: int
+    loaded: int
+
+
+def warm_up(scenes: Iterable[tuple[str, Scene]], tell: Callable[[str], None]) -> WarmUpCounts:
+    """Have all kernels that the scenes may need. tell: called with the name of a scene that is begun."""
+    before = WarmUpCounts(len(COMPILATION_LOG.compiled), len(COMPILATION_LOG.loaded))
+    tell("mesh files")
+    parse_obj(OBJ, "OBJ")
+    parse_ply(PLY, "PLY")
+    for name, scene in scenes:
+        tell(name)
+        _warm_one(scene)
+    return WarmUpCounts(
+        len(COMPILATION_LOG.compiled) - before.compiled, len(COMPILATION_LOG.loaded) - before.loaded
+    )
+
+
+def _warm_one(scene: Scene) -> None:
+    small = scene.with_film(width=WARM_UP_FILM_SIDE, height=WARM_UP_FILM_SIDE, crop=None)
+    planned = culling_for(small.camera.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))[0]
+    for culling in get_args(Culling):
+        if culling != "screen" or planned == "screen":
+            for aovs in WARM_UP_AOV_SETS:
+                render_film(small, aovs, threads=1, culling=culling)
+    _warm_decisions(pack(small))
+
+
+def _warm_decisions(packed: Packed) -> None:
+    """What rays need whose first hit float64 cannot tell."""
+    rays = Rays(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), np.full(1, np.inf))
+    for trees in (True, False):
+        exact_nearest(packed, rays, 1, trees=trees)
+    for kind in packed.kinds:
+        hit = exact_hit(kind.prims, 0, rays, 0)
+        precedes(hit, 0, hit, 1)
+
+
+# What a description needs to be one.
+MINIMAL_FIELDS: dict[str, dict[str, Any]] = {
+    "plane": {"offset": 0.0},
+    "triangle": {"vertices": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))},
+    "ray": {"origin": (0.0, 0.0, 9.0), "direction": (0.0, 0.0, -1.0)},
+}
+FILE_SHAPES = "mesh"  # triangles, as others are
+STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes
+WHITE = (1.0, 1.0, 1.0)
+LAMPS = (
+    Point(position=(0.0, 0.0, 9.0), intensity=WHITE),
+    Directional(direction=(0.0, 0.0, -1.0), irradiance=WHITE),
+)
+VIEW = {"eye": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0), "up": (0.0, 1.0, 0.0)}
+
+
+def warm_up_scenes() -> Iterator[tuple[str, Scene]]:
+    """All kinds of primitives together, seen by each camera; and each alone, where such films are painted at once."""
+    shapes = _shapes()
+    for camera in CAMERAS:
+        kind = camera.model_fields["type"].default
+        looking = camera(**MINIMAL_FIELDS.get(kind, VIEW))
+        yield kind, Scene(camera=looking, shapes=shapes, lights=LAMPS)
+        if culling_for(looking.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))[0] == "screen":
+            alone = {type(pack(Scene(camera=looking, shapes=[shape])).parts[0]): shape for shape in shapes}
+            for prims, shape in alone.items():
+                yield f"{kind}, {prims.__name__.lower()}", Scene(camera=looking, shapes=[shape])
+
+
+def _shapes() -> list[Any]:
+    """Each registered shape, as it is and stretched, often enough that its kind gets a tree."""
+    found: list[Any] = []
+    for shape in SHAPES:
+        kind = shape.model_fields["type"].default
+        if kind != FILE_SHAPES:
+            for placed in ({}, {"to_world": [STRETCHED]}):
+                found += [shape(**MINIMAL_FIELDS.get(kind, {}), **placed)] * (LEAF_SIZE + 1)
+    return found

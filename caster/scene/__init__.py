@@ -1,0 +1,1 @@
+"""Scenes: description, files, diagnostics and export."""

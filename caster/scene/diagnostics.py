@@ -1,0 +1,193 @@
+"""What is wrong with a scene: where in its data, and a sentence for the user."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from caster.scene.errors import listed, show, suggestion
+
+DataPath = tuple[str | int, ...]
+Model = type[BaseModel]
+
+PLURAL = {"shape": "shapes", "light": "lights", "material": "materials", "check": "checks"}
+SINGULAR = {many: one for one, many in PLURAL.items()}
+
+
+class Diagnostic(NamedTuple):
+    """A sentence, and the path through the data, as it was written, to the value it is about."""
+
+    path: DataPath
+    text: str
+
+
+def value_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
+    """'shapes[3] (disk "lid"): radius must be ...': the text goes on after the name of the value."""
+    return Diagnostic(path, _message(path, text, data, model))
+
+
+def table_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
+    """'shapes[3] (disk "lid"): needs ...': about the table that the last step of the path is a key of."""
+    return Diagnostic(path, _message(path[:-1], text, data, model))
+
+
+def format_path(path: DataPath) -> str:
+    """to_world[1].rotate.axis"""
+    steps = (f"[{step}]" if isinstance(step, int) else f".{_bare(step)}" for step in path)
+    return "".join(steps).removeprefix(".")
+
+
+def _bare(key: str) -> str:
+    return key if key.replace("-", "_").isidentifier() else show(key)
+
+
+def child_of(value: Any, step: str | int) -> Any:
+    """The value one step down in data or in a description, None where there is none."""
+    if isinstance(value, Mapping):
+        return value.get(step)
+    if isinstance(step, int):
+        return value[step] if isinstance(value, (list, tuple)) and step < len(value) else None
+    return getattr(value, step, None) if isinstance(value, BaseModel) else None
+
+
+def _message(path: DataPath, text: str, data: Any, model: Model) -> str:
+    depth = getattr(model, "ELEMENTS", {}).get(path[0], 0) if path else 0
+    depth = depth if depth <= len(path) else 0
+    name = format_path(path[depth:])
+    return f"{_subject(path[:depth], data, model)}: {name}{' ' if name else ''}{text}"
+
+
+def _subject(path: DataPath, data: Any, model: Model) -> str:
+    """The element a message is about: shapes[3] (disk "lid")."""
+    item = data
+    for step in path:
+        item = child_of(item, step)
+    kind, name = child_of(item, "type"), child_of(item, "name")
+    label = f" {show(name)}" if isinstance(name, str) and name else ""
+    if not path:
+        return model.__name__.lower() + label
+    where = format_path((PLURAL.get(str(path[0]), path[0]), *path[1:]))
+    details = f"{_bare(kind) if isinstance(kind, str) else ''}{label}".strip()
+    return f"{where} ({details})" if details else where
+
+
+# From Pydantic's findings to problems in the words of the field.
+
+
+CROSS_ELEMENT_ERROR = "across"  # the finding of a check of how elements fit together
+
+
+def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diagnostic]:
+    """Every finding as a sentence, and how the elements of the data do not fit together."""
+    found: dict[Any, Diagnostic] = {}
+    for finding in error.errors(include_url=False):
+        if (
+            finding["type"] != CROSS_ELEMENT_ERROR
+        ):  # those are found again below, in the data as it was written
+            problem = _diagnostic(finding, _locate(finding["loc"], data, model), data, model)
+            found[problem.path, finding["type"]] = problem  # a list too short by two is found twice
+    return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]
+
+
+class _Location(NamedTuple):
+    path: DataPath
+    around: tuple[Model, ...]  # the descriptions that the last step leads out of
+    models: tuple[Model, ...]  # the descriptions that may stand at the end
+
+
+def _locate(loc: DataPath, data: Any, model: Model) -> _Location:
+    """Follow Pydantic's location through the data. It also holds the `type` of each description it passes."""
+    path: DataPath = ()
+    around: tuple[Model, ...] = (model,)
+    models, here = around, data
+    for step in loc:
+        if isinstance(step, str) and len(models) > 1:
+            models = tuple(m for m in models if m.model_fields["type"].default == step)
+        elif isinstance(step, int) and isinstance(here, Mapping):
+            continue  # a single table where a list of them may stand
+        elif isinstance(here, (Mapping, list, tuple, BaseModel)):
+            path, here = (*path, step), child_of(here, step)
+            around, models = models, _below(models, step)
+        else:  # a number that stands for three: the rest is not in the file
+            break
+    return _Location(path, around, models)
+
+
+def _below(models: tuple[Model, ...], step: str | int) -> tuple[Model, ...]:
+    fields = (field for m in models for name, field in m.model_fields.items() if step in (name, field.alias))
+    annotations = [field.annotation for field in fields]
+    if not annotations:
+        return models  # an index, or a name the user gave
+    return tuple(found for annotation in annotations for found in _models_in(annotation))
+
+
+def _models_in(annotation: Any) -> tuple[Model, ...]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return (annotation,)
+    return tuple(found for part in get_args(annotation) for found in _models_in(part))
+
+
+def _diagnostic(finding: Any, place: _Location, data: Any, model: Model) -> Diagnostic:
+    path, around, models = place
+    kind, got = finding["type"], finding["input"]
+    if kind == "missing" and isinstance(path[-1], int):
+        text = f"must be {path[-1] + 1} items, got {len(got)}: {show(got)}"
+        return value_diagnostic(path[:-1], text, data, model)
+    if kind == "missing":
+        return table_diagnostic(path, f"needs the key '{path[-1]}'", data, model)
+    if kind == "extra_forbidden":
+        return value_diagnostic(path, _unknown_key(str(path[-1]), around), data, model)
+    if kind.startswith("union_tag"):
+        noun = SINGULAR.get(str(path[0]), str(path[0]))
+        return table_diagnostic((*path, "type"), _unknown_type(got, noun, models), data, model)
+    return value_diagnostic(path, _text(kind, got, finding.get("ctx", {})), data, model)
+
+
+def _unknown_key(key: str, around: Sequence[Model]) -> str:
+    known = [field.alias or name for model in around for name, field in model.model_fields.items()]
+    if SINGULAR.get(key) in known:  # both spellings are understood, but not at once
+        return f"is a second '{SINGULAR[key]}': write one of them only"
+    return f"is an unknown key{suggestion(key, known)}"
+
+
+def _unknown_type(got: Any, noun: str, models: Sequence[Model]) -> str:
+    known = [model.model_fields["type"].default for model in models]
+    kind = child_of(got, "type")
+    if kind is None:
+        return f"needs the key 'type': {listed(known)}"
+    return f"unknown {noun} type {show(kind)}{suggestion(str(kind), known)} (known: {', '.join(known)})"
+
+
+def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:
+    """What goes on after the name of the value."""
+    if kind == "field":
+        return str(ctx["text"])
+    if kind == "value_error":  # raised by a check of the whole description
+        return str(ctx["error"])
+    if kind == "too_long":
+        return f"must be {ctx['max_length']} items, got {ctx['actual_length']}: {show(got)}"
+    if kind == "literal_error":
+        words = str(ctx["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
+        return f"must be {listed(show(word) for word in words)}, got {show(got)}{suggestion(str(got), words)}"
+    if kind in LIMIT_SIGNS:
+        sign, key = LIMIT_SIGNS[kind]
+        return f"must be {sign} {show(ctx[key])}, got {show(got)}"
+    return f"must be {EXPECTED_TYPES.get(kind, 'something else')}, got {show(got)}"
+
+
+LIMIT_SIGNS = {
+    "greater_than": (">", "gt"),
+    "greater_than_equal": (">=", "ge"),
+    "less_than": ("<", "lt"),
+    "less_than_equal": ("<=", "le"),
+}
+EXPECTED_TYPES = {
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a string",
+    "string_unicode": "a string of Unicode characters",
+    "tuple_type": "a list",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+}

@@ -1,0 +1,110 @@
+"""Writes tables as TOML, one key a line."""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from caster.scene.errors import FileMissing
+
+BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def format_toml(data: Mapping[str, Any], order: Iterable[str]) -> str:
+    """TOML of the tables named in `order`; floats are written so that they read back to the bit."""
+    return "\n".join(line for name in order if name in data for line in _tables(name, data[name]))
+
+
+def _tables(name: str, value: Any) -> Iterator[str]:
+    if not isinstance(value, Mapping):
+        for part in value:
+            yield from _section(f"[[{name}]]", part)
+    elif value and all(isinstance(part, Mapping) for part in value.values()):
+        for key, part in value.items():
+            yield from _section(f"[{name}.{_key(key)}]", part)
+    else:
+        yield from _section(f"[{name}]", value)
+
+
+def _section(header: str, values: Mapping[str, Any]) -> Iterator[str]:
+    yield header
+    type_first = sorted(values.items(), key=lambda pair: pair[0] != "type")
+    yield from (f"{_key(key)} = {_value(value)}" for key, value in type_first)
+    yield ""
+
+
+def _key(key: str) -> str:
+    return key if BARE_KEY.fullmatch(key) else _string(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _string(value)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(key)} = {_value(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    return repr(value)  # of a float: the shortest digits that read back as this very one
+
+
+def _string(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+# A scene as data and as text: JSON for machines and fingerprints, TOML for people.
+
+
+SECTION_ORDER = ("film", "camera", "shading", "light", "material", "shape", "check")
+
+
+def canonical_json(scene: BaseModel, folder: Path | None) -> str:
+    """All of the scene, keys sorted, on one line. Files in `folder` are named relative to it."""
+    return _sorted_json(_named_from(folder, scene.model_dump(by_alias=True, exclude_none=True)))
+
+
+def fingerprint(scene: BaseModel) -> str:
+    """SHA-256 of the canonical JSON, with each mesh file replaced by the SHA-256 of its bytes."""
+    data = scene.model_dump(by_alias=True, exclude_none=True)
+    for shape in data["shape"]:
+        if "file" in shape:
+            shape["file"] = _sha256_of(shape["file"])
+    return hashlib.sha256(_sorted_json(data).encode()).hexdigest()
+
+
+def to_toml(scene: BaseModel, folder: Path | None) -> str:
+    """The scene as TOML, without what is default anyway. Files in `folder` are named relative to it."""
+    data = scene.model_dump(by_alias=True, exclude_none=True)
+    brief = scene.model_dump(by_alias=True, exclude_none=True, exclude_defaults=True)
+    for key in {"camera", "light", "shape"} & brief.keys():
+        for element, short in zip(_listed(data[key]), _listed(brief[key]), strict=True):
+            short["type"] = element["type"]
+    return format_toml(_named_from(folder, brief), SECTION_ORDER)
+
+
+def _listed(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, (list, tuple)) else [value]
+
+
+def _named_from(folder: Path | None, data: dict[str, Any]) -> dict[str, Any]:
+    for shape in data.get("shape", ()):
+        if folder is not None and "file" in shape and Path(shape["file"]).is_relative_to(folder):
+            shape["file"] = Path(shape["file"]).relative_to(folder).as_posix()
+    return data
+
+
+def _sorted_json(data: Any) -> str:
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _sha256_of(file: str) -> str:
+    try:
+        with open(file, "rb") as stream:
+            return "sha256:" + hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise FileMissing(f"{file}: cannot read this mesh file: {error.strerror or error}") from error

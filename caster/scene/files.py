@@ -1,0 +1,140 @@
+"""Which mesh files a scene may read, and reading them."""
+
+import os
+from collections.abc import Iterable
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from caster.scene.diagnostics import Diagnostic, Model, child_of, diagnostics_of, value_diagnostic
+from caster.scene.errors import FileMissing, SceneError, show
+from caster.scene.model import Check, Film, Scene, Shading
+from caster.scene.text import SceneFormat, format_diagnostics, parse, read_text
+from caster.shapes import SHAPES
+
+FILE_SHAPES: dict[str, Any] = {
+    cls.model_fields["type"].default: cls for cls in SHAPES if hasattr(cls, "load")
+}
+
+
+class MeshFolders(NamedTuple):
+    """The folder of the scene, and further folders whose meshes it may use."""
+
+    folder: Path
+    mesh_dirs: tuple[Path, ...]
+
+    def resolve(self, file: str) -> Path | None:
+        """Where the file is, or None if that is out of reach. Links are followed before it is decided."""
+        path = (self.folder / file).resolve()
+        allowed = (self.folder, *self.mesh_dirs)
+        return path if any(path.is_relative_to(folder.resolve()) for folder in allowed) else None
+
+    def refusal(self, file: str) -> str:
+        """What to tell about a file out of reach."""
+        mesh_dir = os.path.dirname(os.path.normpath(self.folder / file)) or "."
+        allowed = "in the scene's folder, below it, or below a folder given by --mesh-dir"
+        return f"must lie {allowed}, got {show(file)}: add --mesh-dir {mesh_dir}"
+
+
+def resolve_mesh_files(
+    data: Any, reach: MeshFolders, model: Model
+) -> tuple[Any, list[Diagnostic], list[Diagnostic]]:
+    """Data with absolute mesh paths, (1) problems with meshes and (2) meshes that are missing.
+
+    Each mesh is read here; its shape keeps what was read, so it is not parsed twice.
+    """
+    problems: list[Diagnostic] = []
+    missing: list[Diagnostic] = []
+    for key in ("shape", "shapes"):
+        shapes = child_of(data, key)
+        if isinstance(shapes, list):
+            found = [
+                _resolve_mesh_file(shape, (key, i, "file"), data, reach, model)
+                for i, shape in enumerate(shapes)
+            ]
+            data = data | {key: [shape for shape, _, _ in found]}
+            for _, problem, absent in found:
+                (missing if absent else problems).extend(problem)
+    return data, problems, missing
+
+
+def _resolve_mesh_file(
+    shape: Any, path: Any, data: Any, reach: MeshFolders, model: Model
+) -> tuple[Any, list[Diagnostic], bool]:
+    file, kind = child_of(shape, "file"), child_of(shape, "type")
+    if not isinstance(file, str) or not isinstance(kind, str) or kind not in FILE_SHAPES:
+        return shape, [], False
+    where: Path | None = None
+    try:
+        where = reach.resolve(file)
+        if where is None:
+            return shape, [value_diagnostic(path, reach.refusal(file), data, model)], False
+        FILE_SHAPES[kind].model_construct(file=str(where)).load()
+    except (SceneError, ValueError, OSError) as error:
+        text = str(error).removeprefix(f"{where}: ").replace(str(where), file)
+        return (
+            shape,
+            [value_diagnostic(path, f"cannot be used: {text}", data, model)],
+            isinstance(error, FileMissing),
+        )
+    return shape | {"file": str(where)}, [], False
+
+
+# Scene files: text -> Scene, or every error with its line.
+
+
+SCENE_FORMATS: dict[str, SceneFormat] = {".toml": "toml", ".json": "json"}
+
+
+def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str]] = ()) -> Scene:
+    """Read a scene file, .toml or .json, and the meshes it names.
+
+    Meshes are found relative to the scene file, in its folder, below it, or below one of mesh_dirs.
+    Raises FileMissing for a file that cannot be read, SceneError with every error and its line for the rest.
+    """
+    where = os.fspath(path)
+    kind = SCENE_FORMATS.get(Path(where).suffix.lower())
+    if kind is None:
+        raise SceneError(
+            f"{where}: unknown scene format: expected a file ending in {' or '.join(SCENE_FORMATS)}"
+        )
+    return scene_from_text(read_text(where), kind, where, folder=Path(where).parent, mesh_dirs=mesh_dirs)
+
+
+def scene_from_text(
+    text: str,
+    kind: SceneFormat = "toml",
+    origin: str = "<string>",
+    *,
+    folder: str | PathLike[str] = ".",
+    mesh_dirs: Iterable[str | PathLike[str]] = (),
+) -> Scene:
+    """A scene from the text of a scene file. origin: what errors call it; folder: where its meshes are."""
+    data, problems = parse(text, kind, origin)
+    reach = MeshFolders(Path(folder), tuple(Path(mesh_dir) for mesh_dir in mesh_dirs))
+    data, unusable, missing = resolve_mesh_files(data, reach, Scene)
+    problems += unusable
+    try:
+        scene = Scene.model_validate(data)
+    except ValidationError as error:
+        problems += diagnostics_of(error, data, Scene)
+    if problems or missing:
+        kind_of_error = SceneError if problems else FileMissing
+        raise kind_of_error(format_diagnostics([*problems, *missing], text, kind, origin))
+    scene._folder = reach.folder.resolve()
+    return scene
+
+
+# Scenes: their model, their files, and the JSON Schema of those.
+
+
+__all__ = ["Check", "Film", "Scene", "Shading", "load_scene", "scene_from_text", "scene_schema"]
+
+
+def scene_schema() -> dict[str, Any]:
+    """The JSON Schema (2020-12) of scene files, for editors. It knows keys, types and ranges."""
+    schema = Scene.model_json_schema(by_alias=True)
+    schema["properties"]["$schema"] = {"type": "string"}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -1,0 +1,255 @@
+"""What a scene holds apart from its geometry: the film, how to shade, and how closely to check."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias, Union
+
+from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from caster.cameras import CAMERAS
+from caster.scene.description import Description, PositiveNumber, row
+from caster.scene.diagnostics import (
+    CROSS_ELEMENT_ERROR,
+    PLURAL,
+    SINGULAR,
+    DataPath,
+    Diagnostic,
+    child_of,
+    value_diagnostic,
+)
+from caster.scene.errors import complain, show, suggestion
+from caster.scene.export import canonical_json, fingerprint, to_toml
+from caster.scene.fields import Camera, Name, Shape
+from caster.scene.lights import LIGHTS, Light
+from caster.scene.materials import DEFAULT, Diffuse
+from caster.shapes import SHAPES
+
+MAX_FILM_SIDE = 65536  # pixels; one float32 channel of such a square takes 16 GiB
+
+
+Pixels = Annotated[int, Field(ge=1, le=MAX_FILM_SIDE)]
+Index = Annotated[int, Field(ge=0)]
+_corners = row(4, "4 pixel indices [x0, y0, x1, y1]")
+Window = Annotated[tuple[Index, Index, Index, Index], BeforeValidator(_corners)]
+
+
+class Film(Description):
+    """The picture in pixels. `crop` = [x0, y0, x1, y1] is the part to render; x1, y1 are just outside."""
+
+    width: Pixels = 256
+    height: Pixels = 256
+    crop: Window | None = None
+
+    @field_validator("crop")
+    @classmethod
+    def _is_inside(cls, crop: Any, info: Any) -> Any:
+        if crop is None:
+            return crop
+        x0, y0, x1, y1 = crop
+        if not (x0 < x1 and y0 < y1):
+            raise complain(f"must hold at least one pixel, x0 < x1 and y0 < y1, got {show(crop)}")
+        width, height = info.data.get("width", x1), info.data.get("height", y1)
+        if x1 > width or y1 > height:
+            raise complain(f"must lie inside the film, x1 <= {width} and y1 <= {height}, got {show(crop)}")
+        return crop
+
+    @property
+    def window(self) -> tuple[int, int, int, int]:
+        """The part to render, x0, y0, x1, y1: the crop, or all of the film."""
+        return self.crop or (0, 0, self.width, self.height)
+
+    def resized(self, width: int, height: int) -> Self:
+        """The same picture in other pixels; the crop goes along, outwards to whole pixels."""
+        crop = self.crop and (
+            self.crop[0] * width // self.width,
+            self.crop[1] * height // self.height,
+            -(-self.crop[2] * width // self.width),
+            -(-self.crop[3] * height // self.height),
+        )
+        return type(self)(width=width, height=height, crop=crop)
+
+    def cropped(self, crop: Sequence[int]) -> Self:
+        """The same film with this part of it to render."""
+        return type(self)(width=self.width, height=self.height, crop=tuple(crop))
+
+
+class Shading(Description):
+    """How `diffuse` is computed."""
+
+    shadows: bool = True
+
+
+class Check(Description):
+    """How much of the derived bound a comparison may use: 1 is all of it and no more."""
+
+    ratio: PositiveNumber = 1.0
+
+
+# How the elements of a scene fit together, also while some of them are wrong in themselves.
+
+
+Findings = Iterator[tuple[DataPath, str]]  # a path, and what to say after its name
+
+
+def cross_element_errors(data: Any) -> Findings:
+    """Unknown materials, names given twice, checks of no AOV; in a Scene or in what is to become one."""
+    yield from _unknown_materials(data)
+    yield from _repeated_names(data)
+    yield from _unknown_checks(data)
+
+
+def _elements(data: Any, key: str) -> tuple[str, Any]:
+    """(how the data spells the key, what it holds)"""
+    spelled = key if child_of(data, key) is not None else PLURAL[key]
+    return spelled, child_of(data, spelled)
+
+
+def _texts(data: Any, key: str) -> Iterator[tuple[DataPath, str]]:
+    """(path, text) of a key of each shape; "" where it is no text."""
+    spelled, shapes = _elements(data, "shape")
+    for i, shape in enumerate(shapes if isinstance(shapes, (list, tuple)) else ()):
+        value = child_of(shape, key)
+        yield (spelled, i, key), value if isinstance(value, str) else ""
+
+
+def _unknown_materials(data: Any) -> Findings:
+    table = _elements(data, "material")[1]
+    known = [str(name) for name in table] if isinstance(table, Mapping) else []
+    for path, material in _texts(data, "material"):
+        if material and material not in known:
+            outward_normal = suggestion(material, known) or f"; add a table [material.{material}]"
+            yield path, f"must be one of the materials of this scene, got {show(material)}{outward_normal}"
+
+
+def _repeated_names(data: Any) -> Findings:
+    first: dict[str, int] = {}
+    for i, (path, own) in enumerate(_texts(data, "name")):
+        name = own or f"shape-{i}"
+        if name in first:
+            yield path, f"must be another than that of shapes[{first[name]}], got {show(name)} again"
+        first.setdefault(name, i)
+
+
+def _unknown_checks(data: Any) -> Findings:
+    spelled, checks = _elements(data, "check")
+    if not isinstance(checks, Mapping) or not checks:
+        return
+    from caster.aovs import BY_NAME  # which imports the scene
+
+    for name in map(str, checks):
+        if name not in BY_NAME:
+            yield (spelled, name), f"unknown AOV{suggestion(name, BY_NAME)} (known: {', '.join(BY_NAME)})"
+
+
+# The scene: what its author wrote, checked as a whole.
+
+
+def one_of(registry: Sequence[type[Description]]) -> Any:
+    """The type of a field that holds one of these descriptions, told apart by `type`."""
+    return Annotated[Union[tuple(registry)], Field(discriminator="type")]  # noqa: UP007 - a tuple has no |
+
+
+if TYPE_CHECKING:
+    AnyShape: TypeAlias = Shape
+    AnyCamera: TypeAlias = Camera
+    AnyLight: TypeAlias = Light
+else:
+    AnyShape, AnyCamera, AnyLight = one_of(SHAPES), one_of(CAMERAS), one_of(LIGHTS)
+
+
+class Scene(Description):
+    """A film, a camera, lights, and shapes with their materials.
+
+    Scene files say `light`, `material`, `shape` and `check`; Python may also say `lights`, `materials`,
+    `shapes` and `checks`. Raises SceneError with all that is wrong.
+    """
+
+    ELEMENTS: ClassVar[Mapping[str, int]] = {
+        **dict.fromkeys(("film", "camera", "shading"), 1),
+        **dict.fromkeys((*PLURAL, *SINGULAR), 2),
+    }
+
+    film: Film = Film()
+    camera: AnyCamera
+    lights: tuple[AnyLight, ...] = Field(default=(), alias="light")
+    materials: dict[Name, Diffuse] = Field(default={}, alias="material")
+    shapes: tuple[AnyShape, ...] = Field(default=(), alias="shape")
+    shading: Shading = Shading()
+    checks: dict[str, Check] = Field(default={}, alias="check")
+
+    _folder: Path | None = PrivateAttr(None)
+    _kept: dict[str, Any] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        found = self.problems_across(self)
+        if found:
+            text = "\n".join(problem.text for problem in found)
+            raise PydanticCustomError(CROSS_ELEMENT_ERROR, "{text}", {"text": text})
+        return self
+
+    @classmethod
+    def problems_across(cls, data: Any) -> list[Diagnostic]:
+        """How the elements do not fit together, in a Scene or in what one is to be made of."""
+        return [value_diagnostic(path, text, data, cls) for path, text in cross_element_errors(data)]
+
+    @property
+    def kept(self) -> dict[str, Any]:
+        """A place for what has been computed from this scene; it is not part of the scene."""
+        return self._kept
+
+    def material_of(self, shape: Shape) -> Diffuse:
+        """The material of one of the shapes."""
+        return self.materials[shape.material] if shape.material else DEFAULT
+
+    def shape_names(self) -> list[str]:
+        """One name per shape: its own, or shape-<index>."""
+        return [shape.name or f"shape-{i}" for i, shape in enumerate(self.shapes)]
+
+    def with_film(
+        self, *, width: int | None = None, height: int | None = None, crop: Sequence[int] | None = None
+    ) -> Self:
+        """A copy with another film. A crop that is not given keeps its share of the picture."""
+        film = self.film.resized(
+            self.film.width if width is None else width, self.film.height if height is None else height
+        )
+        copy = self.model_copy(update={"film": film if crop is None else film.cropped(crop)})
+        copy._kept = self._kept  # the shapes, packed: they do not know of the film
+        return copy
+
+    def canonical_json(self) -> str:
+        """The scene with all defaults, keys sorted, numbers exact: equal scenes, equal text. It loads again.
+
+        Mesh files in the scene's folder are named relative to it.
+        """
+        return canonical_json(self, self._folder)
+
+    def sha256(self) -> str:
+        """A fingerprint of the scene and of the bytes of its mesh files. Raises FileMissing."""
+        return fingerprint(self)
+
+    def to_toml(self) -> str:
+        """A scene file that loads as this very scene: numbers exact, defaults left out.
+
+        Mesh files in the scene's folder are named relative to it, others by their whole path.
+        """
+        return to_toml(self, self._folder)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy with other values, checked like the first ones; mesh files stay where they are."""
+        copy = super().model_copy(update=update, deep=deep)
+        copy._folder = self._folder
+        return copy
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all that was described is equal; where it was read and what was computed does not count."""
+        if not isinstance(other, Scene):
+            return NotImplemented
+        return all(getattr(self, name) == getattr(other, name) for name in type(self).model_fields)
+
+    __hash__ = None  # type: ignore[assignment]  # materials are a dict; sha256() tells scenes apart
+
+    def __getstate__(self) -> dict[Any, Any]:
+        """What goes to another process: not what has been computed from the scene."""
+        return super().__getstate__() | {"__pydantic_private__": {"_folder": self._folder, "_kept": {}}}

@@ -1,0 +1,228 @@
+"""Where in the text of a scene file a value is. Used only when there is an error to show."""
+
+import json
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from caster.scene.diagnostics import Diagnostic
+from caster.scene.errors import FileMissing, SceneError
+
+DataPath = tuple[str | int, ...]
+
+
+class Span(NamedTuple):
+    """Part of a line; line and column count characters from 1."""
+
+    line: int
+    column: int
+    length: int
+
+
+class Positions:
+    """Where each value of a valid TOML or JSON text begins. A key stands for its value."""
+
+    def __init__(self, text: str, kind: str) -> None:
+        self._lines = text.encode().split(b"\n")
+        tree = _tree(text, kind)
+        found = [] if tree.has_error else list((_toml if kind == "toml" else _json)(tree))
+        self._nodes = {path: (first, last) for path, first, last in found}
+        for path, first, last in found:  # a table that has no header of its own begins with its first key
+            for steps in range(1, len(path)):
+                self._nodes.setdefault(path[:steps], (first, last))
+        times = Counter(path for path, _, _ in found if isinstance(path[-1], str))
+        again = {path: None for path, count in times.items() if count > 1}
+        self.repeated = [path for path in again if not any(path[:n] in again for n in range(len(path)))]
+
+    def of(self, path: DataPath) -> Span:
+        """The span of a path through the data, or of the nearest table around it."""
+        while path and path not in self._nodes:
+            path = path[:-1]
+        return self._span(*self._nodes[path]) if path else Span(1, 1, 1)
+
+    def _span(self, first: Any, last: Any) -> Span:
+        row, start = first.start_point
+        end = last.end_point[1] if last.end_point[0] == row else len(self._lines[row])
+        before, inside = self._lines[row][:start].decode(), self._lines[row][start:end].decode()
+        return Span(row + 1, len(before) + 1, max(len(inside.rstrip("\r")), 1))
+
+
+def _tree(text: str, kind: str) -> Any:
+    import tree_sitter
+    import tree_sitter_json
+    import tree_sitter_toml
+
+    grammar = tree_sitter_toml if kind == "toml" else tree_sitter_json
+    parser = tree_sitter.Parser(tree_sitter.Language(grammar.language()))
+    return parser.parse((text if kind == "toml" else _strict(text)).encode()).root_node
+
+
+def _strict(text: str) -> str:
+    """JSON without Python's NaN and Infinity, everything in its old place."""
+    number = {"NaN": "111", "Infinity": "11111111"}
+    return re.sub(r'"(?:[^"\\]|\\.)*"|NaN|Infinity', lambda found: number.get(found[0], found[0]), text)
+
+
+LocatedNodes = Iterator[
+    tuple[DataPath, Any, Any]
+]  # a path, and the first and last node of what stands for it
+
+
+def _toml(document: Any) -> LocatedNodes:
+    last: dict[DataPath, int] = {}  # index of the last table of each [[array]]
+    for node in document.named_children:
+        if node.type == "pair":
+            yield from _toml_pair(node, ())
+        elif node.type in ("table", "table_array_element"):
+            header, *pairs = _without_comments(node)
+            path = _header_path(_keys(header), node.type == "table_array_element", last)
+            yield path, node, header.next_sibling  # with its brackets
+            for pair in pairs:
+                yield from _toml_pair(pair, path)
+
+
+def _without_comments(node: Any) -> list[Any]:
+    return [child for child in node.named_children if child.type != "comment"]
+
+
+def _header_path(keys: list[str], is_array: bool, last: dict[DataPath, int]) -> DataPath:
+    path: DataPath = ()
+    for i, key in enumerate(keys):
+        path = (*path, key)
+        if is_array and i == len(keys) - 1:
+            last[path] = last.get(path, -1) + 1
+        if path in last:
+            path = (*path, last[path])
+    return path
+
+
+def _keys(node: Any) -> list[str]:
+    """The parts of a key, without quotes: a."b c".d is three."""
+    table: Any = tomllib.loads(f"{node.text.decode()} = 0")
+    keys = []
+    while isinstance(table, dict):
+        ((key, table),) = table.items()
+        keys.append(key)
+    return keys
+
+
+def _toml_pair(pair: Any, path: DataPath) -> LocatedNodes:
+    key, value = _without_comments(pair)
+    path = (*path, *_keys(key))
+    yield path, key, key
+    yield from _toml_inside(value, path)
+
+
+def _toml_inside(value: Any, path: DataPath) -> LocatedNodes:
+    if value.type == "inline_table":
+        for pair in _without_comments(value):
+            yield from _toml_pair(pair, path)
+    elif value.type == "array":
+        for i, item in enumerate(_without_comments(value)):
+            yield (*path, i), item, item
+            yield from _toml_inside(item, (*path, i))
+
+
+def _json(document: Any) -> LocatedNodes:
+    for value in document.named_children:
+        yield from _json_inside(value, ())
+
+
+def _json_inside(value: Any, path: DataPath) -> LocatedNodes:
+    if value.type == "object":
+        for pair in value.named_children:
+            key, item = pair.named_children
+            inner = (*path, json.loads(key.text))
+            yield inner, key, key
+            yield from _json_inside(item, inner)
+    elif value.type == "array":
+        for i, item in enumerate(value.named_children):
+            yield (*path, i), item, item
+            yield from _json_inside(item, (*path, i))
+
+
+# The text of scene files: into plain data, and errors back to the line they are in.
+
+
+SceneFormat = Literal["toml", "json"]
+MAX_LINE_CHARACTERS = 100  # characters of a line that are shown around the place of an error
+
+
+def read_text(path: str | PathLike[str]) -> str:
+    """The text of a scene file of any kind. Raises FileMissing, or SceneError for bytes that are no UTF-8."""
+    try:
+        return Path(path).read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path}: not a text in UTF-8: byte {error.start + 1} is none of it") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileMissing(f"{path}: cannot read this scene file: {reason}") from None
+
+
+def parse(text: str, kind: SceneFormat, origin: str) -> tuple[Any, list[Diagnostic]]:
+    """The data of a TOML or JSON text, and problems that JSON itself does not see. Raises SceneError."""
+    try:
+        return (tomllib.loads(text), []) if kind == "toml" else _parse_json(text)
+    except RecursionError:
+        raise SceneError(f"{origin}: not a scene: lists or tables are nested too deeply to be read") from None
+    except ValueError as error:
+        raise SceneError(_syntax_error(error, text, kind, origin)) from None
+
+
+def format_diagnostics(problems: Sequence[Diagnostic], text: str, kind: SceneFormat, origin: str) -> str:
+    """All problems in the order of their lines, each with the line itself."""
+    positions = Positions(text, kind)
+    located = sorted(((positions.of(path), said) for path, said in problems), key=lambda found: found[0][:2])
+    return "\n".join(format_excerpt(span, said, text, origin) for span, said in located)
+
+
+def _parse_json(text: str) -> tuple[Any, list[Diagnostic]]:
+    repeats = 0
+
+    def table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        nonlocal repeats
+        repeats += len(pairs) - len(dict(pairs))
+        return dict(pairs)
+
+    data = json.loads(text, object_pairs_hook=table)
+    repeated = Positions(text, "json").repeated if repeats else []
+    if isinstance(data, dict):
+        data.pop("$schema", None)  # for editors
+    return data, [Diagnostic(path, f"the key '{path[-1]}' is there twice") for path in repeated]
+
+
+def _syntax_error(error: ValueError, text: str, kind: SceneFormat, origin: str) -> str:
+    line, column, message = _error_position(error, text)
+    span = Span(line, column, 1)
+    rest = text.split("\n")[line - 1][column - 1 :]
+    outward_normal = ": a number needs a digit before its point" if re.match(r"[+-]?\.\d", rest) else ""
+    return format_excerpt(
+        span, f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{outward_normal}", text, origin
+    )
+
+
+def _error_position(error: ValueError, text: str) -> tuple[int, int, str]:
+    if isinstance(error, json.JSONDecodeError):
+        return error.lineno, error.colno, error.msg
+    found = re.fullmatch(r"(.*) \(at (?:line (\d+), column (\d+)|end of document)\)", str(error), re.DOTALL)
+    if found and found[2]:
+        return int(found[2]), int(found[3]), found[1]
+    lines = text.rstrip().split("\n")
+    return len(lines), len(lines[-1]) + 1, found[1] if found else str(error)
+
+
+def format_excerpt(span: Span, sentence: str, text: str, origin: str) -> str:
+    """file:line:column: the sentence, below it the line itself, and marks below the place."""
+    lines = text.split("\n")
+    line = lines[span.line - 1].rstrip("\r") if span.line <= len(lines) else ""
+    start = max(0, span.column - 1 - MAX_LINE_CHARACTERS // 2) if len(line) > MAX_LINE_CHARACTERS else 0
+    part = line[start : start + MAX_LINE_CHARACTERS]
+    before = re.sub(r"[^\t]", " ", line[start : span.column - 1])  # tabs stay, so that the marks stand below
+    marks = "^" * min(span.length, max(len(part) - len(before), 1))
+    number = f"{span.line:3}"
+    head = f"{origin}:{span.line}:{span.column}: {sentence}"
+    return f"{head}\n{number} | {part}\n{' ' * len(number)} | {before}{marks}"

@@ -1,0 +1,146 @@
+"""to_world: how a shape is moved, turned and stretched, step by step."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic_core import CoreSchema
+
+from caster.geometry import transform
+from caster.scene.description import HEX_FLOAT, Description, Number, UnitVec3, Vec3, row
+from caster.scene.errors import complain, listed, refuse, show
+
+
+class Rotation(Description):
+    """A turn about an axis through the origin, counter-clockwise for someone the axis points at."""
+
+    axis: UnitVec3
+    degrees: Number
+
+
+class LookAt(Description):
+    """The turn and the move that bring the origin to `origin`, +z towards `target`, and +y near to `up`."""
+
+    origin: Vec3
+    target: Vec3
+    up: Annotated[Vec3, Field(validate_default=True)] = (0.0, 1.0, 0.0)
+
+    @field_validator("target")
+    @classmethod
+    def _is_elsewhere(cls, target: Any, info: Any) -> Any:
+        return check_elsewhere(target, "origin", info.data)
+
+    @field_validator("up")
+    @classmethod
+    def _is_across(cls, up: Any, info: Any) -> Any:
+        if {"origin", "target"} <= info.data.keys():
+            check_up(up, transform.subtract(info.data["target"], info.data["origin"]))
+        return up
+
+
+def check_elsewhere(target: Any, start: str, values: Mapping[str, Any]) -> Any:
+    """Refuse a target that no direction leads to."""
+    if target is not None and start in values:
+        if target == values[start]:
+            raise refuse(f"another point than {start}, so that there is a direction to look in", target)
+        if not np.isfinite(transform.subtract(target, values[start])).all():
+            raise refuse(f"nearer to {start}, at a finite distance", target)
+    return target
+
+
+def check_up(up: Any, view: Any) -> None:
+    """Refuse an `up` that does not tell someone who looks along `view` which way is up."""
+    try:
+        transform.frame(transform.unit(view), up)
+    except ValueError:
+        raise refuse(f"a direction across the view {show(list(view))}, not along it", up) from None
+
+
+class _OrNumber:
+    """In the JSON Schema: a number will do instead."""
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
+        return {"anyOf": [{"type": "number"}, {"type": "string", "pattern": HEX_FLOAT}, handler(schema)]}
+
+
+class _OrOneStep:
+    """In the JSON Schema: one step without the list around it will do."""
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
+        steps = handler(schema)
+        return {"anyOf": [steps["items"], steps]}
+
+
+def _three(value: Any) -> Any:
+    return value if isinstance(value, (list, tuple, np.ndarray)) else (value, value, value)
+
+
+Row = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(row(4, "4 numbers"))]
+Rows = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(row(4, "4 rows of 4 numbers"))]
+Factors = Annotated[Vec3, BeforeValidator(_three), _OrNumber()]
+
+
+class Step(Description):
+    """One step of a transform. It has exactly one key."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
+
+    translate: Vec3 | None = None
+    rotate: Rotation | None = None
+    scale: Factors | None = None
+    look_at: LookAt | None = None
+    matrix: Rows | None = None
+
+    @field_validator("matrix")
+    @classmethod
+    def _is_affine(cls, rows: Any) -> Any:
+        if rows is not None and rows[3] != (0.0, 0.0, 0.0, 1.0):
+            raise complain(f"must end in the row [0, 0, 0, 1], got {show(rows[3])}")
+        return rows
+
+    @model_validator(mode="after")
+    def _is_one_step(self) -> Self:
+        given = [key for key in type(self).model_fields if getattr(self, key) is not None]
+        if not given:
+            raise complain(f"needs one of the keys {listed(type(self).model_fields)}")
+        if len(given) > 1:
+            raise complain(f"must have one key, got {listed(given, 'and')}: write a list of steps instead")
+        return self
+
+    def as_matrix(self) -> transform.Matrix:
+        """4x4 float64."""
+        if self.translate is not None:
+            return transform.translate(self.translate)
+        if self.rotate is not None:
+            return transform.rotate(self.rotate.axis, self.rotate.degrees)
+        if self.scale is not None:
+            return transform.scale(self.scale)
+        if self.look_at is not None:
+            return transform.look_at(self.look_at.origin, self.look_at.target, self.look_at.up)
+        return np.array(self.matrix, np.float64)
+
+
+def matrix_of(steps: tuple[Step, ...]) -> transform.Matrix:
+    """The steps, applied in their order, as one 4x4 float64 matrix."""
+    return transform.compose(step.as_matrix() for step in steps)
+
+
+def _as_list(value: Any) -> Any:
+    if isinstance(value, (Mapping, Step)):
+        return (value,)
+    if not isinstance(value, (list, tuple)):
+        raise refuse("a list of steps such as {translate = [1, 0, 0]}", value)
+    return value
+
+
+def _invertible(steps: tuple[Step, ...]) -> tuple[Step, ...]:
+    matrix = matrix_of(steps)
+    if not np.isfinite(matrix).all():
+        raise complain("must stay finite, but its steps together overflow")
+    if not transform.is_invertible(matrix):
+        raise complain("must be invertible, but it flattens space (its matrix is singular)")
+    return steps
+
+
+Transform = Annotated[tuple[Step, ...], BeforeValidator(_as_list), AfterValidator(_invertible), _OrOneStep()]

@@ -1,0 +1,93 @@
+"""What the judge has to know of a camera: its formula, written a second time, and Mitsuba's sensor where it has one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.scene.fields import Camera, Description
+from caster.scene.files import Film
+from mitsuba_ref.reference.xml_writer import XmlElement
+
+
+class CameraRays(NamedTuple):
+    """Rays through points of the film, float64. t_max < 0: there is no ray."""
+
+    o: np.ndarray  # (n, 3) the eye, or where the ray leaves the plane through it
+    d: np.ndarray  # (n, 3) unit
+    t_min: np.ndarray  # (n,)
+    t_max: np.ndarray  # (n,)
+
+
+class ClipRange(NamedTuple):
+    """Where a sensor that needs a near and a far plane may put them without cutting anything off."""
+
+    near: float
+    far: float
+
+
+def clip_planes(camera: Any, limits: ClipRange) -> dict[str, float]:
+    """near_clip and far_clip of a sensor: the camera's, or where it has none, the limits; in the right order.
+
+    A near plane beyond the limits, or a far plane before them, moves the other one: Mitsuba refuses near >= far.
+    """
+    ratio = limits.near / limits.far
+    near = camera.near or min(limits.near, np.inf if camera.far is None else camera.far * ratio)
+    far = max(limits.far, near / ratio) if camera.far is None else camera.far
+    return {"near_clip": near, "far_clip": far}
+
+
+def no_sensor(camera: Any, film: Film, limits: ClipRange) -> XmlElement | None:
+    """Mitsuba lacks this camera: its rays are handed over."""
+    return None
+
+
+@dataclass(frozen=True)
+class CameraReference:
+    """One entry of the registry `mitsuba_ref.cameras.REFERENCES`."""
+
+    describes: type[Description]  # of caster.cameras.CAMERAS
+
+    # (description, film, x, y) -> rays through film positions x, y (n,), in pixels
+    rays: Callable[[Any, Film, np.ndarray, np.ndarray], CameraRays]
+
+    # (description, film, limits) -> the sensor, still without film
+    to_xml: Callable[[Any, Film, ClipRange], XmlElement | None] = no_sensor
+
+    # (description, film) -> how many roundings more than a plain direction the rays of Mitsuba's sensor suffer
+    amplification: Callable[[Any, Film], float] = lambda camera, film: 1.0
+
+
+def camera_axes(camera: Camera) -> np.ndarray:
+    """(3, 3) float64, rows right, up, forward: the orthobasis of eye, view and up (Gram-Schmidt)."""
+    view = np.array(camera.direction if camera.look_at is None else np.subtract(camera.look_at, camera.eye))
+    forward = view / np.linalg.norm(view)
+    up = np.array(camera.up, np.float64)
+    up = up / np.linalg.norm(up)
+    up = up - np.dot(up, forward) * forward
+    up = up / np.linalg.norm(up)
+    return np.stack([np.cross(forward, up), up, forward])
+
+
+def to_world_directions(camera: Camera, local: np.ndarray) -> np.ndarray:
+    """Local directions (n, 3) right, up, forward -> unit world directions."""
+    d = local @ camera_axes(camera)
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def eye_origins(camera: Camera, count: int) -> np.ndarray:
+    return np.tile(np.array(camera.eye, np.float64), (count, 1))
+
+
+def rays_from_eye(camera: Camera, d: np.ndarray, defined: np.ndarray | None = None) -> CameraRays:
+    """Rays from the eye without near or far; where `seen` is False there are none."""
+    n = len(d)
+    t_max = np.full(n, np.inf) if defined is None else np.where(defined, np.inf, -1.0)
+    return CameraRays(eye_origins(camera, n), d, np.zeros(n), t_max)
+
+
+def sensor_pose(camera: Camera, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """(eye, 3x3 matrix) of Mitsuba's sensors, whose x points to the left of the image."""
+    right, up, forward = camera_axes(camera)
+    return np.array(camera.eye), np.column_stack([-right * scale, up * scale, forward])

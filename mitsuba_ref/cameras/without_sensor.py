@@ -1,0 +1,73 @@
+"""Fisheye: Mitsuba has none, so its rays are handed over."""
+
+import numpy as np
+
+from caster.cameras.fisheye import Fisheye
+from caster.cameras.panorama import Panorama
+from caster.cameras.parabolic import Parabolic
+from caster.cameras.ray import Ray
+from caster.scene.files import Film
+from mitsuba_ref.cameras.camera_reference import (
+    CameraRays,
+    CameraReference,
+    rays_from_eye,
+    to_world_directions,
+)
+
+
+def fisheye_rays(camera: Fisheye, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """The angle from the axis is fov / 2 times the distance from the centre over the circle's radius."""
+    radius = min(film.width, film.height) / 2.0
+    right, up = (x - film.width / 2.0) / radius, (film.height / 2.0 - y) / radius
+    distance = np.hypot(right, up)
+    theta, phi = np.deg2rad(camera.fov) / 2.0 * distance, np.arctan2(up, right)
+    sine = np.sin(theta)
+    local = np.column_stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)])
+    return rays_from_eye(camera, to_world_directions(camera, local), distance <= 1.0)
+
+
+FISHEYE = CameraReference(Fisheye, fisheye_rays)
+
+
+# Panorama: Mitsuba has none, so its rays are handed over.
+
+
+def panorama_rays(camera: Panorama, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """A full turn across the film, half a turn from top to bottom, the view in the middle."""
+    azimuth = 2.0 * np.pi * (x - film.width / 2.0) / film.width
+    polar = np.pi * y / film.height
+    local = np.column_stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)])
+    return rays_from_eye(camera, to_world_directions(camera, local))
+
+
+PANORAMA = CameraReference(Panorama, panorama_rays)
+
+
+# Parabolic: Mitsuba has none, so its rays are handed over.
+
+
+def parabolic_rays(camera: Parabolic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """A ray from the side of the view, reflected by a paraboloid: tan(theta / 2) is the distance from the centre."""
+    radius = min(film.width, film.height) / 2.0
+    right, up = (x - film.width / 2.0) / radius, (film.height / 2.0 - y) / radius
+    distance = np.hypot(right, up)
+    theta, phi = 2.0 * np.arctan(distance), np.arctan2(up, right)
+    local = np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    return rays_from_eye(camera, to_world_directions(camera, local), distance <= 1.0)
+
+
+PARABOLIC = CameraReference(Parabolic, parabolic_rays)
+
+
+# Ray: no camera that Mitsuba has; the ray is handed over as it is.
+
+
+def ray_rays(camera: Ray, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """The same ray wherever on the film."""
+    count = len(x)
+    o, d = (np.tile(np.array(v, np.float64), (count, 1)) for v in (camera.origin, camera.direction))
+    t_max = np.inf if camera.t_max is None else camera.t_max
+    return CameraRays(o, d, np.zeros(count), np.full(count, t_max))
+
+
+RAY = CameraReference(Ray, ray_rays)

@@ -1,1 +1,0 @@
-"""What continuous integration needs of a run: summaries, shards, and results kept for later."""

@@ -1,0 +1,223 @@
+"""`mitsuba-ref fuzz`: random scenes against exact arithmetic and Mitsuba."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import re
+import signal
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.cli.progress_bar import StatusLine
+from caster.scene.errors import SceneError, suggestion
+
+if TYPE_CHECKING:
+    from mitsuba_ref.fuzz.campaign import Campaign, Plan
+
+HELP = "random scenes and rays that ask for trouble; each failure is shrunk to a minimal scene file and kept"
+
+DEFAULT_SECONDS = 60.0
+UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--time", metavar="T", type=seconds, help="stop after so long, such as 60s, 5m, 1h; default: 60s")
+    add("--examples", metavar="N|A..B", type=numbers, help="so many examples, or those from A to B")
+    add(
+        "--seed",
+        metavar="S",
+        type=whole,
+        default=0,
+        help="example i of seed S is always the same; default: 0",
+    )
+    add(
+        "--family",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="only this kind of trouble; may be given several times",
+    )
+    add(
+        "--out",
+        metavar="DIR",
+        default="fuzz-failures",
+        help="where failing scenes are kept; default: fuzz-failures",
+    )
+    add(
+        "--keep",
+        metavar="N",
+        type=whole,
+        default=3,
+        help="findings of one kind in one family that are made small and kept; all are counted; default: 3",
+    )
+    add("--json", metavar="FILE", help="write what was done and found as JSON")
+    add(
+        "--judge-every",
+        metavar="N",
+        type=whole,
+        default=16,
+        help="about one scene in N is compared with Mitsuba, too; 0: none; default: 16",
+    )
+    add("--replay", metavar="FILE|DIR", help="look at kept scenes again, and at nothing else")
+    add("--rays", metavar="N", type=whole, help="the long run: N rays a shape against exact arithmetic alone")
+    add(
+        "--shape",
+        metavar="TYPE",
+        action="append",
+        default=[],
+        help="with --rays: only this shape; may be given several times",
+    )
+
+
+def seconds(text: str) -> float:
+    """A time, or an error in argparse's way."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text)
+    if match is None or match[2] not in UNITS:
+        raise argparse.ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, got '{text}'")
+    return float(match[1]) * UNITS[match[2]]
+
+
+def whole(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"expected a whole number >= 0, got '{text}'")
+    return int(text)
+
+
+def numbers(text: str) -> range:
+    """The numbers of examples: N for the first N, A..B for those from A to B."""
+    first, dots, last = text.partition("..")
+    if not first.isdecimal() or (dots and not last.isdecimal()) or (dots and int(first) > int(last)):
+        raise argparse.ArgumentTypeError(
+            f"expected how many, such as 100, or from..to, such as 41..41, got '{text}'"
+        )
+    return range(int(first), int(last) + 1) if dots else range(int(first))
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 nothing found, 1 something was, 5 nothing was asked for, 130 interrupted."""
+    if args.replay is not None:
+        return replay(args)
+    if args.shape and args.rays is None:
+        raise SceneError("--shape goes with --rays; families of random scenes are chosen by --family")
+    check_outputs(args)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a cancelled job tidies up as after Ctrl-C
+    return long_run(args) if args.rays is not None else search(args)
+
+
+def check_outputs(args: argparse.Namespace) -> None:
+    """Raise OutputError now, and not after all the work."""
+    from caster.image.atomic_files import check_writable
+
+    if args.json:
+        check_writable(args.json)
+
+
+def search(args: argparse.Namespace) -> int:
+    """Examples until the time or their number is used up."""
+    from mitsuba_ref.fuzz import campaign, report
+    from mitsuba_ref.fuzz.campaign import Campaign
+
+    plan = plan_of(args)
+    if args.examples is not None and not len(args.examples):
+        print("nothing selected: --examples 0 asks for no example", file=sys.stderr)
+        return NOTHING_SELECTED
+    if plan.judge_every:
+        from mitsuba_ref.reference import variants
+
+        variants.variant_for(has_quadrics=False)  # a wrong choice of variant is said before any work
+    if last := campaign.unfinished_example(plan.folder):
+        print(f"an earlier run with this folder died, or is still running, in: {last}", file=sys.stderr)
+    search_run, line = Campaign(plan), StatusLine()
+    finished = False
+    try:
+        work_through(search_run, line)
+        finished = True
+    finally:  # what is found is kept and told, whatever ends the work
+        line.erase()
+        print(report.text(search_run.outcome))
+        write_json(args, report.to_dict(search_run.outcome, interrupted=not finished))
+    return OK if search_run.outcome.ok else DIFFERENCES
+
+
+def plan_of(args: argparse.Namespace) -> Plan:
+    from mitsuba_ref.fuzz.campaign import Plan
+    from mitsuba_ref.fuzz.families import BY_NAME, FAMILIES
+
+    for name in args.family:
+        if name not in BY_NAME:
+            raise SceneError(
+                f"--family {name}: unknown{suggestion(name, BY_NAME)} (known: {', '.join(BY_NAME)})"
+            )
+    families = tuple(BY_NAME[name] for name in dict.fromkeys(args.family)) or FAMILIES
+    limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
+    examples: Iterable[int] = itertools.count() if args.examples is None else args.examples
+    return Plan(args.seed, families, examples, limit, Path(args.out), args.keep, args.judge_every)
+
+
+def work_through(campaign: Campaign, line: StatusLine) -> None:
+    for outcome in campaign.run():
+        total = outcome.total
+        line.show(
+            f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {outcome.seconds:.0f} s"
+        )
+
+
+def write_json(args: argparse.Namespace, content: dict[str, Any]) -> None:
+    from caster.image.atomic_files import write_text
+
+    if args.json:
+        write_text(args.json, json.dumps(content, indent=1) + "\n")
+
+
+def replay(args: argparse.Namespace) -> int:
+    """Kept scenes again: 0 all pass today, 1 some fail, 2 a file is damaged, 4 missing, 5 an empty folder."""
+    from mitsuba_ref.fuzz import report
+    from mitsuba_ref.fuzz.campaign import recheck
+    from mitsuba_ref.fuzz.cases import kept_files, read_kept
+    from mitsuba_ref.fuzz.resident import Resident
+
+    files = kept_files(args.replay)
+    if not files:
+        print(f"nothing selected: no scene file in {args.replay}", file=sys.stderr)
+        return NOTHING_SELECTED
+    cases = [(str(file), read_kept(file)) for file in files]
+    with Resident() as resident:
+        lines = [
+            (file, one.kind, [f"{f.kind}: {f.what}" for f in recheck(one, resident)]) for file, one in cases
+        ]
+    print(report.replay_text(lines))
+    return DIFFERENCES if any(wrong for _, _, wrong in lines) else OK
+
+
+def long_run(args: argparse.Namespace) -> int:
+    """Rays by the million."""
+    from mitsuba_ref.fuzz import long_run
+    from mitsuba_ref.fuzz.kinds import SHAPE_TYPES
+
+    for name in args.shape:
+        if name not in SHAPE_TYPES:
+            raise SceneError(
+                f"--shape {name}: unknown{suggestion(name, SHAPE_TYPES)} (known: {', '.join(SHAPE_TYPES)})"
+            )
+    if not args.rays:
+        print("nothing selected: --rays 0 asks for no ray", file=sys.stderr)
+        return NOTHING_SELECTED
+    outcome = long_run.LongRun(
+        args.seed, args.rays, tuple(args.shape) or SHAPE_TYPES, Path(args.out), args.keep
+    )
+    finished, line = False, StatusLine()
+    try:
+        for _ in outcome.run():
+            line.show(outcome.line())
+        finished = True
+    finally:
+        line.erase()
+        print(outcome.text())
+        write_json(args, outcome.to_dict(interrupted=not finished))
+    return OK if outcome.ok else DIFFERENCES

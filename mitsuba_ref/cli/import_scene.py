@@ -1,0 +1,98 @@
+"""`mitsuba-ref import`: Mitsuba XML or MIT 6.837 text -> a scene file of ours."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from caster.cli.exit_codes import OK
+from caster.cli.scene_arguments import add_mesh_dirs, error_prefix
+from caster.scene.errors import SceneError
+
+if TYPE_CHECKING:
+    from mitsuba_ref.importers.mitsuba_xml import ImportedScene
+
+NAME = "import"
+HELP = "make a scene file of Mitsuba XML or of a scene text of MIT 6.837, and list what was left out"
+FILM = (256, 256)  # of a text of the course, which says nothing of it
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("file", metavar="FILE", help="Mitsuba's .xml, or .txt of MIT 6.837")
+    add("-o", "--output", metavar="SCENE.toml", required=True, help="the scene file to write")
+    add("-D", dest="parameters", action="append", default=[], metavar="NAME=VALUE", help="a $NAME of the XML")
+    add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the file's own")
+    add_mesh_dirs(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, write, and list what was left out. Raises SceneError, FileMissing, OutputError."""
+    from caster.image.atomic_files import check_writable, write_text
+
+    suffix = Path(args.file).suffix.lower()
+    if Path(args.output).suffix.lower() != ".toml":
+        raise SceneError(f"-o {args.output}: expected a name that ends in .toml")
+    if suffix not in (".xml", ".txt"):
+        raise SceneError(f"{args.file}: expected Mitsuba's .xml, or .txt of MIT 6.837")
+    check_writable(args.output)
+    found = from_xml(args) if suffix == ".xml" else from_course(args)
+    folder = Path(args.output).resolve().parent
+    from caster.scene.export import to_toml
+
+    text = f"# {Path(args.file).name}, by `mitsuba-ref import`.\n" + to_toml(found.scene, folder)
+    write_text(args.output, text)
+    for line in found.left_out:
+        print(line)
+    shapes = f"{len(found.scene.shapes)} shape{'s' * (len(found.scene.shapes) != 1)}"
+    print(f"{args.output}: {shapes}, {len(found.left_out)} left out or changed")
+    for outside in sorted(folders_beyond(found.scene, folder)):
+        print(f"note: meshes are in {outside}: add --mesh-dir {outside} where the scene is used")
+    return OK
+
+
+def from_xml(args: argparse.Namespace) -> ImportedScene:
+    from mitsuba_ref.importers.mitsuba_xml import ImportedScene, import_xml
+
+    found = import_xml(args.file, parameters(args.parameters), args.mesh_dir)
+    if args.size is None:
+        return found
+    with error_prefix("--size", *args.size):
+        return ImportedScene(found.scene.with_film(width=args.size[0], height=args.size[1]), found.left_out)
+
+
+def from_course(args: argparse.Namespace) -> ImportedScene:
+    """The window of an orthographic camera is moved back, where something is behind it."""
+    from caster.classroom.course_files import load_course_scene
+    from caster.classroom.course_images import with_window_behind_scene
+    from caster.scene.files import Film
+    from mitsuba_ref.importers.mitsuba_xml import ImportedScene
+
+    if args.parameters:
+        raise SceneError(f"-D {args.parameters[0]}: a text of MIT 6.837 has no parameters")
+    size = args.size or FILM
+    with error_prefix("--size", *size):
+        Film(width=size[0], height=size[1])
+    course = load_course_scene(args.file, *size, mesh_dirs=args.mesh_dir)
+    scene, back = with_window_behind_scene(course.scene)
+    where = f"{args.file}:1:1: left out: "
+    moved = f"rays from infinitely far: the window stands {back:g} farther back, and depths count from there"
+    color = " ".join(f"{c:g}" for c in course.background)
+    told = [f"{where}the background color {color}: ours is black"] if any(course.background) else []
+    told += [where + moved] if back else []
+    return ImportedScene(scene, (*course.left_out, *told))
+
+
+def parameters(words: list[str]) -> dict[str, str]:
+    """NAME -> VALUE. Raises SceneError for what is no such pair."""
+    for word in words:
+        if "=" not in word:
+            raise SceneError(f"-D {word}: expected NAME=VALUE")
+    return dict(word.split("=", 1) for word in words)
+
+
+def folders_beyond(scene: object, folder: Path) -> set[str]:
+    """Folders of meshes that a scene file in `folder` may not read by itself."""
+    files = [Path(shape.file) for shape in getattr(scene, "shapes", ()) if hasattr(shape, "file")]
+    return {str(file.parent) for file in files if not file.is_relative_to(folder)}

@@ -1,0 +1,124 @@
+"""`mitsuba-ref probe`: the witnesses side by side for one pixel."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from caster.cli.exit_codes import DIFFERENCES, OK
+from caster.cli.scene_arguments import add_pixel, add_scene, error_prefix, load
+from mitsuba_ref.cli import candidate_options
+
+if TYPE_CHECKING:
+    from caster.scene.files import Scene
+    from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence
+    from mitsuba_ref.reference.messages import Crash
+
+HELP = "one pixel: what ours, Mitsuba, exact arithmetic and a candidate say, the bounds, and what may be hit"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_scene(parser)
+    add_pixel(parser)
+    parser.add_argument("--json", action="store_true", help="as JSON")
+    parser.add_argument(
+        "--save", metavar="FILE", help="write this ray and what it may hit as a scene of its own"
+    )
+    parser.add_argument(
+        "--picture",
+        metavar="PNG",
+        help="draw the pixel's surroundings: classes, edges in it, and beside its ray",
+    )
+    candidate_options.add_arguments(parser, "one more witness: somebody's ray caster (docs/candidates.md)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the pixel's verdict and what it rests on; 1 when nothing explains the pixel, or the candidate's answer."""
+    from caster.image.atomic_files import check_writable
+
+    scene = load(args)
+    for path in filter(None, (args.save, args.picture)):
+        check_writable(path)
+    if args.picture:
+        check_can_draw()
+    candidate = candidate_options.asked(args)  # one that cannot be asked is said before any work
+    from mitsuba_ref.probe.pixel import probe_with_evidence
+    from mitsuba_ref.probe.probe_text import as_text
+
+    with error_prefix(args.scene):
+        found, probed = probe_with_evidence(scene, args.x, args.y, candidate)
+    try:
+        write_files(args, scene, found, probed)
+    finally:  # last, since who reads may go away after a line or two
+        print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, args.scene))
+    return OK if found.ok else DIFFERENCES
+
+
+def write_files(
+    args: argparse.Namespace, scene: Scene, found: PixelVerdict, probed: Crash | ProbeEvidence
+) -> None:
+    """Those that were asked for."""
+    if args.save:
+        save(args, probed, about_candidate(args, found))
+    if args.picture:
+        draw(args, scene, probed)
+
+
+def about_candidate(args: argparse.Namespace, found: PixelVerdict) -> list[str]:
+    """Comment on what a candidate makes of the ray, in a file that is about ours and Mitsuba."""
+    if found.candidate is None:
+        return []
+    from mitsuba_ref.subjects.answer import printable
+
+    words = found.candidate.problem or found.candidate.why
+    told = f"{found.candidate.verdict}: {words}".splitlines()[0]
+    again = shlex.join(["mitsuba-ref", "probe", "THIS-FILE", "0", "0", *candidate_options.again(args)])
+    return [
+        f"Candidate: {printable(told)}",
+        *(f"           {printable(line)}" for line in again.splitlines()),
+    ]
+
+
+def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence[str]) -> None:
+    """Write the reproducer, and say on stderr whether it shows the same. more: lines of comment in it."""
+    from mitsuba_ref.reference.messages import Crash
+    from mitsuba_ref.report.reproducers import write_reproducer
+
+    source = f"{args.scene}, pixel ({args.x}, {args.y})"
+    if isinstance(probed, Crash):
+        print(f"{args.save}: not written: Mitsuba gave no answer to reproduce", file=sys.stderr)
+        return
+    with error_prefix(source):
+        same = write_reproducer(Path(args.save), *probed, 0, source, more)
+    alone = "shows the same" if same else "does NOT show the same by itself, as it says"
+    print(f"{args.save}: written; it {alone}", file=sys.stderr)
+
+
+def check_can_draw() -> None:
+    """Raise SceneError before any work where there is nothing to draw with."""
+    from caster.scene.errors import SceneError
+    from mitsuba_ref.stress.page import MissingPlots, check_available
+
+    try:
+        check_available()
+    except MissingPlots as missing:
+        raise SceneError(f"--picture: {missing}") from None
+
+
+def draw(args: argparse.Namespace, scene: Scene, probed: Crash | ProbeEvidence) -> None:
+    """Write the picture."""
+    from caster.image.atomic_files import write_bytes
+    from mitsuba_ref.probe.pixel_picture import picture
+    from mitsuba_ref.reference.messages import Crash
+
+    if isinstance(probed, Crash):
+        print(f"{args.picture}: not written: Mitsuba gave no answer to draw", file=sys.stderr)
+        return
+    with error_prefix(args.scene):
+        write_bytes(args.picture, picture(probed.judge, scene, args.x, args.y))
+    print(f"{args.picture}: written", file=sys.stderr)

@@ -1,0 +1,1 @@
+"""Error bounds and every other tolerance of the judge."""

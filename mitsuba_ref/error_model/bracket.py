@@ -1,0 +1,297 @@
+"""Which primitives a ray may have to do with, without asking any of them twice.
+
+Shares no code with the trees it judges. It may give too many; a primitive that any ray within rounding meets is
+never left out, unless it is a sliver thinner than MARGIN.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from mitsuba_ref.error_model.intersections import KU, Intersections, dot, norm
+from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
+
+# How much boxes are grown, as a share of |o| + their farthest corner. The bound of an edge function, divided by the
+# length of the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/triangle_error.py); of a quadric 2 to 4. What
+# lies beyond is at best
+# possible (a certain one is passed by the ray itself), and leaving it out takes an excuse away from both sides.
+BOX_MARGIN = 16 * KU
+
+PRIMS_PER_GROUP = 32  # primitives in a box of the first pass
+BOX_TESTS_PER_BATCH = 1 << 21  # rays times boxes; 50 MB a temporary array
+
+
+class BroadPhase:
+    """Boxes of primitives (n, 3), (n, 3), grouped by where they are."""
+
+    def __init__(self, low: np.ndarray, high: np.ndarray):
+        self.low, self.high = low, high
+        self.order = morton_order(low, high)
+        starts = np.arange(0, len(low), PRIMS_PER_GROUP)
+        self.group_low = np.minimum.reduceat(low[self.order], starts) if len(low) else low
+        self.group_high = np.maximum.reduceat(high[self.order], starts) if len(low) else high
+
+    def pairs(self, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """(ray, primitive) for rays (n, 3), (n, 3), in pieces; each ray is in one piece only."""
+        step = max(1, BOX_TESTS_PER_BATCH // max(1, len(self.group_low), 64 * PRIMS_PER_GROUP))
+        for start in range(0, len(o), step):
+            rows = np.arange(start, min(start + step, len(o)))
+            yield self._pairs_of(rows, o[rows], d[rows])
+
+    def _pairs_of(self, rows: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        near = intersects_box(o[:, None], d[:, None], self.group_low[None], self.group_high[None])
+        ray, group = np.nonzero(near)
+        place = (group[:, None] * PRIMS_PER_GROUP + np.arange(PRIMS_PER_GROUP)).ravel()
+        ray = np.repeat(ray, PRIMS_PER_GROUP)
+        inside = place < len(self.order)
+        ray, prim = ray[inside], self.order[place[inside]]
+        near = intersects_box(o[ray], d[ray], self.low[prim], self.high[prim])
+        return rows[ray[near]], prim[near]
+
+
+def intersects_box(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Whether rays o + t d, t >= 0, pass a box grown by MARGIN; everything broadcasts over (..., 3)."""
+    reach = np.abs(o).max(axis=-1) + np.maximum(np.abs(low), np.abs(high)).max(axis=-1)
+    grown = (BOX_MARGIN * reach)[..., None]
+    slope = np.where(d == 0.0, np.finfo(np.float64).tiny, d)
+    with np.errstate(over="ignore", invalid="ignore"):
+        a, b = (low - grown - o) / slope, (high + grown - o) / slope
+    near, far = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
+    met: np.ndarray = ~(near > far) & ~(far < 0.0)
+    return met
+
+
+def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The boxes in Morton order of their centres, those without bounds last."""
+    bounded = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
+    centre = 0.5 * low[bounded] + 0.5 * high[bounded]
+    code = np.full(len(low), np.iinfo(np.int64).max)
+    if len(centre):
+        start, size = centre.min(axis=0), np.ptp(centre, axis=0)
+        cell = ((centre - start) / np.where(size > 0.0, size, 1.0) * 1023.0).astype(np.int64)
+        code[bounded] = sum(spread_bits(cell[:, axis]) << axis for axis in range(3))
+    return np.argsort(code, kind="stable")
+
+
+def spread_bits(x: np.ndarray) -> np.ndarray:
+    """The ten bits of each number, with two zeros between them."""
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        x = (x | (x << shift)) & mask
+    return x
+
+
+# The bracket: which answers along a ray rounding allows, all primitives considered (docs/method.md, "Visibility").
+#
+# A primitive is possible where some numbers within the bound hit it, certain where all do. The nearest hit is one of a
+# possible primitive, and comes no later than the latest that a certain one may come.
+
+
+CLAIMED_MISS = -1
+ANY_SHAPE = -2  # claimed by somebody who names no shape
+
+
+NOT_CLAIMED = np.zeros((0, 3))  # of a normal or a position, of all rays
+
+
+class Claims(NamedTuple):
+    """What somebody says of each of n rays."""
+
+    t: np.ndarray  # (n,) inf on a miss
+    shape: np.ndarray  # (n,) index, -1 on a miss, ANY_SHAPE
+    n: np.ndarray  # (n, 3), or NOT_CLAIMED, as all below
+    sh_n: np.ndarray = NOT_CLAIMED  # (n, 3)
+    p: np.ndarray = NOT_CLAIMED  # (n, 3)
+    t_rounding: float | np.ndarray = 0.0  # (n,) how far t is off by itself, worked out from something else
+
+
+class BracketResult(NamedTuple):
+    """Of each ray: whether rounding allows the claim, and whether the claim cannot be tested."""
+
+    allowed: np.ndarray  # (n,) bool
+    open: np.ndarray  # (n,) bool: it names a surface so nearly edge-on that nobody can say where it is hit
+
+
+class RayIntersections(NamedTuple):
+    """Meetings in range, with ray and primitive of each."""
+
+    ray: np.ndarray  # (m,)
+    prim: np.ndarray  # (m,)
+    at: Intersections
+
+    def take(self, rows: np.ndarray) -> "RayIntersections":
+        """Some of them, by index or mask."""
+        return RayIntersections(self.ray[rows], self.prim[rows], self.at.take(rows))
+
+
+class RaySegments(NamedTuple):
+    """n rays o + t d, t_min < t <= t_max."""
+
+    o: np.ndarray  # (n, 3) float64
+    d: np.ndarray  # (n, 3)
+    t_min: np.ndarray  # (n,)
+    t_max: np.ndarray  # (n,) negative: no ray
+
+
+class Bracket:
+    """Judges claims about rays through one scene. ku, ours: as in Model.meet."""
+
+    def __init__(self, model: SceneModel, ku: float, *, ours: bool):
+        self.model, self.ku, self.ours = model, ku, ours
+        self.nearby = BroadPhase(*model.boxes)
+
+    def judge(
+        self,
+        o: np.ndarray,
+        d: np.ndarray,
+        t_max: np.ndarray,
+        claims: Claims,
+        *,
+        t_min: float | np.ndarray = 0.0,
+        also: np.ndarray | None = None,
+    ) -> BracketResult:
+        """Whether the claims are within the bracket. o, d: (n, 3) float64; t_max: (n,); a hit has t_min < t <= t_max.
+
+        also: (n,) a primitive to look at, however far its box is from the ray; -1: none.
+        """
+        line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
+        allowed, untestable = np.ones(len(o), bool), np.zeros(len(o), bool)
+        seen = np.zeros(len(o), bool)
+        for ray, prim in self._pairs(o, d, also):
+            found = self._meet(ray, prim, line)
+            rays = np.unique(ray)
+            seen[rays] = True
+            allowed[rays], untestable[rays] = self._allows(found, claims, line, rays)
+        allowed[~seen] = claims.shape[~seen] == CLAIMED_MISS
+        return BracketResult(allowed, untestable)
+
+    def _pairs(
+        self, o: np.ndarray, d: np.ndarray, also: np.ndarray | None
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """What is near the rays, and the primitives in `also`. Each ray is in one piece only."""
+        if also is None:
+            yield from self.nearby.pairs(o, d)
+            return
+        named = np.flatnonzero(also >= 0)
+        pieces = [np.stack(piece) for piece in self.nearby.pairs(o, d)]
+        together = np.unique(np.hstack([*pieces, np.stack([named, also[named]])]), axis=1)
+        yield together[0], together[1]
+
+    def blocked(
+        self,
+        o: np.ndarray,
+        d: np.ndarray,
+        t_max: np.ndarray,
+        leaving: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(something may block the way, something does): rays o + t d, 0 < t < t_max.
+
+        leaving: (n,) the primitive that a ray starts on, and (n,) how far off it that start may be. The meeting with it
+        there does not count, and what else is as near as that, such as the next face of an edge, is not certain.
+        """
+        prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
+        line = RaySegments(o, d, np.zeros(len(o)), t_max)
+        possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
+        for ray, each in self.nearby.pairs(o, d):
+            found = self._meet(ray, each, line)
+            near = near_ray_start(found, d, off)
+            kept = ~(near & (found.prim == prim[found.ray]))
+            found, near = found.take(kept), near[kept]
+            possible[found.ray] = True
+            certain[found.ray[np.isfinite(latest_hits(found, t_max)) & ~near]] = True
+        return possible, certain
+
+    def possible_hits(self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray) -> RayIntersections:
+        """Every possible meeting of some rays, few enough to be held at once."""
+        line = RaySegments(o, d, np.zeros(len(o)), t_max)
+        found = [self._meet(ray, prim, line) for ray, prim in self.nearby.pairs(o, d)]
+        at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
+        return RayIntersections(
+            np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at
+        )
+
+    def _meet(self, ray: np.ndarray, prim: np.ndarray, line: RaySegments) -> RayIntersections:
+        """The possible meetings in range."""
+        met: PairIntersections = self.model.intersect(prim, line.o[ray], line.d[ray], self.ku, ours=self.ours)
+        rays = ray[met.pair]
+        with np.errstate(invalid="ignore"):
+            error = np.where(np.isfinite(met.at.t_error), met.at.t_error, np.inf)
+            in_range = ~(met.at.t + error < line.t_min[rays]) & ~(met.at.t - error > line.t_max[rays])
+        keep = met.at.possible & in_range & ~np.isnan(met.at.t)
+        return RayIntersections(rays, prim[met.pair], met.at).take(keep)
+
+    def _allows(
+        self, found: RayIntersections, claims: Claims, line: RaySegments, rays: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        at, ray = found.at, found.ray
+        p = line.o[ray] + at.t[:, None] * line.d[ray]
+        latest = np.full(len(line.o), np.inf)
+        np.minimum.at(latest, ray, latest_hits(found, line.t_max, line.t_min))
+        t_rounding = np.broadcast_to(claims.t_rounding, claims.t.shape)[ray]
+        shape = claims.shape[ray]
+        named = (shape == ANY_SHAPE) | (self.model.packed.shape_of(found.prim) == shape)
+        named &= claims.t[ray] <= latest[ray] + t_rounding
+        named &= within_error(claims.n, ray, at.n, at.n_error)
+        with np.errstate(invalid="ignore"):  # inf, of a claimed miss
+            matches = (
+                named & np.isfinite(at.t_error) & (np.abs(claims.t[ray] - at.t) <= at.t_error + t_rounding)
+            )
+        matches &= within_error(claims.sh_n, ray, at.sh_n, at.sh_error) & within_error(
+            claims.p, ray, p, at.p_error
+        )
+        has_match, untestable = np.zeros(len(line.o), bool), np.zeros(len(line.o), bool)
+        has_match[ray[matches]] = True
+        untestable[ray[named & ~np.isfinite(at.t_error)]] = True
+        missed = claims.shape[rays] == CLAIMED_MISS
+        return np.where(missed, np.isinf(latest[rays]), has_match[rays]), untestable[rays]
+
+
+def within_error(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """(m,) bool: what is claimed (n, 3) of the rays of m meetings is there; what is not claimed is no obstacle."""
+    if not len(claimed):
+        return np.ones(len(ray), bool)
+    near: np.ndarray = norm(claimed[ray] - at) <= error
+    return near
+
+
+def latest_hits(found: RayIntersections, t_max: np.ndarray, t_min: np.ndarray | None = None) -> np.ndarray:
+    """(m,) the latest that a certain primitive may be hit; inf for one that is not certain or not in range.
+
+    t_min, t_max: (n,) of the rays; without t_min they begin beyond their origins.
+    """
+    at = found.at
+    with np.errstate(invalid="ignore"):
+        earliest = 0.0 if t_min is None else t_min[found.ray]
+        in_range = (at.t - at.t_error > earliest) & (at.t + at.t_error <= t_max[found.ray])
+        latest = np.where(at.certain, at.t + at.t_error, _latest_at_edges(found))
+    return np.where(in_range, latest, np.inf)
+
+
+def _latest_at_edges(found: RayIntersections) -> np.ndarray:
+    """(m,) the same for hits that hang on one edge: finite where another face lies across it, so one of them is hit.
+
+    The reference's robust mode keeps this promise at edges, though not at corners.
+    """
+    edge, side = found.at.edge, found.at.side
+    assert edge is not None and side is not None  # Model.meet fills them in
+    rows = np.flatnonzero(side != 0.0)
+    latest = np.full(len(found.ray), np.inf)
+    if len(rows):
+        keys = np.column_stack([found.ray[rows], edge[rows] + 0.0])  # no -0.0
+        _, which = np.unique(keys, axis=0, return_inverse=True)
+        which = which.ravel()
+        left, right = (
+            np.bincount(which[side[rows] == s], minlength=which.max() + 1) > 0 for s in (-1.0, 1.0)
+        )
+        last = np.full(which.max() + 1, -np.inf)
+        np.maximum.at(last, which, (found.at.t + found.at.t_error)[rows])
+        latest[rows] = np.where(left & right, last, np.inf)[which]
+    return latest
+
+
+def near_ray_start(found: RayIntersections, d: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """(m,) bool: meetings with surfaces that are no farther from the ray's start than that may be off."""
+    with np.errstate(invalid="ignore"):
+        height = (np.abs(found.at.t) - found.at.t_error) * np.abs(dot(found.at.n, d[found.ray]))
+    near: np.ndarray = ~(height > off[found.ray])
+    return near & (off[found.ray] > 0.0)

@@ -1,0 +1,98 @@
+"""The error model's currency: where a ray meets a primitive, and how far float32 arithmetic may put it elsewhere."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mitsuba_ref.oracle.interface import ExactKind, ExpandStandIns
+
+# Unit round-off of float32, in which Mitsuba computes.
+U = 2.0**-24
+
+# Mitsuba's answer is accepted where it is the exact answer to numbers perturbed by at most K u each. The largest K
+# that t needed on any measured ray inside the domain is 2.8 (docs/method.md, "Measured"); a typical ray needs 0.1.
+K = 4.0
+KU = K * U
+
+# The same for a caster in float64, as ours is; twice, because what it is compared with is computed in float64 too.
+KU_OURS = 2.0 * K * 2.0**-53
+
+# Embree drops a triangle with a coordinate beyond this, silently.
+LARGEST_COORDINATE = 1.844e18
+
+
+class Intersections(NamedTuple):
+    """Rays and primitives, pairwise: m pairs, one root each. Errors are bounds on what the reference may be off."""
+
+    t: np.ndarray  # (m,) parameter of the meeting, lengths of d
+    t_error: np.ndarray  # (m,) inf where float32 cannot resolve it
+    n: np.ndarray  # (m, 3) geometric normal
+    n_error: np.ndarray  # (m,)
+    sh_n: np.ndarray  # (m, 3) shading normal
+    sh_error: np.ndarray  # (m,)
+    possible: np.ndarray  # (m,) bool: some perturbation within the bound hits
+    certain: np.ndarray  # (m,) bool: every perturbation within the bound hits
+    p_error: np.ndarray  # (m,) bound on the position, scene units
+    edge: np.ndarray | None = (
+        None  # (m, 6) the end points of the one edge a triangle is not certain of, else NaN
+    )
+    side: np.ndarray | None = None  # (m,) on which side of that edge the triangle lies, -1 or 1
+
+    def take(self, rows: np.ndarray) -> "Intersections":
+        """Some of them, by index or mask."""
+        return Intersections(*(a[rows] for a in self if a is not None))
+
+
+# (prims, k (m,), o (m, 3), d (m, 3), ku) -> the meetings of primitive k[i] with ray i, one Meetings for each root.
+# ku is K times the unit round-off of whoever is judged: KU for the reference, KU_OURS for a float64 caster.
+IntersectFunction = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, float], tuple[Intersections, ...]]
+
+
+class ErrorModel(NamedTuple):
+    """What the judge knows of one kind of primitive."""
+
+    intersect: IntersectFunction  # the reference's primitive, or what stands in for it
+    bounds: Callable[[Any], tuple[np.ndarray, np.ndarray]]  # prims -> low, high corners (n, 3) of their boxes
+    intersect_ours: IntersectFunction | None = None  # our own primitive, where the reference's is a stand-in
+    exact: ExactKind | None = None  # our own primitive in whole numbers, for the oracle
+    # arrays that stand in for it -> primitives that have an `exact`
+    unfold: Mapping[type, ExpandStandIns] | None = None
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Row-wise dot product."""
+    return np.einsum("ij,ij->i", a, b)
+
+
+def norm(a: np.ndarray) -> np.ndarray:
+    """Length of each row."""
+    return np.sqrt(dot(a, a))
+
+
+def unit(a: np.ndarray) -> np.ndarray:
+    """Each row divided by its length; zero rows stay."""
+    length = norm(a)
+    return a / np.where(length > 0.0, length, 1.0)[:, None]
+
+
+def cross_permanent(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The cross product with every subtraction made an addition of magnitudes: what its rounding scales with."""
+    a, b = np.abs(a), np.abs(b)
+    c, d = np.roll(a, -1, axis=1), np.roll(b, -1, axis=1)
+    return np.roll(c * b + a * d, -1, axis=1)
+
+
+def mat_vec_rows(m: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """m[i] v[i] for each row."""
+    return np.einsum("ijk,ik->ij", m, v)
+
+
+def finite_or_zero(t: np.ndarray, t_error: np.ndarray) -> np.ndarray:
+    """t, or 0 where it is no number but its error says that it might be any: a ray in a surface, edge-on."""
+    return np.where(np.isinf(t_error) & ~np.isfinite(t), 0.0, t)
+
+
+def position_error(o: np.ndarray, d: np.ndarray, t: np.ndarray, t_error: np.ndarray, ku: float) -> np.ndarray:
+    """Bound on o + t d: t is off by its error, and the sum is rounded."""
+    return norm(d) * t_error + ku * (norm(o) + np.abs(t) * norm(d))

@@ -1,0 +1,147 @@
+"""What a diffuse surface sends back of one light, and how far float32 may be off in it (docs/method.md, "Diffuse").
+
+Written from the lights' definitions a second time: L = reflectance / pi * cosine * irradiance.
+"""
+
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.scene.files import Scene
+from mitsuba_ref.error_model.bounds import error_over_bound
+from mitsuba_ref.error_model.intersections import Intersections, dot, norm
+
+# Where the direction to a light is known to no better than this, the light's value is not known at all.
+LARGEST_DIRECTION_ERROR = 0.5
+
+
+class ShadingPoints(NamedTuple):
+    """Pixels that hit: positions, directions of their rays, and the bounds there."""
+
+    p: np.ndarray  # (m, 3)
+    d: np.ndarray  # (m, 3)
+    shape: np.ndarray  # (m,)
+    at: Intersections
+
+
+class LightContribution(NamedTuple):
+    """One light at m pixels, unshadowed."""
+
+    radiance: np.ndarray  # (m, 3)
+    error: np.ndarray  # (m, 3)
+    either_side: np.ndarray  # (m, 3) radiance if the side that faces the light is the one that is seen
+    to_light: np.ndarray  # (m, 3) from p; of unit length for a light without a place
+    reach: np.ndarray  # (m,) 1 or inf: how far the light is, in lengths of to_light
+    doubtful: np.ndarray  # (m,) bool: seen so nearly from the side that either face may be the one
+
+
+def light_contribution(scene: Scene, light: Any, hit: ShadingPoints, ku: float) -> LightContribution:
+    """Radiance from `light`, with the error that errors of position and shading normal bring about."""
+    reflectance, two_sided = _materials(scene, hit.shape)
+    to_light, reach = direction_to_light(light, hit.p)
+    distance = norm(to_light)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = np.where(np.isinf(reach), 0.0, 2.0 * hit.at.p_error / distance)
+        turn = np.where(turn < LARGEST_DIRECTION_ERROR, turn, np.inf)
+        cosine = dot(to_light, hit.at.sh_n) / distance
+        facing = -dot(hit.d, hit.at.sh_n) / norm(hit.d)
+        seen = np.where(two_sided, cosine * facing > 0.0, (cosine > 0.0) & (facing > 0.0))
+        cosine = np.abs(cosine)
+        flux = _flux(light, distance) * reflectance / np.pi
+        spread = 1.0 / np.maximum(1.0 - turn, 0.0) ** 2  # of 1 / distance^2, when p moves by its error
+        cosine_error = hit.at.sh_error + turn + ku
+        most = flux * (spread * (cosine + cosine_error))[:, None]
+        radiance = np.where(seen[:, None], flux * cosine[:, None], 0.0)
+    error = np.where(seen[:, None], most - radiance, flux * (cosine_error * spread)[:, None]) + ku * radiance
+    dark = ~seen & (cosine > cosine_error) & (np.abs(facing) > hit.at.sh_error + ku)
+    error[dark] = 0.0
+    return LightContribution(
+        radiance, error, flux * cosine[:, None], to_light, reach, np.abs(facing) <= hit.at.sh_error + ku
+    )
+
+
+def ambient_radiance(scene: Scene, shape: np.ndarray) -> np.ndarray:
+    """(m, 3) reflectance times the radiance of all ambient lights."""
+    total = np.zeros(3)
+    for light in scene.lights:
+        if light.type == "ambient":
+            total = total + np.array(light.radiance)
+    return _materials(scene, shape)[0] * total
+
+
+def direction_to_light(light: Any, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """From points p (m, 3): directions to the light (m, 3), and how far it is in lengths of them (m,)."""
+    if light.type == "point":
+        return np.array(light.position) - p, np.ones(len(p))
+    direction = np.array(light.direction)
+    return np.tile(-direction / np.linalg.norm(direction), (len(p), 1)), np.full(len(p), np.inf)
+
+
+def _flux(light: Any, distance: np.ndarray) -> np.ndarray:
+    if light.type == "point":
+        return np.array(light.intensity) / (distance * distance)[:, None]
+    return np.tile(np.array(light.irradiance), (len(distance), 1))
+
+
+def _materials(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    materials = [scene.material_of(each) for each in scene.shapes]
+    reflectance = np.array([material.reflectance for material in materials]).reshape(-1, 3)
+    two_sided = np.array([material.two_sided for material in materials], bool)
+    return reflectance[shape], two_sided[shape]
+
+
+# A sum of lights, some of which may be lit or not: does any choice that is allowed give the value at hand?
+
+
+# So many lights in doubt at one pixel are tried in all 2^8 combinations; of more, the rest stay as they are, which
+# only makes the verdict stricter.
+MAX_UNCERTAIN_LIGHTS = 8
+
+
+class LightChoices(NamedTuple):
+    """What each light gives at m pixels: the first value, or, where it is in doubt, perhaps the second."""
+
+    first: np.ndarray  # (lights, m, 3)
+    first_error: np.ndarray  # (lights, m, 3)
+    second: np.ndarray  # (lights, m, 3)
+    second_error: np.ndarray  # (lights, m, 3)
+    doubt: np.ndarray  # (lights, m) bool
+
+
+def certain_lights(value: np.ndarray, error: np.ndarray) -> LightChoices:
+    """Lights (lights, m, 3) none of which is in doubt."""
+    return LightChoices(value, error, value, error, np.zeros(value.shape[:2], bool))
+
+
+def smallest_error_ratio(ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, ku: float) -> np.ndarray:
+    """(m,) difference between ours (m, 3) and fixed plus lights, over its bound, for the choice that fits best."""
+    sorted_ = _doubtful_first(choices)
+    count = min(int(choices.doubt.sum(axis=0).max(initial=0)), MAX_UNCERTAIN_LIGHTS)
+    best = np.full(len(ours), np.inf)
+    for flips in itertools.product((False, True), repeat=count):
+        switched = np.zeros_like(choices.doubt)
+        switched[:count] = np.array(flips, bool)[:, None] & sorted_.doubt[:count]
+        best = np.minimum(best, _share(ours, fixed, sorted_, switched[..., None], ku))
+    return best
+
+
+def _doubtful_first(choices: LightChoices) -> LightChoices:
+    """The lights of each pixel in another order: those in doubt come first."""
+    order = np.argsort(~choices.doubt, axis=0, kind="stable")
+    first, first_error, second, second_error = (
+        np.take_along_axis(a, order[..., None], axis=0) for a in choices[:4]
+    )
+    return LightChoices(
+        first, first_error, second, second_error, np.take_along_axis(choices.doubt, order, axis=0)
+    )
+
+
+def _share(
+    ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, switched: np.ndarray, ku: float
+) -> np.ndarray:
+    total = fixed + np.where(switched, choices.second, choices.first).sum(axis=0)
+    error = np.where(switched, choices.second_error, choices.first_error).sum(axis=0)
+    rounded = ku * (fixed + total)  # the ambient light's own product, and the sum
+    share = error_over_bound(np.abs(ours - total), error + rounded)
+    return np.asarray(share.max(axis=1, initial=0.0))

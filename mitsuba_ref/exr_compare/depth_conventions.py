@@ -1,0 +1,176 @@
+"""What a depth means in somebody else's file, told by the numbers in it: the value of a miss, and where it counts from.
+
+Nothing is guessed: a convention is taken only where the numbers show it and no other, and it is always stated.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from caster.image.exr import NO_ID, Exr
+from caster.scene.files import Scene
+from mitsuba_ref.cameras.camera_reference import camera_axes
+from mitsuba_ref.error_model.intersections import KU
+from mitsuba_ref.exr_compare.exr_layers import Array
+from mitsuba_ref.judge.scene_checks.scene_check import pixel_centers
+from mitsuba_ref.reference.rendering import camera_reference
+
+DISTANCE, ALONG_Z, FROM_NEAR = "distance", "z", "near"
+CONVENTION_MEANINGS = {
+    DISTANCE: "the distance from the eye along the ray",
+    ALONG_Z: "z along the view axis",
+    FROM_NEAR: "the distance from the near plane along the ray",
+}
+
+# What renderers write where nothing is hit. No surface is at depth 0; the others are no scene's.
+FLT_MAX = float(np.finfo(np.float32).max)
+MISS_SENTINELS: Mapping[str, float] = {
+    "0": 0.0,
+    "-1": -1.0,
+    "inf": np.inf,
+    "1e10": float(np.float32(1e10)),
+    "1e30": float(np.float32(1e30)),
+    "FLT_MAX": FLT_MAX,
+    "65504": 65504.0,  # the largest half
+}
+
+CONVENTION_RTOL = 1e-3  # of a depth: what two pictures of the same scene agree to, whatever computed them
+MIN_SHARE_FITTING_CONVENTION = 0.9  # of the pixels that both hit have to show a convention
+DECISIVE_ERROR_RATIO = 4.0  # times as far off in the middle is any other convention
+MIN_PIXELS_HIT_IN_BOTH = 16  # pixels; with fewer, nothing is shown
+
+
+class AmbiguousConvention(Exception):  # noqa: N818 - a question to the user
+    """The numbers do not tell; the text says what is open, and how to say it."""
+
+
+@dataclass(frozen=True)
+class ViewRays:
+    """The rays of a picture."""
+
+    cosine: Array  # (h, w) between the ray and the view axis
+    near: Array  # (h, w) distance along the ray to the near plane
+
+    @classmethod
+    def of(cls, scene: Scene, near: float | None = None) -> "ViewRays":
+        """near: of a near plane that the scene's camera has not, along the view axis."""
+        x, y = pixel_centers(scene)
+        rays = camera_reference(scene.camera).rays(scene.camera, scene.film, x, y)
+        x0, y0, x1, y1 = scene.film.window
+        cosine = (rays.d @ camera_axes(scene.camera)[2]) / np.linalg.norm(rays.d, axis=1)
+        start = rays.t_min if near is None else near / cosine
+        return cls(cosine.reshape(y1 - y0, x1 - x0), start.reshape(y1 - y0, x1 - x0))
+
+
+class Misses(NamedTuple):
+    """Which pixels hit nothing, and in words how that is known."""
+
+    missed: Array  # (h, w) bool
+    words: str
+    says_nothing: tuple[str, ...] = ()  # a mask that covers everything, though depth has misses
+
+
+def misses_of(exr: Exr, asked: str | None = None) -> Misses:
+    """Of a file with channel depth.Z. asked: the value that stands for a miss. Raises Unclear."""
+    depth = exr.channels["depth.Z"].astype(np.float64)
+    if asked is not None:
+        value = MISS_SENTINELS.get(asked, None)
+        value = float(np.float32(float(asked))) if value is None else value
+        return Misses(
+            depth == value, f"a miss is depth {asked}, as asked ({int((depth == value).sum())} pixels)"
+        )
+    there = {name: depth == value for name, value in MISS_SENTINELS.items() if (depth == value).any()}
+    told = _misses_by_mask(exr)
+    blind = ("A",) if told is not None and there and not told.missed.any() else ()
+    if told is not None and not blind:
+        values = np.unique(depth[told.missed])
+        shown = f"depth {_sentinel_name(float(values[0]))}" if len(values) == 1 else "any depth"
+        return Misses(told.missed, f"a miss is {told.words}, with {shown} ({int(told.missed.sum())} pixels)")
+    if len(there) > 1:
+        counts = ", ".join(f"{name} ({int(rows.sum())} pixels)" for name, rows in there.items())
+        raise AmbiguousConvention(
+            f"depth holds {counts}: which of them is a miss? --miss {next(iter(there))}, or another"
+        )
+    if not there:
+        return Misses(np.zeros(depth.shape, bool), "no pixel is a miss")
+    ((name, rows),) = there.items()
+    words = f"a miss is depth {name} ({int(rows.sum())} pixels)"
+    return Misses(rows, f"{words}; A covers everything, and is left out" if blind else words, blind)
+
+
+def _misses_by_mask(exr: Exr) -> Misses | None:
+    if "A" in exr.channels:
+        return Misses(exr.channels["A"] == 0, "A 0")
+    for name in ("id.shape", "id.prim"):
+        if name in exr.channels and exr.channels[name].dtype == np.uint32:
+            return Misses(exr.channels[name] == NO_ID, f"no {name}")
+    return None
+
+
+def _sentinel_name(value: float) -> str:
+    return next((name for name, known in MISS_SENTINELS.items() if known == value), f"{value:.9g}")
+
+
+class Convention(NamedTuple):
+    """What depth means in a file, the depths as distances, and what showed it."""
+
+    name: str
+    distance: Array
+    words: str
+
+
+def as_distances(depth: Array, view: ViewRays | None) -> dict[str, Array]:
+    """What the distance would be, were depth of each convention; without a view only the first can be told."""
+    found = {DISTANCE: depth}
+    if view is not None:
+        found[ALONG_Z] = depth / view.cosine
+        if (view.near > 0.0).any():
+            found[FROM_NEAR] = depth + view.near
+    return found
+
+
+def convention_of(
+    depth: Array, hit: Array, other: Array, view: ViewRays | None, asked: str | None = None
+) -> Convention:
+    """What depth (h, w) is, held against distances that are known at the pixels that both hit. Raises Unclear."""
+    distances = as_distances(depth, view)
+    if asked is not None:
+        if asked not in distances:
+            raise AmbiguousConvention(
+                f"--depth {asked} needs the camera{' with a near plane' if view else ''}: --scene SCENE"
+            )
+        return Convention(asked, distances[asked], f"{CONVENTION_MEANINGS[asked]}, as asked")
+    if hit.sum() < MIN_PIXELS_HIT_IN_BOTH:
+        raise AmbiguousConvention(
+            f"only {int(hit.sum())} pixels are hit in both files: say what depth is by --depth distance"
+        )
+    with np.errstate(all="ignore"):
+        off = {name: (np.abs(d - other) / np.abs(other))[hit] for name, d in distances.items()}
+    share = {name: float((each <= CONVENTION_RTOL).mean()) for name, each in off.items()}
+    middle = {name: float(np.median(np.where(np.isnan(each), np.inf, each))) for name, each in off.items()}
+    shown = ", ".join(f"{100.0 * share[name]:.3g} % as {name}" for name in distances)
+    best = min(middle, key=lambda name: middle[name])
+    if share[best] < MIN_SHARE_FITTING_CONVENTION:
+        told = "no convention fits" if view is not None else "it is not; no camera tells z: --scene SCENE"
+        return Convention(
+            DISTANCE,
+            depth,
+            f"taken for {CONVENTION_MEANINGS[DISTANCE]}; {told} ({shown} agree to {CONVENTION_RTOL:g})",
+        )
+    rivals = [
+        name for name in distances if name != best and not middle[name] >= DECISIVE_ERROR_RATIO * middle[best]
+    ]
+    apart = [
+        name for name in rivals if (np.abs(distances[name] - distances[best]) > KU * np.abs(other))[hit].any()
+    ]
+    if apart and middle[best] > 0.0:
+        raise AmbiguousConvention(
+            f"depth may be {' or '.join(CONVENTION_MEANINGS[name] for name in (best, *apart))}: "
+            f"the numbers fit both ({shown}); "
+            f"--depth {best}, or another"
+        )
+    return Convention(
+        best, distances[best], f"{CONVENTION_MEANINGS[best]} ({shown} agree to {CONVENTION_RTOL:g})"
+    )

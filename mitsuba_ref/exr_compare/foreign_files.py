@@ -1,0 +1,224 @@
+"""Files of other programs, made into ours: our names, depth as a distance, inf on a miss; all of it is stated."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from caster.image.exr import Exr
+from caster.image.exr_validation import PROVENANCE_PREFIX
+from caster.scene.errors import SceneError
+from caster.scene.files import Film, Scene
+from mitsuba_ref.exr_compare.conditioning import SCENE_JSON
+from mitsuba_ref.exr_compare.depth_conventions import (
+    MISS_SENTINELS,
+    AmbiguousConvention,
+    Convention,
+    ViewRays,
+    convention_of,
+    misses_of,
+)
+from mitsuba_ref.exr_compare.exr_layers import (
+    COLOR_CHANNELS,
+    AmbiguousChannel,
+    Array,
+    check_maps,
+    mapped,
+    recognised,
+    stacked,
+)
+
+GEOMETRY = ("normal", "shading_normal", "position")  # groups whose values on a miss mean nothing
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How files of other programs are to be read, where their numbers do not tell."""
+
+    maps: tuple[str, ...] = ()  # OURS=THEIRS
+    depth: str | None = None  # of conventions.WORDS
+    miss: str | None = None  # of conventions.SENTINELS, or a number
+    near: float | None = None  # of the near plane that depth counts from, where the scene's camera has none
+    scene: Scene | None = None  # whose camera took the pictures
+
+    def __post_init__(self) -> None:
+        if self.near is not None and not 0.0 < self.near < np.inf:
+            raise SceneError(f"--near: expected a number > 0, got {self.near}")
+        if self.miss is not None and self.miss not in MISS_SENTINELS:
+            try:
+                float(self.miss)
+            except ValueError as error:
+                known = ", ".join(MISS_SENTINELS)
+                raise SceneError(f"--miss {self.miss!r}: expected a number, such as {known}") from error
+
+
+class ConvertedFiles(NamedTuple):
+    """Two files as ours, what was done to them, what is left out for it, and why they cannot be compared, if so."""
+
+    ours: Exr
+    reference: Exr
+    stated: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
+
+
+SIDES = ("ours", "the reference")
+
+
+def to_our_conventions(a: Exr, b: Exr, reading: Reading) -> ConvertedFiles:
+    """Both files by our names and conventions. A file that says it is ours (caster/...) is taken as it is.
+
+    So is one that has our names throughout, unless they were made of the names of its parts.
+    """
+    check_maps(reading.maps, a.channels, b.channels)
+    stated: list[str] = []
+    files, foreign = [a, b], []
+    for i, exr in enumerate(files):
+        stated += [f"{SIDES[i]}: {line}" for line in _describe_parts(exr)]
+        asked = mapped(reading.maps, exr.channels)
+        if not asked and _written_by_caster(exr):
+            continue
+        try:
+            names = _channel_names(exr, asked)
+        except AmbiguousChannel as question:
+            return ConvertedFiles(a, b, tuple(stated), reasons=(f"{SIDES[i]}: {question}",))
+        changed = {ours: theirs for ours, theirs in names.items() if ours != theirs}
+        names = {n: theirs for n, theirs in names.items() if n not in COLOR_CHANNELS or n in asked}
+        if changed or exr.parts or reading.depth or reading.miss:
+            foreign.append(i)
+            files[i], told = _renamed(exr, names)
+            stated += [f"{SIDES[i]}: {line}" for line in told]
+    if not foreign:
+        return ConvertedFiles(a, b, tuple(stated))
+    try:
+        for i in foreign:
+            files[i], told = _converted(files[i], files[1 - i], reading, alone=1 - i not in foreign)
+            stated += [f"{SIDES[i]}: {line}" for line in told]
+    except AmbiguousConvention as question:
+        return ConvertedFiles(a, b, tuple(stated), reasons=(f"{SIDES[i]}: {question}",))
+    left = sorted(files[0].channels.keys() ^ files[1].channels.keys())
+    if left:
+        stated.append(f"not compared, since only one file has them: {', '.join(left)}")
+    return ConvertedFiles(files[0], files[1], tuple(stated), tuple(left))
+
+
+def _describe_parts(exr: Exr) -> list[str]:
+    """What a multi-part file is made of, on one line; nothing of any other."""
+    return [f"{len(exr.parts)} parts as one picture: {', '.join(map(str, exr.parts))}"] if exr.parts else []
+
+
+def _written_by_caster(exr: Exr) -> bool:
+    return any(key.startswith(PROVENANCE_PREFIX) for key in exr.provenance)
+
+
+def _channel_names(exr: Exr, asked: Mapping[str, str]) -> dict[str, str]:
+    """Our channel -> the file's. What was asked for needs no recognising, nor what it is asked of."""
+    groups = {name.partition(".")[0] for name in asked}
+    rest = [n for n in exr.channels if n not in asked.values() and n.partition(".")[0] not in groups]
+    try:
+        known = recognised(rest)
+    except AmbiguousChannel:
+        known = recognised([n for n in rest if not _mapped_elsewhere(n, asked)])
+    return {
+        **{ours: theirs for ours, theirs in known.items() if ours.partition(".")[0] not in groups},
+        **asked,
+    }
+
+
+def _mapped_elsewhere(name: str, asked: Mapping[str, str]) -> bool:
+    """Whether a channel would be recognised as something that was asked for by another name."""
+    try:
+        return bool(recognised([name]).keys() & asked.keys()) or _layer_mapped_elsewhere(name, asked)
+    except AmbiguousChannel:
+        return False
+
+
+def _layer_mapped_elsewhere(name: str, asked: Mapping[str, str]) -> bool:
+    layer = name.rpartition(".")[0]
+    triple = [f"{layer}.{c}" for c in ("XYZ" if name[-1].isupper() else "xyz")]
+    return bool(recognised(triple).keys() & asked.keys())
+
+
+def _renamed(exr: Exr, names: Mapping[str, str]) -> tuple[Exr, list[str]]:
+    """The file with the channels that are known, under our names."""
+    left = sorted(exr.channels.keys() - set(names.values()))
+    changed = [f"{theirs} is {ours}" for ours, theirs in names.items() if ours != theirs]
+    told = ([f"channels: {', '.join(changed)}"] if changed else []) + (
+        [f"not recognised, and left out: {', '.join(left)} (--map OURS=THEIRS)"] if left else []
+    )
+    return exr._replace(channels={ours: exr.channels[theirs] for ours, theirs in names.items()}), told
+
+
+def _converted(exr: Exr, other: Exr, reading: Reading, *, alone: bool) -> tuple[Exr, list[str]]:
+    """Depth as distances with inf on a miss, and nothing of a surface where there is none.
+
+    alone: the other file is ours, so its depths are distances. Raises Unclear.
+    """
+    if "depth.Z" not in exr.channels:
+        return exr, []
+    misses = misses_of(exr, reading.miss)
+    told, channels = [misses.words], {n: a for n, a in exr.channels.items() if n not in misses.says_nothing}
+    depth = stacked(exr, ["depth.Z"])[..., 0]
+    if "depth.Z" in other.channels and other.channels["depth.Z"].shape == depth.shape:
+        if alone or reading.depth:
+            found = _convention(depth, misses.missed, exr, other, reading)
+            told.append(f"depth is {found.words}")
+            depth = found.distance
+        else:
+            told.append("depth is taken as it is: neither file says what it means (--depth)")
+    number = depth > -np.inf  # what is not is a fault, wherever it is
+    channels["depth.Z"] = _stored(np.where(misses.missed & number, np.inf, depth), channels["depth.Z"])
+    for name, values in channels.items():
+        if name.partition(".")[0] in GEOMETRY:
+            channels[name] = np.where(misses.missed & np.isfinite(values), 0, values).astype(values.dtype)
+    return exr._replace(channels=channels), told
+
+
+def _stored(values: Array, before: Array) -> Array:
+    """A half stays one, so that its bound is a half's."""
+    with np.errstate(over="ignore"):
+        return values.astype(before.dtype if before.dtype == np.float16 else np.float32)
+
+
+def _convention(depth: Array, missed: Array, exr: Exr, other: Exr, reading: Reading) -> Convention:
+    known = stacked(other, ["depth.Z"])[..., 0]
+    hit = ~missed & np.isfinite(known) & (known > 0.0)
+    return convention_of(depth, hit, known, view_of((exr, other), reading, depth.shape), reading.depth)
+
+
+def view_of(files: Sequence[Exr], reading: Reading, shape: tuple[int, ...]) -> ViewRays | None:
+    """The rays, by --scene or by what a file says of its scene; None where nobody tells, or of another size."""
+    for found in (reading.scene, *map(scene_in, files)):
+        if found is None or found.camera.type == "ray":
+            continue
+        near = reading.near if reading.near is not None or found is not reading.scene else near_in_xml(found)
+        view = ViewRays.of(found, near)
+        if view.cosine.shape == shape:
+            return view
+    return None
+
+
+def near_in_xml(scene: Scene) -> float | None:
+    """Of the scene as it is exported: Mitsuba's sensors have a near plane, and its depth counts from there."""
+    from caster.geometry.packing import pack
+    from caster.geometry.world_space import as_float32
+    from mitsuba_ref.cameras.camera_reference import clip_planes
+    from mitsuba_ref.error_model.scene_model import model_of
+    from mitsuba_ref.reference.rays import shared_rays
+    from mitsuba_ref.reference.rendering import clip_range
+
+    if not hasattr(scene.camera, "near"):
+        return None
+    model = model_of(scene, pack(scene, as_float32), shared_rays(scene))
+    return float(clip_planes(scene.camera, clip_range(scene, model))["near_clip"])
+
+
+def scene_in(exr: Exr) -> Scene | None:
+    """Film and camera of a file's provenance; None where it has none that can be read."""
+    try:
+        told = json.loads(exr.provenance[SCENE_JSON])
+        return Scene(film=Film(**told["film"]), camera=told["camera"])
+    except (KeyError, TypeError, ValueError, SceneError):
+        return None

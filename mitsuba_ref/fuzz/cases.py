@@ -1,0 +1,220 @@
+"""A scene with one ray, or with the picture of its camera: what is shrunk, kept and tried again."""
+
+import copy
+import json
+import math
+import shutil
+import tomllib
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import ValidationError
+
+from caster.image.atomic_files import check_folder, write_text
+from caster.scene.errors import FileMissing, SceneError
+from caster.scene.export import SECTION_ORDER, format_toml
+from caster.scene.files import Scene, load_scene
+from mitsuba_ref.fuzz.aims import Shots
+from mitsuba_ref.fuzz.checks import check_image, check_rays, prepared_scene
+from mitsuba_ref.fuzz.families import scene_of
+from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally
+from mitsuba_ref.oracle.oracle import OutsideDomain
+from mitsuba_ref.report.reproducers import with_hex_floats
+
+
+class Case(NamedTuple):
+    """Parts of a scene as a scene file has them."""
+
+    film: dict[str, Any]
+    camera: dict[str, Any]
+    shapes: list[dict[str, Any]]
+    ray: Shots | None = None  # one row; None: the rays of the camera
+
+    def scene_data(self) -> dict[str, Any]:
+        """The scene; with a ray of its own, that ray is its camera's, its t_min apart."""
+        if self.ray is None:
+            return {"film": self.film, "camera": self.camera, "shape": self.shapes}
+        camera: dict[str, Any] = {
+            "type": "ray",
+            "origin": self.ray.o[0].tolist(),
+            "direction": self.ray.d[0].tolist(),
+        }
+        if 0.0 < self.ray.t_max[0] < np.inf:
+            camera["t_max"] = float(self.ray.t_max[0])
+        return {"film": {"width": 1, "height": 1}, "camera": camera, "shape": self.shapes}
+
+    def scene(self) -> Scene:
+        return scene_of(self.scene_data())
+
+    def to_data(self) -> dict[str, Any]:
+        """Plain data, for the shrinker."""
+        data = {"film": self.film, "camera": self.camera, "shape": self.shapes}
+        if self.ray is not None:
+            (o,), (d,), (t_min,), (t_max,) = (a.tolist() for a in self.ray)
+            data["ray"] = {"o": o, "d": d, "t_min": t_min, "t_max": t_max}
+        return copy.deepcopy(data)
+
+    @classmethod
+    def of(cls, data: dict[str, Any]) -> "Case":
+        return cls(
+            data["film"], data["camera"], data["shape"], one_ray(**data["ray"]) if "ray" in data else None
+        )
+
+
+def one_ray(o: list[float], d: list[float], t_min: float, t_max: float) -> Shots:
+    return Shots(np.array([o]), np.array([d]), np.array([t_min]), np.array([t_max]))
+
+
+SCENE_ERRORS = (
+    SceneError,
+    ValidationError,
+    OutsideDomain,
+)  # what a scene that nobody can be asked about raises
+
+
+def findings_of(case: Case) -> list[Finding]:
+    """All that is wrong with it, apart from what only Mitsuba can tell; nothing, where it is no scene."""
+    try:
+        subject = prepared_scene(case.scene())
+    except SCENE_ERRORS:
+        return []
+    except Exception as error:
+        return [exception_finding(error)]
+    try:
+        if case.ray is not None:
+            return check_rays(subject, case.ray, Tally())
+        return check_image(subject, Tally())
+    except Exception as error:
+        return [exception_finding(error)]
+
+
+def exception_finding(error: Exception) -> Finding:
+    """The finding that something raised an exception."""
+    (place, *_) = traceback.extract_tb(error.__traceback__)[::-1]
+    where = f"{Path(place.filename).name}:{place.lineno}"
+    return Finding("error", f"{type(error).__name__} at {where}: {error}")
+
+
+# Failing scenes on disk: scene files like any other, with a line of comment that says what fails and for which ray.
+#
+# A camera of type "ray" casts the very ray, so that `caster probe` and `mitsuba-ref validate` show it; what it cannot
+# say, a t_min, is in the comment alone.
+
+
+RECORD_PREFIX = "# fuzz: "
+RAY_FIELDS = ("o", "d", "t_min", "t_max")
+
+
+@dataclass(frozen=True)
+class KeptCase:
+    """What a file says."""
+
+    kind: str
+    case: Case
+    found_by: str  # the options that made the scene it was shrunk from
+
+
+def write_kept(folder: Path, name: str, kind: str, what: str, found_by: str, case: Case) -> Path:
+    """Write the case and the meshes it needs; the file. Raises OutputError."""
+    check_folder(folder)
+    data = case.scene_data()
+    data["shape"] = [_with_copied_mesh(shape, folder) for shape in data["shape"]]
+    record: dict[str, Any] = {"kind": kind, "found_by": found_by}
+    if case.ray is not None:
+        record["ray"] = _ray_record(case)
+    head = [
+        f"# Found by mitsuba-ref fuzz {found_by}: {FINDING_KINDS[kind]}.",
+        f"# {what}".replace("\n", " "),
+        f"# Again: mitsuba-ref fuzz --replay {name}.toml",
+        RECORD_PREFIX + json.dumps(record),
+    ]
+    path = folder / f"{name}.toml"
+    write_text(path, "\n".join([*head, "", format_toml(with_hex_floats(data), SECTION_ORDER)]))
+    return path
+
+
+def _with_copied_mesh(shape: dict[str, Any], folder: Path) -> dict[str, Any]:
+    if "file" not in shape:
+        return shape
+    source = Path(shape["file"])
+    if source.resolve() != (folder / source.name).resolve():
+        shutil.copyfile(source, folder / source.name)
+    return {**shape, "file": source.name}
+
+
+def _ray_record(case: Case) -> dict[str, Any]:
+    data = case.to_data()["ray"]
+    return {key: with_hex_floats(data[key]) for key in RAY_FIELDS}
+
+
+def read_kept(path: Path) -> KeptCase:
+    """Raises FileMissing, and SceneError with what is wrong for a file that is damaged."""
+    scene = load_scene(path)
+    text = path.read_text(encoding="utf-8-sig")
+    record = _parse_record(path, text)
+    data = tomllib.loads(text)
+    for shape, loaded in zip(data["shape"], scene.shapes, strict=True):
+        if "file" in shape:
+            shape["file"] = getattr(loaded, "file", shape["file"])
+    ray = one_ray(**record["ray"]) if "ray" in record else None
+    case = Case(data["film"], parse_hex_floats(data["camera"]), parse_hex_floats(data["shape"]), ray)
+    return KeptCase(record["kind"], case, record["found_by"])
+
+
+def _parse_record(path: Path, text: str) -> dict[str, Any]:
+    """The comment's content, checked."""
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.startswith(RECORD_PREFIX)]
+    if len(lines) != 1:
+        raise SceneError(
+            f"{path}: expected one line that begins with '{RECORD_PREFIX.strip()}', found {len(lines)}: "
+            "not a file that fuzz has kept, or a damaged one; plain scenes are for `mitsuba-ref validate`"
+        )
+    ((number, line),) = lines
+    try:
+        return checked_record(json.loads(line.removeprefix(RECORD_PREFIX)))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise SceneError(
+            f"{path}:{number}: damaged: expected '{RECORD_PREFIX}' and JSON with kind, found_by and ray "
+            f"(o, d, t_min, t_max), got {line[:80]!r} ({type(error).__name__}: {error})"
+        ) from None
+
+
+def checked_record(record: dict[str, Any]) -> dict[str, Any]:
+    """The record with floats for hex floats. Raises ValueError, KeyError or TypeError where something is amiss."""
+    if record["kind"] not in FINDING_KINDS:
+        raise ValueError(f"kind must be one of {', '.join(FINDING_KINDS)}, got {record['kind']!r}")
+    out: dict[str, Any] = {"kind": record["kind"], "found_by": str(record["found_by"])}
+    if "ray" in record:
+        given = record["ray"]
+        o, d = ([float.fromhex(x) for x in given[key]] for key in ("o", "d"))
+        t_min, t_max = (float.fromhex(given[key]) for key in ("t_min", "t_max"))
+        if not (len(o) == len(d) == 3 and all(map(math.isfinite, (*o, *d, t_min))) and any(d)):
+            raise ValueError("o and d must be three finite numbers each, d not zero, and t_min finite")
+        out["ray"] = {"o": o, "d": d, "t_min": t_min, "t_max": t_max}
+    return out
+
+
+def parse_hex_floats(value: Any) -> Any:
+    """Hex floats as floats, in whatever holds them; other text stays."""
+    if isinstance(value, dict):
+        return {key: parse_hex_floats(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [parse_hex_floats(each) for each in value]
+    if isinstance(value, str) and value.lstrip("+-").lower().startswith("0x"):
+        return float.fromhex(value)
+    return value
+
+
+def kept_files(place: str) -> list[Path]:
+    """Kept files: one, or all of a folder. Raises FileMissing."""
+    path = Path(place)
+    if path.is_dir():
+        return sorted(path.glob("*.toml"))
+    if not path.is_file():
+        raise FileMissing(
+            f"{place}: expected a scene file that fuzz has kept, or a folder of them, found nothing"
+        )
+    return [path]

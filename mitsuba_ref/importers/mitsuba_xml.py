@@ -1,0 +1,200 @@
+"""<sensor> -> film and camera."""
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import ValidationError
+
+from caster.scene.diagnostics import Diagnostic, diagnostics_of
+from caster.scene.errors import FileMissing, SceneError, listed
+from caster.scene.files import MeshFolders, Scene, resolve_mesh_files
+from mitsuba_ref.importers.appearance import add_emitter
+from mitsuba_ref.importers.scene_builder import SceneBuilder, Step, composed_matrix, transform_steps
+from mitsuba_ref.importers.shapes import add_shape
+from mitsuba_ref.importers.xml_document import (
+    ImportDiagnostic,
+    Node,
+    SourcePosition,
+    format_diagnostics,
+    load_document,
+)
+
+CAMERA_KINDS = {"perspective": "pinhole", "thinlens": "pinhole", "orthographic": "orthographic"}
+DEFAULT_FILM_SIZE = (768, 576)  # pixels, where a film says nothing
+DEFAULT_NEAR, DEFAULT_FAR = 0.01, 1e4  # clip planes, where a sensor says nothing
+
+# Mitsuba takes a sensor whose matrix scales by up to 5e-4; so much of a difference between its axes is none to it.
+SQUARE_PIXEL_RTOL = 5e-4
+
+# A film of 36 x 24 mm, whose diagonal focal lengths are for.
+FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)
+
+
+def add_sensor(out: SceneBuilder, node: Node) -> None:
+    """The film, and the camera. Errors of values are told when the scene is checked as a whole."""
+    out.data["film"] = _film(out, node)
+    out.places["film",] = out.places["camera",] = node.position
+    film = out.data["film"]
+    camera: dict[str, Any] = {"type": CAMERA_KINDS[node.kind]}
+    steps = transform_steps(out, node)
+    matrix = composed_matrix(steps)
+    camera |= _pose(out, node, steps, np.eye(4) if matrix is None else matrix)
+    near, far = out.number(node, "near_clip", DEFAULT_NEAR), out.number(node, "far_clip", DEFAULT_FAR)
+    if node.kind == "orthographic":
+        camera |= _window(out, node, np.eye(4) if matrix is None else matrix, near, far)
+    else:
+        camera |= {"near": near, "far": far, **_field_of_view(out, node, film["width"], film["height"])}
+        shift = [out.number(node, f"principal_point_offset_{axis}", 0.0) for axis in "xy"]
+        if any(shift):
+            camera["principal_point"] = shift
+    if node.kind == "thinlens":
+        out.note(node, "the lens: all is sharp to a pinhole")
+        out.find(node, "aperture_radius", "float", "integer")
+    out.find(node, "focus_distance", "float", "integer")  # of no effect without a lens
+    out.data["camera"] = camera
+    out.omit_unread(node)
+
+
+def _film(out: SceneBuilder, node: Node) -> dict[str, Any]:
+    film = next(node.all("film"), None)
+    if film is None:
+        return {"width": DEFAULT_FILM_SIZE[0], "height": DEFAULT_FILM_SIZE[1]}
+    out.consumed.add(id(film))
+    width, height = (
+        out.integer(film, "width", DEFAULT_FILM_SIZE[0]),
+        out.integer(film, "height", DEFAULT_FILM_SIZE[1]),
+    )
+    x, y = out.integer(film, "crop_offset_x", 0), out.integer(film, "crop_offset_y", 0)
+    w, h = out.integer(film, "crop_width", width - x), out.integer(film, "crop_height", height - y)
+    out.omit_unread(film)
+    size: dict[str, Any] = {"width": width, "height": height}
+    return size if (x, y, w, h) == (0, 0, width, height) else size | {"crop": [x, y, x + w, y + h]}
+
+
+def _pose(out: SceneBuilder, node: Node, steps: list[Step], matrix: np.ndarray) -> dict[str, Any]:
+    """Mitsuba's sensors look along +z, with +y up and +x to the left."""
+    if len(steps) == 1 and "look_at" in steps[0]:
+        look = steps[0]["look_at"]
+        return {"eye": look["origin"], "look_at": look["target"], "up": look["up"]}
+    if np.linalg.det(matrix[:3, :3]) < 0.0:
+        out.note(node, "the mirroring of its to_world: our picture has left and right the other way round")
+    eye, up, view = matrix[:3, 3], matrix[:3, 1], matrix[:3, 2]
+    return {"eye": eye.tolist(), "direction": view.tolist(), "up": up.tolist()}
+
+
+def _field_of_view(out: SceneBuilder, node: Node, width: int, height: int) -> dict[str, Any]:
+    if node.named("fov") is not None:
+        return {"fov": out.number(node, "fov", 0.0), "fov_axis": out.text(node, "fov_axis", "x")}
+    out.text(node, "fov_axis")
+    text = out.text(node, "focal_length", "50mm").removesuffix("mm")
+    try:
+        focal = float(text)
+    except ValueError:
+        focal = math.nan
+    if not 0.0 < focal < math.inf:
+        out.error(node, f"focal_length must be a length > 0 in mm such as 50mm, got '{text}'")
+        focal = 50.0
+    return {"fov": math.degrees(2.0 * math.atan(0.5 * FILM_DIAGONAL_MM / focal)), "fov_axis": "diagonal"}
+
+
+def _window(out: SceneBuilder, node: Node, matrix: np.ndarray, near: float, far: float) -> dict[str, Any]:
+    """The window is [-1, 1] wide until it is scaled.
+
+    Along the view, the near plane scales, but not the way to the far one.
+    """
+    across, up, along = np.linalg.norm(matrix[:3, :3], axis=0)
+    if abs(up - across) > SQUARE_PIXEL_RTOL * across:
+        out.note(node, f"pixels that are {up / across:g} times as high as wide: ours are square")
+    return {
+        "width": 2.0 * float(across),
+        "near": near * float(along),
+        "far": near * float(along) + far - near,
+    }
+
+
+# Mitsuba XML or MIT 6.837 text -> a Scene of ours, and a list of what was left out.
+
+
+class ImportedScene(NamedTuple):
+    """A scene of ours, and "file:line:column: left out: ..." in the order of the file."""
+
+    scene: Scene
+    left_out: tuple[str, ...]
+
+
+def import_xml(path: str, parameters: Mapping[str, str] = {}, mesh_dirs: Iterable[str] = ()) -> ImportedScene:
+    """Read Mitsuba XML with its includes and meshes. parameters: values for its $names, before its own defaults.
+
+    Raises FileMissing for files that cannot be read, SceneError with every error and its line for the rest.
+    """
+    document = load_document(path, parameters)
+    out = SceneBuilder(document)
+    with np.errstate(over="ignore", invalid="ignore"):  # what comes of huge numbers is refused with the scene
+        _add_all(out, path)
+        scene, missing = _scene_of(out, MeshFolders(document.folder, tuple(map(Path, mesh_dirs))))
+    if scene is None or document.errors:
+        kind_of_error = FileMissing if missing and not document.errors else SceneError
+        raise kind_of_error(format_diagnostics(sorted([*document.errors, *missing]), document.texts))
+    return ImportedScene(scene, tuple(note.line() for note in sorted(out.left_out)))
+
+
+def _add_all(out: SceneBuilder, path: str) -> None:
+    """The first sensor of a kind that we have, then all shapes, lights and materials."""
+    document = out.document
+    sensors = [node for node in document.nodes if node.tag == "sensor"]
+    usable = [node for node in sensors if node.kind in CAMERA_KINDS]
+    if usable:
+        add_sensor(out, usable[0])
+    else:
+        there = f", got {listed((node.kind for node in sensors), 'and')}" if sensors else ""
+        position = sensors[0].position if sensors else SourcePosition(path, 1, 1)
+        document.errors.append(
+            ImportDiagnostic(position, f"needs a sensor that we have: {listed(CAMERA_KINDS)}{there}")
+        )
+    _add_rest(out, usable[:1])
+
+
+def _add_rest(out: SceneBuilder, done: list[Node]) -> None:
+    """All elements but the sensor. An area light or a material stands for itself only where a shape refers to it."""
+    nodes = out.document.nodes
+    for node in nodes:
+        if node.tag == "shape":
+            add_shape(out, node)
+        elif node.tag == "emitter" and node.kind != "area":
+            add_emitter(out, node)
+    for node in nodes:
+        if id(node) not in out.consumed and node not in done and node.tag not in ("shape", "alias"):
+            unused = ": no shape uses it" if node.tag in ("bsdf", "emitter") else ""
+            out.omit(node, f"{node.words()}{unused}")
+
+
+def _scene_of(out: SceneBuilder, reach: MeshFolders) -> tuple[Scene | None, list[ImportDiagnostic]]:
+    """(the scene, None if it is not valid; meshes that are missing). Errors go into the document."""
+    if "camera" not in out.data:
+        out.data["camera"] = {
+            "type": "pinhole",
+            "eye": [0, 0, 0],
+            "direction": [0, 0, 1],
+        }  # for the other errors
+    data, unusable, missing = resolve_mesh_files(out.data, reach, Scene)
+    scene, problems = None, unusable
+    try:
+        scene = Scene.model_validate(data)
+        scene._folder = reach.folder.resolve()
+    except ValidationError as error:
+        problems = problems + diagnostics_of(error, data, Scene)
+    out.document.errors += [_with_position(out, each) for each in problems]
+    absent = [_with_position(out, each) for each in missing]
+    return (None if absent else scene), absent
+
+
+def _with_position(out: SceneBuilder, problem: Diagnostic) -> ImportDiagnostic:
+    path = problem.path
+    while path and path not in out.places:
+        path = path[:-1]
+    return ImportDiagnostic(
+        out.places.get(path, SourcePosition(next(iter(out.document.texts)), 1, 1)), problem.text
+    )

@@ -1,0 +1,188 @@
+"""What is made of a document: the data of a scene file of ours, errors, and what was left out."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mitsuba_ref.importers.xml_document import ImportDiagnostic, Node, SourcePosition, XmlDocument
+
+Path = tuple[str | int, ...]
+
+
+@dataclass
+class SceneBuilder:
+    """The scene so far. Values are read through it, so that each is either used or told of."""
+
+    document: XmlDocument
+    data: dict[str, Any] = field(default_factory=lambda: {"light": [], "material": {}, "shape": []})
+    places: dict[Path, SourcePosition] = field(
+        default_factory=dict
+    )  # where each element of the data is in the files
+    left_out: list[ImportDiagnostic] = field(default_factory=list)
+    consumed: set[int] = field(default_factory=set)  # id() of the nodes that were read
+    materials: dict[int, str] = field(default_factory=dict)  # names by id() of their node
+    in_progress: set[int] = field(default_factory=set)  # id() of the bsdfs that are being made
+
+    def error(self, node: Node, text: str) -> None:
+        self.document.errors.append(ImportDiagnostic(node.position, text))
+
+    def omit(self, node: Node, text: str) -> None:
+        self.consumed.add(id(node))
+        self.left_out.append(ImportDiagnostic(node.position, text))
+
+    def note(self, node: Node, text: str) -> None:
+        """Tell of something about an element that is used all the same."""
+        self.left_out.append(ImportDiagnostic(node.position, f"{text} ({node.words()})"))
+
+    def omit_unread(self, node: Node) -> None:
+        """Tell of all children of a node that were not read."""
+        for child in node.children:
+            if id(child) not in self.consumed:
+                self.omit(child, f"{child.words()} of {node.words()}")
+
+    def find(self, node: Node, name: str, *tags: str) -> Node | None:
+        """The child of that name and one of those tags, marked as read."""
+        child = node.named(name)
+        if child is None:
+            return None
+        if child.tag not in tags:
+            self.error(child, f"{node.words()}: {name} must be a <{tags[0]}>, got <{child.tag}>")
+        self.consumed.add(id(child))
+        return child if child.tag in tags else None
+
+    def number(self, node: Node, name: str, default: float) -> float:
+        child = self.find(node, name, "float", "integer")
+        return default if child is None else self.numbers(child, "value", 1)[0]
+
+    def integer(self, node: Node, name: str, default: int) -> int:
+        child = self.find(node, name, "integer")
+        if child is None:
+            return default
+        value = self.numbers(child, "value", 1)[0]
+        if value != int(value):
+            self.error(
+                child, f"{child.words()}: expected a whole number, got {child.attributes.get('value')}"
+            )
+        return int(value)
+
+    def boolean(self, node: Node, name: str) -> bool:
+        child = self.find(node, name, "boolean")
+        if child is None:
+            return False
+        text = child.attributes.get("value", "").lower()
+        if text not in ("true", "false"):
+            self.error(child, f"{child.words()}: expected true or false, got '{text}'")
+        return text == "true"
+
+    def text(self, node: Node, name: str, default: str = "") -> str:
+        child = self.find(node, name, "string")
+        return default if child is None else child.attributes.get("value", "")
+
+    def vector(self, node: Node, name: str, default: tuple[float, ...]) -> list[float]:
+        child = self.find(node, name, "point", "vector")
+        return list(default) if child is None else self.xyz(child, default)
+
+    def xyz(self, node: Node, default: tuple[float, ...]) -> list[float]:
+        """Of x="1" y="2" z="3" or value="1 2 3"; value="1" is all three."""
+        if "value" in node.attributes:
+            found = self.numbers(node, "value", 3)
+            return found * 3 if len(found) == 1 else found
+        return [
+            self.numbers(node, axis, 1)[0] if axis in node.attributes else start
+            for axis, start in zip("xyz", default, strict=True)
+        ]
+
+    def numbers(self, node: Node, attribute: str, count: int) -> list[float]:
+        """So many, or one; parted by spaces or commas. An error and zeros otherwise."""
+        words = node.attributes.get(attribute, "").replace(",", " ").split()
+        try:
+            found = [float(word) for word in words]
+        except ValueError:
+            found = []
+        if len(found) not in (1, count) or not all(map(math.isfinite, found)):
+            many = "a number" if count == 1 else f"{count} numbers"
+            got = node.attributes.get(attribute, "nothing")
+            self.error(node, f"{node.words()}: {attribute} must be {many}, got '{got:.60}'")
+            return [0.0] * count
+        return found
+
+
+# <transform> -> steps of a to_world of ours, which act in the order of the file as Mitsuba's do.
+
+
+Step = dict[str, Any]
+TRANSFORM_TAGS = ("translate", "rotate", "scale", "lookat", "matrix")
+
+
+def transform_steps(out: SceneBuilder, node: Node, name: str = "to_world") -> list[Step]:
+    """The steps of that transform of an element; none where it has none."""
+    transform = out.find(node, name, "transform")
+    if transform is None:
+        return []
+    for child in transform.children:
+        if child.tag not in TRANSFORM_TAGS:
+            out.error(
+                child, f"unknown step <{child.tag}> of a transform (known: {', '.join(TRANSFORM_TAGS)})"
+            )
+    return [_step(out, child) for child in transform.children if child.tag in TRANSFORM_TAGS]
+
+
+def _step(out: SceneBuilder, node: Node) -> Step:
+    if node.tag == "translate":
+        return {"translate": out.xyz(node, (0.0, 0.0, 0.0))}
+    if node.tag == "scale":
+        return {"scale": out.xyz(node, (1.0, 1.0, 1.0))}
+    if node.tag == "rotate":
+        return _rotation(out.xyz(node, (0.0, 0.0, 0.0)), out.numbers(node, "angle", 1)[0])
+    if node.tag == "lookat":
+        up = out.numbers(node, "up", 3) if "up" in node.attributes else [0.0, 1.0, 0.0]
+        return {
+            "look_at": {
+                "origin": out.numbers(node, "origin", 3),
+                "target": out.numbers(node, "target", 3),
+                "up": up,
+            }
+        }
+    return {"matrix": _matrix(out, node)}
+
+
+def _rotation(axis: list[float], degrees: float) -> Step:
+    """Mitsuba takes the axis as it is: where its length is not 1 (exactly) the outcome is no rotation, but a matrix."""
+    length = math.hypot(*axis)
+    if length in (0.0, 1.0):  # 0 is refused with the rest of the scene
+        return {"rotate": {"axis": axis, "degrees": degrees}}
+    x, y, z = axis
+    angle = math.radians(degrees)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    outer = np.outer(axis, axis)
+    linear = math.cos(angle) * np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * outer
+    return {"matrix": matrix_rows(linear, [0.0, 0.0, 0.0])}
+
+
+def _matrix(out: SceneBuilder, node: Node) -> list[list[float]]:
+    """16 numbers, or 9 of the linear part, row by row."""
+    count = 9 if len(node.attributes.get("value", "").replace(",", " ").split()) == 9 else 16
+    found = out.numbers(node, "value", count)
+    if count == 9:
+        return matrix_rows(np.array(found).reshape(3, 3), [0.0, 0.0, 0.0])
+    if len(found) != 16:
+        out.error(node, "matrix: value must be 16 numbers, got 1")
+        return matrix_rows(np.eye(3), [0.0, 0.0, 0.0])
+    return [found[i : i + 4] for i in range(0, 16, 4)]
+
+
+def matrix_rows(linear: np.ndarray, move: Any) -> list[list[float]]:
+    return [*([*row, float(x)] for row, x in zip(linear.tolist(), move, strict=True)), [0.0, 0.0, 0.0, 1.0]]
+
+
+def composed_matrix(steps: list[Step]) -> np.ndarray | None:
+    """4x4 float64 of the steps, by caster's own composition; None where they are not valid (which is told later)."""
+    from caster.scene.errors import SceneError
+    from caster.shapes import Cube
+
+    try:
+        return np.array(Cube(to_world=steps).matrix)
+    except SceneError:
+        return None

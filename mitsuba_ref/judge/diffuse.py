@@ -1,0 +1,151 @@
+"""The diffuse AOV: is ours the sum of what Mitsuba's lights give, up to bounds and to shadows that may differ?"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from caster.scene.files import Scene
+from mitsuba_ref.error_model import lambert, shadows
+from mitsuba_ref.error_model.bounds import Bounds, aov_rows
+from mitsuba_ref.error_model.bracket import Bracket
+from mitsuba_ref.error_model.intersections import KU, KU_OURS, Intersections
+from mitsuba_ref.error_model.lambert import (
+    LightChoices,
+    LightContribution,
+    ShadingPoints,
+    certain_lights,
+    smallest_error_ratio,
+)
+from mitsuba_ref.subjects.ours import ImagePair
+
+
+class DiffuseComparison(NamedTuple):
+    """One row a pixel; pixels that are not judged have ratio 0."""
+
+    ratio: np.ndarray  # (n,) difference over bound with Mitsuba's own shadows
+    explained: np.ndarray  # (n,) bool: other shadows, which rounding allows both sides, give our value
+    unresolvable: np.ndarray  # (n,) bool: Mitsuba's own value has no useful bound
+
+
+class LightAnswers(NamedTuple):
+    """All lights at m pixels, as numbers with bounds and as Mitsuba answered."""
+
+    each: list[LightContribution]
+    given: np.ndarray  # (lights, m, 3) what Mitsuba says, its shadows included
+    error: np.ndarray  # (lights, m, 3)
+    visible: np.ndarray  # (lights, m) bool, Mitsuba's shadow test
+
+
+def judge_diffuse(
+    scene: Scene, pair: ImagePair, bounds: Bounds, rows: np.ndarray, brackets: tuple[Bracket, Bracket]
+) -> DiffuseComparison:
+    """Judge the pixels `rows`, where geometry agrees; brackets: ours and the reference's."""
+    count = len(pair.t)
+    ratio, explained, unresolvable = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
+    lights = _lights(scene, pair, bounds.at, rows)
+    ratio[rows] = _share(pair, rows, certain_lights(lights.given, lights.error))
+    beyond = rows[ratio[rows] > 1.0]
+    if len(beyond):
+        lights = _lights(scene, pair, bounds.at, beyond)
+        choices = _choices(scene, pair, lights, shading_points(pair, bounds.at, beyond), beyond, brackets)
+        explained[beyond] = _share(pair, beyond, choices) <= 1.0
+        unresolvable[beyond] = ~np.isfinite([lit.error for lit in lights.each]).all(axis=(0, 2))
+    return DiffuseComparison(ratio, explained, unresolvable)
+
+
+def diffuse_within_float64(
+    scene: Scene, hit: ShadingPoints, prim: np.ndarray, values: np.ndarray, bracket: Bracket
+) -> np.ndarray:
+    """(m,) bool: our values (m, 3) are Lambert's, with some shadows that float64 rounding allows us.
+
+    hit: as float64 sees it, with float64's bounds; prim (m,): the primitives that are hit.
+    """
+    each = _lit(scene, hit, KU_OURS)
+    shape = (len(each), len(prim))
+    lit, shaded = np.ones(shape, bool), np.zeros(shape, bool)
+    if scene.shading.shadows:
+        for i, light in enumerate(each):
+            lit[i], shaded[i] = shadows.our_visibility(bracket, hit, light, prim)
+    doubtful = np.array([light.doubtful for light in each], bool).reshape(shape)
+    either = [np.where(light.doubtful[:, None], light.either_side, light.radiance) for light in each]
+    first = np.where(lit[..., None], _stacked(either, prim), 0.0)
+    error = np.where(lit[..., None], _stacked([light.error for light in each], prim), 0.0)
+    dark = np.zeros_like(first)
+    choices = LightChoices(first, error, dark, dark, lit & (shaded | doubtful))
+    return smallest_error_ratio(values, lambert.ambient_radiance(scene, hit.shape), choices, KU_OURS) <= 1.0
+
+
+def shading_points(pair: ImagePair, at: Intersections, rows: np.ndarray) -> ShadingPoints:
+    """Our hits at some pixels, with the bounds `at`."""
+    d = pair.rays.d[rows].astype(np.float64)
+    p = pair.rays.o[rows].astype(np.float64) + pair.t[rows, None] * d
+    return ShadingPoints(p, d, aov_rows(pair.ours, "shape_id")[rows], at.take(rows))
+
+
+def _lit(scene: Scene, hit: ShadingPoints, ku: float) -> list[LightContribution]:
+    return [
+        lambert.light_contribution(scene, light, hit, ku) for light in scene.lights if light.type != "ambient"
+    ]
+
+
+def _lights(scene: Scene, pair: ImagePair, at: Intersections, rows: np.ndarray) -> LightAnswers:
+    each = _lit(scene, shading_points(pair, at, rows), KU)
+    visible = pair.witness.visible[:, rows]
+    given = np.where(visible[..., None], pair.witness.unshadowed[:, rows], 0.0)
+    error = np.where(visible[..., None], _stacked([lit.error for lit in each], rows), 0.0)
+    return LightAnswers(each, given, error, visible)
+
+
+def _stacked(values: list[np.ndarray], rows: np.ndarray) -> np.ndarray:
+    """(lights, m, 3), also without any light."""
+    return np.array(values).reshape(len(values), len(rows), 3)
+
+
+def _share(pair: ImagePair, rows: np.ndarray, choices: LightChoices) -> np.ndarray:
+    return smallest_error_ratio(aov_rows(pair.ours, "diffuse")[rows], pair.witness.ambient[rows], choices, KU)
+
+
+def _choices(
+    scene: Scene,
+    pair: ImagePair,
+    lights: LightAnswers,
+    hit: ShadingPoints,
+    rows: np.ndarray,
+    brackets: tuple[Bracket, Bracket],
+) -> LightChoices:
+    """What Mitsuba says of each light, or the contrary where each side may say what it says.
+
+    A face seen nearly from the side may be the one or the other; and a shadow may be there or not.
+    """
+    doubtful = np.array([lit.doubtful for lit in lights.each], bool).reshape(lights.visible.shape)
+    doubt = doubtful.copy()
+    if scene.shading.shadows:
+        for i, lit in enumerate(lights.each):
+            doubt[i] |= _shadow_may_differ(lights.visible[i], lit, hit, pair, rows, brackets)
+    bright = np.asarray(lights.given.any(axis=-1))[..., None]
+    lit_value = np.where(
+        doubtful[..., None], *(_of(lights, name, rows) for name in ("either_side", "radiance"))
+    )
+    second = np.where(bright, 0.0, lit_value)
+    second_error = np.where(bright, 0.0, _of(lights, "error", rows))
+    return LightChoices(lights.given, lights.error, second, second_error, doubt)
+
+
+def _of(lights: LightAnswers, name: str, rows: np.ndarray) -> np.ndarray:
+    return _stacked([getattr(lit, name) for lit in lights.each], rows)
+
+
+def _shadow_may_differ(
+    visible: np.ndarray,
+    lit: LightContribution,
+    hit: ShadingPoints,
+    pair: ImagePair,
+    rows: np.ndarray,
+    brackets: tuple[Bracket, Bracket],
+) -> np.ndarray:
+    """Where Mitsuba may say of a light what it says, and we may say the contrary."""
+    ours, theirs = brackets
+    p, n = (aov_rows(pair.reference, name)[rows] for name in ("position", "normal"))
+    they_lit, they_shaded = shadows.reference_visibility(theirs, hit, lit, p, n)
+    we_lit, we_shaded = shadows.our_visibility(ours, hit, lit, pair.prim[rows])
+    return np.where(visible, they_lit & we_shaded, they_shaded & we_lit)

@@ -1,0 +1,1 @@
+"""Checks made once per scene, beside its pixels."""

@@ -1,0 +1,194 @@
+"""Which pixels share a rounding of the reference's, by kind of primitive (docs/method.md, "Bias")."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.geometry.packing import Packed
+from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
+from mitsuba_ref.error_model.intersections import K, dot
+from mitsuba_ref.judge.known_defects import CYLINDERS, DISKS, ELLIPSOIDS, PLANES, SPHERES, TRIANGLES
+from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck
+from mitsuba_ref.subjects.ours import ImagePair
+
+# Faces whose unit normals agree to this share are one group: parallel faces have the same differences of corners.
+SAME_NORMAL_TOLERANCE = 2.0**-12
+
+# (prims, k (m,), n (m, 3), o (m, 3), d (m, 3)) -> (m, c) rows that are equal where pixels are of one group
+GroupKey = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def by_normal(_prims: Any, _k: np.ndarray, n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
+    """Flat: what is rounded is the plane, and parallel ones may be rounded alike; so may mirror images be."""
+    key: np.ndarray = np.sort(np.round(np.abs(n) / SAME_NORMAL_TOLERANCE), axis=1)
+    return key
+
+
+def by_corner(
+    axis: int, prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray
+) -> np.ndarray:
+    """Faces on rings and grids: what is rounded is one coordinate of many corners, as seen from the ray's origin."""
+    corner: np.ndarray = np.abs(prims.vertices[prims.faces[k, 0], axis])
+    return corner[:, None]
+
+
+def by_matrix(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
+    """Through a matrix: what is rounded is its inverse; a mirror image's has the same magnitudes."""
+    key: np.ndarray = np.abs(prims.to_world[k].reshape(len(k), 9))
+    return key
+
+
+def by_approach(prims: Any, k: np.ndarray, _n: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Balls are solved in float64, but from the point nearest to the centre, which lies at a t rounded to float32."""
+    nearest: np.ndarray = dot(prims.center[k] - o, d) / dot(d, d)
+    return nearest.astype(np.float32)[:, None]
+
+
+def by_center(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
+    """Balls in float32 throughout, as the LLVM variant has them: what is rounded is the centre from the origin."""
+    center: np.ndarray = prims.center[k]
+    return center
+
+
+def single_group(_prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
+    """A kind of which nobody has said what is rounded for many pixels at once: it can tell nothing."""
+    return np.zeros((len(k), 1))
+
+
+# All ways in which a rounding may be common to many pixels. The one that explains a leaning best is taken.
+GROUP_KEYS: Mapping[str, Sequence[GroupKey]] = {
+    TRIANGLES: (by_normal, *(partial(by_corner, axis) for axis in range(3))),
+    PLANES: (by_normal,),
+    DISKS: (by_normal,),
+    CYLINDERS: (by_matrix,),
+    ELLIPSOIDS: (by_matrix,),
+    SPHERES: (by_approach,),
+}
+GROUP_KEYS_LLVM = {**GROUP_KEYS, SPHERES: (by_center,)}
+
+
+# How much of their bounds the errors of the reference use, and whether they lean to one side.
+#
+# A defect of ours far below what float32 resolves moves no pixel beyond its bound, but it moves all of them
+# the same way.
+# Rounding does so, too, within a primitive: its numbers are rounded once, for all rays. So only the means of
+# *groups* of pixels count, of which nothing that is rounded belongs to two. See docs/method.md, "Bias".
+
+
+# Means of groups whose signs are tosses of a coin give |z| >= x with a probability of at most 2 exp(-x^2 / 2),
+# however many and however large they are (Hoeffding): 7.5e-6 for 5. No |z| exceeds the root of the number of groups.
+LARGEST_Z = 5.0
+MIN_GROUPS = int(LARGEST_Z**2) + 1  # with fewer, no bias whatever could fail
+
+
+class KindBias(NamedTuple):
+    """What the errors of t of one kind of primitive lean to."""
+
+    kind: str  # name of its packed arrays
+    groups: int  # of the way to group pixels that makes the fewest
+    z: float  # of the way that makes it smallest; positive: the reference sees things farther away than ours
+
+    @property
+    def tells(self) -> bool:
+        """Whether there are enough groups to fail by."""
+        return self.groups >= MIN_GROUPS
+
+
+class ErrorStatistics(NamedTuple):
+    """The errors of a scene where both name the same surface within its bounds: K times the error over its bound."""
+
+    pixels: int
+    t_largest: float
+    t_p99: float  # 99 % of the pixels are below
+    normal_largest: float
+    normal_p99: float
+    looseness: float  # median of the bound of t over its error; inf where most are exact
+    biases: tuple[KindBias, ...]
+
+    @property
+    def z(self) -> float:
+        """Of the kind that leans most among those that can tell; 0 where none can."""
+        return max((bias.z for bias in self.biases if bias.tells), key=abs, default=0.0)
+
+
+def error_statistics(packed: Packed, pair: ImagePair, bounds: Bounds) -> ErrorStatistics:
+    """Of one scene, from both sides' answers and the reference's bounds alone: no float64's bounds, no exact answer."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        error = pair.witness.t - pair.t
+        share = np.where(error == 0.0, 0.0, error / bounds.at.t_error)
+        turned = (
+            row_distance(aov_rows(pair.ours, "normal"), aov_rows(pair.reference, "normal"))
+            / bounds.at.n_error
+        )
+        same = aov_rows(pair.ours, "shape_id") == aov_rows(pair.reference, "shape_id")
+        held = (np.abs(share) <= 1.0) & (turned <= 1.0) & np.isfinite(bounds.at.t_error)
+    rows = np.flatnonzero((pair.prim >= 0) & pair.witness.hit & same & held)
+    t, normal = K * np.abs(share[rows]), K * turned[rows]
+    return ErrorStatistics(
+        len(rows),
+        *extremes(t),
+        *extremes(normal),
+        looseness(t),
+        _kind_biases(packed, pair, bounds, share, rows),
+    )
+
+
+def extremes(k: np.ndarray) -> tuple[float, float]:
+    """The largest, and what 99 % are below; 0 of none."""
+    return (float(k.max()), float(np.quantile(k, 0.99))) if len(k) else (0.0, 0.0)
+
+
+def looseness(k: np.ndarray) -> float:
+    """Bound over error in the middle."""
+    middle = float(np.median(k)) if len(k) else 0.0
+    return K / middle if middle > 0.0 else float("inf")
+
+
+def _kind_biases(
+    packed: Packed, pair: ImagePair, bounds: Bounds, share: np.ndarray, rows: np.ndarray
+) -> tuple[KindBias, ...]:
+    """One for each kind that is hit at these rows."""
+    prim = pair.prim[rows]
+    shape = packed.shape_of(prim)
+    kind, k = packed.kind_of[shape], prim - packed.first[shape] + packed.start[shape]
+    scalar = pair.witness.answer.versions["variant"].startswith("scalar")
+    ways_of = GROUP_KEYS if scalar else GROUP_KEYS_LLVM
+    biases = []
+    for place in np.unique(kind):
+        prims, here = packed.kinds[place].prims, kind == place
+        at, name = rows[here], type(prims).__name__
+        o, d = (a[at].astype(np.float64) for a in (pair.rays.o, pair.rays.d))
+        ways = ways_of.get(name, (single_group,))
+        keys = [way(prims, k[here], bounds.own.n[at], o, d) for way in ways]
+        biases.append(KindBias(name, *weakest_bias([z_of_groups(key, share[at]) for key in keys])))
+    return tuple(biases)
+
+
+def weakest_bias(found: Sequence[tuple[int, float]]) -> tuple[int, float]:
+    """(groups, z) of several ways to group: the fewest groups, and the z nearest to 0."""
+    return min(groups for groups, _ in found), min((z for _, z in found), key=abs)
+
+
+def z_of_groups(key: np.ndarray, error: np.ndarray) -> tuple[int, float]:
+    """(number of groups, z). key: (m, c), equal in a group; error: (m,) signed.
+
+    z is the sum of the groups' means over the root of the sum of their squares: mean / (std / sqrt(n)), with the
+    spread about 0, which is where the mean has to be, and not about the mean that was found.
+    """
+    _, group = np.unique(key, axis=0, return_inverse=True)
+    group = group.ravel()
+    count = np.bincount(group)
+    means = np.bincount(group, error) / count
+    spread = float(np.sqrt(np.sum(means**2)))
+    return len(count), float(means.sum()) / spread if spread > 0.0 else 0.0
+
+
+def check_bias(found: ErrorStatistics) -> SceneCheck:
+    """Fails where the errors of a kind with enough groups lean to one side by more than chance explains."""
+    words = [
+        f"{bias.kind} z {bias.z:.1f} of {bias.groups} groups{'' if bias.tells else ', too few to tell'}"
+        for bias in found.biases
+    ]
+    return SceneCheck("bias", abs(found.z) / LARGEST_Z, "; ".join(words) or "nothing to look at")

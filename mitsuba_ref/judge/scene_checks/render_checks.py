@@ -1,0 +1,189 @@
+"""`render`, which is what users get, against the way that pixels are judged.
+
+Judged rays start at the near plane and have no least t; those of `render` start in the eye. Without a near plane the
+two are the same rays, and check_culling demands the same bits. With one they are others, by the rounding of where the
+near plane is, which is as large as the last digit of the eye's coordinates. So where bits differ, `render` is held to
+its own rays, from the eye, with their least t: what the float64 bracket allows there, with no room for the move.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_given
+from caster.rendering.casting import find_nearest
+from caster.rendering.hits import trace
+from caster.rendering.images import Aovs, camera_rays, evaluate, film_window, render, trace_rays
+from caster.scene.fields import Camera
+from caster.scene.files import Scene
+from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
+from mitsuba_ref.error_model.bounds import aov_rows, nearest_root
+from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
+from mitsuba_ref.error_model.intersections import KU, KU_OURS, norm
+from mitsuba_ref.error_model.lambert import ShadingPoints
+from mitsuba_ref.error_model.scene_model import model_of
+from mitsuba_ref.judge.diffuse import diffuse_within_float64
+from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck, bits_differ, pixel_centers, worst_pixel
+from mitsuba_ref.judge.scene_checks.shape_checks import check_geometry, check_materials, check_placement
+from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.rendering import ReferenceResult, camera_reference
+
+CHECKED_AOVS = ("depth", "normal", "shading_normal", "position", "shape_id", "diffuse", "prim_id")
+RENDER_PIXELS_CHECKED = 4096  # pixels that are judged where bits may differ: a few tenths of a second
+
+
+def check_render(scene: Scene) -> SceneCheck:
+    """What `render` gives is what the judged rays give: the same bits, or where they cannot be, right by float64."""
+    rays = camera_rays(scene)
+    if not (rays.t_min > 0.0).any():
+        return SceneCheck("render", 0.0, "no near plane: the rays are those that culling is checked on")
+    o = rays.o + rays.t_min[:, None] * rays.d
+    left = np.where(rays.t_max < 0.0, -1.0, rays.t_max - rays.t_min)
+    judged = trace(scene, o, rays.d, left, rays.t_min, rounded=as_given)
+    ours, moved = render(scene, CHECKED_AOVS), evaluate(judged, CHECKED_AOVS, film_window(scene))
+    differs = np.any([bits_differ(ours, moved, name) for name in CHECKED_AOVS], axis=0)
+    rows = np.flatnonzero(differs & (rays.t_min > 0.0))
+    if len(rows):
+        rows = np.random.default_rng(1).choice(rows, min(RENDER_PIXELS_CHECKED, len(rows)), replace=False)
+        differs &= rays.t_min == 0.0
+        differs[rows] = ~_within_float64(scene, ours, rows, _segments(rays, rows))
+    return worst_pixel("render", {"pixel": np.where(differs, np.inf, 0.0)}, np.ones(len(o), bool), scene)
+
+
+def _segments(rays: Any, rows: np.ndarray) -> RaySegments:
+    """Some of the camera's rays."""
+    return RaySegments(rays.o[rows], rays.d[rows], rays.t_min[rows], rays.t_max[rows])
+
+
+def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: RaySegments) -> np.ndarray:
+    """(m,) bool: geometry within float64's bracket, diffuse as the lights' definitions give it there."""
+    depth, n, sh_n, p, shape, diffuse, prim = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)
+    t = depth / norm(rays.d)
+    model = model_of(scene, pack(scene, as_given), SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))))
+    bracket = Bracket(model, KU_OURS, ours=True)
+    claims = Claims(t, shape, n, sh_n, p, KU_OURS * t)
+    found = bracket.judge(rays.o, rays.d, rays.t_max, claims, t_min=rays.t_min)
+    right = found.allowed | found.open
+    hit = np.flatnonzero(right & (shape >= 0))
+    o, d, t, shape = rays.o[hit], rays.d[hit], t[hit], shape[hit]
+    prim = model.packed.first[shape] + prim[hit]
+    at = nearest_root(model.intersect(prim, o, d, KU_OURS, ours=True), t)
+    right[hit] &= diffuse_within_float64(
+        scene, ShadingPoints(o + t[:, None] * d, d, shape, at), prim, diffuse[hit], bracket
+    )
+    return right
+
+
+# What is checked once a scene, beside the pixels: shapes, camera, sensor, and what `render` makes of them.
+
+
+def check_camera(scene: Scene) -> SceneCheck:
+    """Our rays in float64 against the camera's formula, written a second time."""
+    ours = camera_rays(scene)
+    x, y = pixel_centers(scene)
+    expected = camera_reference(scene.camera).rays(scene.camera, scene.film, x, y)
+    size = float(np.abs(expected.o).max(initial=np.finfo(np.float64).tiny))
+    rounding = CAMERA_ROUNDINGS * KU_OURS / _up_sine(scene.camera)
+    seen, rim = expected.t_max >= 0.0, _on_rim(scene, x, y)
+    shares = {
+        "rays there are": np.where(seen == (ours.t_max >= 0.0), 0.0, np.inf),
+        "origin": norm(ours.o - expected.o) / (rounding * size),
+        "direction": norm(ours.d - expected.d) / rounding,
+        "near": _relative(ours.t_min, expected.t_min) / rounding,
+        "far": _relative(ours.t_max, expected.t_max) / rounding,
+    }
+    return worst_pixel("camera", shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
+
+
+# A direction goes through an orthobasis (three unit vectors of 4 roundings each), a position on the film (4), a sine
+# or tangent (2) of an angle of up to pi, and a length (3): 32 roundings on either side, in steps of KU_OURS, which is
+# K roundings on either side.
+CAMERA_ROUNDINGS = 8.0
+
+
+def _up_sine(camera: Camera) -> float:
+    """The sine of the angle between view and up: the orthobasis rounds by as much more as this is less than 1."""
+    forward, up = camera_axes(camera)[2], np.array(camera.up, np.float64)
+    return float(np.linalg.norm(np.cross(forward, up)) / np.linalg.norm(up))
+
+
+def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(n,) bool: pixels on the edge of a round picture, up to rounding, so that either side may have a ray there."""
+    film, reference = scene.film, camera_reference(scene.camera)
+    middle_x, middle_y = film.width / 2.0, film.height / 2.0
+    seen = []
+    for scale in (1.0 - KU_OURS, 1.0 + KU_OURS):
+        rays = reference.rays(
+            scene.camera, film, middle_x + scale * (x - middle_x), middle_y + scale * (y - middle_y)
+        )
+        seen.append(rays.t_max >= 0.0)
+    differs: np.ndarray = seen[0] != seen[1]
+    return differs
+
+
+def check_sensor(scene: Scene, witness: ReferenceResult) -> SceneCheck:
+    """Our rays against those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
+    answer = witness.answer
+    if answer.sensor_d is None or answer.sensor_o is None or answer.sensor_t_max is None:
+        expected = camera_reference(scene.camera).to_xml is not no_sensor
+        what = "the answer lacks its rays" if expected else f"Mitsuba has no {scene.camera.type} camera"
+        return SceneCheck("sensor", np.inf if expected else 0.0, what)
+    ours, reference = camera_rays(scene), camera_reference(scene.camera)
+    o, d = answer.sensor_o.astype(np.float64), answer.sensor_d.astype(np.float64)
+    if len(d) != len(ours.d):
+        return SceneCheck("sensor", np.inf, f"Mitsuba gives {len(d)} rays, we {len(ours.d)}")
+    bound = KU * reference.amplification(scene.camera, scene.film)
+    along = np.sum((o - ours.o) * ours.d, axis=1)
+    aside = norm(o - ours.o - along[:, None] * ours.d)
+    size = norm(ours.o) + np.abs(along) + np.abs(scene.camera.eye).max() + getattr(scene.camera, "width", 0.0)
+    shares = {"direction": norm(d - ours.d) / bound, "origin": aside / (bound * size)}
+    if getattr(scene.camera, "near", 0.0) > 0.0:
+        shares["near"] = np.abs(along - ours.t_min) / (bound * (size + ours.t_min))
+    if getattr(scene.camera, "far", None) is not None:
+        end = along + answer.sensor_t_max.astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a far plane at infinity is beyond every bound
+            shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
+    return worst_pixel("sensor", shares, np.ones(len(d), bool), scene)
+
+
+BRUTE_FORCE_TESTS = 1 << 24  # rays times primitives that are tried without any culling
+
+
+def check_culling(scene: Scene) -> SceneCheck:
+    """`render`, as it is planned for this scene, against the way that pixels are judged, and a sample of rays against
+    every primitive there is: the same bits."""
+    names = ("depth", "normal", "shading_normal", "position", "shape_id", "prim_id", "diffuse")
+    rays = camera_rays(scene)
+    judged = trace_rays(scene, pack(scene, as_given), rays, np.zeros(len(rays.o)))
+    planned, tree = render(scene, names), evaluate(judged, names, film_window(scene))
+    differs = np.any([bits_differ(planned, tree, name) for name in names], axis=0)
+    rows = _sampled_rays(len(rays.o), int(judged.packed.first[-1]))
+    obvious = find_nearest(judged.packed, type(rays)(*(a[rows] for a in rays)), "everything")
+    found = judged.nearest
+    differs[rows] |= (obvious.t != found.t[rows]) | (obvious.prim != found.prim[rows])
+    shares = {"bits": np.where(differs, np.inf, 0.0)}
+    return worst_pixel("culling", shares, np.ones(len(differs), bool), scene)
+
+
+def _sampled_rays(rays: int, prims: int) -> np.ndarray:
+    """Some rays, spread by a fixed seed: at least 64, as far as there are as many."""
+    count = min(rays, max(64, BRUTE_FORCE_TESTS // max(prims, 1)))
+    return np.sort(np.random.default_rng(1).choice(rays, count, replace=False))
+
+
+def _relative(ours: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        error = np.abs(ours - expected) / np.maximum(np.abs(expected), np.finfo(np.float64).tiny)
+    return np.where(ours == expected, 0.0, error)
+
+
+CHECKS_WITHOUT_REFERENCE: tuple[Callable[[Scene], SceneCheck], ...] = (
+    check_placement,
+    check_geometry,
+    check_materials,
+    check_camera,
+    check_render,
+    check_culling,
+)

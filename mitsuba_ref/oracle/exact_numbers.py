@@ -1,0 +1,204 @@
+"""From float64 to whole numbers on a common power of two, and vectors of them."""
+
+import math
+from collections.abc import Iterable
+from fractions import Fraction
+from typing import NamedTuple, Union
+
+Integers3 = tuple[int, int, int]
+
+
+class Scaled(NamedTuple):
+    """Numbers n[i] 2^-k, exactly."""
+
+    n: tuple[int, ...]
+    k: int  # >= 0
+
+
+class IntegerRay(NamedTuple):
+    """The ray o 2^-ko + t d 2^-kd."""
+
+    o: Integers3
+    ko: int
+    d: Integers3
+    kd: int
+
+
+def scaled(numbers: Iterable[float]) -> Scaled:
+    """Finite floats, of any size, denormal or -0.0, on the coarsest power of two <= 1 that holds them all."""
+    ratios = [x.as_integer_ratio() for x in numbers]
+    k = max(below.bit_length() for _, below in ratios) - 1  # denominators are powers of two
+    return Scaled(tuple(above << (k + 1 - below.bit_length()) for above, below in ratios), k)
+
+
+def integer_ray(o: Iterable[float], d: Iterable[float]) -> IntegerRay:
+    (ox, oy, oz), ko = scaled(o)
+    (dx, dy, dz), kd = scaled(d)
+    return IntegerRay((ox, oy, oz), ko, (dx, dy, dz), kd)
+
+
+def dot(a: Integers3, b: Integers3) -> int:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Integers3, b: Integers3) -> Integers3:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def sub(a: Integers3, b: Integers3) -> Integers3:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def shifted(a: Integers3, bits: int) -> Integers3:
+    """a 2^bits, bits >= 0."""
+    return a[0] << bits, a[1] << bits, a[2] << bits
+
+
+# Roots of linear and quadratic equations with whole coefficients, compared without rounding.
+
+
+Number = Union["Root", int, float, Fraction]
+
+FIRST_BITS = 64  # of a square root, behind the point; doubled until both ends round to the same float
+
+
+def sign(x: int) -> int:
+    return (x > 0) - (x < 0)
+
+
+def sign_with_root(a: int, b: int, r: int) -> int:
+    """The sign of a + b sqrt(r), r >= 0: where the two terms pull apart, the larger square wins."""
+    first, second = sign(a), sign(b) * (r > 0)
+    if first * second >= 0:
+        return first or second
+    return first * sign(a * a - b * b * r)
+
+
+def sign_with_roots(a: int, b: int, r: int, c: int, s: int) -> int:
+    """The sign of a + b sqrt(r) + c sqrt(s), by squaring twice: (b sqrt r + c sqrt s)^2 holds one root only."""
+    roots = sign(b * abs(b) * r + c * abs(c) * s)  # of b sqrt(r) + c sqrt(s), squares with their signs
+    first = sign(a)
+    if first * roots >= 0:
+        return first or roots
+    return first * sign_with_root(a * a - b * b * r - c * c * s, -2 * b * c, r * s)
+
+
+def is_number(x: Number) -> bool:
+    """Whether it has a place on the line: all but NaN."""
+    return not (isinstance(x, float) and math.isnan(x))
+
+
+class Root:
+    """The real number (p + q sqrt(r)) / s 2^e. Compares exactly with Root, int, float and Fraction."""
+
+    __slots__ = ("e", "p", "q", "r", "s")
+
+    def __init__(self, p: int, q: int = 0, r: int = 0, s: int = 1, e: int = 0) -> None:
+        """r >= 0 and s != 0."""
+        if s < 0:
+            p, q, s = -p, -q, -s
+        self.p, self.q, self.r, self.s, self.e = p, (q if r else 0), (r if q else 0), s, e
+
+    @classmethod
+    def of(cls, x: int | float | Fraction) -> "Root":
+        """A finite number, as it is."""
+        above, below = x.as_integer_ratio()
+        return cls(above, 0, 0, below)
+
+    def sign(self) -> int:
+        """-1, 0 or 1."""
+        return sign_with_root(self.p, self.q, self.r)
+
+    def compare(self, other: Number) -> int:
+        """The sign of self - other; other may be infinite, but not NaN."""
+        if isinstance(other, float) and math.isinf(other):
+            return -1 if other > 0.0 else 1
+        if not isinstance(other, Root):
+            if not other:
+                return self.sign()
+            other = Root.of(other)
+        e = min(self.e, other.e)
+        here, there = other.s << (self.e - e), self.s << (other.e - e)
+        p = self.p * here - other.p * there
+        if self.r == other.r:
+            return sign_with_root(p, self.q * here - other.q * there, self.r)
+        return sign_with_roots(p, self.q * here, self.r, -other.q * there, other.r)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Root | int | float | Fraction):
+            return NotImplemented
+        return is_number(other) and self.compare(other) == 0
+
+    def __lt__(self, other: Number) -> bool:
+        return is_number(other) and self.compare(other) < 0
+
+    def __le__(self, other: Number) -> bool:
+        return is_number(other) and self.compare(other) <= 0
+
+    def __gt__(self, other: Number) -> bool:
+        return is_number(other) and self.compare(other) > 0
+
+    def __ge__(self, other: Number) -> bool:
+        return is_number(other) and self.compare(other) >= 0
+
+    def __hash__(self) -> int:
+        """That of the Fraction, where it is one; else of what x = f +- sqrt(g) has but one of: f, g and the sign."""
+        power = Fraction(2) ** self.e
+        w = math.isqrt(self.r)
+        if w * w == self.r:
+            return hash(Fraction(self.p + self.q * w, self.s) * power)
+        square = Fraction(self.q * self.q * self.r, self.s * self.s) * power * power
+        return hash((Fraction(self.p, self.s) * power, square, self.q > 0))
+
+    def __repr__(self) -> str:
+        return f"Root({float(self)!r})"
+
+    def bracket(self, bits: int) -> tuple[Fraction, Fraction]:
+        """(low, high) around it, 2^(e - bits) / s apart or equal."""
+        (low, high), unit = self._numerators(bits), Fraction(2) ** (self.e - bits) / self.s
+        return low * unit, high * unit
+
+    def _numerators(self, bits: int) -> tuple[int, int]:
+        """Whole numbers around (p + q sqrt(r)) 2^bits, equal or 1 apart."""
+        square = (self.q * self.q * self.r) << (2 * bits)
+        w = math.isqrt(square)
+        rest = int(w * w != square)
+        low = (self.p << bits) + (w if self.q > 0 else -w - rest)
+        return low, low + rest
+
+    def __float__(self) -> float:
+        """The nearest float64, ties to even; infinite beyond the largest."""
+        bits = FIRST_BITS if self.q else 0
+        while True:
+            low, high = (quotient(n, self.s, self.e - bits) for n in self._numerators(bits))
+            if low == high:
+                return low + 0.0  # never -0.0
+            bits *= 2  # an irrational number is no midpoint of two floats, so this ends
+
+    def interval(self) -> tuple[float, float]:
+        """The largest float64 <= it and the smallest >= it."""
+        near = float(self)
+        side = self.compare(near)
+        low = near if side >= 0 else math.nextafter(near, -math.inf)
+        return low, near if side <= 0 else math.nextafter(near, math.inf)
+
+    def off(self, x: float) -> float:
+        """|x - self|, rounded once; 0.0 only where they are equal, the least float64 where they are nearer than that.
+
+        inf for an infinite x, NaN for NaN.
+        """
+        if not math.isfinite(x):
+            return abs(x)
+        above, below = x.as_integer_ratio()
+        e = min(self.e, 0)
+        here, there = below << (self.e - e), self.s << -e
+        apart = Root(self.p * here - above * there, self.q * here, self.r, self.s * below, e)
+        return max(abs(float(apart)), math.ulp(0.0)) if apart.sign() else 0.0
+
+
+def quotient(above: int, below: int, e: int) -> float:
+    """above / below 2^e to the nearest float64; infinite beyond the largest. below > 0."""
+    try:
+        return (above << e) / below if e >= 0 else above / (below << -e)
+    except OverflowError:
+        return math.inf if above > 0 else -math.inf

@@ -1,0 +1,192 @@
+"""Images of unit shapes under p -> center + to_world p, by the exact inverse of to_world."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mitsuba_ref.oracle.exact_numbers import (
+    IntegerRay,
+    Integers3,
+    Root,
+    cross,
+    dot,
+    scaled,
+    shifted,
+    sign_with_root,
+    sub,
+)
+from mitsuba_ref.oracle.interface import (
+    NO_INTERSECTION,
+    Contact,
+    ExactKind,
+    LineIntersections,
+    next_above,
+    next_below,
+)
+
+
+class Affine(NamedTuple):
+    """Centre 2^-k and the rows of adj(to_world 2^k), signs turned so that the determinant is >= 0."""
+
+    center: Integers3
+    adjugate: tuple[Integers3, Integers3, Integers3]
+    determinant: int
+    k: int
+
+
+class ObjectRay(NamedTuple):
+    """A ray seen by a unit shape, magnified: (o + s d) / size, where t = s 2^e."""
+
+    o: Integers3
+    d: Integers3
+    size: int  # > 0
+    e: int
+
+
+def prepare_affine(prims: Any, k: int) -> Affine:
+    numbers = [*prims.center[k].tolist(), *prims.to_world[k].T.ravel().tolist()]
+    (x, y, z, ax, ay, az, bx, by, bz, cx, cy, cz), scale = scaled(numbers)
+    a, b, c = (ax, ay, az), (bx, by, bz), (cx, cy, cz)  # columns
+    rows = cross(b, c), cross(c, a), cross(a, b)
+    determinant = dot(a, rows[0])
+    if determinant < 0:
+        rows = (sub((0, 0, 0), rows[0]), sub((0, 0, 0), rows[1]), sub((0, 0, 0), rows[2]))
+    return Affine((x, y, z), rows, abs(determinant), scale)
+
+
+def to_object_space(by: Affine, ray: IntegerRay) -> ObjectRay:
+    """inverse = adjugate 2^k / determinant, so that adjugate (o - center) has the unit determinant 2^(scale - k)."""
+    scale = max(by.k, ray.ko)
+    away = sub(shifted(ray.o, scale - ray.ko), shifted(by.center, scale - by.k))
+    x, y, z = by.adjugate
+    o, d = (dot(x, away), dot(y, away), dot(z, away)), (dot(x, ray.d), dot(y, ray.d), dot(z, ray.d))
+    return ObjectRay(o, d, by.determinant << (scale - by.k), ray.kd - scale)
+
+
+# A sum of three magnitudes and this product pass three roundings, each down by at most 2^-53 of it.
+ROUNDED_UP = 1.0 + 8 * 2.0**-53
+
+
+def affine_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Around the image of the cube from -1 to 1."""
+    with np.errstate(over="ignore"):
+        reach = np.abs(prims.to_world).sum(axis=2) * ROUNDED_UP
+        return next_below(prims.center - reach), next_above(prims.center + reach)
+
+
+def disk_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Around the image of the square from -1 to 1 at z = 0."""
+    with np.errstate(over="ignore"):
+        reach = np.abs(prims.to_world[:, :, :2]).sum(axis=2) * ROUNDED_UP
+        return next_below(prims.center - reach), next_above(prims.center + reach)
+
+
+def cylinder_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Around that square as it moves from z = 0 to z = 1."""
+    axis = prims.to_world[:, :, 2]
+    with np.errstate(over="ignore"):
+        reach = np.abs(prims.to_world[:, :, :2]).sum(axis=2) * ROUNDED_UP
+        low, high = (
+            next_below(prims.center + np.minimum(axis, 0.0)),
+            next_above(prims.center + np.maximum(axis, 0.0)),
+        )
+        return next_below(low - reach), next_above(high + reach)
+
+
+def usable_affine(prims: Any) -> np.ndarray:
+    return np.isfinite(prims.center).all(axis=1) & np.isfinite(prims.to_world).all(axis=(1, 2))
+
+
+# Spheres, ellipsoids and cylinders: where a quadratic equation vanishes.
+
+
+SINGULAR_MATRIX = LineIntersections((), (Contact("degenerate", None, None),))
+
+
+class IntegerSphere(NamedTuple):
+    """All p with |p - center 2^-k| = radius 2^-k."""
+
+    center: Integers3
+    radius: int
+    k: int
+
+
+def line_sphere_roots(o: Integers3, d: Integers3, size: int, e: int) -> list[Root]:
+    """All t = s 2^e with |o + s d| = size, ascending: two, one where the line touches, or none. d != 0.
+
+    a s^2 + 2 b s + c = 0 with a = d.d, b = o.d, c = o.o - size^2, so s = (-b -+ sqrt(b^2 - a c)) / a.
+    """
+    a, b = dot(d, d), dot(o, d)
+    inside = b * b - a * (dot(o, o) - size * size)
+    if inside < 0:
+        return []
+    return [Root(-b, side, inside, a, e) for side in ((-1, 1) if inside else (0,))]
+
+
+def prepare_sphere(prims: Any, k: int) -> IntegerSphere:
+    (x, y, z, radius), scale = scaled([*prims.center[k].tolist(), float(prims.radius[k])])
+    return IntegerSphere((x, y, z), radius, scale)
+
+
+def intersect_sphere(ball: IntegerSphere, ray: IntegerRay) -> LineIntersections:
+    scale = max(ball.k, ray.ko)
+    away = sub(shifted(ray.o, scale - ray.ko), shifted(ball.center, scale - ball.k))
+    return _closed(line_sphere_roots(away, ray.d, ball.radius << (scale - ball.k), ray.kd - scale))
+
+
+def intersect_ellipsoid(ellipsoid: Affine, ray: IntegerRay) -> LineIntersections:
+    if not ellipsoid.determinant:
+        return SINGULAR_MATRIX
+    return _closed(line_sphere_roots(*to_object_space(ellipsoid, ray)))
+
+
+def _closed(roots: list[Root]) -> LineIntersections:
+    where = "tangent" if len(roots) == 1 else "inside"
+    return LineIntersections(tuple((root, where) for root in roots))
+
+
+def intersect_cylinder(tube: Affine, ray: IntegerRay) -> LineIntersections:
+    """The circle in x and y, and of its roots those with 0 <= z <= size."""
+    if not tube.determinant:
+        return SINGULAR_MATRIX
+    o, d, size, e = rod = to_object_space(tube, ray)
+    if not (d[0] or d[1]):
+        return _along_cylinder_wall(rod)
+    roots = line_sphere_roots((o[0], o[1], 0), (d[0], d[1], 0), size, e)
+    where = "tangent" if len(roots) == 1 else "inside"
+    found = []
+    for root in roots:
+        from_bottom, from_top = height(root, o[2], d[2]), height(root, o[2] - size, d[2])
+        if from_bottom >= 0 >= from_top:
+            rim = where == "inside" and 0 in (from_bottom, from_top)
+            found.append((root, "rim" if rim else where))
+    return LineIntersections(tuple(found))
+
+
+def height(root: Root, o: int, d: int) -> int:
+    """The sign of o + s d at the root s = (p + q sqrt(r)) / a, a > 0."""
+    return sign_with_root(root.s * o + root.p * d, root.q * d, root.r)
+
+
+def _along_cylinder_wall(ray: ObjectRay) -> LineIntersections:
+    """Parallel to the axis is a miss; within the wall it runs along it, from one end to the other."""
+    (x, y, z), (_, _, slope), size, e = ray
+    if x * x + y * y != size * size:
+        return NO_INTERSECTION
+    ends = [Root(-z, 0, 0, slope, e), Root(size - z, 0, 0, slope, e)]
+    return LineIntersections((), (Contact("edge_on", min(ends), max(ends)),))
+
+
+def sphere_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    r = prims.radius[:, None]
+    with np.errstate(over="ignore"):
+        return next_below(prims.center - r), next_above(prims.center + r)
+
+
+def usable_sphere(prims: Any) -> np.ndarray:
+    return np.isfinite(prims.center).all(axis=1) & np.isfinite(prims.radius) & (prims.radius >= 0.0)
+
+
+SPHERES = ExactKind(sphere_boxes, prepare_sphere, intersect_sphere, usable=usable_sphere)
+ELLIPSOIDS = ExactKind(affine_boxes, prepare_affine, intersect_ellipsoid, usable=usable_affine)
+CYLINDERS = ExactKind(cylinder_boxes, prepare_affine, intersect_cylinder, usable=usable_affine)

@@ -1,0 +1,147 @@
+"""The oracle: what a ray meets first, decided in whole numbers, without any rounding."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from caster.geometry.packing import Packed
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root, integer_ray
+from mitsuba_ref.oracle.interface import (
+    Contact,
+    ExactAnswer,
+    ExactHit,
+    ExactKind,
+    OutsideDomain,
+    check_rays,
+    primitive_count,
+)
+from mitsuba_ref.oracle.primitive_index import CandidatePrimitive, PrimitiveArray, PrimitiveIndex, RayColumns
+from mitsuba_ref.shapes import REFERENCES
+
+__all__ = ["ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", "Root", "exact_kinds"]
+
+
+class Oracle:
+    """Answers about the primitives of one scene, as they are packed."""
+
+    def __init__(self, packed: Packed, stand_ins: Sequence[Any] | None = None) -> None:
+        """stand_ins: other arrays in place of those of packed.kinds: what the reference traces (Model.kinds).
+
+        Raises OutsideDomain for a primitive with a number that is not finite (a face is dropped instead), and
+        LookupError for a kind that has no exact arithmetic.
+        """
+        arrays = [kind.prims for kind in packed.kinds] if stand_ins is None else stand_ins
+        ids = [np.asarray(kind.ids) for kind in packed.kinds]
+        self.primitives = PrimitiveIndex([part_of(*pair) for pair in zip(arrays, ids, strict=True)])
+        self.count = int(packed.first[-1])
+        self._always = frozenset() if self.primitives.present.all() else frozenset({"dropped"})
+
+    def first_hit(
+        self, o: Iterable[float], d: Iterable[float], t_min: float = 0.0, t_max: float = math.inf
+    ) -> ExactAnswer:
+        """What the ray o + t d, three floats each, meets first at t_min < t <= t_max.
+
+        Raises OutsideDomain for a ray that is not finite or has no direction.
+        """
+        (answer,) = self.first_hits(np.array([[*o]], np.float64), np.array([[*d]], np.float64), t_min, t_max)
+        return answer
+
+    def first_hits(
+        self,
+        o: np.ndarray,
+        d: np.ndarray,
+        t_min: np.ndarray | float = 0.0,
+        t_max: np.ndarray | float = math.inf,
+    ) -> list[ExactAnswer]:
+        """The same for rays (n, 3), (n, 3), with one t_min and t_max for all or (n,) of them; faster by the ray.
+
+        Raises OutsideDomain, naming the first ray that is not finite or has no direction.
+        """
+        o, d = np.asarray(o, np.float64).reshape(-1, 3), np.asarray(d, np.float64).reshape(-1, 3)
+        starts, ends = (np.broadcast_to(np.asarray(t, np.float64), len(o)) for t in (t_min, t_max))
+        check_rays(o, d, starts, ends)
+        candidates = self.primitives.candidates(RayColumns(o.T.copy(), d.T.copy(), starts, ends))
+        rays = zip(o.tolist(), d.tolist(), starts.tolist(), ends.tolist(), candidates, strict=True)
+        return [self._first(integer_ray(*line), (start, end), near) for *line, start, end, near in rays]
+
+    def _first(
+        self, ray: IntegerRay, span: tuple[float, float], candidates: Iterable[CandidatePrimitive]
+    ) -> ExactAnswer:
+        """The first hit among candidates, which come in the order of the t before which they are not met."""
+        best: Root | None = None
+        ties: dict[int, ExactHit] = {}
+        touched: list[Contact] = []
+        for part, k, near in candidates:
+            if best is not None and best < near:
+                break
+            met = part.intersect(k, ray)
+            touched += met.touched
+            t, where = next((root for root in met.roots if root[0] > span[0]), (None, ""))
+            if t is None or t > span[1]:
+                continue
+            order = -1 if best is None else t.compare(best)
+            if order < 0:
+                best, ties = t, {}
+            if order <= 0:
+                prim = int(part.ids[k])
+                ties.setdefault(prim, ExactHit(prim, t, where))
+        flags = (
+            self._always
+            | contacts_before(touched, span, best)
+            | {hit.where for hit in ties.values()} & {"tangent"}
+        )
+        return ExactAnswer(best, tuple(ties[prim] for prim in sorted(ties)), flags)
+
+    def roots(self, prim: int, o: Iterable[float], d: Iterable[float]) -> tuple[ExactHit, ...]:
+        """Every root of primitive number `prim`, at any t, ascending; none for a face that is dropped.
+
+        Raises OutsideDomain for a ray that is not finite or has no direction, IndexError for a number that is none.
+        """
+        if not 0 <= prim < self.count:
+            raise IndexError(f"the scene has primitives 0 to {self.count - 1}, got {prim}")
+        line = np.array([[*o]], np.float64), np.array([[*d]], np.float64)
+        check_rays(*line, np.zeros(1), np.zeros(1))
+        ray = integer_ray(*(vector[0].tolist() for vector in line))
+        met = [part.intersect(k, ray) for part, k in self.primitives.numbered(prim)]
+        found = {t: ExactHit(prim, t, where) for roots, _ in met for t, where in roots}
+        return tuple(found[t] for t in sorted(found))
+
+
+def contacts_before(
+    touched: Iterable[Contact], span: tuple[float, float], best: Root | None
+) -> frozenset[str]:
+    """What was touched after t_min and not after the first hit, or else t_max."""
+    end = span[1] if best is None else best
+    return frozenset(
+        why
+        for why, first, last in touched
+        if first is None or last is None or (first <= end and last > span[0])
+    )
+
+
+def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
+    simpler, owner = expand_stand_ins(prims)
+    kinds = exact_kinds()
+    if type(simpler) not in kinds:
+        raise LookupError(
+            f"{type(simpler).__name__} has no exact arithmetic: write an ExactKind (mitsuba_ref/exact_arithmetic/"
+            "kind.py) and name it as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes"
+        )
+    return PrimitiveArray(kinds[type(simpler)], simpler, ids[owner], {})
+
+
+def exact_kinds() -> dict[type, ExactKind]:
+    """The exact arithmetic of every kind of primitive that shapes are packed to."""
+    models = [(kind, model) for reference in REFERENCES for kind, model in reference.models.items()]
+    return {kind: model.exact for kind, model in models if model.exact is not None}
+
+
+def expand_stand_ins(prims: Any) -> tuple[Any, np.ndarray]:
+    """(primitives that have exact arithmetic, which of `prims` each of them is a piece of)."""
+    for reference in REFERENCES:
+        for model in reference.models.values():
+            if model.unfold is not None and type(prims) in model.unfold:
+                return model.unfold[type(prims)](prims)
+    return prims, np.arange(primitive_count(prims))

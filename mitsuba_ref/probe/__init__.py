@@ -1,0 +1,1 @@
+"""One pixel: every witness's answer, the bounds there, and the verdict."""

@@ -1,0 +1,186 @@
+"""One pixel under the lens: both answers, the bound of each quantity, and every primitive that may be hit."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.rendering.images import Aovs
+from caster.scene.errors import SceneError
+from caster.scene.files import Scene
+from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.error_model.bracket import latest_hits
+from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
+from mitsuba_ref.judge.explanations import not_judged, reason_with_factors
+from mitsuba_ref.judge.formatting import exact_answer, tie_members
+from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, json_number
+from mitsuba_ref.oracle.oracle import ExactAnswer
+from mitsuba_ref.probe.candidate_pixel import CandidatePixel, probe_candidate
+from mitsuba_ref.probe.witnesses import WitnessAnswer, witness_answers, witness_record
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rays import SharedRays, shared_rays
+from mitsuba_ref.subjects.ours import COMPARED_AOVS
+from mitsuba_ref.subjects.subject import Candidate
+
+
+@dataclass(frozen=True)
+class PossibleHit:
+    """A primitive that float32 rounding may let the ray hit, and where."""
+
+    shape: str
+    prim: int  # within its shape
+    t: float
+    t_error: float
+    certain: bool
+
+
+@dataclass(frozen=True)
+class PixelVerdict:
+    """What became of one pixel, and why."""
+
+    x: int
+    y: int
+    verdict: str
+    ray: dict[str, Any]
+    ours: dict[str, Any]
+    reference: dict[str, Any]
+    exact: dict[str, Any]
+    ratios: dict[str, float]  # error over bound, of what was judged
+    not_judged: dict[str, str]  # the rest, and why
+    possible: tuple[PossibleHit, ...]
+    versions: dict[str, str]
+    problem: str = ""
+    why: str = ""
+    case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
+    witnesses: tuple[
+        WitnessAnswer, ...
+    ] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
+    candidate: CandidatePixel | None = None  # where one was asked for
+
+    @property
+    def ok(self) -> bool:
+        """Ours and Mitsuba's answers are explained, and so is the candidate's, if there is one."""
+        explained = not self.problem and self.verdict not in FAILING and self.case != UNLISTED
+        return explained and (self.candidate is None or self.candidate.ok)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; infinite numbers become text."""
+        witnesses = [witness_record(each) for each in self.witnesses]
+        found = {**asdict(self), "witnesses": witnesses, "ok": self.ok}
+        del found["candidate"]
+        if self.candidate is not None:
+            found["candidate"] = self.candidate.to_dict()
+        plain: dict[str, Any] = _json_safe(found)
+        return plain
+
+
+class ProbeEvidence(NamedTuple):
+    """What a pixel's verdict rests on: a picture of this one pixel."""
+
+    judge: Judge
+    judgement: Judgement
+
+
+def probe(scene: Scene, x: int, y: int, candidate: Candidate | None = None) -> PixelVerdict:
+    """Judge one pixel, of a candidate as well if there is one. Raises SceneError for one outside the film."""
+    return probe_with_evidence(scene, x, y, candidate)[0]
+
+
+def probe_with_evidence(
+    scene: Scene, x: int, y: int, candidate: Candidate | None = None
+) -> tuple[PixelVerdict, ProbeEvidence | Crash]:
+    """The same, with what it rests on."""
+    film = scene.film
+    if not (0 <= x < film.width and 0 <= y < film.height):
+        inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
+        raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
+    whole = shared_rays(
+        scene.with_film(crop=(0, 0, film.width, film.height))
+    )  # stand-ins are cut to all rays
+    asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
+    judge = judge_of(scene, whole=whole)
+    if isinstance(judge, Crash):
+        problem = f"Mitsuba ended without an answer ({judge.exit}): {judge.words}"
+        return PixelVerdict(
+            x, y, UNDECIDED, _ray(shared_rays(scene)), {}, {}, {}, {}, {}, (), {}, problem
+        ), judge
+    pair, judgement = judge.pair, judge.judge()
+    exact = exact_answer(judge, judgement, 0)
+    theirs = None if candidate is None else probe_candidate(candidate, asked_for, (x, y), pair)
+    said = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
+    left = not_judged(judge, judgement, 0)
+    found = PixelVerdict(
+        x,
+        y,
+        CLASSES[int(judgement.classes[0])],
+        _ray(pair.rays),
+        _answer(scene, pair.ours, pair.t),
+        _answer(scene, pair.reference, pair.witness.t),
+        _exact(judge, exact),
+        {name: share for name, share in _ratios(judgement).items() if name not in left},
+        left,
+        tuple(_possible(scene, judge)),
+        pair.witness.answer.versions,
+        why=reason_with_factors(judge, judgement, 0),
+        case=_case(judgement),
+        witnesses=said if theirs is None or theirs.saying is None else (theirs.saying, *said),
+        candidate=theirs,
+    )
+    return found, ProbeEvidence(judge, judgement)
+
+
+def _case(judgement: Judgement) -> str:
+    if 0 not in judgement.cases:
+        return ""
+    case = judgement.cases[0]
+    return UNLISTED if case is None else str(case)
+
+
+def _ray(rays: SharedRays) -> dict[str, Any]:
+    return {name: _numbers(getattr(rays, name)[0]) for name in ("o", "d", "t_max", "start")}
+
+
+def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
+    """The third witness; empty where there is no ray or no answer."""
+    if answer is None:
+        return {}
+    ties = [each._asdict() for each in tie_members(judge.scene, judge.model.packed, answer)]
+    t = np.inf if answer.t is None else float(answer.t)
+    return {"hit": answer.hit, "t": t, "t_hex": t.hex(), "ties": ties, "flags": sorted(answer.flags)}
+
+
+def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
+    shape = int(aov_rows(aovs, "shape_id")[0])
+    values = {name: _numbers(aov_rows(aovs, name)[0]) for name in COMPARED_AOVS if name != "shape_id"}
+    return {"shape": scene.shape_names()[shape] if shape >= 0 else "miss", "t": _numbers(t[0]), **values}
+
+
+def _ratios(judgement: Judgement) -> dict[str, float]:
+    return {name: float(judgement.ratio(name)[0]) for name in judgement.names}
+
+
+def _possible(scene: Scene, judge: Judge) -> Iterator[PossibleHit]:
+    """Every primitive that the reference may hit, nearest first."""
+    rays, bracket, packed = judge.pair.rays, judge.theirs, judge.model.packed
+    t_max = rays.t_max.astype(np.float64)
+    found = bracket.possible_hits(rays.o.astype(np.float64), rays.d.astype(np.float64), t_max)
+    certain = np.isfinite(latest_hits(found, t_max))
+    shape, prim = packed.shape_of(found.prim), packed.index_in_shape(found.prim)
+    names = scene.shape_names()
+    for i in np.argsort(found.at.t, kind="stable"):
+        yield PossibleHit(
+            names[shape[i]], int(prim[i]), float(found.at.t[i]), float(found.at.t_error[i]), bool(certain[i])
+        )
+
+
+def _numbers(values: Any) -> Any:
+    return np.asarray(values, np.float64).tolist()
+
+
+def _json_safe(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _json_safe(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_json_safe(each) for each in value]
+    return json_number(value) if isinstance(value, float) else value

@@ -1,0 +1,188 @@
+"""Every witness of one ray: ours, exact arithmetic, and Mitsuba in each of its variants and modes."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from mitsuba_ref.error_model.bounds import intersections_at
+from mitsuba_ref.error_model.intersections import KU, KU_OURS
+from mitsuba_ref.judge.classification import Judge
+from mitsuba_ref.judge.formatting import decimal_and_hex
+from mitsuba_ref.oracle.oracle import ExactAnswer
+from mitsuba_ref.reference import variants
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.rendering import export, shape_ids
+from mitsuba_ref.reference.session import send_requests
+
+CANDIDATE = "candidate"
+MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_use_robust_intersections
+
+
+@dataclass(frozen=True)
+class WitnessAnswer:
+    """What one witness says of the ray, held to exact arithmetic."""
+
+    who: str  # ours, exact, a candidate, or a variant of Mitsuba with its mode
+    shape: str  # "miss" on a miss
+    prim: int  # within its shape, -1 on a miss
+    t: float
+    right: bool | None = (
+        None  # one of the surfaces that are hit exactly, with t within its bound; None: nobody knows
+    )
+    off: float | None = None  # t less the exact one; None on a miss, or where another surface is hit
+    ulps: float | None = None  # the same, in units of the last place of the format it computes in
+    format: str = ""  # which that is
+    share: float | None = None  # of the bound that its format has on t here
+    problem: str = ""  # why it says nothing
+    normal_share: float | None = None  # of the bound on the normal, where that is judged here
+    remark: str = ""  # what is odd about what it says
+
+
+def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
+    """All witnesses of the ray of a window of one pixel."""
+    exact = () if answer is None else (_exact(judge, answer),)
+    given = judge.pair.witness.answer
+    ours = _surface(judge, int(judge.pair.prim[0]))
+    theirs = dict(other_variant_answers(judge, given.versions["variant"]))
+    theirs[given.versions["variant"], "robust"] = given
+    rows = [_compared_with_exact(("ours", *ours, float(judge.pair.t[0])), judge, answer, np.float64), *exact]
+    for variant in variants.VARIANT_NAMES:
+        for mode in MODES:
+            rows.append(_of_mitsuba(f"mitsuba {variant} {mode}", theirs[variant, mode], judge, answer))
+    return tuple(rows)
+
+
+def other_variant_answers(
+    judge: Judge, variant: str
+) -> Iterator[tuple[tuple[str, str], TraceResponse | Crash | str]]:
+    """Answers by (variant, mode), but for the one that the judge has; a child of its own for each variant."""
+    works = variants.usable_variants()
+    for name in set(variants.VARIANT_NAMES) - set(works.names):
+        yield from (((name, mode), f"does not work here: {works.why}") for mode in MODES)
+    wanted = {name: [m for m in MODES if (name, m) != (variant, "robust")] for name in works.names}
+    with TemporaryDirectory(prefix="mitsuba-ref-") as folder, ThreadPoolExecutor() as pool:
+        xml = {
+            mode: export(judge.scene, judge.model, robust=robust).write(Path(folder) / mode)
+            for mode, robust in MODES.items()
+        }
+        rays = judge.pair.rays
+        jobs = {
+            name: [TraceRequest(xml[mode], name, rays.o, rays.d, rays.t_max, lights=False) for mode in modes]
+            for name, modes in wanted.items()
+        }
+        for name, answers in zip(jobs, pool.map(send_requests, jobs.values()), strict=True):
+            yield from (((name, mode), found) for mode, found in zip(wanted[name], answers, strict=True))
+
+
+def _surface(judge: Judge, prim: int) -> tuple[str, int]:
+    """(shape, number within it) of a primitive of the scene."""
+    if prim < 0:
+        return "miss", -1
+    packed, which = judge.model.packed, np.array([prim])
+    return judge.scene.shape_names()[int(packed.shape_of(which)[0])], int(packed.index_in_shape(which)[0])
+
+
+def _exact(judge: Judge, answer: ExactAnswer) -> WitnessAnswer:
+    t = np.inf if answer.t is None else float(answer.t)
+    return WitnessAnswer("exact", *_surface(judge, answer.prim), t, right=True)
+
+
+def _of_mitsuba(
+    who: str, found: TraceResponse | Crash | str, judge: Judge, exact: ExactAnswer | None
+) -> WitnessAnswer:
+    if isinstance(found, str):
+        return WitnessAnswer(who, "", -1, np.nan, problem=found)
+    if isinstance(found, Crash):
+        return WitnessAnswer(who, "", -1, np.nan, problem=f"no answer ({found.exit}): {found.headline}")
+    shape = int(found.shape[0])
+    if shape < 0:
+        return _compared_with_exact((who, "miss", -1, np.inf), judge, exact, np.float32)
+    place = shape_ids(judge.scene).index(found.names[shape])
+    first, last = (int(n) for n in judge.model.packed.first[place : place + 2])
+    prim = int(found.prim[0])
+    prim = prim if first + prim < last else 0  # a stand-in counts its triangles by itself
+    return _compared_with_exact(
+        (who, judge.scene.shape_names()[place], prim, float(found.t[0])), judge, exact, np.float32
+    )
+
+
+def _compared_with_exact(
+    said: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
+) -> WitnessAnswer:
+    """A saying beside the exact answer. kind: what it was computed in."""
+    name = np.dtype(kind).name
+    if exact is None:
+        return WitnessAnswer(*said, format=name)
+    surfaces = {_surface(judge, hit.prim) for hit in exact.ties} or {("miss", -1)}
+    right = said[1:3] in surfaces
+    if not right or exact.t is None or not np.isfinite(said[3]):
+        return WitnessAnswer(*said, right=right, format=name)
+    off = exact.t.off(said[3]) * -exact.t.compare(said[3])
+    share = ratio_to_bound(abs(off), _bound(judge, exact, said[3], ours=kind is np.float64))
+    ulps = in_ulps(off, exact, np.dtype(kind))
+    return WitnessAnswer(*said, right=share <= 1.0, off=off, ulps=ulps, format=name, share=share)
+
+
+def ratio_to_bound(error: float, bound: float) -> float:
+    """error / bound, where there may be no bound to hold it to, or no error."""
+    if error == 0.0 or (np.isposinf(bound) and np.isfinite(error)):
+        return 0.0
+    return error / bound if bound > 0.0 and np.isfinite(error) else np.inf
+
+
+def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | None:
+    """off in units of the last place that the exact t has in a format; None where it has none there."""
+    assert exact.t is not None
+    with np.errstate(over="ignore", under="ignore"):
+        ulp = float(np.spacing(np.abs(np.asarray(float(exact.t)).astype(format))))
+    return off / ulp if np.isfinite(ulp) else None
+
+
+def _bound(judge: Judge, exact: ExactAnswer, t: float, *, ours: bool) -> float:
+    """How far t may be off at what is hit exactly, for our arithmetic or Mitsuba's."""
+    prim, line, ku = np.array([exact.prim]), (judge.o, judge.d), KU_OURS if ours else KU
+    return float(intersections_at(judge.model, prim, line, np.array([t]), ku, ours=ours).t_error[0])
+
+
+def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
+    """A table for a terminal; nothing of a pixel without a ray."""
+    room = max((len(each.who) for each in found), default=0)
+    hit = max((len(_surface_text(each)) for each in found), default=0)
+    for i, each in enumerate(found):
+        head = f"{'witness' if i == 0 else '':<11}{each.who:<{room}}"
+        if each.problem:
+            yield f"{head}  {each.problem}"
+            continue
+        verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
+        t = f"t {decimal_and_hex(each.t)}" if np.isfinite(each.t) else ""
+        yield f"{head}  {verdict}  {_surface_text(each):<{hit}}  {t}{_error_text(each)}".rstrip()
+
+
+def _surface_text(each: WitnessAnswer) -> str:
+    return f"{each.shape}, prim {each.prim}" if each.prim >= 0 else each.shape
+
+
+def _error_text(each: WitnessAnswer) -> str:
+    """How far t is off, and what of it is beyond its bound."""
+    told = []
+    if each.ulps is not None:
+        told.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
+    if each.right is False and each.share is not None and not each.share <= 1.0:
+        told.append(f"{each.share:.3g}x its bound")
+    if each.normal_share is not None and not each.normal_share <= 1.0:
+        told.append(f"normal {each.normal_share:.3g}x its bound")
+    return "".join(f", {words}" for words in (*told, *filter(None, [each.remark])))
+
+
+def witness_record(each: WitnessAnswer) -> dict[str, Any]:
+    """For JSON: null where there is no t, and only what is there of a candidate alone."""
+    there = bool(np.isfinite(each.t))
+    said = dict(vars(each))
+    if each.who != CANDIDATE:
+        del said["normal_share"], said["remark"]
+    return said | {"t": each.t if there else None, "t_hex": each.t.hex() if there else None}

@@ -1,0 +1,131 @@
+"""What this machine has for the judge, and what each missing thing would add.
+
+Mitsuba is asked in a child process: a bad libLLVM aborts the process it is loaded into.
+"""
+
+import importlib.metadata
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from ctypes.util import find_library
+from typing import Any
+
+from caster.cli import installation as caster_doctor
+from caster.cli.installation import (
+    Finding,
+    Package,
+    exit_code,
+    find_package,
+    format_json,
+    usable,
+)
+
+__all__ = ["Finding", "exit_code", "format", "format_json", "report", "usable"]
+
+# The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
+PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
+INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
+MATPLOTLIB = Package(
+    "matplotlib", "matplotlib", "3.9", "the pictures of `stress --report` and `bench --report`", needed=False
+)
+PEER_PURPOSE = "somebody else to be timed by `bench --peers`"
+PEERS = (
+    Package("open3d", "open3d", "0.19", PEER_PURPOSE, needed=False),
+    Package("embreex", "embreex", "4.4", PEER_PURPOSE, needed=False),
+    Package("trimesh", "trimesh", "4.6", PEER_PURPOSE, needed=False),
+)
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
+BROWSERS = (*CHROMIUM, "firefox")
+PROBE_TIMEOUT_SECONDS = 60  # an import takes well under a second; a Mitsuba that hangs is a finding, too
+# door.describe() -> {"variants": [the variants that work here], "libllvm": the path in use, or None}
+PROBE_SCRIPT = "import json; from mitsuba_ref import door; print(json.dumps(door.describe()))"
+
+
+def report() -> list[Finding]:
+    """Look for everything the ray caster and the judge use."""
+    return [*caster_doctor.report(), *judge_findings()]
+
+
+def judge_findings(probe: Sequence[str] = (sys.executable, "-c", PROBE_SCRIPT)) -> list[Finding]:
+    """What the judge uses on top of the ray caster. `probe` describes Mitsuba, as PROBE does."""
+    versions = [_pinned(name) for name in PINNED]
+    missing = [finding.name for finding in versions if not finding.found]
+    answer, problem = ({}, f"needs {' and '.join(missing)} first") if missing else _run_probe(probe)
+    return [
+        *versions,
+        _variants(answer, problem),
+        _llvm(answer),
+        _gpu(),
+        *map(find_package, (MATPLOTLIB, *PEERS)),
+        browser(),
+    ]
+
+
+def browser() -> Finding:
+    """The first browser on the path."""
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    detail = path or "none of " + ", ".join(BROWSERS)
+    adds = "reports of `validate --html`, and their tests (Chromium)"
+    return Finding("browser", path is not None, False, detail, adds)
+
+
+def _pinned(name: str) -> Finding:
+    uses = {"mitsuba": "the reference", "drjit": "the compiler Mitsuba is built on"}
+    try:
+        version = importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, False, True, "not installed", uses[name], INSTALL_COMMAND)
+    if version == PINNED[name]:
+        return Finding(name, True, True, version, uses[name])
+    detail = f"{version}; the bounds belong to {PINNED[name]}"
+    return Finding(name, name == "mitsuba", True, detail, uses[name], INSTALL_COMMAND)
+
+
+def _run_probe(probe: Sequence[str]) -> tuple[dict[str, Any], str]:
+    """The door's description of Mitsuba, or why there is none."""
+    try:
+        child = subprocess.run(
+            probe, capture_output=True, text=True, timeout=PROBE_TIMEOUT_SECONDS, check=True
+        )
+    except subprocess.TimeoutExpired:
+        return {}, f"no answer within {PROBE_TIMEOUT_SECONDS} s"
+    except subprocess.CalledProcessError as error:
+        return {}, _exit_description(error.returncode, error.stderr)
+    return _parse_description(child.stdout)
+
+
+def _parse_description(words: str) -> tuple[dict[str, Any], str]:
+    """The last line is the answer; Mitsuba may have printed warnings before it."""
+    last = "".join(words.splitlines()[-1:])
+    try:
+        return dict(json.loads(last)), ""
+    except (ValueError, TypeError):
+        return {}, f"the answer was not a description: {last!r}"
+
+
+def _exit_description(code: int, words: str) -> str:
+    end = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+    return ": ".join([f"importing Mitsuba ended with {end}", *words.strip().splitlines()[-1:]])
+
+
+def _variants(answer: dict[str, Any], problem: str) -> Finding:
+    names = answer.get("variants", [])
+    detail = ", ".join(names) or problem or "Mitsuba loads, but no variant of it works"
+    return Finding("variants", bool(names), True, detail, "Mitsuba's own ray intersections")
+
+
+def _llvm(answer: dict[str, Any]) -> Finding:
+    path = answer.get("libllvm")
+    detail = path or "none that Mitsuba's LLVM variant works with"
+    adds = "speed: rays in batches, through Mitsuba's LLVM variant"
+    return Finding("libLLVM", bool(path), False, detail, adds, "" if path else "apt install libllvm19")
+
+
+def _gpu() -> Finding:
+    """Asked for because people ask: the reference is a CPU's, so that every machine has the same one."""
+    library = find_library("cuda")
+    adds = "nothing yet: the reference uses the CPU"
+    return Finding("GPU", library is not None, False, library or "no CUDA driver", adds)

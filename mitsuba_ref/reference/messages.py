@@ -1,0 +1,174 @@
+"""What Mitsuba is asked, what it answers, and how it died: on disk, between a process and its child.
+
+Arrays go into .npz, everything else into .json; no pickle, so that a half-written file is an error, not code.
+"""
+
+import json
+import os
+import zipfile
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+RowLayout = dict[str, tuple[tuple[int, ...], type]]  # field -> shape of a row, dtype
+
+UNREADABLE_FILE_ERRORS = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    EOFError,
+    zipfile.BadZipFile,
+)  # what a broken file raises
+
+
+@dataclass(frozen=True, eq=False)
+class TraceRequest:
+    """Rays through one exported scene, bit for bit the float32 numbers given; d need not be unit length."""
+
+    ROWS: ClassVar[RowLayout] = {"o": ((3,), np.float32), "d": ((3,), np.float32), "t_max": ((), np.float32)}
+
+    xml: Path
+    variant: str  # scalar_rgb or llvm_ad_rgb
+    o: np.ndarray  # (n, 3) float32
+    d: np.ndarray  # (n, 3) float32
+    t_max: np.ndarray  # (n,) float32, lengths of d; inf is no limit
+    lights: bool = True  # whether light_rgb, light_visible and albedo are wanted
+    sensor: bool = False  # whether the rays of the scene's own sensor are wanted
+    strict: bool = True  # whether what Mitsuba warns of is refused
+    more: tuple[tuple[Path, int], ...] = ()  # further scenes, and the first of the rays that go through each
+
+    def __post_init__(self) -> None:
+        _check_rows(self, len(self.o))
+        if self.more and (self.lights or self.sensor):
+            raise ValueError("more: expected no lights and no sensor where there are several scenes")
+
+    def write(self, folder: Path) -> None:
+        more = tuple((xml.absolute(), first) for xml, first in self.more)
+        _write(replace(self, xml=self.xml.absolute(), more=more), folder / "job")  # read in another folder
+
+    @classmethod
+    def read(cls, folder: Path) -> "TraceRequest":
+        record = _read(cls, folder / "job")
+        more = tuple((Path(xml), first) for xml, first in record["more"])
+        return cls(**(record | {"xml": Path(record["xml"]), "more": more}))
+
+    def per_scene(self) -> list["TraceRequest"]:
+        """One job a scene, in order."""
+        scenes = [self.xml, *(xml for xml, _ in self.more)]
+        edges = [0, *(first for _, first in self.more), len(self.o)]
+        rays = (self._rays(*ends) for ends in pairwise(edges))
+        return [replace(self, xml=xml, more=(), **arrays) for xml, arrays in zip(scenes, rays, strict=True)]
+
+    def _rays(self, start: int, stop: int) -> dict[str, Any]:
+        return {name: getattr(self, name)[start:stop] for name in self.ROWS}
+
+
+@dataclass(frozen=True, eq=False)
+class TraceResponse:
+    """What Mitsuba found along each of n rays. On a miss: t inf, shape and prim -1, everything else 0."""
+
+    ROWS: ClassVar[RowLayout] = {
+        "t": ((), np.float32),
+        "n": ((3,), np.float32),
+        "sh_n": ((3,), np.float32),
+        "p": ((3,), np.float32),
+        "uv": ((2,), np.float32),
+        "shape": ((), np.int32),
+        "prim": ((), np.int32),
+        "albedo": ((3,), np.float32),
+    }
+
+    t: np.ndarray  # (n,) float32, lengths of d
+    n: np.ndarray  # (n, 3) float32, geometric normal
+    sh_n: np.ndarray  # (n, 3) float32, shading normal
+    p: np.ndarray  # (n, 3) float32
+    uv: np.ndarray  # (n, 2) float32
+    shape: np.ndarray  # (n,) int32, index into names; of the instance where an instance was hit
+    prim: np.ndarray  # (n,) int32
+    names: list[str]  # ids of the shapes, as in the XML
+    light_rgb: np.ndarray  # (lights, n, 3) float32, radiance reflected from each light, unshadowed
+    light_visible: np.ndarray  # (lights, n) bool, Mitsuba's shadow test
+    albedo: np.ndarray  # (n, 3) float32
+    sensor_o: np.ndarray | None  # (m, 3) float32, through the pixel centres of the crop window, row by row
+    sensor_d: np.ndarray | None  # (m, 3) float32
+    sensor_t_max: np.ndarray | None  # (m,) float32
+    versions: dict[str, str]  # mitsuba, drjit, variant, libllvm
+    seconds: float  # loading and tracing, without starting Python
+
+    def write(self, folder: Path) -> None:
+        _write(self, folder / "answer")
+
+    @classmethod
+    def read(cls, folder: Path, rays: int) -> "TraceResponse":
+        """The answer about so many rays; ValueError where it is missing, cut short or of another shape."""
+        try:
+            answer = cls(**_read(cls, folder / "answer"))
+        except UNREADABLE_FILE_ERRORS as error:
+            raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
+        answer.check(rays)
+        return answer
+
+    def check(self, rays: int) -> None:
+        """ValueError unless every array has the length, the dtype and the range it should have."""
+        _check_rows(self, rays)
+        lights = len(self.light_rgb)
+        _check("light_rgb", self.light_rgb, (lights, rays, 3), np.float32)
+        _check("light_visible", self.light_visible, (lights, rays), np.bool_)
+        if self.sensor_o is not None:
+            pixels = len(self.sensor_o)
+            _check("sensor_o", self.sensor_o, (pixels, 3), np.float32)
+            _check("sensor_d", self.sensor_d, (pixels, 3), np.float32)
+            _check("sensor_t_max", self.sensor_t_max, (pixels,), np.float32)
+        known = (self.shape >= 0) & (self.shape < len(self.names))
+        if np.any(known != (self.t != np.inf)):
+            raise ValueError(
+                "shape: expected one of the named where t is not inf and -1 elsewhere, got others"
+            )
+
+
+@dataclass(frozen=True)
+class Crash:
+    """Mitsuba ended without an answer."""
+
+    kind: str  # abort, signal, timeout, error (it said no) or garbage (it ended well without a whole answer)
+    words: str  # the last ones of its stdout and stderr
+    exit: str
+    seconds: float
+
+    @property
+    def headline(self) -> str:
+        """The one line to show: the first that speaks of an error, or else the last."""
+        lines = [line.strip() for line in self.words.splitlines() if line.strip()]
+        return next((line for line in lines if "error" in line.lower()), "".join(lines[-1:]))
+
+
+def _check_rows(record: Any, count: int) -> None:
+    for name, (row, dtype) in record.ROWS.items():
+        _check(name, getattr(record, name), (count, *row), dtype)
+
+
+def _check(name: str, array: Any, shape: tuple[int, ...], dtype: type) -> None:
+    if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != dtype:
+        got = f"{array.dtype}{list(array.shape)}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise ValueError(f"{name}: expected {np.dtype(dtype)}{list(shape)}, got {got}")
+
+
+def _write(record: Any, path: Path) -> None:
+    """The .json comes last and at once: where it is, the rest is."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    rest = {name: value for name, value in values.items() if name not in arrays}
+    np.savez(path.with_suffix(".npz"), allow_pickle=False, **arrays)
+    path.with_suffix(".part").write_text(json.dumps(rest, default=str), encoding="utf-8")
+    os.replace(path.with_suffix(".part"), path.with_suffix(".json"))
+
+
+def _read(cls: type, path: Path) -> dict[str, Any]:
+    record: dict[str, Any] = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    with path.with_suffix(".npz").open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        record |= {name: arrays[name] for name in arrays.files}
+    return record

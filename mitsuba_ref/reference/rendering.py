@@ -1,0 +1,211 @@
+"""A scene as Mitsuba loads it: every shape by its reference, the camera by its own."""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from caster.aovs import AOVS
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32
+from caster.rendering.images import Aovs, film_window
+from caster.scene.fields import Camera
+from caster.scene.files import Scene
+from mitsuba_ref.cameras import REFERENCES
+from mitsuba_ref.cameras.camera_reference import CameraReference, ClipRange
+from mitsuba_ref.error_model.scene_model import (
+    MissingReferenceError,
+    SceneModel,
+    missing_reference,
+    model_of,
+    reference_of,
+)
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.rays import SharedRays, shared_rays
+from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
+from mitsuba_ref.reference.variants import variant_for
+from mitsuba_ref.reference.xml_writer import SceneExport, ShapeWriter, scene_document
+
+REFERENCE_OF_CAMERA = {reference.describes: reference for reference in REFERENCES}
+
+# Where a sensor's clip planes go when the scene has none, in units of how far the scene reaches.
+NEAR_PER_REACH, FAR_PER_REACH = 2.0**-20, 2.0**10
+
+
+def camera_reference(camera: Camera) -> CameraReference:
+    """Raises MissingReferenceError with what to write, where a camera has no reference yet."""
+    if type(camera) not in REFERENCE_OF_CAMERA:
+        raise MissingReferenceError(missing_reference(type(camera).__name__, "cameras"))
+    return REFERENCE_OF_CAMERA[type(camera)]
+
+
+def export_scene(scene: Scene) -> SceneExport:
+    """Scene -> XML and meshes, for plain Mitsuba."""
+    return export(scene, model_of(scene, pack(scene, as_float32), shared_rays(scene)))
+
+
+def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExport:
+    """The same, of geometry that is packed already. robust: Embree's mode that keeps meshes closed."""
+    out = ShapeWriter(scene)
+    shapes = []
+    for name, shape, part in zip(shape_ids(scene), scene.shapes, model.parts, strict=True):
+        out.name = name
+        shapes += reference_of(shape).to_xml(out, shape, part)
+    sensor = camera_reference(scene.camera).to_xml(scene.camera, scene.film, clip_range(scene, model))
+    if sensor is None:
+        out.notes.append(f"no sensor: Mitsuba has no {scene.camera.type} camera, so rays are handed over")
+    text = scene_document(scene, shapes, sensor, out, robust=robust)
+    return SceneExport(text, out.meshes, shape_ids(scene), out.notes)
+
+
+def shape_ids(scene: Scene) -> list[str]:
+    """One id per shape: its name, unless Mitsuba would read a parameter in it."""
+    return [f"shapes[{i}]" if "$" in name else name for i, name in enumerate(scene.shape_names())]
+
+
+def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
+    """Clip planes that cut nothing off: by the farthest corner of what has an end, and the eye."""
+    corners = np.abs(np.concatenate(model.boxes))
+    ends = corners[np.isfinite(corners)]
+    reach = float(max(ends.max(initial=0.0), np.abs(scene.camera.eye).max(), 1e-3))
+    return ClipRange(NEAR_PER_REACH * reach, FAR_PER_REACH * reach)
+
+
+# What Mitsuba sees along our rays, in the type and under the names of our own pictures.
+
+
+# What the reference can tell, of all that the caster can.
+REFERENCE_AOVS = (
+    "hit",
+    "depth",
+    "normal",
+    "shading_normal",
+    "position",
+    "uv",
+    "albedo",
+    "diffuse",
+    "shape_id",
+    "prim_id",
+)
+
+
+@dataclass(frozen=True)
+class ReferenceResult:
+    """Mitsuba's answer about a scene. Arrays are float64, one row a ray."""
+
+    answer: TraceResponse
+    t: np.ndarray  # (n,) lengths of d, inf on a miss
+    shape_id: np.ndarray  # (n,) int32 index of the scene's shape, -1 on a miss
+    unshadowed: np.ndarray  # (lights, n, 3) what each light would give without shadows
+    visible: np.ndarray  # (lights, n) bool
+    ambient: np.ndarray  # (n, 3)
+
+    @property
+    def hit(self) -> np.ndarray:
+        """(n,) bool. A NaN counts as a hit: Mitsuba says so, and it has to be noticed."""
+        return ~np.isposinf(self.t)
+
+    @property
+    def diffuse(self) -> np.ndarray:
+        """(n, 3) radiance of all lights that are visible, and the ambient one."""
+        return np.where(self.visible[..., None], self.unshadowed, 0.0).sum(axis=0) + self.ambient
+
+
+def needs_lights(aovs: Sequence[str]) -> bool:
+    """Whether these AOVs need Mitsuba's lights or materials."""
+    return "diffuse" in aovs or "albedo" in aovs
+
+
+def variant_of(scene: Scene) -> str:
+    """The variant to ask about this scene."""
+    return variant_for(any(reference_of(shape).analytic for shape in scene.shapes))
+
+
+def trace_reference(
+    scene: Scene,
+    model: SceneModel,
+    rays: SharedRays,
+    *,
+    variant: str | None = None,
+    lights: bool = True,
+    timeout: float = DEFAULT_TIMEOUT,
+    send: SendRequest = send_request,
+) -> ReferenceResult | Crash:
+    """Ask Mitsuba about these rays, by `ask`. A crash of it is an answer, too."""
+    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as folder:
+        xml = export(scene, model).write(Path(folder))
+        job = TraceRequest(
+            xml, variant or variant_of(scene), rays.o, rays.d, rays.t_max, lights=lights, sensor=True
+        )
+        answer = send(job, timeout)
+    return answer if isinstance(answer, Crash) else reference_result(scene, answer)
+
+
+def reference_result(scene: Scene, answer: TraceResponse) -> ReferenceResult:
+    """The answer in the scene's own terms."""
+    place = {name: index for index, name in enumerate(shape_ids(scene))}
+    table = np.array([*(place.get(name, -1) for name in answer.names), -1], np.int32)
+    radiance = np.zeros(3)
+    for light in scene.lights:
+        if light.type == "ambient":
+            radiance = radiance + np.array(light.radiance)
+    visible = answer.light_visible if scene.shading.shadows else np.ones_like(answer.light_visible)
+    return ReferenceResult(
+        answer,
+        answer.t.astype(np.float64),
+        table[answer.shape],
+        answer.light_rgb.astype(np.float64),
+        visible,
+        answer.albedo.astype(np.float64) * radiance,
+    )
+
+
+def aovs_of(
+    witness: ReferenceResult, rays: SharedRays, shape: tuple[int, int], names: Sequence[str] = REFERENCE_AOVS
+) -> Aovs:
+    """The witness as pictures of (height, width), misses as the caster writes them."""
+    answer, hit = witness.answer, witness.hit
+    length = np.linalg.norm(rays.d.astype(np.float64), axis=1)
+    flat = {
+        "hit": hit,
+        "depth": rays.start + witness.t * length,
+        "normal": answer.n,
+        "shading_normal": answer.sh_n,
+        "position": answer.p,
+        "uv": answer.uv,
+        "albedo": answer.albedo,
+        "diffuse": witness.diffuse,
+        "shape_id": witness.shape_id,
+        "prim_id": answer.prim,
+    }
+    misses = {aov.NAME: aov.MISS for aov in AOVS}
+    images = {}
+    for name in names:
+        values = flat[name] if flat[name].dtype.kind != "f" else flat[name].astype(np.float64)
+        there = hit if values.ndim == 1 else hit[:, None]
+        images[name] = (
+            np.where(there, values, misses[name]).astype(values.dtype).reshape(shape + values.shape[1:])
+        )
+    return Aovs(images, hit.reshape(shape))
+
+
+# Mitsuba's pictures of a scene, without anything to compare them with.
+
+
+def render_reference(
+    scene: Scene,
+    aovs: Sequence[str] = REFERENCE_AOVS,
+    *,
+    variant: str | None = None,
+    timeout: float = DEFAULT_TIMEOUT,
+) -> tuple[Aovs, dict[str, str]] | Crash:
+    """(images as `caster.render` gives them, versions), or how Mitsuba ended."""
+    rays = shared_rays(scene)
+    model = model_of(scene, pack(scene, as_float32), rays)
+    witness = trace_reference(scene, model, rays, variant=variant, lights=needs_lights(aovs), timeout=timeout)
+    if isinstance(witness, Crash):
+        return witness
+    window = film_window(scene)
+    return aovs_of(witness, rays, (window.height, window.width), aovs), witness.answer.versions

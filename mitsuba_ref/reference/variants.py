@@ -1,0 +1,247 @@
+"""One small scene through one variant of Mitsuba: does it give the right answer here, or any?"""
+
+import glob
+import hashlib
+import importlib.metadata
+import json
+import os
+import platform
+import re
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from caster.scene.errors import SceneError
+from mitsuba_ref.reference import subprocess_runner
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+
+SMOKE_TEST_TIMEOUT_SECONDS = 60.0  # it takes one or two
+
+# Without normals in the file Mitsuba computes them, with an instruction that an old libLLVM aborts at.
+SMOKE_TEST_PLY = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 2
+property list uchar int vertex_indices
+end_header
+-4 -4 0
+4 -4 0
+4 4 0
+-4 4 0
+3 0 1 2
+3 0 2 3
+"""
+SMOKE_TEST_XML = """<scene version="3.0.0">
+    <emitter type="point"><point name="position" value="0 0 2"/></emitter>
+    <shape type="ply" id="square"><string name="filename" value="square.ply"/><bsdf type="diffuse"/></shape>
+</scene>
+"""
+
+
+def smoke_test(variant: str, settings: Mapping[str, str]) -> str:
+    """'' if the variant gives the right answer under these environment variables, else what happened."""
+    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as name:
+        folder = Path(name)
+        (folder / "square.ply").write_text(SMOKE_TEST_PLY)
+        (folder / "scene.xml").write_text(SMOKE_TEST_XML)
+        fresh = {**settings, "DRJIT_CACHE_DIR": name}  # a cached kernel would hide an abort
+        return _response_problem(
+            subprocess_runner.run_request(
+                _smoke_request(folder / "scene.xml", variant), SMOKE_TEST_TIMEOUT_SECONDS, fresh
+            )
+        )
+
+
+def _smoke_request(xml: Path, variant: str) -> TraceRequest:
+    o = np.array([[1, 0.5, 8], [9, 0.5, 8]], np.float32)
+    d = np.array([[0, 0, -1], [0, 0, -1]], np.float32)
+    return TraceRequest(xml, variant, o, d, np.full(2, np.inf, np.float32))
+
+
+def _response_problem(answer: TraceResponse | Crash) -> str:
+    if isinstance(answer, Crash):
+        return f"{answer.kind} ({answer.exit}) {answer.headline}".strip()
+    right = answer.t.tolist() == [8.0, np.inf] and np.allclose(answer.sh_n, [[0, 0, 1], [0, 0, 0]], atol=1e-6)
+    return "" if right else f"wrong answer: t {answer.t.tolist()}, normals {answer.sh_n.tolist()}"
+
+
+# Which of Mitsuba's variants work on this machine, found by trying them in a child process.
+
+
+SCALAR, LLVM = VARIANT_NAMES = ("scalar_rgb", "llvm_ad_rgb")
+VARIANT_ENVIRONMENT_VARIABLE = "MITSUBA_REF_VARIANT"  # environment variable: use this one for every scene
+LIBLLVM_ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"  # environment variable of Dr.Jit
+
+SOURCES = (Path(__file__),)
+
+# Dr.Jit takes the first it finds, which may be one whose code generator aborts. Newest first instead.
+LIBLLVM_PATTERNS = (
+    f"{sys.prefix}/lib/libLLVM*.so*",
+    "/usr/lib/*-linux-gnu*/libLLVM*.so*",
+    "/usr/lib/llvm-*/lib/libLLVM*.so*",
+    "/usr/lib64/libLLVM*.so*",
+    "/usr/lib64/llvm*/lib*/libLLVM*.so*",
+    "/usr/lib/libLLVM*.so*",
+    "/usr/local/lib/libLLVM*.so*",
+    "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+    "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+)
+
+
+class VariantError(SceneError):
+    """The variant that was chosen does not exist or does not work here."""
+
+
+@dataclass(frozen=True)
+class Variants:
+    """What works here. `libllvm`: the library that the LLVM variant works with; `why`: why others do not."""
+
+    scalar: bool
+    llvm: bool
+    libllvm: str | None
+    why: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(
+            name for name, works in zip(VARIANT_NAMES, (self.scalar, self.llvm), strict=True) if works
+        )
+
+
+_usable_by_key: dict[str, Variants] = {}
+
+
+def usable_variants() -> Variants:
+    """What works on this machine; tried once, then remembered in the user's cache folder."""
+    candidates = list(_candidates())
+    key = _cache_key(candidates)
+    if key not in _usable_by_key:
+        _usable_by_key[key] = _load_cached(key) or _try_variants(candidates, key)
+    return _usable_by_key[key]
+
+
+def variant_for(has_quadrics: bool) -> str:
+    """The variant to ask about a scene: with spheres, cylinders or disks the scalar one, float64 inside.
+
+    Raises VariantError where MITSUBA_REF_VARIANT chooses one that does not exist or does not work here.
+    """
+    chosen = os.environ.get(VARIANT_ENVIRONMENT_VARIABLE)
+    if chosen:
+        return check_variant(chosen, VARIANT_ENVIRONMENT_VARIABLE)
+    return LLVM if not has_quadrics and usable_variants().llvm else SCALAR
+
+
+def environment_for(variant: str) -> dict[str, str]:
+    """The environment variables under which a child process finds the libLLVM that works."""
+    library = usable_variants().libllvm if variant == LLVM else None
+    return {LIBLLVM_ENVIRONMENT_VARIABLE: library} if library else {}
+
+
+def check_variant(chosen: str, option: str) -> str:
+    """The variant that an option or environment variable chose. Raises VariantError if it is none or does not work."""
+    if chosen not in VARIANT_NAMES:
+        raise VariantError(f"{option} {chosen!r}: expected {' or '.join(VARIANT_NAMES)}")
+    if chosen not in usable_variants().names:
+        raise VariantError(f"{option} {chosen!r}: it does not work here: {usable_variants().why}")
+    return chosen
+
+
+def _candidates() -> Iterator[str]:
+    """Paths to try: only the user's own, if there is one; else every libLLVM, the newest first."""
+    if os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE):
+        return iter([os.environ[LIBLLVM_ENVIRONMENT_VARIABLE]])
+    own = filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
+    places = [*LIBLLVM_PATTERNS, *(f"{folder}/libLLVM*.so*" for folder in own)]
+    found = {os.path.realpath(path) for place in places for path in glob.glob(place)}
+    return iter(sorted(filter(_is_library, found), key=_version, reverse=True))
+
+
+def _is_library(path: str) -> bool:
+    """Whether it is the whole of LLVM, and not a part or a fork of it."""
+    name = re.fullmatch(r"libLLVM([-.][\d.]+)?\.(so|dylib)[\d.]*", Path(path).name)
+    return name is not None and os.path.isfile(path)
+
+
+def _version(path: str) -> tuple[list[int], str]:
+    return [int(number) for number in re.findall(r"\d+", Path(path).name)], path
+
+
+def _cache_key(candidates: list[str]) -> str:
+    """Everything that the outcome depends on."""
+    parts = [*(file.read_text(encoding="utf-8") for file in SOURCES), platform.node(), platform.machine()]
+    parts += [os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE, ""), _installed("mitsuba"), _installed("drjit")]
+    for path in candidates:
+        parts += [path, *_file_stamp(path)]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+
+
+def _installed(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "none"
+
+
+def _file_stamp(path: str) -> list[str]:
+    try:
+        status = os.stat(path)
+    except OSError:
+        return ["missing"]
+    return [str(status.st_size), str(status.st_mtime_ns)]
+
+
+def _try_variants(candidates: list[str], key: str) -> Variants:
+    """Try scalar, then LLVM with one library after the other. A time-out is not remembered."""
+    scalar = smoke_test(SCALAR, {})
+    problems = [f"{SCALAR}: {scalar}"] if scalar else []
+    library = None
+    for path in candidates:
+        problem = smoke_test(LLVM, {LIBLLVM_ENVIRONMENT_VARIABLE: path})
+        if not problem:
+            library = path
+            break
+        problems.append(f"{path}: {problem}")
+    if not candidates:
+        problems.append("no libLLVM found")
+    found = Variants(not scalar, library is not None, library, "; ".join(problems))
+    if found.scalar and "timeout" not in found.why:  # a busy machine, perhaps
+        _store_cached(key, found)
+    return found
+
+
+def _cache_file(key: str) -> Path:
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(home) / "caster" / "variants" / f"{key}.json"
+
+
+def _load_cached(key: str) -> Variants | None:
+    """What was found last time; None where that is not known, or cannot be read."""
+    try:
+        values: dict[str, Any] = json.loads(_cache_file(key).read_text(encoding="utf-8"))
+        found = Variants(**values)
+    except (OSError, ValueError, TypeError):
+        return None
+    return found if found.scalar is True and _is_consistent(found) else None
+
+
+def _is_consistent(found: Variants) -> bool:
+    return isinstance(found.why, str) and found.llvm is isinstance(found.libllvm, str)
+
+
+def _store_cached(key: str, found: Variants) -> None:
+    file = _cache_file(key)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(f".{os.getpid()}")
+        part.write_text(json.dumps(asdict(found)), encoding="utf-8")
+        os.replace(part, file)
+    except OSError:  # it costs the next process a second or two
+        pass

@@ -1,0 +1,72 @@
+"""What all scenes that fail have in common, and which of them is the simplest: facts to begin with, no causes."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+from mitsuba_ref.judge.classification import EXACT
+from mitsuba_ref.judge.verdict import SceneVerdict
+
+MIN_FAILING_SCENES = 2  # scenes that fail: of one, everything is in common
+NO_ANSWER = "no comparison"
+
+
+def in_common(scenes: Sequence[SceneVerdict]) -> list[str]:
+    """What is the same in all that fail, each with what is so in how many that pass; [] where that says nothing.
+
+    A type of shape or camera counts only if some scene that passes is without.
+    """
+    failing = [scene for scene in scenes if not scene.ok]
+    passing = [scene for scene in scenes if scene.ok]
+    if len(failing) < MIN_FAILING_SCENES:
+        return []
+    told = [
+        f"{each} fails" if each != NO_ANSWER else f"there is {each}"
+        for each in _common_to(failing, checks_of)
+    ]
+    for what, of in (("shape", shapes_of), ("camera", cameras_of)):
+        for each in _common_to(failing, of):
+            also = sum(each in of(scene) for scene in passing)
+            if also < len(passing):
+                told.append(f"{what} {each} (in {also} of {len(passing)} that pass)")
+    return told
+
+
+def _common_to(scenes: Sequence[SceneVerdict], of: Callable[[SceneVerdict], frozenset[str]]) -> list[str]:
+    return sorted(frozenset.intersection(*map(of, scenes)))
+
+
+def checks_of(scene: SceneVerdict) -> frozenset[str]:
+    """The checks that a scene fails; `exact`, which fails beside most others, only where it is alone."""
+    if scene.problem:
+        return frozenset([NO_ANSWER])
+    named = {*scene.failing_by, *(check.name for check in scene.checks if not check.ok)}
+    named |= {failure.check for failure in scene.failures}  # a candidate's, which are not counted by check
+    return frozenset(named - {EXACT} or named)
+
+
+def shapes_of(scene: SceneVerdict) -> frozenset[str]:
+    return frozenset(scene.made_of.shapes)
+
+
+def cameras_of(scene: SceneVerdict) -> frozenset[str]:
+    return frozenset({scene.made_of.camera} - {""})
+
+
+def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
+    """Of those that fail the one with the fewest primitives, then shapes, then pixels; None of fewer than FEWEST."""
+    failing = [scene for scene in scenes if not scene.ok]
+    known = [scene for scene in failing if scene.made_of.primitives]
+    if len(failing) < MIN_FAILING_SCENES or not known:
+        return None
+    return min(known, key=lambda s: (s.made_of.primitives, sum(s.made_of.shapes.values()), s.pixels, s.name))
+
+
+def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
+    """The lines of a summary: what is in common, and where to begin. None where fewer than FEWEST scenes fail."""
+    failing = sum(not scene.ok for scene in scenes)
+    told, first = in_common(scenes), simplest_failing(scenes)
+    if told:
+        yield f"in common:  of all {failing} that fail: {'; '.join(told)}"
+    if first is not None:
+        count = first.made_of.primitives
+        size = f"{count} primitive{'s' if count > 1 else ''}, {first.pixels} pixels"
+        yield f"look first: {first.name}, the simplest of them ({size})"

@@ -1,0 +1,176 @@
+"""A verdict as Markdown, for the summary page of a step on GitHub and the like."""
+
+import html
+import math
+import os
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from caster.image.atomic_files import OutputError
+from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
+from mitsuba_ref.report.failure_groups import group_lines
+from mitsuba_ref.report.replay import replay
+from mitsuba_ref.report.terminal import HEADS, candidate_lines, failure_text, worst_words
+
+# GitHub drops the whole summary of a step that is larger: https://docs.github.com/actions, "step isolation and limits".
+SUMMARY_LIMIT_BYTES = 1024 * 1024  # bytes
+
+RESERVED_BYTES = 2048  # bytes, of it, for the sentences that say what was left out and the tags that close
+
+PLAIN = re.compile(
+    r"[A-Za-z0-9 .,:/()=+-]"
+)  # what Markdown never reads as anything but itself, within a line
+
+
+def append(
+    path: str | os.PathLike[str], verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES
+) -> None:
+    """Add the summary to the end of a file, as GitHub asks of $GITHUB_STEP_SUMMARY; the file grows to `limit` at most.
+
+    Raises OutputError.
+    """
+    try:
+        before = Path(path).stat().st_size if Path(path).exists() else 0
+        with open(path, "a", encoding="utf-8") as file:
+            file.write(markdown(verdict, seconds, limit - before))
+    except OSError as error:
+        raise OutputError(f"{path}: cannot write: {error.strerror or error}") from error
+
+
+def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES) -> str:
+    """The verdict, failing scenes with their worst pixel and replay first; no longer than limit bytes of UTF-8."""
+    failing = [scene for scene in verdict.scenes if not scene.ok]
+    passing = [scene for scene in verdict.scenes if scene.ok]
+    head = "\n".join(_head(verdict, seconds)) + "\n"
+    room = _ByteBudget(limit - RESERVED_BYTES - utf8_size(head))
+    rows = room.take(_failing_row(scene) for scene in failing)
+    texts = room.take(_failing_text(scene) for scene in failing)
+    missing = room.take(f"- {escaped(name)}\n" for name in verdict.not_judged)
+    good = room.take(_row(scene) for scene in passing)
+    parts = [head]
+    if rows:
+        parts += [_table_head(verdict, "worst pixel", "replay"), *rows, "\n"]
+    if missing:
+        parts += [f"Not judged, {len(verdict.not_judged)} scenes:\n\n", *missing, "\n"]
+    parts += texts
+    if good:
+        parts.append(f"<details><summary>{len(passing)} scenes pass</summary>\n\n")
+        parts += [_table_head(verdict, "closest"), *good, "\n</details>\n"]
+    wanted = (
+        (failing, rows, "failing scenes"),
+        (failing, texts, "texts of failing scenes"),
+        (verdict.not_judged, missing, "scenes not judged"),
+        (passing, good, "scenes that pass"),
+    )
+    left = [f"{len(every) - len(shown)} {what}" for every, shown, what in wanted if len(shown) < len(every)]
+    if left:
+        parts.append(
+            f"\nLeft out, for the size that a summary may have: {', '.join(left)}. verdict.json has all.\n"
+        )
+    text = "".join(parts)
+    return text if utf8_size(text) <= limit else ""  # a file that is full already
+
+
+class _ByteBudget:
+    """Bytes that are left."""
+
+    def __init__(self, left: int) -> None:
+        self.left = left
+
+    def take(self, texts: Iterable[str]) -> list[str]:
+        """As many of the texts as there is room for, in order."""
+        taken = []
+        for text in texts:
+            if utf8_size(text) > self.left:
+                break
+            self.left -= utf8_size(text)
+            taken.append(text)
+        return taken
+
+
+def utf8_size(text: str) -> int:
+    return len(text.encode())
+
+
+def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
+    passed = sum(scene.ok for scene in verdict.scenes)
+    words = f"{verdict.asked} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
+    missing = verdict.asked - len(verdict.scenes)
+    words += f", {missing} not judged" if missing else ""
+    kept = sum(scene.kept for scene in verdict.scenes)
+    counts = ", ".join(f"{verdict.counts[name]} {verdict.called(name).replace('_', ' ')}" for name in CLASSES)
+    lines = [f"## {'PASS' if verdict.ok else 'FAIL'}: {words}", ""]
+    lines += [f"mitsuba-ref validate, {seconds:.1f} s. Hit pixels: {counts}.", ""]
+    if verdict.shard:
+        lines += [f"Shard {verdict.shard}.", ""]
+    if verdict.candidate:
+        lines += [*(f"- {escaped(line)}" for line in candidate_lines(verdict)), ""]
+    if kept:
+        lines += [f"Kept from an earlier run, not judged anew: {kept} scenes.", ""]
+    lines += [f"- {escaped(' '.join(line.split()))}" for line in group_lines(verdict.scenes)]
+    lines += [f"- {escaped(versions)}" for versions in verdict.versions]
+    return [*lines, ""]
+
+
+def _table_head(verdict: Verdict, *last: str) -> str:
+    names = [
+        "scene",
+        "hit",
+        *(" ".join(filter(None, HEADS[verdict.called(name)])).replace("- ", "") for name in CLASSES),
+        *last,
+    ]
+    aligned = ["---", *["---:"] * (1 + len(CLASSES)), *["---"] * len(last)]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in (names, aligned))
+
+
+def _cells(scene: SceneVerdict) -> list[str]:
+    name = escaped(scene.name) + (" (kept)" if scene.kept else "")
+    return [name, str(scene.hit_pixels), *(str(scene.counts[name]) for name in CLASSES)]
+
+
+def _row(scene: SceneVerdict) -> str:
+    return f"| {' | '.join([*_cells(scene), escaped(worst_words(scene))])} |\n"
+
+
+def _failing_row(scene: SceneVerdict) -> str:
+    first = scene.failures[0] if scene.failures else None
+    pixel = (first.x, first.y) if first else None
+    where = f"({first.x}, {first.y}): {_far(first)}" if first else _first_line(scene)
+    command = f"<code>{escaped(replay(scene, pixel))}</code>"
+    return f"| {' | '.join([*_cells(scene), escaped(where), command])} |\n"
+
+
+def _far(worst: Failure) -> str:
+    return (
+        f"{worst.check} {worst.ratio:.3g}x its bound"
+        if math.isfinite(worst.ratio)
+        else f"{worst.check} is another"
+    )
+
+
+def _first_line(scene: SceneVerdict) -> str:
+    """What fails, without the words FAIL and the scene's name before it."""
+    line = failure_text(scene).partition("\n")[0]
+    return line.removeprefix(f"FAIL  {scene.name}  ")[:200]
+
+
+SCENE_TEXT_LIMIT_BYTES = 16384  # bytes of one scene's text: Mitsuba's last words may be long
+
+
+def _failing_text(scene: SceneVerdict) -> str:
+    """What the terminal says of it, folded; within <pre> only HTML's own characters mean anything."""
+    words = html.escape(
+        "".join(c if c in "\n\t" or c.isprintable() else "\ufffd" for c in failure_text(scene))
+    )
+    words = words.encode()[:SCENE_TEXT_LIMIT_BYTES].decode(errors="ignore")
+    return f"<details><summary>{html.escape(one_line(scene.name))}</summary>\n\n<pre>\n{words}\n</pre>\n</details>\n\n"
+
+
+def one_line(text: str) -> str:
+    return "".join(c if c.isprintable() else "\ufffd" for c in text)
+
+
+def escaped(text: str) -> str:
+    """Text on one line that Markdown and HTML show as it is: everything that may mean something as a number."""
+    return "".join(c if PLAIN.match(c) else f"&#{ord(c)};" for c in one_line(text))

@@ -1,0 +1,39 @@
+"""The command that shows a verdict again, with the options that it takes."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mitsuba_ref.judge.verdict import SceneVerdict
+
+
+def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
+    """The command that shows one pixel, or else the scene, again."""
+    if pixel is None:
+        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{repeated_options(scene)}"
+    before, after = replay_around(scene)
+    return f"{before}{pixel[0]} {pixel[1]}{after}"
+
+
+def replay_around(scene: SceneVerdict) -> tuple[str, str]:
+    """The command that shows a pixel again: what comes before its column and row, and what comes after."""
+    return f"mitsuba-ref probe {shlex.quote(scene.path or 'SCENE')} ", repeated_options(scene)
+
+
+def repeated_options(scene: SceneVerdict) -> str:
+    """The options that any command has to repeat to see the same."""
+    size = ["--size", *map(str, scene.size)] if scene.resized else []
+    return "".join(f" {shlex.quote(word)}" for word in (*size, *scene.options, *_named_candidate(scene)))
+
+
+def _named_candidate(scene: SceneVerdict) -> Iterator[str]:
+    """A candidate that Python was given, not the command line; of a function, the name alone is known."""
+    if not scene.candidate or "--candidate" in scene.options:
+        return
+    as_typed = ":" in scene.candidate or "{" in scene.candidate
+    yield from ("--candidate", scene.candidate if as_typed else f"MODULE:{scene.candidate}")
+    if scene.precision:
+        yield from ("--candidate-precision", scene.precision)

@@ -1,0 +1,205 @@
+"""One pixel as a scene file of its own: the ray and the primitives it has to do with, every number to the bit."""
+
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.cameras.ray import Ray
+from caster.geometry.packing import Packed, pack
+from caster.geometry.world_space import as_float32
+from caster.image.atomic_files import write_text
+from caster.scene.errors import SceneError
+from caster.scene.export import SECTION_ORDER, format_toml
+from caster.scene.files import Film, Scene
+from mitsuba_ref.error_model.lambert import direction_to_light
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, judge_of
+from mitsuba_ref.judge.formatting import format_side, reproducer_header
+from mitsuba_ref.judge.verdict import CLASSES, OURS_WRONG, REFERENCE_WRONG, UNLISTED, pixel_of
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.subjects.traced_scene import describe_primitive, packs_identically
+
+TRAILING_ZEROS = re.compile(r"\.?0+(?=p)")  # of a hex float's digits behind the point, which there always is
+
+
+class Reproducer(NamedTuple):
+    """A scene of one pixel, and what of it is not as it was."""
+
+    scene: Scene
+    prims: tuple[int, ...]  # numbers of its primitives in the scene it was taken from
+    notes: tuple[str, ...]
+
+    def text(self, head: Sequence[str]) -> str:
+        """A scene file. head: lines of comment to begin with, the first of which says what the file is for."""
+        lines = [*head, *(f"note: {note}" for note in self.notes)]
+        comment = "".join(f"# {line}".rstrip() + "\n" for line in lines)
+        return (
+            comment + "\n" + format_toml(with_hex_floats(tomllib.loads(self.scene.to_toml())), SECTION_ORDER)
+        )
+
+
+def with_hex_floats(value: Any) -> Any:
+    """Floats as hex floats, in whatever holds them."""
+    if isinstance(value, dict):
+        return {key: with_hex_floats(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [with_hex_floats(each) for each in value]
+    return TRAILING_ZEROS.sub("", value.hex()) if isinstance(value, float) else value
+
+
+def reproducer(judge: Judge, row: int, *, lit: bool = False) -> Reproducer:
+    """The ray of one row of the picture, and what it may hit. lit: with lights, and what may cast a shadow on the hit.
+
+    Raises SceneError for a pixel without a ray.
+    """
+    rays, scene = judge.pair.rays, judge.scene
+    if rays.t_max[row] < 0.0:
+        raise SceneError("there is no ray through this pixel, so there is nothing to reproduce")
+    t_max = float(rays.t_max[row])
+    camera = Ray(
+        origin=rays.o[row], direction=rays.d[row], t_max=t_max if np.isfinite(t_max) and t_max > 0.0 else None
+    )
+    prims = tuple(sorted(involved_prims(judge, row, lit)))
+    shapes: list[dict[str, Any]] = []
+    notes: list[str] = []
+    for prim in prims:
+        shape, note = shape_of(judge, prim)
+        if shape not in shapes:
+            shapes.append(shape)
+        notes += note
+    used = {shape["material"] for shape in shapes if shape.get("material")}
+    parts: dict[str, Any] = {
+        "film": Film(width=1, height=1),
+        "camera": camera,
+        "lights": scene.lights if lit else (),
+        "materials": {name: scene.materials[name] for name in scene.materials if name in used},
+        "shapes": shapes,
+        "shading": scene.shading,
+        "checks": scene.checks,
+    }
+    return Reproducer(Scene(**parts), prims, tuple(dict.fromkeys(notes)))
+
+
+def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
+    """Numbers of the primitives that float32 may hit, that are hit exactly, and that either side names."""
+    o, d, t_max = judge.o[row : row + 1], judge.d[row : row + 1], judge.t_max[row : row + 1]
+    found = set(judge.theirs.possible_hits(o, d, t_max).prim.tolist())
+    for answer in judge.oracle.first_hits(o, d, 0.0, t_max):
+        found |= {hit.prim for hit in answer.ties}
+    found |= {int(judge.pair.prim[row]), judge.reference_prim(row)}
+    if lit and judge.pair.prim[row] >= 0:
+        for light in judge.scene.lights:
+            if light.type != "ambient":
+                to_light, reach = direction_to_light(light, judge.point[row : row + 1])
+                found |= set(
+                    judge.theirs.possible_hits(judge.point[row : row + 1], to_light, reach).prim.tolist()
+                )
+    return found - {-1}
+
+
+def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
+    """(a description of one primitive that packs to the very same numbers, what could not be kept)."""
+    packed = judge.model.packed
+    i = int(packed.shape_of(np.array([prim]))[0])
+    k = int(prim - packed.first[i])
+    name = f"{judge.scene.shape_names()[i]}, prim {k}"
+    whole = judge.scene.shapes[i]
+    try:
+        shape = describe_primitive(packed.parts[i], k)
+        kept = packs_identically(packed.parts[i], k, pack_one(shape))
+    except (SceneError, LookupError):
+        shape, kept = {}, False
+    if not kept:  # as it was described, with all its primitives
+        note = f"{judge.scene.shape_names()[i]} is here as a whole, as it was described"
+        return whole.model_dump(by_alias=True, exclude_none=True), [note]
+    notes = []
+    if type(packed.parts[i]).__name__ == "Planes":
+        notes.append(
+            "in place of a plane Mitsuba gets a patch of triangles, cut to the rays: here, to this ray alone"
+        )
+    return shape | {"name": name, "material": whole.material}, notes
+
+
+def pack_one(shape: dict[str, Any]) -> Packed:
+    """The float32 numbers of a description. Raises SceneError."""
+    return pack(Scene(camera=Ray(origin=(0, 0, 0), direction=(0, 0, 1)), shapes=[shape]), as_float32)
+
+
+# Reproducers of the pixels where somebody is wrong, as files.
+
+
+MAX_REPRODUCERS_PER_CASE = (
+    2  # reproducers of one scene and case, or of ours_wrong: each is checked by asking Mitsuba again
+)
+
+
+class StoredReproducers(NamedTuple):
+    """What came of storing a scene's reproducers."""
+
+    files: tuple[str, ...]
+    left_out: int  # pixels of the same classes without a file
+
+
+def write_reproducers(
+    folder: Path, name: str, judge: Judge, judgement: Judgement, source: str
+) -> StoredReproducers:
+    """NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, at most MOST a case. Raises OutputError."""
+    files: list[str] = []
+    left_out = 0
+    for label, rows in _rows_by_label(judgement).items():
+        left_out += len(rows[MAX_REPRODUCERS_PER_CASE:])
+        for row in rows[:MAX_REPRODUCERS_PER_CASE]:
+            x, y = pixel_of(judge.scene, row)
+            path = folder / f"{name}.{label}.{x}-{y}.toml"
+            write_reproducer(path, judge, judgement, row, f"{source}, pixel ({x}, {y})")
+            files.append(path.name)
+    return StoredReproducers(tuple(files), left_out)
+
+
+def write_reproducer(
+    path: Path, judge: Judge, judgement: Judgement, row: int, source: str, more: Sequence[str] = ()
+) -> bool:
+    """Write one, and say in it whether its few primitives alone show the same. more: lines of comment.
+
+    Raises OutputError, SceneError.
+    """
+    found = reproducer(judge, row, lit=bool(judgement.ratio("diffuse")[row] > 1.0))
+    same, words = reproduces(found, judge, judgement, row)
+    write_text(path, found.text([*reproducer_header(judge, judgement, row, source), words, *more]))
+    return same
+
+
+def reproduces(found: Reproducer, judge: Judge, judgement: Judgement, row: int) -> tuple[bool, str]:
+    """(whether class and Mitsuba's answer come out the same, that in words)."""
+    again = judge_of(found.scene)
+    if isinstance(again, Crash):
+        return False, f"Checked:   Mitsuba ended without an answer on this file ({again.exit})."
+    verdict, before = (CLASSES[int(code)] for code in (again.judge().classes[0], judgement.classes[row]))
+    t, t_before = float(again.pair.witness.t[0]), float(judge.pair.witness.t[row])
+    if verdict == before and (t == t_before or (np.isnan(t) and np.isnan(t_before))):
+        return True, "Checked:   this file alone gives the same class, and the same t of Mitsuba."
+    told = f"class {verdict}, Mitsuba: {format_side(again, 0, ours=False)}"
+    return (
+        False,
+        f"Checked:   NOT THE SAME from this file alone, so what else is in the scene matters: {told}.",
+    )
+
+
+def _rows_by_label(judgement: Judgement) -> dict[str, list[int]]:
+    """Rows by the label of their file, worst first."""
+    rows: dict[str, list[int]] = {}
+    for row in _worst_first(judgement, REFERENCE_WRONG):
+        case = judgement.cases.get(row)
+        rows.setdefault(UNLISTED if case is None else f"case-{case}", []).append(row)
+    for row in _worst_first(judgement, OURS_WRONG):
+        rows.setdefault(OURS_WRONG.replace("_", "-"), []).append(row)
+    return rows
+
+
+def _worst_first(judgement: Judgement, name: str) -> Iterator[int]:
+    rows = np.flatnonzero(judgement.classes == CLASS_CODE[name])
+    worst = np.max([judgement.excess(check)[rows] for check in judgement.names], axis=0)
+    yield from rows[np.argsort(-worst, kind="stable")].tolist()

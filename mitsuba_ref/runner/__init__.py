@@ -1,0 +1,1 @@
+"""Validation of many scenes: selection, workers, resume, shards and the pytest plug-in."""

@@ -1,0 +1,198 @@
+"""What a verdict hangs on beside sources and scenes: Mitsuba, its variant and libLLVM, libraries, the machine."""
+
+import argparse
+import heapq
+import importlib.metadata
+import platform
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from caster.cli.exit_codes import NOT_COMPARABLE
+from caster.rendering.images import film_window
+from caster.scene.errors import SceneError
+from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.reference import variants
+from mitsuba_ref.runner.scene_runner import SceneEntry
+
+# Python, OpenEXR and pydantic read and write; these compute.
+LIBRARIES = ("mitsuba", "drjit", "numpy", "numba", "llvmlite")
+RECORDED_PER_SCENE = (
+    "mitsuba",
+    "drjit",
+)  # what each answer of Mitsuba says of itself; the variant may be another by scene
+NONE = "none"
+
+
+def judged_with() -> dict[str, str]:
+    """Of the run that is going on. Raises VariantError."""
+    flat, quadrics = (variants.variant_for(has_quadrics=each) for each in (False, True))
+    library = variants.usable_variants().libllvm if variants.LLVM in (flat, quadrics) else None
+    return {
+        "machine": platform.machine(),
+        **{name: _installed(name) for name in LIBRARIES},
+        "variant of triangles": flat,
+        "variant of quadrics": quadrics,
+        "libLLVM": version_in(library or NONE),
+    }
+
+
+def _installed(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return NONE
+
+
+def version_in(library: str) -> str:
+    """libLLVM's, by the name of its file: folders differ between systems. 19.1 of /usr/lib/libLLVM.so.19.1."""
+    return ".".join(re.findall(r"\d+", Path(library).name)) or library
+
+
+def other_versions(parts: Sequence[tuple[str, Verdict]]) -> list[str]:
+    """What parts were judged with that others were not, a sentence each; parts: (where it is from, verdict)."""
+    known: dict[str, tuple[str, str]] = {}
+    found: dict[str, None] = {}
+    for place, part in parts:
+        for what, version in _recorded_versions(part):
+            first, before = known.setdefault(what, (place, version))
+            if version != before:
+                found[f"{place} was judged with {what} {version}, {first} with {before}"] = None
+    return list(found)
+
+
+def _recorded_versions(part: Verdict) -> Iterator[tuple[str, str]]:
+    yield from part.judged_with.items()
+    for scene in part.scenes:
+        yield from ((name, scene.versions[name]) for name in RECORDED_PER_SCENE if name in scene.versions)
+        library = scene.versions.get("libllvm", NONE)
+        if library != NONE:
+            yield "libLLVM", version_in(library)
+
+
+def combined_versions(parts: Sequence[Verdict]) -> dict[str, str]:
+    """What all of them were judged with; several of a kind beside each other."""
+    kinds = dict.fromkeys(what for part in parts for what in part.judged_with)
+    return {
+        what: " and ".join(dict.fromkeys(part.judged_with.get(what, "?") for part in parts)) for what in kinds
+    }
+
+
+# A run in several parts: which scenes are whose, and what all parts say together.
+
+
+class Shard(NamedTuple):
+    """Number `part` of `parts`, from 1."""
+
+    part: int
+    parts: int
+
+    def __str__(self) -> str:
+        return f"{self.part}/{self.parts}"
+
+
+def parse_shard(text: str) -> Shard:
+    """Of "2/4". Raises argparse.ArgumentTypeError."""
+    index, slash, count = text.partition("/")
+    if slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count):
+        return Shard(int(index), int(count))
+    raise argparse.ArgumentTypeError(f"expected I/N with 1 <= I <= N, such as 2/4, got '{text}'")
+
+
+def scenes_of_shard(entries: Sequence[SceneEntry], shard: Shard) -> list[SceneEntry]:
+    """The entries of one shard, in their order. Each entry is in exactly one of the shards.
+
+    The largest first, each to the shard with the fewest pixels so far: none has more than 4/3 of the least that is
+    possible (Graham 1969). It depends on nothing but names and film sizes.
+    """
+    pixels = [film_window(entry.scene).width * film_window(entry.scene).height for entry in entries]
+    order = sorted(range(len(entries)), key=lambda i: (-pixels[i], entries[i].name, i))
+    loads = [(0, number) for number in range(1, shard.parts + 1)]
+    mine = set()
+    for i in order:
+        load, number = heapq.heappop(loads)
+        heapq.heappush(loads, (load + pixels[i], number))
+        if number == shard.part:
+            mine.add(i)
+    return [entry for i, entry in enumerate(entries) if i in mine]
+
+
+class DifferentRuns(SceneError):  # noqa: N818 - what they are, not what somebody did
+    """Verdicts that are not parts of one run."""
+
+    exit_code = NOT_COMPARABLE
+
+
+def merge_verdicts(
+    parts: Sequence[tuple[str, Verdict]], *, any_versions: bool = False
+) -> tuple[Verdict, list[str]]:
+    """(one verdict of all, what is missing in words); parts: (where it is from, verdict).
+
+    any_versions: parts that were judged with other versions are parts of one run, too. A scene of a shard that is
+    missing counts as not judged. Raises DifferentRuns for parts of different runs.
+    """
+    first_place, first = parts[0]
+    seen: dict[int, str] = {}
+    for place, part in parts:
+        shard = shard_in(part, place, len(parts))
+        if shard.parts != shard_in(first, first_place, len(parts)).parts or part.selected != first.selected:
+            raise DifferentRuns(
+                f"{place}: expected a shard of the same run as {first_place}, got one of another"
+            )
+        if shard.part in seen:
+            raise DifferentRuns(f"{place}: shard {shard} once more; it is in {seen[shard.part]}")
+        seen[shard.part] = place
+    check_same_subject_and_film(
+        parts
+    )  # films and candidates first: they are a part of the code's hash, which cannot say so
+    for place, part in parts:
+        if part.code != first.code:
+            raise DifferentRuns(f"{place}: it is of other code or other scenes than {first_place}")
+    if not any_versions and (others := other_versions(parts)):
+        outward_normal = (
+            "judge all shards with the same versions, or take them together with --other-versions"
+        )
+        raise DifferentRuns("\n".join([*others, f"expected shards that were judged alike: {outward_normal}"]))
+    count = shard_in(first, first_place, len(parts)).parts
+    scenes = {}
+    for place, part in parts:
+        for scene in part.scenes:
+            if scene.name in scenes:
+                raise DifferentRuns(f"{place}: scene {scene.name} is in another shard, too")
+            scenes[scene.name] = scene
+    names = first.selected or first.names
+    strange = sorted(set(scenes) - set(names))
+    if strange:
+        raise DifferentRuns(f"scenes that the run did not select: {', '.join(strange)}")
+    judged_with = combined_versions([part for _, part in parts])
+    whole = replace(first, shard="", selected=(), asked=len(names), names=names, judged_with=judged_with)
+    whole = replace(whole, scenes=tuple(scenes[name] for name in names if name in scenes))
+    missing = [f"shard {number}/{count} is missing" for number in range(1, count + 1) if number not in seen]
+    return whole, missing
+
+
+def check_same_subject_and_film(parts: Sequence[tuple[str, Verdict]]) -> None:
+    """Raise DifferentRuns unless all scenes were judged with the same candidate, and with the same --size or none."""
+    judged = [(place, f"judged {part.candidate or 'ours'}") for place, part in parts]  # or was about to
+    films = [(place, f"has films of {film_of(scene)}") for place, part in parts for scene in part.scenes]
+    for told in (judged, films):
+        for place, mine in told:
+            first_place, others = told[0]
+            if mine != others:
+                raise DifferentRuns(f"{place}: it {mine}, and {first_place} {others}")
+
+
+def film_of(scene: SceneVerdict) -> str:
+    return f"{scene.size[0]} x {scene.size[1]}" if scene.resized else "the scenes' own sizes"
+
+
+def shard_in(part: Verdict, place: str, parts: int) -> Shard:
+    """Which one it is; a run that was not divided is 1/1."""
+    if not part.shard:
+        if parts > 1:
+            raise DifferentRuns(f"{place}: expected a shard, got a run that was not divided")
+        return Shard(1, 1)
+    index, _, count = part.shard.partition("/")
+    return Shard(int(index), int(count))

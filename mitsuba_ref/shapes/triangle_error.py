@@ -1,0 +1,182 @@
+"""How far Mitsuba may be off on a triangle (docs/method.md, "Triangles")."""
+
+from typing import Any
+
+import numpy as np
+
+from mitsuba_ref.error_model.intersections import (
+    LARGEST_COORDINATE,
+    ErrorModel,
+    Intersections,
+    cross_permanent,
+    dot,
+    finite_or_zero,
+    norm,
+    position_error,
+    unit,
+)
+from mitsuba_ref.oracle.exact_triangles import TRIANGLES
+
+# Where the relative error of n.d reaches this, float32 cannot tell on which side of edge-on the ray passes.
+UNRESOLVABLE = 0.5
+
+
+def intersect(
+    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
+) -> tuple[Intersections, ...]:
+    """Ray i with triangle k[i], by its plane and its three edge functions."""
+    corners = [prims.vertices[prims.faces[k, j]] for j in range(3)]
+    a, b, c = (corner - o for corner in corners)
+    across = np.cross(corners[1] - corners[0], corners[2] - corners[0])  # b - a would carry the rounding of o
+    area = norm(across)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        edges, edge_errors = _edge_functions(a, b, c, d, ku)
+        total = edges.sum(axis=1)
+        weights = edges / total[:, None]
+        n = across / area[:, None]
+        t = dot(n, a) / dot(n, d)
+        t_error, resolvable = _t_error(n, across, area, (a, b, c), weights, t, d, ku)
+        n_error = ku * (norm(cross_permanent(b - a, c - a)) / area + 1.0)
+        traced = (area > 0.0) & _kept(corners)
+        possible = (np.all(edges >= -edge_errors, axis=1) | np.all(edges <= edge_errors, axis=1)) & traced
+        inside = edges * np.sign(total)[:, None] > edge_errors
+        sure = resolvable & possible & np.isfinite(t)
+        weight_errors = (edge_errors + np.abs(weights) * edge_errors.sum(axis=1)[:, None]) / np.abs(total)[
+            :, None
+        ]
+        sh_n, sh_error = _shading(prims, k, n, n_error, weights, weight_errors, ku)
+        p_error = _position_error(corners, weights, weight_errors, ku)
+    edge, side = _doubtful_edge(corners, inside, np.sign(total), sure)
+    t_error = np.where(resolvable, t_error, np.inf)
+    t = finite_or_zero(t, t_error)
+    certain = inside.all(axis=1) & sure
+    return (Intersections(t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, edge, side),)
+
+
+def intersect_ours(
+    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
+) -> tuple[Intersections, ...]:
+    """The same for ours, whose position is held to o + t d, where a ray from afar is rounded more than the corners."""
+    (at,) = intersect(prims, k, o, d, ku)
+    with np.errstate(invalid="ignore"):  # a needle whose barycentrics nobody knows
+        return (at._replace(p_error=at.p_error + position_error(o, d, at.t, at.t_error, ku)),)
+
+
+def _position_error(
+    corners: list[np.ndarray], weights: np.ndarray, weight_errors: np.ndarray, ku: float
+) -> np.ndarray:
+    """Mitsuba's position is the corners' mean by barycentrics: off by their errors and by its own rounding."""
+    p = sum(weights[:, j : j + 1] * corners[j] for j in range(3))
+    moved = sum(weight_errors[:, j] * norm(corners[j] - p) for j in range(3))
+    return moved + ku * sum(np.abs(weights[:, j]) * norm(corners[j]) for j in range(3))
+
+
+def _doubtful_edge(
+    corners: list[np.ndarray], inside: np.ndarray, facing: np.ndarray, sure: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where a hit hangs on one edge alone: its end points (m, 6), smaller one first, and the triangle's side of it.
+
+    A neighbour on the other side of the same edge catches the ray where this triangle lets it go.
+    """
+    edge, side = np.full((len(sure), 6), np.nan), np.zeros(len(sure))
+    for j, (p, q) in enumerate(((2, 1), (0, 2), (1, 0))):  # U belongs to the edge from c to b, and so on
+        rows = np.flatnonzero(sure & ~inside[:, j] & (inside.sum(axis=1) == 2))
+        start, end = corners[p][rows], corners[q][rows]
+        swapped = _is_after(start, end)
+        edge[rows] = np.where(swapped[:, None], np.hstack([end, start]), np.hstack([start, end]))
+        side[rows] = facing[rows] * np.where(swapped, -1.0, 1.0)
+    return edge, side
+
+
+def _is_after(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Whether p comes after q in the order of x, then y, then z."""
+    differs = p != q
+    first = np.argmax(differs, axis=1)[:, None]
+    after: np.ndarray = np.take_along_axis(p, first, axis=1) > np.take_along_axis(q, first, axis=1)
+    return after[:, 0]
+
+
+def _kept(corners: list[np.ndarray]) -> np.ndarray:
+    return np.all([np.abs(corner).max(axis=1) < LARGEST_COORDINATE for corner in corners], axis=0)
+
+
+def _edge_functions(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, ku: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(m, 3) U, V, W = d.(b x c), ... and how far rounding may move each.
+
+    Three sources: corners seen from the origin are rounded, each component by u of itself, which moves U by
+    |c||b x d| + |b||c x d|; Embree forms U from the difference and the sum of two corners (Pluecker), whose products
+    round; and its robust mode accepts |U + V + W| ulps beyond an edge.
+    """
+    pairs = ((c, b), (a, c), (b, a))
+    edges = np.stack([dot(d, np.cross(p - q, q)) for p, q in pairs], axis=1)  # p x q, with less to cancel
+    inflation = 2.0 * np.abs(edges.sum(axis=1))
+    errors = [
+        dot(np.abs(d), cross_permanent(p - q, np.abs(p) + np.abs(q)))
+        + dot(np.abs(p), np.abs(np.cross(q, d)))
+        + dot(np.abs(q), np.abs(np.cross(p, d)))
+        + inflation
+        for p, q in pairs
+    ]
+    return edges, ku * np.stack(errors, axis=1)
+
+
+def _t_error(
+    n: np.ndarray,
+    across: np.ndarray,
+    area: np.ndarray,
+    corners: tuple[np.ndarray, np.ndarray, np.ndarray],
+    weights: np.ndarray,
+    t: np.ndarray,
+    d: np.ndarray,
+    ku: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(bound on the error of t, whether float32 resolves the crossing at all).
+
+    Three sources: the corners' rounding moves the plane (displacement); the normal's rounding tilts it about the
+    first corner (lever); and n.d itself is only known to rho of its value.
+    """
+    a, b, c = corners
+    steepness = np.abs(dot(n, d))
+    spread = cross_permanent(b - a, c - a) / area[:, None]
+    reach = np.abs(t)[:, None] * np.abs(d)
+    share = [np.abs(weights[:, j : j + 1]) * np.abs(corner) for j, corner in enumerate(corners)]
+    displacement = dot(np.abs(n), sum(share) + np.abs(a) + reach)
+    lever = dot(np.abs(t[:, None] * d - a), spread)
+    rho = ku * (dot(np.abs(n), np.abs(d)) + dot(np.abs(d), spread)) / steepness
+    resolvable = rho < UNRESOLVABLE
+    return ku * ((displacement + lever) / steepness + np.abs(t)) / (
+        1.0 - np.minimum(rho, UNRESOLVABLE)
+    ), resolvable
+
+
+def _shading(
+    prims: Any,
+    k: np.ndarray,
+    n: np.ndarray,
+    n_error: np.ndarray,
+    weights: np.ndarray,
+    weight_errors: np.ndarray,
+    ku: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolated normal and its bound: barycentrics off by their errors, three products and a length rounded.
+
+    The errors of the barycentrics add up to nothing, so they act on what the normals differ by.
+    """
+    normals = [prims.normals[prims.faces[k, j]] for j in range(3)]
+    summed = sum(weights[:, j : j + 1] * normals[j] for j in range(3))
+    length = norm(summed)
+    moved = sum(weight_errors[:, j] * norm(normals[j] - summed) for j in range(3))
+    rounded = ku * sum(np.abs(weights[:, j]) * norm(normals[j]) for j in range(3))
+    smooth = prims.smooth[k]
+    error = np.where(smooth, (moved + rounded) / np.where(length > 0.0, length, np.nan) + ku, n_error)
+    return np.where(smooth[:, None], unit(summed), n), error
+
+
+def bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    corners = prims.vertices[prims.faces]
+    return corners.min(axis=1), corners.max(axis=1)
+
+
+MODEL = ErrorModel(intersect, bounds, intersect_ours, exact=TRIANGLES)

@@ -1,0 +1,1 @@
+"""Subjects of the judge: our caster, a Python function, a command, an EXR file; each gives one Answer."""

@@ -1,0 +1,213 @@
+"""A candidate that is a program: it reads our scene and writes an EXR file."""
+
+import contextlib
+import os
+import shlex
+import shutil
+import signal
+import string
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from caster.image.exr import Exr, UnreadableExr, read_exr
+from caster.scene.errors import FileMissing, SceneError
+from mitsuba_ref.error_model.intersections import U
+from mitsuba_ref.judge.verdict import pixel_of
+from mitsuba_ref.reference.rendering import export
+from mitsuba_ref.reference.subprocess_runner import killed_with_subprocesses
+from mitsuba_ref.subjects.answer import FLOAT32, LAST_WORDS, Answer, NoAnswer, checked_answer, printable
+from mitsuba_ref.subjects.subject import CastRequest
+
+SCENE_PLACEHOLDERS = ("xml", "toml")
+PLACEHOLDERS = (*SCENE_PLACEHOLDERS, "exr", "width", "height")
+OWN_CAMERA_NOTE = (
+    "its rays are its own camera's, and it is allowed what rounding to float32 may do to those, too"
+)
+ESCAPE_BRACES_HINT = "a brace that is meant is written twice"
+
+DEPTH, NORMAL, MASK = "depth.Z", ("normal.X", "normal.Y", "normal.Z"), "A"
+
+
+def command_of(text: str, precision: str | None, seconds: float) -> "CommandSubject":
+    """Split it as a shell would; nothing else of a shell is done. Raises SceneError."""
+    try:
+        words = shlex.split(text)
+    except ValueError as error:
+        raise SceneError(f"--candidate {text!r}: {error}") from error
+    try:
+        fields = [field for word in words for field in string.Formatter().parse(word) if field[1] is not None]
+    except ValueError as error:
+        raise SceneError(f"--candidate {text!r}: {error}; {ESCAPE_BRACES_HINT}") from error
+    for _, name, form, conversion in fields:
+        if form or conversion:
+            raise SceneError(
+                f"--candidate {text!r}: {{{name}}} is a name and nothing behind it; {ESCAPE_BRACES_HINT}"
+            )
+    named = {name for _, name, _, _ in fields if name is not None}
+    if unknown := named - set(PLACEHOLDERS):
+        known = ", ".join(f"{{{name}}}" for name in PLACEHOLDERS)
+        raise SceneError(f"--candidate {text!r}: {{{min(unknown)}}} stands for nothing; known are {known}")
+    if "exr" not in named or not named & set(SCENE_PLACEHOLDERS):
+        raise SceneError(
+            f"--candidate {text!r}: expected {{exr}}, the file to write, and {{xml}} or {{toml}}, the scene"
+        )
+    if shutil.which(words[0]) is None:
+        raise SceneError(f"--candidate {text!r}: there is no program '{words[0]}' to run")
+    return CommandSubject(text, tuple(words), "xml" in named, "toml" in named, precision, seconds)
+
+
+@dataclass(frozen=True)
+class CommandSubject:
+    """A program, run once a scene, without a shell, in the folder that the user is in."""
+
+    name: str
+    words: tuple[str, ...]
+    reads_xml: bool
+    reads_toml: bool
+    precision: str | None
+    seconds: float
+    takes_rays: bool = False
+
+    def answer(self, question: CastRequest) -> Answer:
+        """Write the scene, run the program, read its picture. Raises NoAnswer."""
+        film, folder = question.scene.film, question.folder
+        names = {"exr": folder / "candidate.exr", "width": film.width, "height": film.height}
+        if self.reads_xml:
+            names["xml"] = self._xml(question)
+        if self.reads_toml:
+            names["toml"] = folder / "scene.toml"
+            (folder / "scene.toml").write_text(question.traced.to_toml(), encoding="utf-8")
+        self._run([word.format(**names) for word in self.words])
+        exr = self._picture(folder / "candidate.exr", question)
+        return answer_from_exr(exr, question, precision=self.precision, as_exported=self.reads_xml)
+
+    def _xml(self, question: CastRequest) -> Path:
+        camera = question.scene.camera
+        exported = export(question.scene, question.model)
+        if "<sensor" not in exported.xml:
+            raise NoAnswer(
+                f"Mitsuba has no {camera.type} camera, so the XML has none; read {{toml}} for this scene"
+            )
+        return exported.write(question.folder)
+
+    def _run(self, words: list[str]) -> None:
+        # A file, since a pipe would stay open as long as anything that the program leaves behind.
+        with tempfile.TemporaryFile() as said:
+            try:
+                child = subprocess.Popen(
+                    words,
+                    stdin=subprocess.DEVNULL,
+                    stdout=said,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                )
+            except OSError as error:
+                raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
+            try:
+                with killed_with_subprocesses(child):
+                    child.wait(self.seconds)
+            except subprocess.TimeoutExpired as late:
+                raise NoAnswer(f"killed after {self.seconds:g} s{_output_tail(_read(said))}") from late
+            finally:
+                _kill_process_group(child)
+            if child.returncode:
+                raise NoAnswer(f"{_exit_text(child.returncode)}{_output_tail(_read(said))}")
+
+    def _picture(self, path: Path, question: CastRequest) -> Exr:
+        try:
+            exr = read_exr(path)
+        except UnreadableExr as error:
+            raise NoAnswer(f"the program ended well, but its picture cannot be read: {error}") from error
+        except FileMissing as error:
+            raise NoAnswer("the program ended well, but wrote no {exr}") from error
+        film, (x0, y0, x1, y1) = question.scene.film, question.scene.film.window
+        if exr.data_window not in ((x0, y0, x1, y1), (0, 0, x1 - x0, y1 - y0)):
+            raise NoAnswer(
+                f"the picture shows pixels {exr.data_window}, expected {(x0, y0, x1, y1)} of the film of "
+                f"{film.width} x {film.height}"
+            )
+        return exr
+
+
+def answer_from_exr(
+    exr: Exr, question: CastRequest, *, precision: str | None = None, as_exported: bool = False
+) -> Answer:
+    """What an EXR in our channels says: depth along the ray from the eye, geometric normal, mask. Raises NoAnswer."""
+    normal = _checked_names(exr.channels)
+    rays = question.rays
+    depth = exr.channels[DEPTH].ravel().astype(np.float64)
+    n = np.stack([exr.channels[name].ravel() for name in normal], axis=1) if normal else None
+    length = np.linalg.norm(rays.d.astype(np.float64), axis=1)
+    with np.errstate(invalid="ignore"):
+        t = (depth - rays.start) / length
+    if MASK in exr.channels:
+        covered = _mask(exr.channels[MASK].ravel(), depth, question)
+        t, depth = (np.where(covered, values, np.inf) for values in (t, depth))
+    # From the eye to where the shared ray starts, and rounded to float32 as it was stored.
+    with np.errstate(invalid="ignore"):
+        stored = np.where(np.isfinite(depth), U * np.abs(depth) / length, 0.0)
+    found = checked_answer(t, n, len(t), precision=precision or FLOAT32, as_exported=as_exported)
+    return replace(found, t_rounding=stored, own_camera=True, notes=(OWN_CAMERA_NOTE,))
+
+
+def _checked_names(channels: Mapping[str, np.ndarray]) -> list[str]:
+    """The channels of the normal, none if it is not given. Raises NoAnswer."""
+    if DEPTH not in channels:
+        has = ", ".join(channels) or "none"
+        raise NoAnswer(
+            f"the picture has no channel {DEPTH}, the distance from the eye along the ray; it has {has}"
+        )
+    some = [name for name in NORMAL if name in channels]
+    if some and len(some) < len(NORMAL):
+        raise NoAnswer(f"the picture has {', '.join(some)}, but not all of {', '.join(NORMAL)}")
+    for name in (DEPTH, *some):
+        if channels[name].dtype != np.float32:
+            raise NoAnswer(f"channel {name} holds {channels[name].dtype}, expected float32: half has 11 bits")
+    return some
+
+
+def _mask(mask: np.ndarray, depth: np.ndarray, question: CastRequest) -> np.ndarray:
+    """(n,) bool: hit, by the mask. Raises NoAnswer where depth says otherwise; 0 is no depth, and may be a miss's."""
+    covered: np.ndarray = mask != 0
+    missed = np.isposinf(depth) | (~covered & (depth == 0.0))
+    contradicts = (covered == missed) | ~np.isfinite(mask)
+    if contradicts.any():
+        i = int(np.argmax(contradicts))
+        raise NoAnswer(
+            f"A and {DEPTH} contradict each other at {int(contradicts.sum())} pixels, first "
+            f"{pixel_of(question.scene, i)}: A is {mask[i]:g}, depth {depth[i]:.9g}; a miss has A 0 and depth inf"
+        )
+    return covered
+
+
+def _kill_process_group(child: subprocess.Popen[bytes]) -> None:
+    """Kill it and what it started."""
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # gone
+        os.killpg(child.pid, signal.SIGKILL)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        child.wait(5.0)
+
+
+def _read(said: IO[bytes]) -> str:
+    said.seek(0)
+    return said.read().decode("utf-8", "replace")
+
+
+def _exit_text(code: int) -> str:
+    if code >= 0:
+        return f"the program ended with exit code {code}"
+    try:
+        return f"the program was ended by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"the program was ended by signal {-code}"
+
+
+def _output_tail(words: str) -> str:
+    words = printable(words).strip()
+    return f"; its last words:\n{words[-LAST_WORDS:]}" if words else "; it said nothing"

@@ -1,0 +1,161 @@
+"""A candidate that is a Python function: function(scene, o, d) -> (t, n)."""
+
+import contextlib
+import importlib
+import inspect
+import os
+import re
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from caster.scene.errors import SceneError
+from mitsuba_ref.subjects.answer import PRECISIONS, Answer, NoAnswer, checked_answer, exception_text
+from mitsuba_ref.subjects.subject import CastRequest
+
+FUNCTION_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
+HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # whose calls say nothing of a candidate
+MAX_TRACEBACK_FRAMES = 4  # of a traceback, on one line each
+
+# Scenes are judged several at a time; nobody said that a candidate may be called from two threads at once.
+_one_at_a_time = threading.Lock()
+
+
+def is_function(text: str) -> bool:
+    """Whether this is package.module:function."""
+    return FUNCTION_PATTERN.fullmatch(text) is not None
+
+
+def import_function(text: str, precision: str | None = None) -> "FunctionSubject":
+    """Import it; the current folder comes first, as for `python -m`. Raises SceneError."""
+    module, _, path = text.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        with _isolated():
+            found: Any = importlib.import_module(module)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit, too, which would end the program with its own exit code
+        raise SceneError(
+            f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}"
+        ) from error
+    for name in path.split("."):
+        if not hasattr(found, name):
+            raise SceneError(f"--candidate {text}: {module} has no '{path}'")
+        found = getattr(found, name)
+    if not callable(found):
+        raise SceneError(f"--candidate {text}: expected a function, got {type(found).__name__}")
+    return function_subject(found, text, precision)
+
+
+def function_subject(
+    call: Callable[..., Any], name: str = "", precision: str | None = None
+) -> "FunctionSubject":
+    """A function as a candidate; its attribute `precision` counts where none is asked for. Raises SceneError."""
+    name = name or getattr(call, "__name__", type(call).__name__)
+    declared = precision or getattr(call, "precision", None)
+    if declared is not None and not (isinstance(declared, str) and declared in PRECISIONS):
+        raise SceneError(f"{name}.precision: expected {' or '.join(PRECISIONS)}, got {declared!r}")
+    return FunctionSubject(name, call, declared)
+
+
+@dataclass(frozen=True)
+class FunctionSubject:
+    """function(scene, o, d) -> (t, n). Its attribute `precision`, or the option, says float32 or float64."""
+
+    name: str
+    call: Callable[[Any, np.ndarray, np.ndarray], Any]
+    precision: str | None = None  # None: that of the arrays it returns
+    reads_xml: bool = False
+    takes_rays: bool = True
+
+    def answer(self, question: CastRequest) -> Answer:
+        """Ask about the rays that there are, float64 arrays of float32 values; a hit beyond t_max is a miss.
+
+        Raises NoAnswer.
+        """
+        rays = question.rays
+        there = rays.t_max >= 0.0
+        o, d = (a[there].astype(np.float64) for a in (rays.o, rays.d))
+        with _one_at_a_time, _isolated():
+            returned = self._called(question, o, d)
+            try:
+                some = checked_answer(*_pair(returned), int(there.sum()), precision=self.precision)
+            except NoAnswer as error:
+                raise NoAnswer(f"{self.name}: {error}") from error
+        return _scatter_answer(some, there, rays.t_max.astype(np.float64))
+
+    def _called(self, question: CastRequest, o: np.ndarray, d: np.ndarray) -> Any:
+        try:
+            return self.call(question.traced, o, d)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            raise NoAnswer(f"{self.name} raised {_exception_with_calls(error)}") from error
+
+
+@contextlib.contextmanager
+def _isolated() -> Iterator[None]:
+    """Somebody's code runs here. What it prints is no result; the folder and NumPy's ways with errors stay ours."""
+    here = Path.cwd()
+    with contextlib.redirect_stdout(sys.stderr), np.errstate():
+        try:
+            yield
+        finally:
+            os.chdir(here)
+
+
+def _pair(returned: Any) -> tuple[Any, Any]:
+    """(t, n). Raises NoAnswer."""
+    if inspect.iscoroutine(returned):
+        returned.close()
+        raise NoAnswer(
+            "expected two arrays (t, n), got a coroutine; a plain function is called, no async one"
+        )
+    if not isinstance(returned, tuple | list) or len(returned) != 2:
+        raise NoAnswer(f"expected two arrays (t, n), got {_type_text(returned)}")
+    t, n = returned
+    return t, n
+
+
+def _scatter_answer(some: Answer, there: np.ndarray, t_max: np.ndarray) -> Answer:
+    """An answer about the rays that there are -> about all pixels; what lies beyond t_max is not there."""
+
+    def spread(values: np.ndarray, nothing: float) -> np.ndarray:
+        whole = np.full((len(there), *values.shape[1:]), nothing, values.dtype)
+        whole[there] = values
+        return whole
+
+    t = spread(some.t, np.inf)
+    t[there & (t > t_max)] = np.inf
+    n = None if some.n is None else np.where(np.isposinf(t)[:, None], 0.0, spread(some.n, 0.0))
+    broken = {why: spread(rows, False) for why, rows in some.broken.items()}
+    return Answer(t, n, some.precision, broken, hints=some.hints)
+
+
+def _exception_with_calls(error: BaseException) -> str:
+    """The exception, and the last calls that led there."""
+    calls = [
+        call
+        for call in traceback.extract_tb(error.__traceback__)
+        if not call.filename.startswith(HIDDEN_FRAMES)
+    ]
+    where = "".join(
+        f"\n  {call.filename}:{call.lineno}, in {call.name}: {call.line}"
+        for call in calls[-MAX_TRACEBACK_FRAMES:]
+    )
+    return f"{type(error).__name__}: {exception_text(error)}{where}"
+
+
+def _type_text(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"one array of shape {value.shape}"
+    return f"{len(value)} of them" if isinstance(value, tuple | list) else type(value).__name__

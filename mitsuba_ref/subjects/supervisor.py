@@ -1,0 +1,121 @@
+"""A candidate that is a Python function may end the process it runs in, or never answer: another one looks after it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NoReturn, TextIO
+
+from caster.cli.exit_codes import DIFFERENCES, INTERRUPTED, reopen_closed_streams
+
+SUPERVISED_VARIABLE = "MITSUBA_REF_SUPERVISED"  # in the environment of the one that is looked after
+INTERRUPT_GRACE_SECONDS = (
+    20.0  # seconds for the scenes that are being judged to end, and to be written down, after an interruption
+)
+CHILD_SOURCE = (
+    "import sys; sys.path[:] = {path!r}; from mitsuba_ref.subjects.supervisor import looked_after; "
+    "looked_after({fd})"
+)
+
+
+def needs_supervision(words: Sequence[str]) -> bool:
+    """Whether this command line may run somebody's function in the process of the judge."""
+    if os.name != "posix" or SUPERVISED_VARIABLE in os.environ:
+        return False
+    asks = any(word.partition("=")[0] == "--candidate" for word in words)
+    return asks and list(words[:1]) in (["validate"], ["probe"])
+
+
+def run_supervised(words: Sequence[str]) -> int:
+    """The exit code of the command line, run in a child; one that ends without a word has failed."""
+    began = time.time()
+    reopen_closed_streams()
+    receive, send = os.pipe()
+    child = subprocess.Popen(
+        [sys.executable, "-c", CHILD_SOURCE.format(path=sys.path, fd=send), *words],
+        env=os.environ | {SUPERVISED_VARIABLE: "1"},
+        pass_fds=(send,),
+        process_group=0,  # so that an interruption from the terminal comes by way of this process
+    )
+    os.close(send)
+    try:
+        code = _code_of(child)
+    finally:
+        os.set_blocking(receive, False)  # what the candidate began may still hold the other end
+        with os.fdopen(receive, "rb") as pipe:
+            told = pipe.read()
+    if told or code == INTERRUPTED:
+        return int(told or code)
+    for path in output_paths(words):  # of an earlier run: they would pass for this one's
+        if path.is_file() and path.stat().st_mtime < began:
+            path.unlink()
+    print(f"the candidate ended the process, {_exit_text(code)}: nothing is judged", file=sys.stderr)
+    return DIFFERENCES
+
+
+def _exit_text(code: int) -> str:
+    if code >= 0:
+        return f"exit {code}"
+    try:
+        return f"by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"by signal {-code}"
+
+
+def looked_after(fd: int) -> NoReturn:
+    """The command line of this process, in the child; its exit code goes through fd before the process ends.
+
+    sys.exit is heard by `main`; os._exit and C's exit() end the process before its code is told. What it exits with
+    does not count: what the candidate left for the end of the process may change that.
+    """
+    from mitsuba_ref.__main__ import main
+
+    sys.stdout = results = _result_stream()
+    code = main(sys.argv[1:])
+    os.write(fd, b"%d" % code)
+    sys.stdout = sys.__stdout__
+    results.close()
+    sys.exit(code)
+
+
+def _result_stream() -> TextIO:
+    """A way of our own to where results go; what others print, from C as well, goes to standard error."""
+    out = sys.stdout
+    kept = os.fdopen(os.dup(1), "w", 1 if out.isatty() else -1, encoding=out.encoding, errors=out.errors)
+    os.dup2(2, 1)
+    return kept
+
+
+def _code_of(child: subprocess.Popen[bytes]) -> int:
+    """Wait for it. An interruption is handed on; one that does not end after it is killed."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        return child.wait()
+    except KeyboardInterrupt:
+        child.send_signal(signal.SIGINT)
+    try:
+        return child.wait(INTERRUPT_GRACE_SECONDS)
+    except (subprocess.TimeoutExpired, KeyboardInterrupt):
+        os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        print("interrupted: the candidate did not end, and was killed", file=sys.stderr)
+        return INTERRUPTED
+
+
+def output_paths(words: Sequence[str]) -> Iterator[Path]:
+    """The verdicts that this command line asks for; a pixel's goes to standard output."""
+    if list(words[:1]) != ["validate"]:
+        return
+    parser = argparse.ArgumentParser(add_help=False)
+    for option in ("--json", "--junit", "--out"):
+        parser.add_argument(option)
+    asked, _ = parser.parse_known_args(list(words))
+    yield from (Path(path) for path in (asked.json, asked.junit) if path)
+    if asked.out:
+        yield Path(asked.out) / "verdict.json"
