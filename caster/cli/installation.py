@@ -26,6 +26,7 @@ PACKAGES = (
     Package("OpenEXR", "OpenEXR", "3.4.9", "images in and out"),
     Package("pillow", "PIL", "10.1", "pictures for people: previews, sheets, caster 6837", needed=False),
     Package("pydantic", "pydantic", "2.7", "scene descriptions and their checks"),
+    Package("rich", "rich", "13.7", "progress bars and tables on a terminal"),
     Package("tree-sitter", "tree_sitter", "0.23", "line and column of an error in a scene file"),
     Package("tree-sitter-toml", "tree_sitter_toml", "0.7", "the same in TOML"),
     Package("tree-sitter-json", "tree_sitter_json", "0.24", "the same in JSON"),
