@@ -41,9 +41,9 @@ def announce_compilation(what: str) -> Iterator[None]:
 def say_if_not_kept() -> None:
     """One line on standard error, once, where kernels are not kept as others could replace them."""
     cache_folder()
-    outward_normal = "remove it, or name a folder of your own as XDG_CACHE_HOME"
+    hint = "remove it, or name a folder of your own as XDG_CACHE_HOME"
     for refusal in refusals:
-        print(f"compiled kernels are not kept: {refusal}; {outward_normal}", file=sys.stderr, flush=True)
+        print(f"compiled kernels are not kept: {refusal}; {hint}", file=sys.stderr, flush=True)
 
 
 def _silent(name: str) -> None:

@@ -41,7 +41,7 @@ class Finding(NamedTuple):
     needed: bool
     detail: str
     adds: str
-    outward_normal: str = ""
+    way_out: str = ""
 
 
 def report() -> list[Finding]:
@@ -80,8 +80,8 @@ def find_package(part: Package) -> Finding:
         problem = detail
     if not problem and part.module == "numba" and os.environ.get("CASTER_JIT") == "0":
         detail += ", switched off by CASTER_JIT=0"
-    outward_normal = f"pip install '{part.distribution}>={part.least}'" if problem else ""
-    return Finding(part.distribution, not problem, part.needed, problem or detail, part.adds, outward_normal)
+    way_out = f"pip install '{part.distribution}>={part.least}'" if problem else ""
+    return Finding(part.distribution, not problem, part.needed, problem or detail, part.adds, way_out)
 
 
 def _problem(part: Package, version: str) -> str:
@@ -110,8 +110,8 @@ def _line(finding: Finding, width: int) -> str:
         return f"ok       {finding.name:{width}}  {finding.detail}"
     state = "MISSING" if finding.needed else "without"
     use = "needed for" if finding.needed else "would add"
-    outward_normal = f" ({finding.outward_normal})" if finding.outward_normal else ""
-    return f"{state}  {finding.name:{width}}  {finding.detail}; {use} {finding.adds}{outward_normal}"
+    way_out = f" ({finding.way_out})" if finding.way_out else ""
+    return f"{state}  {finding.name:{width}}  {finding.detail}; {use} {finding.adds}{way_out}"
 
 
 def _verdict(findings: Sequence[Finding]) -> str:

@@ -66,7 +66,7 @@ def _tried(tried: PrimitiveResult, scene: Scene) -> dict[str, Any]:
         **_ids(tried.shape_id, tried.prim_id, scene),
         **(_with_hex("t", tried.t) if hit else {"t": None}),
         "decided_by": tried.decided_by,
-        "t_rounding": tried.off if hit and math.isfinite(tried.off) else None,
+        "t_off": tried.off if hit and math.isfinite(tried.off) else None,
         "margins": margins,
         "box": tried.box and [corner.tolist() for corner in tried.box],
         "span": tried.span and [t if math.isfinite(t) else None for t in tried.span],

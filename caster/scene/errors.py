@@ -62,6 +62,6 @@ def complain(text: str) -> PydanticCustomError:
     return PydanticCustomError("field", "{text}", {"text": text})
 
 
-def refuse(expected: str, got: Any, outward_normal: str = "") -> PydanticCustomError:
+def refuse(expected: str, got: Any, hint: str = "") -> PydanticCustomError:
     """The usual complaint: 'must be ..., got ...'."""
-    return complain(f"must be {expected}, got {show(got)}{outward_normal}")
+    return complain(f"must be {expected}, got {show(got)}{hint}")

@@ -118,8 +118,8 @@ def _unknown_materials(data: Any) -> Findings:
     known = [str(name) for name in table] if isinstance(table, Mapping) else []
     for path, material in _texts(data, "material"):
         if material and material not in known:
-            outward_normal = suggestion(material, known) or f"; add a table [material.{material}]"
-            yield path, f"must be one of the materials of this scene, got {show(material)}{outward_normal}"
+            hint = suggestion(material, known) or f"; add a table [material.{material}]"
+            yield path, f"must be one of the materials of this scene, got {show(material)}{hint}"
 
 
 def _repeated_names(data: Any) -> Findings:

@@ -199,9 +199,9 @@ def _syntax_error(error: ValueError, text: str, kind: SceneFormat, origin: str) 
     line, column, message = _error_position(error, text)
     span = Span(line, column, 1)
     rest = text.split("\n")[line - 1][column - 1 :]
-    outward_normal = ": a number needs a digit before its point" if re.match(r"[+-]?\.\d", rest) else ""
+    hint = ": a number needs a digit before its point" if re.match(r"[+-]?\.\d", rest) else ""
     return format_excerpt(
-        span, f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{outward_normal}", text, origin
+        span, f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{hint}", text, origin
     )
 
 

@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         counts = f"{len(found) - len(failed)} pass, {len(failed) - missing} fail"
         unchecked = f", {missing} not checked: no reference that can be read" if missing else ""
         print(f"\n{len(found)} scenes: {counts}{unchecked}")
-        for line in outward_normal(args, failed):
+        for line in hint(args, failed):
             print(line)
     return code_of(failed)
 
@@ -70,7 +70,7 @@ def code_of(failed: Sequence[ReferenceCheck]) -> int:
     return FILE if all(checked.missing for checked in failed) else DIFFERENCES
 
 
-def outward_normal(args: argparse.Namespace, failed: Sequence[ReferenceCheck]) -> Iterator[str]:
+def hint(args: argparse.Namespace, failed: Sequence[ReferenceCheck]) -> Iterator[str]:
     """The command that shows the changes, and writes them once they are approved."""
     import shlex
 

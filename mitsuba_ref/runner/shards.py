@@ -151,10 +151,8 @@ def merge_verdicts(
         if part.code != first.code:
             raise DifferentRuns(f"{place}: it is of other code or other scenes than {first_place}")
     if not any_versions and (others := other_versions(parts)):
-        outward_normal = (
-            "judge all shards with the same versions, or take them together with --other-versions"
-        )
-        raise DifferentRuns("\n".join([*others, f"expected shards that were judged alike: {outward_normal}"]))
+        hint = "judge all shards with the same versions, or take them together with --other-versions"
+        raise DifferentRuns("\n".join([*others, f"expected shards that were judged alike: {hint}"]))
     count = shard_in(first, first_place, len(parts)).parts
     scenes = {}
     for place, part in parts:

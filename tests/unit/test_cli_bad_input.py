@@ -169,9 +169,9 @@ def test_the_mesh_of_the_truncated_case_is_good_when_it_is_whole(folder, capsys)
 def test_a_mesh_dir_brings_a_mesh_into_reach(folder, capsys):
     put(folder, *BAD_SCENES["a mesh path outside reach"][:2])
     said = refused(capsys, 2, "render", "s.toml")
-    outward_normal = said.splitlines()[0].rpartition("add ")[2].split()
-    assert outward_normal[0] == "--mesh-dir"
-    assert main(["check", "s.toml", *outward_normal]) == 0
+    hint = said.splitlines()[0].rpartition("add ")[2].split()
+    assert hint[0] == "--mesh-dir"
+    assert main(["check", "s.toml", *hint]) == 0
     assert main(["check", "--mesh-dir", "elsewhere", "--mesh-dir", str(folder.parent), "s.toml"]) == 0
 
 

@@ -56,9 +56,7 @@ def test_a_judge_without_matplotlib_is_usable_and_says_what_it_would_add(monkeyp
     )
     finding = describe(variants=["scalar_rgb"])["no-such-matplotlib"]
     assert (
-        not finding.found
-        and finding.detail == "not installed"
-        and finding.outward_normal.startswith("pip install")
+        not finding.found and finding.detail == "not installed" and finding.way_out.startswith("pip install")
     )
     assert judge_doctor.exit_code([finding]) == 0
     assert "would add the pictures" in installation.format_table([finding])
@@ -71,7 +69,7 @@ def test_this_environment_is_usable():
 def test_a_package_that_is_not_installed_has_a_way_out():
     finding = find_package(Package("no-such-package-anywhere", "nothing", "1.2", "wings"))
     assert not finding.found and finding.detail == "not installed"
-    assert finding.outward_normal == "pip install 'no-such-package-anywhere>=1.2'"
+    assert finding.way_out == "pip install 'no-such-package-anywhere>=1.2'"
 
 
 def test_a_package_that_is_too_old_is_not_found():
@@ -125,7 +123,7 @@ def test_mitsuba_answers_through_the_door():
 def test_the_judge_is_usable_without_libllvm_a_gpu_and_a_browser():
     found = describe(variants=["scalar_rgb"], libllvm=None)
     assert found["variants"].detail == "scalar_rgb"
-    assert not found["libLLVM"].found and found["libLLVM"].outward_normal == "apt install libllvm19"
+    assert not found["libLLVM"].found and found["libLLVM"].way_out == "apt install libllvm19"
     assert not any(found[name].needed for name in ("libLLVM", "GPU", "browser"))
     assert judge_doctor.usable([found["variants"], found["libLLVM"]])
 
