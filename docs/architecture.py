@@ -57,7 +57,7 @@ FLOW = {
     "mitsuba_ref.importers": "Mitsuba XML to scenes",
     "mitsuba_ref.cli": "mitsuba-ref COMMAND",
 }
-HEAVY = 10  # imports; such an arrow is drawn even where a path of others leads to the same package
+HEAVY = 16  # imports; such an arrow is drawn even where a path of others leads to the same package
 
 Graph = Mapping[str, frozenset[str]]  # module -> modules it imports
 
@@ -348,8 +348,9 @@ def picture(root: Path = ROOT) -> str:
         f"An arrow of fewer than {HEAVY} is left out where a path of others leads to the same package.",
     ]
     if upward:
-        words = ", ".join(f"{a} imports {b} ({count})" for (a, b), count in upward.items())
-        notes.append(f"Not drawn, since it is against the flow: {words}.")
+        words = [f"{a} > {b} ({count})" for (a, b), count in upward.items()]
+        notes.append("Against the flow, and not drawn:")
+        notes += [", ".join(words[i : i + 3]) for i in range(0, len(words), 3)]
     return drawing(boxes, {edge: edges[edge] for edge in sorted(shown)}, notes)
 
 

@@ -1,5 +1,6 @@
 """docs/architecture.py: the figures of small import graphs worked out by hand, and the drawing of packages."""
 
+import ast
 import re
 import sys
 from itertools import combinations
@@ -95,3 +96,29 @@ def test_equal_graphs_give_equal_bytes():
     one = drawing(boxes, dict(sorted(weights.items())), ["note"])
     assert one == drawing(boxes, dict(sorted(weights.items())), ["note"])
     assert one.count('class="arrow"') == len(weights) and ">40</text>" in one
+
+
+PAGE = (ROOT / "docs/ARCHITECTURE.md").read_text(encoding="utf-8")
+
+
+def test_the_committed_picture_is_current():
+    current = (ROOT / "docs/architecture.svg").read_text(encoding="utf-8") == architecture.picture()
+    assert current, "run python docs/architecture.py --svg docs/architecture.svg"
+
+
+def test_the_table_of_folders_is_the_flow():
+    folders = re.findall(r"^\| `((?:caster|mitsuba_ref)/\w+)` \|", PAGE, re.MULTILINE)
+    assert [folder.replace("/", ".") for folder in folders] == list(architecture.FLOW)
+
+
+@pytest.mark.parametrize(
+    "place", sorted(set(re.findall(r"`((?:caster|mitsuba_ref)/[\w/.]+(?::[\w.]+)?)`", PAGE)))
+)
+def test_what_the_page_names_is_there(place):
+    path, _, name = place.partition(":")
+    assert (ROOT / path).exists()
+    body = ast.parse((ROOT / path).read_text(encoding="utf-8")).body if name else []
+    for part in name.split(".") if name else []:
+        found = [each for each in body if getattr(each, "name", None) == part]
+        assert found, f"{path} defines no {part}"
+        body = found[0].body
