@@ -18,7 +18,7 @@ from playwright.sync_api import Browser, sync_playwright
 from caster import load_scene
 from caster.rendering.view import View
 from mitsuba_ref.judge import classification
-from mitsuba_ref.judge.verdict import pixel_of
+from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.report.html.html_report import HtmlReport, write_report
 from mitsuba_ref.runner import scene_runner
 from mitsuba_ref.runner.candidate_validation import validate_candidate

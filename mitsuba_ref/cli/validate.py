@@ -161,7 +161,7 @@ def work_through(
     width = max((len(each.name) for each in entries), default=0)
     # Itself, since whoever reads an EXR file in another thread puts another one in its place meanwhile.
     out = sys.stdout
-    print(terminal.table_head(width, candidate=candidate is not None), file=out, flush=True)
+    print(terminal.table_head(width), file=out, flush=True)
     folder = Path(args.out) if args.out else None
     workers = args.workers or scene_runner.default_workers()
     record = html.keep if html else None

@@ -17,8 +17,8 @@ from mitsuba_ref.error_model.scene_model import reference_of
 from mitsuba_ref.fuzz.aims import Shots
 from mitsuba_ref.fuzz.findings import Finding, Tally, t_text
 from mitsuba_ref.fuzz.settings import Rng
-from mitsuba_ref.judge.verdict import pixel_of
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
+from mitsuba_ref.reference.rays import pixel_of
 
 LIMITED_RAYS_PER_EXAMPLE = 12  # rays of an example that are cast again with other limits
 LIMITED_PUBLIC_CALLS = 3  # of them by caster.cast, which takes one pair of limits a call

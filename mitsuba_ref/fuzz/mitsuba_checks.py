@@ -32,6 +32,6 @@ def _finding_of(verdict: SceneVerdict) -> Finding:
             what = f"{check.name}: {check.ratio:.3g} times its bound; {check.what}"
             return Finding("judged", what, detail=check.name)
     first = verdict.failures[0]
-    sides = f"ours {first.ours}; Mitsuba {first.reference}; exactly {first.exact}; {first.reason}"
+    sides = f"ours {first.subject}; Mitsuba {first.reference}; exactly {first.exact}; {first.reason}"
     what = f"{first.verdict}: {first.check} {first.ratio:.3g} times its bound; {sides}"
     return Finding("judged", what, pixel=(first.x, first.y), detail=first.verdict)

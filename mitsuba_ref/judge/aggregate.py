@@ -1,12 +1,16 @@
 """What a verdict says of all pixels of a scene together, whoever was judged."""
 
 from collections import Counter
+from contextlib import suppress
 from typing import Protocol
 
 import numpy as np
 
+from caster.geometry.packing import packed
+from caster.scene.errors import SceneError
+from caster.scene.files import Scene
 from mitsuba_ref.judge.classification import CLASS_CODE
-from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, UNLISTED
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, UNLISTED, SceneStatistics
 
 
 class ClassifiedPixels(Protocol):
@@ -43,3 +47,12 @@ def defect_counts(judgement: ClassifiedPixels) -> dict[str, int]:
     """How many pixels where the reference is wrong are of which known case."""
     numbers = sorted(judgement.cases.values(), key=lambda case: (case is None, case))
     return dict(Counter(UNLISTED if case is None else str(case) for case in numbers))
+
+
+def scene_statistics(scene: Scene) -> SceneStatistics:
+    """Camera, shapes and number of primitives; the latter of a scene that can be packed."""
+    count = 0
+    with suppress(SceneError):
+        count = int(packed(scene).first[-1])
+    shapes = dict(Counter(str(shape.type) for shape in scene.shapes))
+    return SceneStatistics(str(scene.camera.type), shapes, count)

@@ -7,7 +7,8 @@ from mitsuba_ref.error_model.intersections import KU, KU_OURS
 from mitsuba_ref.judge.candidate_judge import CandidateJudge, CandidateJudgement, intersections_near
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.formatting import decimal_and_hex, exact_answer, format_exact
-from mitsuba_ref.judge.verdict import CLASSES, FAILING, OURS_WRONG, Failure, pixel_of
+from mitsuba_ref.judge.verdict import CLASSES, FAILING, WRONG, Failure
+from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.subjects.answer import FLOAT32, Answer
 
 
@@ -69,7 +70,7 @@ def exact_normal(judge: CandidateJudge, judgement: CandidateJudgement, row: int)
 
 def failure_hints(answer: Answer, judgement: CandidateJudgement) -> tuple[str, ...]:
     """What may help where pixels fail: bounds are as wide as the round-off they are made of."""
-    wrong = judgement.is_class(OURS_WRONG)[judgement.exact.rows]
+    wrong = judgement.is_class(WRONG)[judgement.exact.rows]
     if not judgement.is_class(*FAILING).any():
         return ()
     shares = judgement.exact.share[wrong]

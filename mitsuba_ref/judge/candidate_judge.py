@@ -23,11 +23,11 @@ from mitsuba_ref.judge.known_defects import case_of
 from mitsuba_ref.judge.verdict import (
     AGREE,
     EXPLAINED,
-    OURS_WRONG,
     OUT_OF_DOMAIN,
     REFERENCE_WRONG,
     TIE,
     UNDECIDED,
+    WRONG,
 )
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.reference.rays import SharedRays
@@ -41,7 +41,7 @@ CLAIMED_AOVS = ("depth", "position", "normal", "shading_normal", "shape_id")  # 
 class CandidateJudgement:
     """One row a pixel."""
 
-    classes: np.ndarray  # (n,) index into CLASSES; OURS_WRONG is said of the candidate
+    classes: np.ndarray  # (n,) index into CLASSES; WRONG is said of the candidate
     ratios: Mapping[str, np.ndarray]  # (n,) error over bound of each check
     exact: Adjudication
     cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known case
@@ -119,7 +119,7 @@ class CandidateJudge:
         classes = np.where(plain, CLASS_CODE[AGREE], CLASS_CODE[UNDECIDED])
         classes[rows] = self._settled(classes[rows], exact, share, vague[rows])
         no_ray = (self.t_max < 0.0) & answer.hit
-        classes[answer.is_broken | no_ray] = CLASS_CODE[OURS_WRONG]
+        classes[answer.is_broken | no_ray] = CLASS_CODE[WRONG]
         ratios[EXACT] = np.zeros(len(classes))
         ratios[EXACT][rows] = np.where(exact.answered, exact.share, 0.0)
         for name in ratios:
@@ -191,7 +191,7 @@ class CandidateJudge:
         claims = self.claims(rows)
         found = self.bracket.judge(self.o[rows], self.d[rows], self.t_max[rows], claims)
         allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | (claims.t > 0.0))
-        classes = np.full(len(rows), CLASS_CODE[OURS_WRONG])
+        classes = np.full(len(rows), CLASS_CODE[WRONG])
         lost = np.zeros(len(rows), bool)
         if isinstance(self.view, UncertainRaysModel):
             prim = np.array([-1 if answer is None else answer.prim for answer in answers])

@@ -23,11 +23,11 @@ from mitsuba_ref.judge.verdict import (
     CLASSES,
     EXPLAINED,
     JUDGED_WITHOUT_REFERENCE,
-    OURS_WRONG,
     OUT_OF_DOMAIN,
     REFERENCE_WRONG,
     TIE,
     UNDECIDED,
+    WRONG,
 )
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash
@@ -134,9 +134,9 @@ class Judge:
         rows = rows[exact.are_right(rows)]
         if len(rows):
             classes[rows] = self._settle(rows, vague[rows], exact)
-        classes[fails_self_check(self.held) & self.coherent] = CLASS_CODE[OURS_WRONG]
+        classes[fails_self_check(self.held) & self.coherent] = CLASS_CODE[WRONG]
         classes[exact.rows[~exact.answered]] = CLASS_CODE[UNDECIDED]
-        classes[exact.rows[exact.wrong]] = CLASS_CODE[OURS_WRONG]
+        classes[exact.rows[exact.wrong]] = CLASS_CODE[WRONG]
         shading = self._shade(classes, comparison.allowed["diffuse"])
         ratio = np.zeros(len(classes))
         ratio[exact.rows] = np.where(exact.answered, exact.share, 0.0)
@@ -191,7 +191,7 @@ class Judge:
             own = shading_points(self.pair, self.bounds.own, alone)
             right = diffuse_within_float64(self.scene, own, self.pair.prim[alone], values, self.ours)
             classes[alone[right & disputed[alone]]] = CLASS_CODE[REFERENCE_WRONG]
-            classes[alone[~right]] = CLASS_CODE[OURS_WRONG]
+            classes[alone[~right]] = CLASS_CODE[WRONG]
             shading.ratio[alone[~right]] = np.inf
         return shading
 

@@ -14,7 +14,7 @@ from mitsuba_ref.error_model.intersections import dot, norm, unit
 from mitsuba_ref.judge.candidate_judge import CandidateJudge, CandidateJudgement
 from mitsuba_ref.judge.classification import CLASS_CODE
 from mitsuba_ref.judge.pixel_shift import MAX_DIAGNOSED_PIXELS, WrongPixels, find_pixel_shift, wrong_pixels
-from mitsuba_ref.judge.verdict import FAILING, OURS_WRONG, REFERENCE_WRONG, UNDECIDED
+from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 
 # A supposition is told where it predicts the number to this share of itself: far beyond rounding in float32, far below
 # any of the faults that are told apart here.
@@ -54,7 +54,7 @@ def diagnose(judge: CandidateJudge, judgement: CandidateJudgement) -> Diagnosis:
     of_mitsuba = judgement.classes == CLASS_CODE[REFERENCE_WRONG]
     say("the candidate is right, and Mitsuba wrong in no known way", np.flatnonzero(of_mitsuba))
     say("exact arithmetic gave no answer", np.flatnonzero(judgement.classes == CLASS_CODE[UNDECIDED]))
-    wrong = np.flatnonzero(left & (judgement.classes == CLASS_CODE[OURS_WRONG]))
+    wrong = np.flatnonzero(left & (judgement.classes == CLASS_CODE[WRONG]))
     if len(wrong):
         failing = wrong_pixels(judge, judgement, wrong)
         for what, rows in hypotheses(judge, failing):

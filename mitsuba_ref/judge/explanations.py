@@ -11,11 +11,11 @@ from mitsuba_ref.judge.verdict import (
     CLASSES,
     EXPLAINED,
     JUDGED_WITHOUT_REFERENCE,
-    OURS_WRONG,
     OUT_OF_DOMAIN,
     REFERENCE_WRONG,
     TIE,
     UNDECIDED,
+    WRONG,
 )
 
 QUANTITY_NAMES = {EXACT: "t by exact arithmetic", "mask": "hit or miss", "shape_id": "the shape"}
@@ -113,7 +113,7 @@ def reason(judge: Judge, judgement: Judgement, row: int) -> str:
     if verdict == REFERENCE_WRONG:
         case = format_defect(judgement.cases.get(row))
         return f"ours is right, and Mitsuba's answer is beyond what float32 allows; {case}"
-    if verdict == OURS_WRONG:
+    if verdict == WRONG:
         return _what_is_wrong(judge, judgement, row)
     return CONSTANT_REASONS.get(verdict) or _what_is_open(judge, judgement, row)
 

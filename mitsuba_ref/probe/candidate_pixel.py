@@ -14,7 +14,7 @@ from mitsuba_ref.judge.candidate_reasons import reason
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.diagnosis import diagnose, marked_miss
 from mitsuba_ref.judge.explanations import exceeded_bounds, not_compared
-from mitsuba_ref.judge.verdict import CANDIDATE_WRONG, CLASSES, FAILING, OURS_WRONG, UNDECIDED, UNLISTED
+from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, in_ulps, ratio_to_bound
 from mitsuba_ref.reference.messages import Crash
@@ -113,8 +113,7 @@ class CandidatePixel:
 
     @property
     def ok(self) -> bool:
-        wrong = self.verdict == CANDIDATE_WRONG or self.verdict in FAILING
-        return not self.problem and not wrong and self.case != UNLISTED
+        return not self.problem and self.verdict not in FAILING and self.case != UNLISTED
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON, but for infinite numbers."""
@@ -171,7 +170,7 @@ def _judged(name: str, judge: CandidateJudge, heard: SubjectResponse) -> Candida
     case = judgement.cases.get(0)
     return CandidatePixel(
         name,
-        CANDIDATE_WRONG if verdict == OURS_WRONG else verdict,
+        verdict,
         answer.precision,
         "; ".join(filter(None, told)),
         _answer_record(judge),

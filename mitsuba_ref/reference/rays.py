@@ -28,3 +28,9 @@ def shared_rays(scene: Scene) -> SharedRays:
 def _float32(a: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore"):  # what is beyond float32 becomes inf, and the caster refuses it
         return np.ascontiguousarray(a, np.float32)
+
+
+def pixel_of(scene: Scene, row: int) -> tuple[int, int]:
+    """x, y on the film of a row of the window."""
+    x0, y0, x1, _y1 = scene.film.window
+    return x0 + row % (x1 - x0), y0 + row // (x1 - x0)

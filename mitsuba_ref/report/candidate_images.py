@@ -7,7 +7,7 @@ import numpy as np
 from caster.image.channels import aovs_to_channels
 from caster.rendering.images import Aovs
 from mitsuba_ref.judge.candidate_judge import CandidateJudge, CandidateJudgement
-from mitsuba_ref.judge.verdict import CANDIDATE_WRONG, CLASSES, FAILING, OURS_WRONG
+from mitsuba_ref.judge.verdict import FAILING
 from mitsuba_ref.report import class_colors
 from mitsuba_ref.report.class_images import class_map, clipped_to_float32, write_image_files
 from mitsuba_ref.subjects.answer import NOT_FINITE
@@ -25,8 +25,7 @@ def write_images(folder: Path, name: str, judge: CandidateJudge, judgement: Cand
         "reference": aovs_to_channels(judge.reference),
         "verdict": class_map(hit.reshape(judge.reference.hit.shape), judgement.classes, ratio),
     }
-    names = [CANDIDATE_WRONG if text == OURS_WRONG else text for text in CLASSES]
-    write_image_files(folder, name, judge.scene, pictures, class_colors.attributes(names))
+    write_image_files(folder, name, judge.scene, pictures, class_colors.attributes())
 
 
 def candidate_aovs(judge: CandidateJudge) -> Aovs:

@@ -13,7 +13,7 @@ COLORS = {
     "tie": (0, 200, 200),
     "reference_wrong": (200, 90, 255),
     "out_of_domain": (90, 90, 255),
-    "ours_wrong": (255, 0, 0),
+    "wrong": (255, 0, 0),
     "undecided": (255, 255, 0),
 }
 

@@ -52,7 +52,7 @@ def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
         kind = "error" if scene.problem else "failure"
         found = SubElement(case, kind, message=printable(text.splitlines()[0]), type=what_fails(scene))
         found.text = printable(text)
-    counts = " ".join(f"{scene.called(name)}={scene.counts[name]}" for name in CLASSES)
+    counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
     judged = f"candidate={scene.candidate} " if scene.candidate else ""
     kept = "kept from an earlier run, not judged now; " if scene.kept else ""
     SubElement(case, "system-out").text = printable(
@@ -77,13 +77,15 @@ def what_fails(scene: SceneVerdict) -> str:
     if scene.problem:
         return "no_answer"
     if scene.failures:
-        return scene.called(scene.failures[0].verdict)
+        return scene.failures[0].verdict
     return "check" if not scene.checks_pass else "no_evidence"
 
 
 def _errors(scene: SceneVerdict) -> str:
     found = scene.statistics
-    return f"k_t={found.t_largest:.2f} k_normal={found.normal_largest:.2f} z={found.z:.1f} " if found else ""
+    return (
+        f"k_t={found.k_t.largest:.2f} k_normal={found.k_normal.largest:.2f} z={found.z:.1f} " if found else ""
+    )
 
 
 def printable(text: str) -> str:

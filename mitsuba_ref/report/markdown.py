@@ -99,7 +99,7 @@ def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
     missing = verdict.asked - len(verdict.scenes)
     words += f", {missing} not judged" if missing else ""
     kept = sum(scene.kept for scene in verdict.scenes)
-    counts = ", ".join(f"{verdict.counts[name]} {verdict.called(name).replace('_', ' ')}" for name in CLASSES)
+    counts = ", ".join(f"{verdict.counts[name]} {name.replace('_', ' ')}" for name in CLASSES)
     lines = [f"## {'PASS' if verdict.ok else 'FAIL'}: {words}", ""]
     lines += [f"mitsuba-ref validate, {seconds:.1f} s. Hit pixels: {counts}.", ""]
     if verdict.shard:
@@ -117,7 +117,7 @@ def _table_head(verdict: Verdict, *last: str) -> str:
     names = [
         "scene",
         "hit",
-        *(" ".join(filter(None, HEADS[verdict.called(name)])).replace("- ", "") for name in CLASSES),
+        *(" ".join(filter(None, HEADS[name])).replace("- ", "") for name in CLASSES),
         *last,
     ]
     aligned = ["---", *["---:"] * (1 + len(CLASSES)), *["---"] * len(last)]

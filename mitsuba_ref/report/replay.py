@@ -1,13 +1,24 @@
 """The command that shows a verdict again, with the options that it takes."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from dataclasses import replace as with_fields
 
-if TYPE_CHECKING:
-    from mitsuba_ref.judge.verdict import SceneVerdict
+from mitsuba_ref.judge.verdict import Failure, SceneVerdict
+
+
+def with_replay(scene: SceneVerdict) -> SceneVerdict:
+    """The verdict with the commands that show the scene and each of its failures again."""
+
+    def shown(failure: Failure) -> Failure:
+        return with_fields(failure, replay=replay(scene, (failure.x, failure.y)))
+
+    return with_fields(
+        scene,
+        failures=tuple(map(shown, scene.failures)),
+        worst_by={check: shown(failure) for check, failure in scene.worst_by.items()},
+        replay=replay(scene),
+    )
 
 
 def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:

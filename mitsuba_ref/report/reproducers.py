@@ -18,8 +18,9 @@ from caster.scene.files import Film, Scene
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, judge_of
 from mitsuba_ref.judge.formatting import format_side, reproducer_header
-from mitsuba_ref.judge.verdict import CLASSES, OURS_WRONG, REFERENCE_WRONG, UNLISTED, pixel_of
+from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.subjects.traced_scene import describe_primitive, packs_identically
 
 TRAILING_ZEROS = re.compile(r"\.?0+(?=p)")  # of a hex float's digits behind the point, which there always is
@@ -194,8 +195,8 @@ def _rows_by_label(judgement: Judgement) -> dict[str, list[int]]:
     for row in _worst_first(judgement, REFERENCE_WRONG):
         case = judgement.cases.get(row)
         rows.setdefault(UNLISTED if case is None else f"case-{case}", []).append(row)
-    for row in _worst_first(judgement, OURS_WRONG):
-        rows.setdefault(OURS_WRONG.replace("_", "-"), []).append(row)
+    for row in _worst_first(judgement, WRONG):
+        rows.setdefault(WRONG.replace("_", "-"), []).append(row)
     return rows
 
 

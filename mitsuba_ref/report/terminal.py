@@ -4,21 +4,20 @@ from collections.abc import Iterator
 from urllib.parse import quote
 
 from mitsuba_ref.error_model.intersections import K
+from mitsuba_ref.error_model.tolerances import LARGEST_Z
 from mitsuba_ref.judge.known_defects import DEFECT_NAMES
-from mitsuba_ref.judge.scene_checks.bias import LARGEST_Z
-from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck
 from mitsuba_ref.judge.verdict import (
     AGREE,
-    CANDIDATE_WRONG,
     CLASSES,
     EXPLAINED,
-    OURS_WRONG,
     OUT_OF_DOMAIN,
     REFERENCE_WRONG,
     TIE,
     UNDECIDED,
     UNLISTED,
+    WRONG,
     Failure,
+    SceneCheck,
     SceneVerdict,
     Verdict,
 )
@@ -34,20 +33,18 @@ HEADS = {
     TIE: ("", "tie"),
     REFERENCE_WRONG: ("ref.", "wrong"),
     OUT_OF_DOMAIN: ("out", "dom."),
-    OURS_WRONG: ("ours", "wrong"),
-    CANDIDATE_WRONG: ("cand.", "wrong"),
+    WRONG: ("", "wrong"),
     UNDECIDED: ("unde-", "cided"),
 }
 
 
-def table_head(width: int, *, candidate: bool = False) -> str:
-    """The names of the columns, in two lines; width: of the longest scene name; candidate: in the place of ours."""
-    names = [CANDIDATE_WRONG if candidate and name == OURS_WRONG else name for name in CLASSES]
+def table_head(width: int) -> str:
+    """The names of the columns, in two lines; width: of the longest scene name."""
     lines = []
     for line, (hit, asked, worst, seconds) in enumerate(
         (("", "exact", "", ""), ("hit", "asked", "worst", "s"))
     ):
-        classes = "".join(f" {HEADS[name][line]:>{column_width(name)}}" for name in names)
+        classes = "".join(f" {HEADS[name][line]:>{column_width(name)}}" for name in CLASSES)
         scene = "scene" if line else ""
         lines.append(f"      {scene:<{width}} {hit:>6}{classes} {asked:>5} {worst:>5} {seconds:>5}".rstrip())
     return "\n".join(lines)
@@ -123,7 +120,7 @@ def pixel_failure(scene: SceneVerdict, check: str) -> str:
 
 
 def _witness_lines(scene: SceneVerdict, worst: Failure, report: str = "") -> Iterator[str]:
-    yield f"      {'candidate:' if scene.candidate else 'ours:     '} {worst.ours}"
+    yield f"      {'candidate:' if scene.candidate else 'ours:     '} {worst.subject}"
     yield f"      reference: {worst.reference}"
     yield f"      exact:     {worst.exact}"
     yield f"      why:       {worst.reason}"
@@ -135,7 +132,7 @@ def _witness_lines(scene: SceneVerdict, worst: Failure, report: str = "") -> Ite
 def _failing(scene: SceneVerdict) -> str:
     """How many pixels of which class fail."""
     counts = {
-        scene.called(OURS_WRONG).replace("_", " "): scene.counts[OURS_WRONG],
+        WRONG: scene.counts[WRONG],
         "undecided": scene.counts[UNDECIDED],
         "reference wrong in no known way": scene.cases.get(UNLISTED, 0),
     }
@@ -173,8 +170,7 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
     counts = verdict.counts
     total = sum(counts.values()) or 1
     shares = [
-        f"{counts[name]} {verdict.called(name).replace('_', ' ')} ({percent_text(counts[name], total)})"
-        for name in CLASSES
+        f"{counts[name]} {name.replace('_', ' ')} ({percent_text(counts[name], total)})" for name in CLASSES
     ]
     lines = [
         f"{verdict.asked} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
@@ -215,7 +211,7 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
     yield f"candidate:  {verdict.candidate}{held}"
     names = dict.fromkeys(name for scene in verdict.scenes for name in scene.unjudged)
     if names:
-        yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
+        yield f"not judged: {', '.join(name.replace('_', ' ') for name in CLASSES)}"
     for note in dict.fromkeys(note for scene in verdict.scenes if scene.ok for note in scene.notes):
         yield f"note:       {note}"
 
@@ -224,10 +220,10 @@ def _error_lines(verdict: Verdict) -> Iterator[str]:
     """How much of its bound t needed at most, of the K roundings that are allowed, and which scene leans most."""
     found = [(scene.name, scene.statistics) for scene in verdict.scenes if scene.statistics is not None]
     if any(errors.pixels for _, errors in found):
-        name, largest = max(found, key=lambda item: item[1].t_largest)
+        name, largest = max(found, key=lambda item: item[1].k_t.largest)
         leaning, bias = max(found, key=lambda item: abs(item[1].z))
         yield (
-            f"errors:     of t at most {largest.t_largest:.2f} of {K:g} roundings ({name}); "
+            f"errors:     of t at most {largest.k_t.largest:.2f} of {K:g} roundings ({name}); "
             f"bias at most |z| {abs(bias.z):.1f} of {LARGEST_Z:g} ({leaning})"
         )
 

@@ -12,10 +12,10 @@ from mitsuba_ref.judge.candidate_formatting import candidate_failure, failure_hi
 from mitsuba_ref.judge.candidate_judge import CandidateJudge, CandidateJudgement
 from mitsuba_ref.judge.diagnosis import Diagnosis, diagnose
 from mitsuba_ref.judge.scene_checks.render_checks import check_camera, check_sensor
-from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck
 from mitsuba_ref.judge.scene_checks.shape_checks import check_geometry, check_placement
-from mitsuba_ref.judge.verdict import FAILING, MAX_LISTED_FAILURES, Failure, Finding, SceneVerdict, pixel_of
+from mitsuba_ref.judge.verdict import FAILING, MAX_LISTED_FAILURES, Failure, Finding, SceneCheck, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.reference.rendering import trace_reference
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.report.candidate_evidence import SeenOfCandidate

@@ -14,7 +14,7 @@ from typing import Any
 
 from caster.image.atomic_files import OutputError, write_text
 from caster.scene.errors import SceneError
-from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import VERDICT_FORMAT, FileRecord, SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.rendering import variant_of
 from mitsuba_ref.report.output_manifest import FileDigest, OutputManifest, RemovedFiles, remove
@@ -49,14 +49,14 @@ class OutFolder:
     def record(self, verdict: SceneVerdict) -> SceneVerdict:
         """The verdict with the files that are there for it."""
         found = self.written.add(verdict.name, files_of(verdict))
-        return replace(verdict, files={file: digest.to_dict() for file, digest in found.items()})
+        return replace(
+            verdict, files={file: FileRecord(digest.bytes, digest.sha256) for file, digest in found.items()}
+        )
 
     def has_files(self, verdict: SceneVerdict) -> bool:
         """Whether all that was written for a verdict is there to the bit; a verdict that does not say so has not."""
-        return all(
-            file in verdict.files and FileDigest(**verdict.files[file]).fits(self.folder / file)
-            for file in files_of(verdict)
-        )
+        known = {file: FileDigest(record.bytes, record.sha256) for file, record in verdict.files.items()}
+        return all(file in known and known[file].fits(self.folder / file) for file in files_of(verdict))
 
     def sweep(self, verdict: Verdict, selected: Collection[str] | None) -> RemovedFiles:
         """Remove what earlier runs left. Spared: scenes that are not judged yet, and those of the other shards.

@@ -10,8 +10,10 @@ from pathlib import Path
 
 from caster.scene.errors import SceneError
 from caster.scene.files import Scene
-from mitsuba_ref.judge.verdict import SceneStatistics, SceneVerdict
+from mitsuba_ref.judge.aggregate import scene_statistics
+from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
+from mitsuba_ref.report.replay import with_replay
 from mitsuba_ref.runner.validation import validate_scene
 
 
@@ -90,6 +92,7 @@ def judge_entry(
         verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep)
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
         verdict = SceneVerdict(entry.name, entry.path, problem=f"cannot be judged: {error}")
-    return replace(
-        verdict, resized=entry.resized, options=entry.options, made_of=SceneStatistics.of(entry.scene)
+    found = replace(
+        verdict, resized=entry.resized, options=entry.options, made_of=scene_statistics(entry.scene)
     )
+    return with_replay(found)

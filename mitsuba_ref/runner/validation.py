@@ -16,19 +16,13 @@ from mitsuba_ref.judge.explanations import reason_with_factors
 from mitsuba_ref.judge.formatting import exact_answer, format_exact
 from mitsuba_ref.judge.scene_checks.bias import check_bias, error_statistics
 from mitsuba_ref.judge.scene_checks.render_checks import CHECKS_WITHOUT_REFERENCE, check_sensor
-from mitsuba_ref.judge.verdict import (
-    CLASSES,
-    FAILING,
-    MAX_LISTED_FAILURES,
-    Failure,
-    SceneVerdict,
-    Verdict,
-    pixel_of,
-)
+from mitsuba_ref.judge.verdict import CLASSES, FAILING, MAX_LISTED_FAILURES, Failure, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.report.class_images import write_images
 from mitsuba_ref.report.html.evidence_of_ours import EvidenceOfOurs
+from mitsuba_ref.report.replay import with_replay
 from mitsuba_ref.report.reproducers import StoredReproducers, write_reproducers
 
 
@@ -47,8 +41,10 @@ def validate(
     """
     judge = validate_scene if candidate is None else _judge_of(candidate)
     if isinstance(scene, Scene):
-        return Verdict((judge(scene, "scene", timeout=timeout, keep=True),))
-    return Verdict((judge(load_scene(scene), Path(scene).stem, str(scene), timeout=timeout, keep=True),))
+        found = judge(scene, "scene", timeout=timeout, keep=True)
+    else:
+        found = judge(load_scene(scene), Path(scene).stem, str(scene), timeout=timeout, keep=True)
+    return Verdict((with_replay(found),))
 
 
 def _judge_of(candidate: str | Callable[..., Any]) -> Callable[..., SceneVerdict]:

@@ -18,7 +18,7 @@ import numpy as np
 from caster.image.exr import Exr, UnreadableExr, read_exr
 from caster.scene.errors import FileMissing, SceneError
 from mitsuba_ref.error_model.intersections import U
-from mitsuba_ref.judge.verdict import pixel_of
+from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.reference.rendering import export
 from mitsuba_ref.reference.subprocess_runner import killed_with_subprocesses
 from mitsuba_ref.subjects.answer import FLOAT32, LAST_WORDS, Answer, NoAnswer, checked_answer, printable

@@ -87,7 +87,7 @@ def test_a_tie_has_to_be_right_by_float64_all_the_same(brought):
     tied = before.is_class("tie")
     aov_rows(judge.pair.ours, "diffuse")[tied] += 0.1
     after = judge.judge()
-    assert tied.sum() >= 80 and after.is_class("ours_wrong")[tied].all()
+    assert tied.sum() >= 80 and after.is_class("wrong")[tied].all()
     assert np.array_equal(after.classes[~tied], before.classes[~tied])
 
 
@@ -203,7 +203,7 @@ def test_ours_is_wrong_where_exact_arithmetic_says_so_though_both_agree(cube):
         aov_rows(cube.pair.ours, "prim_id")[row] = other
     after = Judge(cube.scene, cube.model, cube.pair).judge()
     assert after.comparison.agrees[rows].all()
-    assert after.is_class("ours_wrong")[rows].all() and after.is_class("ours_wrong").sum() == len(rows)
+    assert after.is_class("wrong")[rows].all() and after.is_class("wrong").sum() == len(rows)
     assert np.isinf(after.ratio("exact")[rows]).all()
 
 
@@ -223,7 +223,7 @@ def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_says(monkeypatc
 
     monkeypatch.setattr(classification, "cast_ours", misses)
     found = probe(scene, 0, 0)
-    assert (found.verdict, found.ok, found.exact) == ("ours_wrong", False, right.exact)
+    assert (found.verdict, found.ok, found.exact) == ("wrong", False, right.exact)
     assert found.why.startswith(
         "by exact arithmetic, ours is wrong: it misses what is hit; beyond their bounds: "
     )
@@ -237,7 +237,7 @@ def test_a_surface_of_ours_beyond_float64_is_ours_wrong(cube, name):
     tied = before.is_class("tie")
     aov_rows(cube.pair.ours, name)[tied] += 1e-9
     after = Judge(cube.scene, cube.model, cube.pair).judge()
-    assert tied.sum() >= 10 and after.is_class("ours_wrong")[tied].all()
+    assert tied.sum() >= 10 and after.is_class("wrong")[tied].all()
     told = reason_with_factors(Judge(cube.scene, cube.model, cube.pair), after, int(np.flatnonzero(tied)[0]))
     assert re.search(rf"primitive that is hit, in {name}; beyond .*\b{name} [\d.]+e\+0\dx", told)
 

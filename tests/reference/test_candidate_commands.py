@@ -16,7 +16,7 @@ from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr
 from caster.scene.errors import SceneError
 from caster.scene.files import Scene, load_scene
-from mitsuba_ref.judge.verdict import OURS_WRONG, OUT_OF_DOMAIN, SceneVerdict
+from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.terminal import failure_text
 from mitsuba_ref.runner.candidate_validation import validate_candidate
@@ -102,7 +102,7 @@ def test_what_is_smaller_than_the_cameras_rounding_is_out_of_domain(send, size, 
     camera = caster.Orthographic(eye=eye, look_at=aim, width=3 * size)
     scene = Scene(film=caster.Film(width=24, height=18), camera=camera, shapes=[ball])
     found = validate_candidate(OwnCamera(), scene, "scene", send=send)
-    assert found.ok and found.counts[OURS_WRONG] == 0, failure_text(found)
+    assert found.ok and found.counts[WRONG] == 0, failure_text(found)
     assert (found.counts[OUT_OF_DOMAIN] > 0) is lost
 
 
@@ -172,7 +172,7 @@ def test_a_picture_that_misses_everything_fails(judged, tmp_path):
     (tmp_path / "program.py").write_text(WRITE + SAVE)
     command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{width}} {{height}} {{toml}}"
     found = judged(command, small("one-sphere"))
-    assert found.counts[OURS_WRONG] == found.hit_pixels > 50
+    assert found.counts[WRONG] == found.hit_pixels > 50
     assert found.findings[0].what == "the candidate misses everything"
 
 
@@ -185,7 +185,7 @@ def test_a_picture_whose_depth_is_off_by_a_hundred_thousandth_fails(judged, tmp_
         "exr = read_exr(sys.argv[2]); exr.channels['depth.Z'] *= 1.00001; write_exr(sys.argv[2], exr.channels)\n"
     )
     found = judged(f"{PYTHON} {tmp_path / 'program.py'} {{toml}} {{exr}}", small("cornell-box"))
-    assert found.counts[OURS_WRONG] > 0.9 * found.hit_pixels, failure_text(found)
+    assert found.counts[WRONG] > 0.9 * found.hit_pixels, failure_text(found)
 
 
 # ---- what cannot be asked ----

@@ -11,7 +11,7 @@ import pytest
 
 from caster.scene.files import Scene, load_scene
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.judge.verdict import CANDIDATE_WRONG
+from mitsuba_ref.judge.verdict import WRONG
 from mitsuba_ref.probe import pixel
 from mitsuba_ref.probe.candidate_pixel import CandidatePixel, probe_candidate
 from mitsuba_ref.probe.probe_text import as_text
@@ -56,7 +56,7 @@ def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys, tmp_
     assert main([*shlex.split(replay), "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     theirs, (witness, *others) = found["candidate"], found["witnesses"]
-    assert (theirs["verdict"], theirs["ok"], theirs["precision"]) == (CANDIDATE_WRONG, False, "float32")
+    assert (theirs["verdict"], theirs["ok"], theirs["precision"]) == (WRONG, False, "float32")
     assert "first root is behind the ray's origin" in theirs["why"] and "hit or miss" in theirs["why"]
     assert (witness["who"], witness["right"], witness["shape"]) == ("candidate", False, "miss")
     assert all(each["right"] for each in others) and found["verdict"] == "agree" and not found["ok"]
@@ -99,7 +99,7 @@ def test_a_pixel_has_the_class_that_validate_gave_it(at, send, trace):
     verdict = validate_candidate(FunctionSubject(trace.__name__, trace), scene, "scene", send=send)
     failure = verdict.failures[0]
     found = at(trace, (failure.x, failure.y), scene)
-    assert found.verdict == CANDIDATE_WRONG and failure.verdict == "ours_wrong"
+    assert found.verdict == WRONG and failure.verdict == "wrong"
     assert failure.reason.split(",")[0].split(" by ")[0] in found.why
     if trace is candidates.one_nan:
         assert found.alone.startswith("something else: ") or found.alone.startswith("no answer")
@@ -112,9 +112,7 @@ def a_miss_is_a_number(scene, o, d):
 
 def test_a_number_in_the_place_of_a_miss_is_told_by_the_other_rays(at):
     found = at(a_miss_is_a_number, MISS)
-    assert (
-        found.verdict == CANDIDATE_WRONG and found.why == "t is 1e+30 where nothing is hit; a miss has t inf"
-    )
+    assert found.verdict == WRONG and found.why == "t is 1e+30 where nothing is hit; a miss has t inf"
     assert at(a_miss_is_a_number).ok
 
 
@@ -125,7 +123,7 @@ def wrong_in_a_crowd(scene, o, d):
 
 def test_what_it_says_of_the_ray_alone_is_told_where_that_is_something_else(at):
     found = at(wrong_in_a_crowd)
-    assert found.verdict == CANDIDATE_WRONG and found.alone.startswith("something else: t ")
+    assert found.verdict == WRONG and found.alone.startswith("something else: t ")
     right = at(candidates.ours).says["t"]
     assert right.hex() in found.alone
 

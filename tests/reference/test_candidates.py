@@ -13,7 +13,7 @@ import pytest
 from caster.image.exr import read_exr
 from caster.scene.files import Scene, load_scene
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, OURS_WRONG, TIE, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, TIE, WRONG, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.report.junit import junit
 from mitsuba_ref.report.terminal import failure_text, summary_text
@@ -84,7 +84,7 @@ def test_ours_through_the_candidates_door_and_a_plain_float32_caster_pass(judged
     for trace, precision in zip(tried, ("float64", "float32", "float32"), strict=False):
         found = judged(trace, scene)
         assert found.ok, failure_text(found)
-        assert found.precision == precision and found.counts[OURS_WRONG] == 0
+        assert found.precision == precision and found.counts[WRONG] == 0
         assert found.unjudged == NEVER_GIVEN
 
 
@@ -143,7 +143,7 @@ FAULTS = [
 def test_a_planted_fault_fails_and_is_named(judged, trace, scene, share, says):
     """share: how many of the hit pixels are wrong, or 1 pixel."""
     found = judged(trace, small(scene))
-    wrong = found.counts[OURS_WRONG]
+    wrong = found.counts[WRONG]
     assert not found.ok and not found.problem
     assert wrong == 1 if share == 1 else wrong >= share * found.hit_pixels
     told = failure_text(found)
@@ -166,9 +166,9 @@ def test_a_verdict_speaks_of_the_candidate_to_programs_too(judged):
     told = found.to_dict()
     (scene,) = told["scenes"]
     assert told["candidate"] == scene["candidate"] == "flipped_normal" and scene["precision"] == "float64"
-    assert told["counts"]["candidate_wrong"] == scene["counts"]["candidate_wrong"] > 100
-    assert "ours_wrong" not in json.dumps(told) and scene["unjudged"] == list(NEVER_GIVEN)
-    assert {failure["verdict"] for failure in scene["failures"]} == {"candidate_wrong"}
+    assert told["counts"]["wrong"] == scene["counts"]["wrong"] > 100
+    assert "wrong" not in json.dumps(told) and scene["unjudged"] == list(NEVER_GIVEN)
+    assert {failure["verdict"] for failure in scene["failures"]} == {"wrong"}
     assert all("candidate" in failure and "ours" not in failure for failure in scene["failures"])
     assert scene["findings"][0]["what"] == "the normal is turned round"
     assert "candidate=flipped_normal" in junit(found) and "candidate_wrong=" in junit(found)
@@ -186,7 +186,7 @@ def test_a_leak_at_an_edge_that_faces_share_is_no_rounding(judged, name):
     assert right.ok and right.counts[EXPLAINED] + right.counts[TIE] > 5
     found = judged(all_misses_in_float32, scene)
     assert found.counts[EXPLAINED] <= 0.01 * found.hit_pixels  # where corners meet, nothing is promised
-    assert found.counts[OURS_WRONG] >= 0.99 * found.hit_pixels
+    assert found.counts[WRONG] >= 0.99 * found.hit_pixels
 
 
 # ---- no answer at all ----
@@ -340,8 +340,8 @@ def test_wild_numbers_are_wrong_in_the_ordinary_way(send, trace, says, tmp_path)
     """No warning, and pictures all the same: 1e308 is beyond what their files hold."""
     candidate, scene = FunctionSubject(trace.__name__, trace), small("one-sphere", 12, 9)
     found = validate_candidate(candidate, scene, "wild", "wild.toml", send=send, folder=tmp_path, keep=True)
-    assert not found.problem and found.counts[OURS_WRONG] > 20 and says in found.findings[0].what
-    assert (read_exr(tmp_path / "wild.verdict.exr").channels["class.I"] == CLASSES.index(OURS_WRONG)).any()
+    assert not found.problem and found.counts[WRONG] > 20 and says in found.findings[0].what
+    assert (read_exr(tmp_path / "wild.verdict.exr").channels["class.I"] == CLASSES.index(WRONG)).any()
     assert np.isfinite(read_exr(tmp_path / "wild.candidate.exr").channels["depth.Z"]).sum() > 20
     assert Verdict((found,)).write_html(tmp_path / "wild.html").exists()
 
@@ -361,7 +361,7 @@ def test_an_interrupted_run_names_the_candidate_though_no_scene_is_done(tmp_path
         "candidate:  test_candidates:interrupted" in out and "0 candidate wrong" in out and "ours" not in out
     )
     told = json.loads(file.read_text())
-    assert told["candidate"] == "test_candidates:interrupted" and "candidate_wrong" in told["counts"]
+    assert told["candidate"] == "test_candidates:interrupted" and "wrong" in told["counts"]
     assert '"candidate":"test_candidates:interrupted"' in (tmp_path / "report/index.html").read_text()
 
 

@@ -50,7 +50,7 @@ def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, first, n
     contradicts = name == "depth" or not np.isfinite(
         change(1.0)
     )  # our own hit, whatever exact arithmetic says
-    assert np.all(after.is_class("undecided" if contradicts else "ours_wrong")[excused])
+    assert np.all(after.is_class("undecided" if contradicts else "wrong")[excused])
     assert np.array_equal(after.classes[~excused], before[~excused])
 
 
@@ -76,7 +76,7 @@ def test_a_plane_edge_on_excuses_neither_what_stands_before_it_nor_beside_it(jud
     evaluate = normal.evaluate
     monkeypatch.setattr(normal, "evaluate", lambda view: -evaluate(view))
     found = judged(scene)
-    assert not found.ok and found.counts["ours_wrong"] > 0.9 * found.hit_pixels
+    assert not found.ok and found.counts["wrong"] > 0.9 * found.hit_pixels
 
 
 @pytest.mark.parametrize("first", [True, False])

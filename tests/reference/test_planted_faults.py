@@ -771,9 +771,9 @@ def test_a_planted_fault_fails_by_the_check_it_offends(forks, tree, fault):
 
 
 CLASS_OF = {
-    "far root for near": "ours_wrong",
-    "a radius off by 3e-6 of itself": "ours_wrong",
-    "no 1/pi": "ours_wrong",
+    "far root for near": "wrong",
+    "a radius off by 3e-6 of itself": "wrong",
+    "no 1/pi": "wrong",
     "depth as z": "undecided",  # our picture contradicts our own hit
 }
 

@@ -27,7 +27,7 @@ def test_the_list_names_the_candidate(visit, report):
     assert page.inner_text("#who") == "candidate docs.candidates.inside:trace"
     assert "candidate wrong" in page.locator(".row .classes").first.inner_text()
     assert "ours" not in page.inner_text("#app").lower()
-    page.select_option("#class", "candidate_wrong")
+    page.select_option("#class", "wrong")
     assert page.locator(".row .name a").all_inner_texts() == ["inside", "single"]
 
 

@@ -8,11 +8,11 @@ import planted
 import pytest
 import textbook_pages
 
-from mitsuba_ref.judge.verdict import CLASSES, OURS_WRONG, UNLISTED, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG, Verdict
 from mitsuba_ref.report.html.page_writer import index_row
 from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, scene_record
 
-WRONG = CLASSES.index(OURS_WRONG)
+WRONG = CLASSES.index(WRONG)
 
 
 def recorded(verdict, exact=True):
@@ -63,7 +63,7 @@ def test_every_failing_pixel_has_its_sentence_and_its_class(judged):
     said = {about["reasons"]["texts"][why[each]] for each in failing}
     assert said == {finding.what for finding in verdict.findings} and len(failing) == verdict.failing > 200
     assert all("the second one was not tried" in each for each in said)
-    assert about["verdict"]["counts"]["candidate_wrong"] == len(failing)
+    assert about["verdict"]["counts"]["wrong"] == len(failing)
 
 
 def test_what_is_no_answer_is_nan_and_never_zero():
@@ -93,12 +93,11 @@ def test_the_bound_is_that_of_the_candidates_own_arithmetic(judged):
 
 
 def test_rows_and_pages_name_the_candidate(judged, tmp_path):
-    assert "candidate_wrong" in index_row(judged["inside"], "", "")["counts"]
+    assert "wrong" in index_row(judged["inside"], "", "")["counts"]
     index = Verdict(tuple(judged.values())).write_html(tmp_path / "page.html")
     text = index.read_text(encoding="utf-8")
     assert (
-        '"candidate":"docs.candidates.inside:trace"' in text
-        and f'"candidate_wrong","undecided","{UNLISTED}"' in text
+        '"candidate":"docs.candidates.inside:trace"' in text and f'"wrong","undecided","{UNLISTED}"' in text
     )
     assert "<caption>candidate docs.candidates.inside:trace: 1 of 4 scenes pass</caption>" in text
     plain = text[text.index('<table id="plain">') : text.index("</table>")]

@@ -1,7 +1,6 @@
 """Verdicts made up, for tests of what is written about them."""
 
-from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck
-from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneCheck, SceneVerdict, Verdict
 
 
 def scene(name="ball", *, ok=True, problem="", path=None, **more):
@@ -10,11 +9,11 @@ def scene(name="ball", *, ok=True, problem="", path=None, **more):
     failures = ()
     if not problem:
         counts["agree"] = 100 if ok else 99
-        counts["ours_wrong"] = 0 if ok else 1
+        counts["wrong"] = 0 if ok else 1
     if not ok and not problem:
         exact = "ball, prim 0 (inside) at t 1.5 0x1.8p+0"
         told = ("ball at depth 1.0", "ball at depth 1.5", exact, "ours is not the exact answer")
-        failures = (Failure(3, 4, "ours_wrong", "depth", 41.0, *told),)
+        failures = (Failure(3, 4, "wrong", "depth", 41.0, *told),)
     return SceneVerdict(
         name,
         f"scenes/{name}.toml" if path is None else path,

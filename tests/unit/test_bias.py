@@ -13,14 +13,11 @@ from caster.geometry.world_space import as_float32
 from caster.scene.files import load_scene
 from caster.shapes import SHAPES
 from mitsuba_ref.error_model.intersections import K
+from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
 from mitsuba_ref.judge.scene_checks.bias import (
     GROUP_KEYS,
     GROUP_KEYS_LLVM,
-    LARGEST_Z,
-    MIN_GROUPS,
     SAME_NORMAL_TOLERANCE,
-    ErrorStatistics,
-    KindBias,
     by_approach,
     by_center,
     by_corner,
@@ -33,7 +30,7 @@ from mitsuba_ref.judge.scene_checks.bias import (
     weakest_bias,
     z_of_groups,
 )
-from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneVerdict, Verdict
 from mitsuba_ref.report.junit import junit
 from mitsuba_ref.report.terminal import failure_text, summary_text
 
@@ -42,7 +39,7 @@ NOTHING = np.zeros((0, 3))
 
 
 def errors_of(*biases: KindBias, k: float = 1.25) -> ErrorStatistics:
-    return ErrorStatistics(1000, k, 0.5, 0.75, 0.25, 30.0, biases)
+    return ErrorStatistics(1000, Extremes(k, 0.5), Extremes(0.75, 0.25), 30.0, biases)
 
 
 def alone(error: np.ndarray) -> tuple[int, float]:
@@ -171,13 +168,17 @@ def test_the_check_fails_on_a_bias_and_says_of_what():
 
 def test_a_kind_with_few_groups_is_recorded_and_never_the_one_that_leans_most():
     few, many = KindBias("Planes", MIN_GROUPS - 1, 4.9), KindBias("Triangles", MIN_GROUPS, -2.0)
-    assert (few.tells, many.tells) == (False, True)
+    assert (few.enough_groups, many.enough_groups) == (False, True)
     assert errors_of(few, many).z == -2.0 and errors_of(few).z == 0.0
 
 
 def test_sizes_of_errors():
     k = np.r_[np.full(990, 0.5), np.full(10, 3.0)]
-    assert extremes(k) == (3.0, pytest.approx(0.5, abs=0.1)) and extremes(k[:0]) == (0.0, 0.0)
+    assert (
+        extremes(k).largest == 3.0
+        and extremes(k).p99 == pytest.approx(0.5, abs=0.1)
+        and extremes(k[:0]) == Extremes()
+    )
     assert looseness(k) == K / 0.5 and looseness(np.zeros(3)) == looseness(k[:0]) == math.inf
 
 
@@ -192,7 +193,7 @@ def test_the_verdict_tells_of_it():
         "k_normal": {"largest": 0.75, "p99": 0.25},
         "looseness": 30.0,
         "z": -15.0,
-        "biases": [{"kind": "Spheres", "groups": 900, "z": -15.0, "tells": True}],
+        "biases": [{"kind": "Spheres", "groups": 900, "z": -15.0, "enough_groups": True}],
     }
     assert not scene.checks_pass and "bias: 3x its bound; Spheres z -15.0 of 900 groups" in failure_text(
         scene

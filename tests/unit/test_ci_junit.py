@@ -107,10 +107,9 @@ def test_a_failure_says_in_one_line_and_in_full_and_an_error_is_no_failure():
     )
     cases = {case.get("name"): case for case in top.iter("testcase")}
     failure, error = cases["bad"].find("failure"), cases["gone"].find("error")
-    assert failure.get("message").startswith("FAIL  bad  depth: 1 ours wrong of 100 hit pixels")
+    assert failure.get("message").startswith("FAIL  bad  depth: 1 wrong of 100 hit pixels")
     assert (
-        failure.get("type") == "ours_wrong"
-        and "replay:    mitsuba-ref probe scenes/bad.toml 3 4" in failure.text
+        failure.get("type") == "wrong" and "replay:    mitsuba-ref probe scenes/bad.toml 3 4" in failure.text
     )
     assert (
         error.get("type") == "no_answer" and "words" in error.text and cases["gone"].find("failure") is None

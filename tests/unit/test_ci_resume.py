@@ -60,7 +60,7 @@ def test_the_same_inputs_are_taken_over_and_shown_as_such(judged, capsys):
     assert judged("--resume") == (1, []) and kept() == ["a", "b", "m"]
     said = capsys.readouterr().out
     assert said.count("  kept\n") == 3 and "kept:       3 scenes were not judged now" in said
-    assert "FAIL  b  depth: 1 ours wrong" in said  # a failure that is kept fails
+    assert "FAIL  b  depth: 1 wrong" in said  # a failure that is kept fails
     assert (
         judged("--resume")[1] == [] and judged() == (1, ["a", "b", "m"]) and kept() == []
     )  # without it: anew
@@ -73,7 +73,7 @@ def test_the_same_inputs_are_taken_over_and_shown_as_such(judged, capsys):
         (("scenes/tile.obj", "v 1 -1 0", "v 1 -1 0.5"), ["m"]),
         (("out/b.reference.exr", None, None), ["b"]),
         (("out/verdict.json", '"kept"', '"skept"'), ["a", "b", "m"]),
-        (("out/verdict.json", '"format": 2', '"format": 1'), ["a", "b", "m"]),
+        (("out/verdict.json", '"format": 3', '"format": 1'), ["a", "b", "m"]),
         (("out/verdict.json", '"inputs": "', '"inputs": "0'), ["a", "b", "m"]),
     ],
 )

@@ -122,7 +122,7 @@ def test_an_empty_shard_may_not_be_missing_either(folder, capsys):
 def test_a_scene_that_fails_or_was_left_in_its_shard_fails_the_whole(folder, capsys):
     write("2.json", shard("2/2", "b", "d", ok=False))
     code, out, _ = merged(capsys, "1.json", "2.json")
-    assert code == 1 and "FAIL  d  depth: 1 ours wrong" in out and "4 scenes: 3 pass, 1 fail" in out
+    assert code == 1 and "FAIL  d  depth: 1 wrong" in out and "4 scenes: 3 pass, 1 fail" in out
     write("2.json", shard("2/2", "b", left=("d",)))
     code, out, _ = merged(capsys, "1.json", "2.json")
     assert code == 1 and "FAIL  d  not judged" in out
@@ -224,7 +224,7 @@ def test_a_file_that_is_no_verdict_is_told(folder, capsys):
     for content, says in (
         ("", "expected JSON"),
         ("[1]", "expected a verdict of format"),
-        (json.dumps(good | {"format": 1}), "expected a verdict of format 2, got 1"),
+        (json.dumps(good | {"format": 1}), "expected a verdict of format 3, got 1"),
         (json.dumps(good | {"ok": False}), "it says ok: False, its scenes say True"),
         (json.dumps({k: v for k, v in good.items() if k != "scenes"}), "not a whole verdict"),
         (json.dumps(good | {"scenes": [{}]}), "not a whole verdict"),
@@ -248,7 +248,7 @@ def test_a_verdict_on_a_candidate_comes_back_from_json_as_it_was():
     wrong = made("b", ok=False, findings=(Finding(1, "missed", 3, 4),), **said)
     whole = Verdict((made("a", **said), wrong), 2, ("a", "b"))
     record = json.loads(json.dumps(whole.to_dict()))
-    assert record["counts"]["candidate_wrong"] == 1 and record["candidate"] == "mine:trace"
+    assert record["counts"]["wrong"] == 1 and record["candidate"] == "mine:trace"
     assert verdict_of(record) == whole
     nothing = Verdict((), 1, ("a",), on_trial="mine:trace")  # interrupted before the first scene was done
     assert verdict_of(json.loads(json.dumps(nothing.to_dict()))) == nothing

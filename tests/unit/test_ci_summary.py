@@ -47,8 +47,8 @@ def test_a_run_that_judged_a_candidate_or_was_about_to_names_it_and_never_ours()
     said = {"candidate": "mine:trace", "precision": "float32", "unjudged": ("diffuse",)}
     for done in (scene("good", **said), scene("bad", ok=False, **said)), ():
         text = html.unescape(markdown(verdict(*done, names=("left",), on_trial="mine:trace"), 1.0))
-        assert "mine:trace" in text and "candidate wrong" in text and "ours wrong" not in text
-        assert not done or ("| cand. wrong |" in text and "float32" in text)
+        assert "mine:trace" in text and "ours wrong" not in text
+        assert not done or ("| wrong |" in text and "float32" in text)
         assert ("- not judged: diffuse" in text) is bool(done) and "not judged: \n" not in text
 
 

@@ -8,8 +8,7 @@ from made_verdicts import scene as made
 from made_verdicts import verdict
 
 import caster
-from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck
-from mitsuba_ref.judge.verdict import SceneStatistics
+from mitsuba_ref.judge.verdict import SceneCheck, SceneStatistics
 from mitsuba_ref.report.failure_groups import in_common, simplest_failing
 from mitsuba_ref.report.markdown import markdown
 from mitsuba_ref.report.terminal import summary_text

@@ -15,9 +15,9 @@ from mitsuba_ref.report.html.html_report import ONE_FILE_LIMIT_BYTES, HtmlReport
 from mitsuba_ref.report.html.page_writer import SCRIPTS, as_json, index_row, page
 from mitsuba_ref.report.terminal import failure_text
 
-FAILURE = Failure(3, 4, "ours_wrong", "depth", 41.0, "a", "b", "c", "by exact arithmetic, ours is wrong")
+FAILURE = Failure(3, 4, "wrong", "depth", 41.0, "a", "b", "c", "by exact arithmetic, ours is wrong")
 FAILING = SceneVerdict("two words", "scenes/two words.toml", 100, 100, failures=(FAILURE,))
-FAILING = replace(FAILING, counts=FAILING.counts | {"ours_wrong": 100})
+FAILING = replace(FAILING, counts=FAILING.counts | {"wrong": 100})
 PASSING = SceneVerdict("good", "good.toml", 9, 9)
 PASSING = replace(PASSING, counts=PASSING.counts | {"agree": 9})
 LAYERS = ("ids", "depth", "normal")
@@ -161,7 +161,7 @@ def test_classes_have_the_same_colours_on_the_page_as_in_files():
     found = {
         name: tuple(map(int, rgb.split(","))) for name, rgb in re.findall(r"(\w+): \[([^\]]+)\]", listed)
     }
-    assert found.pop("candidate_wrong") == found["ours_wrong"]  # the same class, of another's caster
+    assert found.pop("wrong") == found["wrong"]  # the same class, of another's caster
     assert found.keys() == {*CLASSES, "unlisted"} and len(set(found.values())) == len(found)
     assert {name: found[name] for name in CLASSES} == class_colors.COLORS
 

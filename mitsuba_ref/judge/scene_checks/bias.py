@@ -2,15 +2,16 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
 from mitsuba_ref.error_model.intersections import K, dot
+from mitsuba_ref.error_model.tolerances import LARGEST_Z
 from mitsuba_ref.judge.known_defects import CYLINDERS, DISKS, ELLIPSOIDS, PLANES, SPHERES, TRIANGLES
-from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck
+from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneCheck
 from mitsuba_ref.subjects.ours import ImagePair
 
 # Faces whose unit normals agree to this share are one group: parallel faces have the same differences of corners.
@@ -77,42 +78,6 @@ GROUP_KEYS_LLVM = {**GROUP_KEYS, SPHERES: (by_center,)}
 # *groups* of pixels count, of which nothing that is rounded belongs to two. See docs/method.md, "Bias".
 
 
-# Means of groups whose signs are tosses of a coin give |z| >= x with a probability of at most 2 exp(-x^2 / 2),
-# however many and however large they are (Hoeffding): 7.5e-6 for 5. No |z| exceeds the root of the number of groups.
-LARGEST_Z = 5.0
-MIN_GROUPS = int(LARGEST_Z**2) + 1  # with fewer, no bias whatever could fail
-
-
-class KindBias(NamedTuple):
-    """What the errors of t of one kind of primitive lean to."""
-
-    kind: str  # name of its packed arrays
-    groups: int  # of the way to group pixels that makes the fewest
-    z: float  # of the way that makes it smallest; positive: the reference sees things farther away than ours
-
-    @property
-    def tells(self) -> bool:
-        """Whether there are enough groups to fail by."""
-        return self.groups >= MIN_GROUPS
-
-
-class ErrorStatistics(NamedTuple):
-    """The errors of a scene where both name the same surface within its bounds: K times the error over its bound."""
-
-    pixels: int
-    t_largest: float
-    t_p99: float  # 99 % of the pixels are below
-    normal_largest: float
-    normal_p99: float
-    looseness: float  # median of the bound of t over its error; inf where most are exact
-    biases: tuple[KindBias, ...]
-
-    @property
-    def z(self) -> float:
-        """Of the kind that leans most among those that can tell; 0 where none can."""
-        return max((bias.z for bias in self.biases if bias.tells), key=abs, default=0.0)
-
-
 def error_statistics(packed: Packed, pair: ImagePair, bounds: Bounds) -> ErrorStatistics:
     """Of one scene, from both sides' answers and the reference's bounds alone: no float64's bounds, no exact answer."""
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -128,16 +93,16 @@ def error_statistics(packed: Packed, pair: ImagePair, bounds: Bounds) -> ErrorSt
     t, normal = K * np.abs(share[rows]), K * turned[rows]
     return ErrorStatistics(
         len(rows),
-        *extremes(t),
-        *extremes(normal),
+        extremes(t),
+        extremes(normal),
         looseness(t),
         _kind_biases(packed, pair, bounds, share, rows),
     )
 
 
-def extremes(k: np.ndarray) -> tuple[float, float]:
+def extremes(k: np.ndarray) -> Extremes:
     """The largest, and what 99 % are below; 0 of none."""
-    return (float(k.max()), float(np.quantile(k, 0.99))) if len(k) else (0.0, 0.0)
+    return Extremes(float(k.max()), float(np.quantile(k, 0.99))) if len(k) else Extremes()
 
 
 def looseness(k: np.ndarray) -> float:
@@ -188,7 +153,7 @@ def z_of_groups(key: np.ndarray, error: np.ndarray) -> tuple[int, float]:
 def check_bias(found: ErrorStatistics) -> SceneCheck:
     """Fails where the errors of a kind with enough groups lean to one side by more than chance explains."""
     words = [
-        f"{bias.kind} z {bias.z:.1f} of {bias.groups} groups{'' if bias.tells else ', too few to tell'}"
+        f"{bias.kind} z {bias.z:.1f} of {bias.groups} groups{'' if bias.enough_groups else ', too few to tell'}"
         for bias in found.biases
     ]
     return SceneCheck("bias", abs(found.z) / LARGEST_Z, "; ".join(words) or "nothing to look at")

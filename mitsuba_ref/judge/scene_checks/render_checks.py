@@ -25,8 +25,9 @@ from mitsuba_ref.error_model.intersections import KU, KU_OURS, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
 from mitsuba_ref.error_model.scene_model import model_of
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
-from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck, bits_differ, pixel_centers, worst_pixel
+from mitsuba_ref.judge.scene_checks.scene_check import bits_differ, pixel_centers, worst_pixel
 from mitsuba_ref.judge.scene_checks.shape_checks import check_geometry, check_materials, check_placement
+from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import ReferenceResult, camera_reference
 

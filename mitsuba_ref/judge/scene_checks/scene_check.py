@@ -1,24 +1,11 @@
 """The outcome of what is checked once a scene, and how it is found among pixels."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from caster.rendering.images import Aovs
 from caster.scene.files import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
-
-
-class SceneCheck(NamedTuple):
-    """The outcome of one of them."""
-
-    name: str
-    ratio: float  # largest error over its bound; inf where something is there that must not be, or is missing
-    what: str  # where the largest is; says what was looked at if all is well
-
-    @property
-    def ok(self) -> bool:
-        return self.ratio <= 1.0
+from mitsuba_ref.judge.verdict import SceneCheck
 
 
 class Shares:

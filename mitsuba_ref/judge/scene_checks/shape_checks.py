@@ -12,7 +12,8 @@ from caster.scene.materials import Diffuse
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
 from mitsuba_ref.error_model.scene_model import reference_of
-from mitsuba_ref.judge.scene_checks.scene_check import SceneCheck, Shares
+from mitsuba_ref.judge.scene_checks.scene_check import Shares
+from mitsuba_ref.judge.verdict import SceneCheck
 
 
 def check_placement(scene: Scene) -> SceneCheck:

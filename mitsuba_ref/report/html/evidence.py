@@ -16,7 +16,7 @@ class PixelFindings(Protocol):
 
     @property
     def classes(self) -> np.ndarray:
-        """(n,) index into CLASSES; OURS_WRONG is said of whoever is judged."""
+        """(n,) index into CLASSES; WRONG is said of whoever is judged."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from caster.image.atomic_files import OutputError, atomic_write, check_folder, check_writable, write_text
-from mitsuba_ref.judge.verdict import CANDIDATE_WRONG, CLASSES, OURS_WRONG, UNLISTED, SceneVerdict
+from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict
 from mitsuba_ref.report.html import page_writer
 from mitsuba_ref.report.html.page_writer import as_json, index_row, page
 from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, scene_record
@@ -141,12 +141,11 @@ class HtmlReport:
         said = f"{passed} of {len(self.rows)} scenes pass"
         if len(self.rows) < self.asked:
             said += f"; {self.asked - len(self.rows)} of {self.asked} were not judged"
-        wrong = CANDIDATE_WRONG if self.candidate else OURS_WRONG
         return {
             "summary": said,
             "candidate": self.candidate,
             "asked": self.asked,
-            "classes": [*(wrong if name == OURS_WRONG else name for name in CLASSES), UNLISTED],
+            "classes": [*CLASSES, UNLISTED],
             "one_file": self.one_file,
             "most_bytes": ONE_FILE_LIMIT_BYTES,
             "left_out": {},

@@ -155,7 +155,7 @@ def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any
         "crashed": bool(verdict.problem),
         "size": list(verdict.size),
         "hit": verdict.hit_pixels,
-        "counts": {verdict.called(name): count for name, count in verdict.counts.items()},
+        "counts": {name: count for name, count in verdict.counts.items()},
         "unlisted": verdict.cases.get(UNLISTED, 0),
         "failing": verdict.failing,
         "asked": verdict.adjudicated,

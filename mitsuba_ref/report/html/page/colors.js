@@ -44,8 +44,7 @@ const CLASS_COLORS = {
   tie: [0, 200, 200],
   reference_wrong: [200, 90, 255],
   out_of_domain: [90, 90, 255],
-  ours_wrong: [255, 0, 0],
-  candidate_wrong: [255, 0, 0],
+  wrong: [255, 0, 0],
   undecided: [255, 255, 0],
   unlisted: [255, 105, 180],
 };

@@ -73,7 +73,7 @@ class SceneRecord {
   }
 }
 
-const FAILING = new Set(["ours_wrong", "candidate_wrong", "undecided", "unlisted"]);
+const FAILING = new Set(["wrong", "undecided", "unlisted"]);
 
 /** Row -> its numbers, of a part that speaks of some pixels. */
 async function byRow(record, part, names) {
