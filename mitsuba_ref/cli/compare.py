@@ -1,7 +1,6 @@
 """`mitsuba-ref compare`: two EXR files, pixel by pixel."""
 
 import argparse
-import json
 
 HELP = "compare two EXR files; NaN, inf, another size or one missed pixel never pass"
 
@@ -83,5 +82,5 @@ def run(args: argparse.Namespace) -> int:
         scene = load_scene(args.scene)
     reading = Reading(tuple(args.map), args.depth, args.miss, args.near, scene)
     result = compare_exr(args.ours, args.reference, tolerances, diff=args.output, reading=reading)
-    print(json.dumps(result.to_dict(), indent=2) if args.json else result.format_table())
+    print(result.model_dump_json(indent=2) if args.json else result.format_table())
     return result.exit_code

@@ -1,4 +1,4 @@
-"""How far two EXR files may differ: the numbers, and where each comes from."""
+"""Tolerances of the comparison of two EXR files, each with its derivation."""
 
 import math
 from dataclasses import dataclass
@@ -22,8 +22,13 @@ TYPICAL_ATOL = K * U
 digits against their full size, not against their result. Typical is the median of what is not 0: one
 highlight, however bright, must not loosen the rest."""
 
-UNRESOLVABLE = 0.5
-"""A first-order error of half the value or more says nothing any more: the plain bound holds there."""
+LARGEST_FIRST_ORDER_SHARE = 0.5
+"""A first-order error of this share of the value or more bounds nothing: the plain bound holds there."""
+
+# A half has 11 bits, and below 2^-14 the spacing stays 2^-24. It was rounded once as it was stored, and where depth was
+# made into a distance, a second time.
+HALF_ROUNDINGS = 2.0
+U_HALF, SMALLEST_HALF = 2.0**-11, 2.0**-24
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,7 @@ class Tolerances:
 
     depth_rtol also holds for positions; color_* for every channel that is not geometry.
     max_pixels: how many pixels may differ (never by NaN or inf). ignore: groups or channel patterns left out.
-    allow_empty: two images that hit nothing pass. other_scene: so may two that say they show different scenes.
+    allow_empty: two images that hit nothing pass. other_scene: so may two of different scenes, by their attributes.
     """
 
     depth_rtol: float | None = None

@@ -1,1 +1,1 @@
-"""Two EXR files, pixel by pixel: `compare_exr` in compare.py is the way in."""
+"""Comparison of two EXR files pixel by pixel (`two_files.compare_exr`), and approved reference EXRs."""

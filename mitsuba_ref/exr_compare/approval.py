@@ -14,6 +14,7 @@ from caster.rendering.images import evaluate, film_window
 from caster.scene.errors import FileMissing, SceneError
 from caster.scene.files import Scene
 from mitsuba_ref.error_model.bounds import PixelPairs, aov_rows, reference_bounds
+from mitsuba_ref.error_model.exr_tolerances import COLOR_RTOL, Tolerances
 from mitsuba_ref.error_model.intersections import KU
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
 from mitsuba_ref.error_model.scene_model import model_of
@@ -33,7 +34,7 @@ from mitsuba_ref.exr_compare.approved_reference import (
     render_fresh,
     to_stored_type,
 )
-from mitsuba_ref.exr_compare.two_files import COLOR_RTOL, Tolerances, compare_exr
+from mitsuba_ref.exr_compare.two_files import compare_exr
 from mitsuba_ref.judge.comparison import compare
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import shared_rays

@@ -1,6 +1,6 @@
-"""What a depth means in somebody else's file, told by the numbers in it: the value of a miss, and where it counts from.
+"""Depth conventions of other programs' files, inferred from their numbers: the value of a miss, what depth measures.
 
-Nothing is guessed: a convention is taken only where the numbers show it and no other, and it is always stated.
+Nothing is guessed: a convention is applied only where the numbers fit it and no other, and it is always stated.
 """
 
 from collections.abc import Mapping
@@ -36,19 +36,19 @@ MISS_SENTINELS: Mapping[str, float] = {
     "65504": 65504.0,  # the largest half
 }
 
-CONVENTION_RTOL = 1e-3  # of a depth: what two pictures of the same scene agree to, whatever computed them
+CONVENTION_RTOL = 1e-3  # of a depth: agreement of two images of the same scene, whatever renderer made them
 MIN_SHARE_FITTING_CONVENTION = 0.9  # of the pixels that both hit have to show a convention
 DECISIVE_ERROR_RATIO = 4.0  # times as far off in the middle is any other convention
 MIN_PIXELS_HIT_IN_BOTH = 16  # pixels; with fewer, nothing is shown
 
 
 class AmbiguousConvention(Exception):  # noqa: N818 - a question to the user
-    """The numbers do not tell; the text says what is open, and how to say it."""
+    """The numbers fit no convention or several; str() states which, and the option that decides."""
 
 
 @dataclass(frozen=True)
 class ViewRays:
-    """The rays of a picture."""
+    """The camera rays of an image."""
 
     cosine: Array  # (h, w) between the ray and the view axis
     near: Array  # (h, w) distance along the ray to the near plane
@@ -65,29 +65,31 @@ class ViewRays:
 
 
 class Misses(NamedTuple):
-    """Which pixels hit nothing, and in words how that is known."""
+    """Which pixels hit nothing, and the evidence for it as text."""
 
     missed: Array  # (h, w) bool
     words: str
-    says_nothing: tuple[str, ...] = ()  # a mask that covers everything, though depth has misses
+    uninformative: tuple[str, ...] = ()  # a mask that covers everything, though depth has misses
 
 
-def misses_of(exr: Exr, asked: str | None = None) -> Misses:
-    """Of a file with channel depth.Z. asked: the value that stands for a miss. Raises Unclear."""
+def misses_of(exr: Exr, requested: str | None = None) -> Misses:
+    """Missed pixels of a file with channel depth.Z. requested: the value of a miss. Raises AmbiguousConvention."""
     depth = exr.channels["depth.Z"].astype(np.float64)
-    if asked is not None:
-        value = MISS_SENTINELS.get(asked, None)
-        value = float(np.float32(float(asked))) if value is None else value
+    if requested is not None:
+        value = MISS_SENTINELS.get(requested, None)
+        value = float(np.float32(float(requested))) if value is None else value
         return Misses(
-            depth == value, f"a miss is depth {asked}, as asked ({int((depth == value).sum())} pixels)"
+            depth == value, f"a miss is depth {requested}, as given ({int((depth == value).sum())} pixels)"
         )
     there = {name: depth == value for name, value in MISS_SENTINELS.items() if (depth == value).any()}
-    told = _misses_by_mask(exr)
-    blind = ("A",) if told is not None and there and not told.missed.any() else ()
-    if told is not None and not blind:
-        values = np.unique(depth[told.missed])
+    by_mask = _misses_by_mask(exr)
+    blind = ("A",) if by_mask is not None and there and not by_mask.missed.any() else ()
+    if by_mask is not None and not blind:
+        values = np.unique(depth[by_mask.missed])
         shown = f"depth {_sentinel_name(float(values[0]))}" if len(values) == 1 else "any depth"
-        return Misses(told.missed, f"a miss is {told.words}, with {shown} ({int(told.missed.sum())} pixels)")
+        return Misses(
+            by_mask.missed, f"a miss is {by_mask.words}, with {shown} ({int(by_mask.missed.sum())} pixels)"
+        )
     if len(there) > 1:
         counts = ", ".join(f"{name} ({int(rows.sum())} pixels)" for name, rows in there.items())
         raise AmbiguousConvention(
@@ -122,7 +124,7 @@ class Convention(NamedTuple):
 
 
 def as_distances(depth: Array, view: ViewRays | None) -> dict[str, Array]:
-    """What the distance would be, were depth of each convention; without a view only the first can be told."""
+    """Distance along the ray under each convention; without camera rays only the first is available."""
     found = {DISTANCE: depth}
     if view is not None:
         found[ALONG_Z] = depth / view.cosine
@@ -132,16 +134,16 @@ def as_distances(depth: Array, view: ViewRays | None) -> dict[str, Array]:
 
 
 def convention_of(
-    depth: Array, hit: Array, other: Array, view: ViewRays | None, asked: str | None = None
+    depth: Array, hit: Array, other: Array, view: ViewRays | None, requested: str | None = None
 ) -> Convention:
-    """What depth (h, w) is, held against distances that are known at the pixels that both hit. Raises Unclear."""
+    """The convention of depth (h, w) by known distances at pixels hit in both. Raises AmbiguousConvention."""
     distances = as_distances(depth, view)
-    if asked is not None:
-        if asked not in distances:
+    if requested is not None:
+        if requested not in distances:
             raise AmbiguousConvention(
-                f"--depth {asked} needs the camera{' with a near plane' if view else ''}: --scene SCENE"
+                f"--depth {requested} needs the camera{' with a near plane' if view else ''}: --scene SCENE"
             )
-        return Convention(asked, distances[asked], f"{CONVENTION_MEANINGS[asked]}, as asked")
+        return Convention(requested, distances[requested], f"{CONVENTION_MEANINGS[requested]}, as given")
     if hit.sum() < MIN_PIXELS_HIT_IN_BOTH:
         raise AmbiguousConvention(
             f"only {int(hit.sum())} pixels are hit in both files: say what depth is by --depth distance"
@@ -153,11 +155,11 @@ def convention_of(
     shown = ", ".join(f"{100.0 * share[name]:.3g} % as {name}" for name in distances)
     best = min(middle, key=lambda name: middle[name])
     if share[best] < MIN_SHARE_FITTING_CONVENTION:
-        told = "no convention fits" if view is not None else "it is not; no camera tells z: --scene SCENE"
+        reason = "no convention fits" if view is not None else "it is not; z needs a camera: --scene SCENE"
         return Convention(
             DISTANCE,
             depth,
-            f"taken for {CONVENTION_MEANINGS[DISTANCE]}; {told} ({shown} agree to {CONVENTION_RTOL:g})",
+            f"assumed to be {CONVENTION_MEANINGS[DISTANCE]}; {reason} ({shown} agree to {CONVENTION_RTOL:g})",
         )
     rivals = [
         name for name in distances if name != best and not middle[name] >= DECISIVE_ERROR_RATIO * middle[best]

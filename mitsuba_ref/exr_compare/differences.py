@@ -1,141 +1,126 @@
-"""What came out of a comparison of two EXR files, as text and for JSON."""
+"""Pixels in which two EXR files differ: each quantity against its bound, (h, w, c), and the text that states it."""
 
-import math
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.error_model.exr_tolerances import Tolerances
-from mitsuba_ref.error_model.intersections import K
-from mitsuba_ref.exr_compare.channel_bounds import bound_of
-from mitsuba_ref.exr_compare.exr_layers import LAYERS, Array
-from mitsuba_ref.exr_compare.exr_pair import ExrPair
+from caster.image.exr import Exr
+from mitsuba_ref.error_model.exr_tolerances import (
+    COLOR_RTOL,
+    DEPTH_RTOL,
+    HALF_ROUNDINGS,
+    LARGEST_FIRST_ORDER_SHARE,
+    NORMAL_ATOL,
+    SMALLEST_HALF,
+    TYPICAL_ATOL,
+    U_HALF,
+    Tolerances,
+)
+from mitsuba_ref.error_model.intersections import U
+from mitsuba_ref.exr_compare.comparison_result import GroupResult, Worst
+from mitsuba_ref.exr_compare.exr_layers import LAYERS, Array, stacked
+from mitsuba_ref.exr_compare.exr_pair import Conditioning, ExrPair
 
-LEGEND = f"u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
+DERIVED = "K u S / cos"
 
-
-@dataclass(frozen=True)
-class Worst:
-    """The pixel of a group that is farthest beyond (or nearest to) its bound, in film coordinates."""
-
-    channel: str
-    x: int
-    y: int
-    ours: float
-    reference: float
-    error: float
-    bound: float
-
-    @property
-    def ratio(self) -> float:
-        """error / bound; 0 where equal, inf where the bound is 0 or a value is not finite."""
-        if self.error == 0.0:
-            return 0.0
-        return self.error / self.bound if self.bound > 0.0 and math.isfinite(self.error) else math.inf
+Bound = tuple[Array, str]
 
 
-@dataclass(frozen=True)
-class GroupResult:
-    """One quantity. agree counts pixels hit in both images; differ and non_finite all (misses hold values).
+def bound_of(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) -> Bound:
+    """The bound of one quantity: the given tolerance, else the derived one, else the plain one."""
+    a, b = pair.values(names)
+    if any(pair.reference.channels[name].dtype == np.uint32 for name in names):
+        return np.zeros_like(b), "exact"
+    with np.errstate(all="ignore"):  # values that are not finite are judged before any bound
+        halves = _half_precision_error(pair.ours, names, a) + _half_precision_error(pair.reference, names, b)
+        stored = U * (np.abs(a) + np.abs(b)) + halves
+        if group in ("depth", "position"):
+            bound, text = _length_bound(pair, group, tol, stored, b)
+        elif group in ("normal", "shading_normal"):
+            bound, text = _normal_bound(pair.condition, tol, stored, b)
+        else:
+            bound, text = _shade_bound(pair.condition, group, tol, stored, b)
+        return (bound, f"{text} + half") if halves.any() and "as given" not in text else (bound, text)
 
-    Pixels that only one image hits count under `hit` alone, unless a value of theirs is not finite.
+
+def _half_precision_error(exr: Exr, names: tuple[str, ...], values: Array) -> Array:
+    """Rounding error of values that were stored as halves, 0 for others."""
+    half = np.array([exr.channels[name].dtype == np.float16 for name in names])
+    return np.where(half, HALF_ROUNDINGS * np.maximum(U_HALF * np.abs(values), SMALLEST_HALF / 2.0), 0.0)
+
+
+def _length_bound(pair: ExrPair, group: str, tol: Tolerances, stored: Array, b: Array) -> Bound:
+    condition = pair.condition
+    size = np.abs(b).max(-1, keepdims=True)
+    if group == "position":  # a hit near the world's origin errs by as much as its ray does
+        size = np.maximum(size, _finite_depth(pair.reference, default=_typical_magnitude(b)))
+    if tol.depth_rtol is not None:
+        return np.broadcast_to(tol.depth_rtol * size, b.shape), f"{tol.depth_rtol:.3g} relative, as given"
+    plain = stored + DEPTH_RTOL * size
+    if condition is None:
+        return plain, f"{DEPTH_RTOL:.2g} relative (per pixel with camera, depth, normal and position)"
+    first_order = (condition.depth_error if group == "depth" else condition.position_error)[..., None]
+    derived = np.where(first_order < LARGEST_FIRST_ORDER_SHARE * size, stored + first_order, plain)
+    return derived, DERIVED if group == "depth" else "K u S (1 + 1/cos)"
+
+
+def _finite_depth(exr: Exr, default: float) -> Array | float:
+    if "depth.Z" not in exr.channels:
+        return default
+    t = stacked(exr, ["depth.Z"])
+    return np.where(np.isfinite(t), np.abs(t), 0.0)
+
+
+def _normal_bound(condition: Conditioning | None, tol: Tolerances, stored: Array, b: Array) -> Bound:
+    if tol.normal_atol is not None:
+        return np.full_like(b, tol.normal_atol), f"{tol.normal_atol:.3g}, as given"
+    return _bound_at_displaced_hit(condition, b, stored + NORMAL_ATOL, 1.0, f"{NORMAL_ATOL:.2g}")
+
+
+def _shade_bound(
+    condition: Conditioning | None, group: str, tol: Tolerances, stored: Array, b: Array
+) -> Bound:
+    typical = _typical_magnitude(b)
+    given = (0.0, tol.uv_atol) if group == "uv" else (tol.color_rtol, tol.color_atol)
+    rtol = (0.0 if group == "uv" else COLOR_RTOL) if given[0] is None else given[0]
+    atol = TYPICAL_ATOL * typical if given[1] is None else given[1]
+    plain, text = rtol * np.abs(b) + atol, f"{rtol:.2g} relative + {atol:.2g}"
+    if given not in ((0.0, None), (None, None)):
+        return plain, f"{text}, as given"
+    return _bound_at_displaced_hit(condition, b, stored + plain, typical, text)
+
+
+def _typical_magnitude(values: Array) -> float:
+    known = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _bound_at_displaced_hit(
+    condition: Conditioning | None, field: Array, plain: Array, scale: float, text: str
+) -> Bound:
+    """A field over the surface is evaluated at the hit: add its slope times the position error."""
+    if condition is None:
+        return plain, text
+    lever = (_surface_slope(field, condition) * condition.position_error)[..., None]
+    return plain + np.where(
+        lever < LARGEST_FIRST_ORDER_SHARE * scale, lever, 0.0
+    ), f"{text} + slope K u S (1 + 1/cos)"
+
+
+def _surface_slope(field: Array, condition: Conditioning) -> Array:
+    """Largest |step of field| / |step of position| to the four neighbours on the same surface; (h, w).
+
+    0 without a neighbour: a surface visible in a single pixel gets the plain bound.
     """
-
-    name: str
-    channels: tuple[str, ...]
-    bound: str
-    agree: int
-    differ: int
-    non_finite: int
-    worst: Worst | None
-
-
-@dataclass(frozen=True)
-class FileComparison:
-    """exit_code: 0 equal within the bounds, 1 differences, 3 not comparable, 5 nothing hit in either image.
-
-    hit_*: pixel counts, None if no channel tells. differing_pixels counts a pixel once, however many groups
-    differ in it.
-    """
-
-    ours: str
-    reference: str
-    width: int = 0
-    height: int = 0
-    hit_ours: int | None = None
-    hit_reference: int | None = None
-    hit_either: int | None = None
-    differing_pixels: int = 0
-    allowed_pixels: int = 0
-    groups: tuple[GroupResult, ...] = ()
-    ignored: tuple[str, ...] = ()
-    exit_code: int = 3
-    messages: tuple[str, ...] = ()
-    stated: tuple[str, ...] = ()  # what was taken for what in files of other programs
-
-    @property
-    def ok(self) -> bool:
-        return self.exit_code == 0
-
-    @property
-    def differing_percent(self) -> float | None:
-        """Of the pixels hit in either image; None if there are none or no channel tells."""
-        return 100.0 * self.differing_pixels / self.hit_either if self.hit_either else None
-
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON: a number that is not finite becomes the string "nan", "inf" or "-inf"."""
-        groups = [
-            asdict(g) | {"worst": g.worst and asdict(g.worst) | {"ratio": g.worst.ratio}} for g in self.groups
-        ]
-        derived = {"groups": groups, "ok": self.ok, "differing_percent": self.differing_percent}
-        plain: dict[str, Any] = _json_safe(asdict(self) | derived)
-        return plain
-
-    def format_table(self) -> str:
-        """What `mitsuba-ref compare` prints: one line a group, then the verdict and where to look."""
-        lines = [f"ours       {self.ours}", f"reference  {self.reference}"]
-        lines += [f"reading    {line}" for line in self.stated]
-        if self.groups:
-            lines += [_hit_line(self), "", *_rows(self.groups)]
-            lines += [LEGEND, ""] if any("K u S" in g.bound for g in self.groups) else [""]
-        if self.ignored:
-            lines.append(f"not compared, as asked: {', '.join(self.ignored)}")
-        return "\n".join([*lines, *self.messages])
-
-
-def _hit_line(result: FileComparison) -> str:
-    size = f"{result.width} x {result.height} pixels"
-    if result.hit_either is None:
-        return f"{size}, hits unknown (no channel A, id.shape, id.prim or depth.Z)"
-    by_file = f"{result.hit_ours} in ours, {result.hit_reference} in the reference"
-    return f"{size}, hit: {by_file}, {result.hit_either} in either"
-
-
-def _rows(groups: tuple[GroupResult, ...]) -> list[str]:
-    table = [("quantity", "agree", "differ", "not finite", "worst", "at", "bound")]
-    for g in groups:
-        worst = (f"{g.worst.ratio:.2g}x", f"({g.worst.x}, {g.worst.y})") if g.worst else ("0x", "-")
-        table.append((g.name, str(g.agree), str(g.differ), str(g.non_finite), *worst, g.bound))
-    widths = [max(len(row[i]) for row in table) for i in range(6)]
-    numbers = [[row[i].rjust(widths[i]) for i in range(1, 6)] for row in table]
-    return [
-        "  ".join([row[0].ljust(widths[0]), *cells, row[6]])
-        for row, cells in zip(table, numbers, strict=True)
-    ]
-
-
-def _json_safe(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _json_safe(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_json_safe(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return value
-
-
-# Where two images differ: each quantity judged pixel by pixel.
+    steepest = np.zeros(field.shape[:2])
+    for axis in (0, 1):
+        rise = np.linalg.norm(np.diff(field, axis=axis), axis=-1)
+        run = np.linalg.norm(np.diff(condition.position, axis=axis), axis=-1)
+        known = (np.diff(condition.surface, axis=axis) == 0.0) & (run > 0.0) & np.isfinite(rise)
+        step = np.where(known, rise / run, 0.0)
+        for side in ((0, 1), (1, 0)):  # a step belongs to the pixels at both of its ends
+            steepest = np.maximum(steepest, np.pad(step, [side, (0, 0)] if axis == 0 else [(0, 0), side]))
+    return steepest
 
 
 class Judged(NamedTuple):
@@ -147,7 +132,7 @@ class Judged(NamedTuple):
 
 
 def present_groups(names: list[str]) -> list[tuple[str, tuple[str, ...]]]:
-    """The groups that are there, in the order of LAYERS, then every other channel by itself; not `hit`."""
+    """The groups that are present, in the order of LAYERS, then every other channel by itself; not `hit`."""
     known = [(group, tuple(n for n in layer if n in names)) for group, layer in LAYERS.items()]
     listed = {n for layer in LAYERS.values() for n in layer}
     groups = known + [(n, (n,)) for n in names if n not in listed]
@@ -155,7 +140,7 @@ def present_groups(names: list[str]) -> list[tuple[str, tuple[str, ...]]]:
 
 
 def judge_hits(pair: ExrPair) -> Judged:
-    """Which pixels only one image hits; channel A, where there is one, is compared value by value."""
+    """Pixels that only one image hits; channel A, where there is one, is compared value by value."""
     differ, broken = ~pair.same_mask, np.zeros(pair.hit_ours.shape, bool)
     a, b = pair.hit_ours[..., None].astype(np.float64), pair.hit_reference[..., None].astype(np.float64)
     if "A" in pair.names:
@@ -164,7 +149,7 @@ def judge_hits(pair: ExrPair) -> Judged:
         differ = (differ | (a != b)[..., 0]) & ~broken
     worst = _worst(pair, (pair.mask_channel,), a, b, np.zeros_like(b), (differ | broken)[..., None])
     counts = _counts(pair, differ, broken)
-    return Judged(GroupResult("hit", (pair.mask_channel,), "exact", *counts, worst), differ, broken)
+    return Judged(_group("hit", (pair.mask_channel,), "exact", counts, worst), differ, broken)
 
 
 def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) -> Judged:
@@ -181,7 +166,22 @@ def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) ->
     worst = _worst(pair, names, a, b, bound, (same & ~(far_a & far_b)) | broken)
     differing, unusable = differ.any(-1) & ~broken.any(-1), broken.any(-1)
     counts = _counts(pair, differing, unusable)
-    return Judged(GroupResult(group, names, text, *counts, worst), differing, unusable)
+    return Judged(_group(group, names, text, counts, worst), differing, unusable)
+
+
+def _group(
+    name: str, channels: tuple[str, ...], bound: str, counts: tuple[int, int, int], worst: Worst | None
+) -> GroupResult:
+    agree, differ, non_finite = counts
+    return GroupResult(
+        name=name,
+        channels=channels,
+        bound=bound,
+        agree=agree,
+        differ=differ,
+        non_finite=non_finite,
+        worst=worst,
+    )
 
 
 def _counts(pair: ExrPair, differ: Array, broken: Array) -> tuple[int, int, int]:
@@ -190,7 +190,7 @@ def _counts(pair: ExrPair, differ: Array, broken: Array) -> tuple[int, int, int]
 
 
 def _depth_of_a_miss(group: str, values: Array, hit: Array) -> Array:
-    """The only infinity that means something: the depth of a ray that hits nothing."""
+    """Where infinity is a valid value: the depth of a ray that hits nothing."""
     return np.asarray((values == np.inf) & ~hit[..., None] & (group == "depth"))
 
 
@@ -205,5 +205,12 @@ def _worst(
     if ratio[y, x, c] == 0.0:
         return None
     x0, y0 = pair.reference.data_window[:2]
-    numbers = (float(values[y, x, c]) for values in (a, b, error, bound))
-    return Worst(names[c], x0 + x, y0 + y, *numbers)
+    return Worst(
+        channel=names[c],
+        x=x0 + x,
+        y=y0 + y,
+        ours=float(a[y, x, c]),
+        reference=float(b[y, x, c]),
+        error=float(error[y, x, c]),
+        bound=float(bound[y, x, c]),
+    )

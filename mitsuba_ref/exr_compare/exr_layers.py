@@ -1,4 +1,9 @@
-"""Which channels of an EXR file belong together."""
+"""Layers of EXR files: which channels belong together, and the names that other programs give them.
+
+Mitsuba names AOVs as its user does, and adds a suffix; below are those of its documentation and of our exports.
+Blender puts everything under the name of a view layer. Arnold and RenderMan write N, Nn, P, Z, with vectors as X Y Z,
+x y z, or R G B. Colour images (R G B, Combined) are not read as our diffuse AOV: only their program defines them.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -29,16 +34,7 @@ def stacked(exr: Exr, names: Iterable[str]) -> Array:
     return np.stack([exr.channels[name].astype(np.float64) for name in names], -1)
 
 
-# What other programs call our channels, and which of a file's channels are meant.
-#
-# Mitsuba names AOVs as its user does, and adds a suffix; below are those of its documentation and of our exports.
-# Blender puts everything under the name of a view layer. Arnold and RenderMan write N, Nn, P, Z, with vectors as X Y Z,
-# x y z, or R G B. Pictures (R G B, Combined) are not taken for our diffuse AOV: only their program knows what
-# is in them.
-
-
-# Group -> what the layer may be called, whole or after a view layer and a point; without regard to case but where a
-# single letter would be too little.
+# Group -> names of the layer, whole or after a view layer and a dot; case matters only for one or two letters.
 VECTORS: Mapping[str, Sequence[str]] = {
     "normal": ("geo_normal", "geometric_normal", "Ng", "Ngn"),
     "shading_normal": ("sh_normal", "Normal", "normals", "N", "Nn", "nn"),
@@ -52,11 +48,11 @@ COMPONENTS = ("XYZ", "xyz", "RGB", "rgb")
 
 
 class AmbiguousChannel(Exception):  # noqa: N818 - a question to the user
-    """Two channels may be meant; the text says which, and how to say it."""
+    """Two channels match one of ours; str() names them, and the option that decides."""
 
 
 def recognised(names: Iterable[str]) -> dict[str, str]:
-    """Our channel -> the file's, for all that are known; ours by our own names first. Raises Ambiguous."""
+    """Our channel -> the file's, for all recognised; our own names first. Raises AmbiguousChannel."""
     names = set(names)
     found = {name: name for layer in LAYERS.values() for name in layer if name in names}
     left = names - found.keys()
@@ -69,7 +65,7 @@ def recognised(names: Iterable[str]) -> dict[str, str]:
 
 
 def _take(found: dict[str, str], group: str, layers: Sequence[tuple[str, ...]]) -> None:
-    """Note the only layer there is of a group that has none yet."""
+    """Assign the only candidate layer to a group without one."""
     ours = LAYERS[group]
     known = [tuple(found[name] for name in ours)] if ours[0] in found else []
     both = [*known, *layers]
@@ -83,7 +79,7 @@ def _take(found: dict[str, str], group: str, layers: Sequence[tuple[str, ...]]) 
 
 
 def _is_called(name: str, words: Sequence[str]) -> bool:
-    """Whether a name is one of these words, or ends with one after a point."""
+    """Whether a name is one of these words, or ends with one after a dot."""
     for word in words:
         fold = (lambda text: text) if len(word) <= 2 else str.casefold
         if fold(name) == fold(word) or (len(word) > 2 and fold(name).endswith("." + fold(word))):
@@ -92,7 +88,7 @@ def _is_called(name: str, words: Sequence[str]) -> bool:
 
 
 def _vectors(names: Iterable[str]) -> list[tuple[str, ...]]:
-    """Triples of channels that differ in their component alone."""
+    """Triples of channels that differ only in their component."""
     names = set(names)
     layers = sorted({name.rpartition(".")[0] for name in names if "." in name})
     triples = [tuple(f"{layer}.{c}" for c in letters) for layer in layers for letters in COMPONENTS]
@@ -100,9 +96,9 @@ def _vectors(names: Iterable[str]) -> list[tuple[str, ...]]:
 
 
 def mapped(options: Iterable[str], names: Iterable[str]) -> dict[str, str]:
-    """What --map OUR=THEIR says of a file with these channels; what it has not is another file's.
+    """Our channel -> the file's, by --map OURS=THEIRS; channels that this file lacks belong to the other file.
 
-    OUR: a channel of ours, or a group such as depth or normal; THEIR then is a channel or a layer. Raises SceneError.
+    OURS: a channel, or a group such as depth or normal; THEIRS then is a channel or a layer. Raises SceneError.
     """
     names, found = set(names), {}
     for option in options:

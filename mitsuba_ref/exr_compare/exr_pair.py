@@ -1,29 +1,83 @@
-"""Two EXR files as one: which channels to compare, and whether they may be compared at all."""
+"""Two EXR files to compare: channels, hit masks, and the conditioning of each pixel of the reference."""
 
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Iterable
-from typing import NamedTuple
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.image.exr import Exr
 from caster.image.exr_info import hit_mask
 from caster.scene.errors import SceneError, suggestion
-from mitsuba_ref.exr_compare.conditioning import Conditioning, camera_of, conditioning_of
+from mitsuba_ref.error_model.intersections import K, U
 from mitsuba_ref.exr_compare.exr_layers import LAYERS, Array, stacked
+
+SCENE_JSON = "caster/scene_json"  # the provenance that names the camera
+
+
+class Conditioning(NamedTuple):
+    """First-order rounding errors at each pixel of the reference, all (h, w) float64; NaN where unknown."""
+
+    depth_error: Array  # K u S / cos, in scene units
+    position_error: Array  # K u S more, across the ray, in scene units
+    position: Array  # (h, w, 3)
+    surface: Array  # a number for each surface, NaN on a miss
+
+
+def camera_of(a: Exr, b: Exr) -> Mapping[str, Any]:
+    """The camera in the reference's provenance, else in ours; {} if neither has one."""
+    for exr in (b, a):
+        try:
+            camera = json.loads(exr.provenance[SCENE_JSON])["camera"]
+        except (KeyError, TypeError, ValueError):
+            continue
+        if isinstance(camera, dict):
+            return camera
+    return {}
+
+
+def conditioning_of(reference: Exr, hit: Array, camera: Mapping[str, Any]) -> Conditioning | None:
+    """The condition of every hit pixel, None where the reference lacks channels or a camera."""
+    if not {"depth.Z", *LAYERS["position"], *LAYERS["normal"]} <= reference.channels.keys():
+        return None
+    t = stacked(reference, ["depth.Z"])
+    p, n = stacked(reference, LAYERS["position"]), stacked(reference, LAYERS["normal"])
+    with np.errstate(all="ignore"):  # misses and planted NaN end as NaN, which is "unknown"
+        d = _directions(camera, p)
+        if d is None:
+            return None
+        cos = np.abs((n * d).sum(-1)) / np.linalg.norm(n, axis=-1)
+        reach = np.abs(p - t * d).max(-1) + t[..., 0] + np.abs(p).max(-1)
+        depth = np.where(hit, K * U * reach / cos, np.nan)
+    shape = reference.channels.get("id.shape", np.zeros(hit.shape)).astype(np.float64)
+    return Conditioning(depth, depth + K * U * reach, p, np.where(hit, shape, np.nan))
+
+
+def _directions(camera: Mapping[str, Any], p: Array) -> Array | None:
+    """Unit directions of the rays to p, (h, w, 3): parallel, or from the eye that all other cameras share."""
+    try:
+        eye = np.array(camera["eye"], np.float64)
+        d = p - eye
+        if camera.get("type") == "orthographic":
+            along = camera.get("direction") or np.array(camera["look_at"], np.float64) - eye
+            d = np.broadcast_to(np.array(along, np.float64), p.shape)
+        return np.asarray(d / np.linalg.norm(d, axis=-1, keepdims=True))
+    except (KeyError, TypeError, ValueError):
+        return None  # another program's scene text
 
 
 class ExrPair(NamedTuple):
-    """Two comparable images, the channels to compare, and what the reference tells of each pixel."""
+    """Two comparable images, the channels to compare, hit masks, and the reference's conditioning."""
 
     ours: Exr
     reference: Exr
     names: list[str]  # the channels to compare
-    hit_ours: Array  # (h, w) bool; all True where no channel tells
+    hit_ours: Array  # (h, w) bool; all True without a mask channel
     hit_reference: Array
-    mask_channel: str  # "" where no channel tells
+    mask_channel: str  # channel that holds the hit mask, "" if there is none
     condition: Conditioning | None
 
     @classmethod
@@ -74,7 +128,7 @@ def _scene_mismatch(a: Exr, b: Exr) -> list[str]:
     if len(hashes) < 2:
         return []
     return [
-        f"the files say that they show different scenes ({SCENE_HASH}); --other-scene compares all the same"
+        f"the files are of different scenes, by their attributes ({SCENE_HASH}); --other-scene compares anyway"
     ]
 
 

@@ -1,4 +1,4 @@
-"""Files of other programs, made into ours: our names, depth as a distance, inf on a miss; all of it is stated."""
+"""Conversion of other programs' EXR files to our channel names and depth convention; every step is stated."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,6 @@ from caster.image.exr import Exr
 from caster.image.exr_validation import PROVENANCE_PREFIX
 from caster.scene.errors import SceneError
 from caster.scene.files import Film, Scene
-from mitsuba_ref.exr_compare.conditioning import SCENE_JSON
 from mitsuba_ref.exr_compare.depth_conventions import (
     MISS_SENTINELS,
     AmbiguousConvention,
@@ -29,19 +28,20 @@ from mitsuba_ref.exr_compare.exr_layers import (
     recognised,
     stacked,
 )
+from mitsuba_ref.exr_compare.exr_pair import SCENE_JSON
 
 GEOMETRY = ("normal", "shading_normal", "position")  # groups whose values on a miss mean nothing
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How files of other programs are to be read, where their numbers do not tell."""
+    """How to interpret files of other programs, where their numbers do not decide."""
 
     maps: tuple[str, ...] = ()  # OURS=THEIRS
     depth: str | None = None  # of conventions.WORDS
     miss: str | None = None  # of conventions.SENTINELS, or a number
     near: float | None = None  # of the near plane that depth counts from, where the scene's camera has none
-    scene: Scene | None = None  # whose camera took the pictures
+    scene: Scene | None = None  # whose camera rendered the images
 
     def __post_init__(self) -> None:
         if self.near is not None and not 0.0 < self.near < np.inf:
@@ -55,7 +55,7 @@ class Reading:
 
 
 class ConvertedFiles(NamedTuple):
-    """Two files as ours, what was done to them, what is left out for it, and why they cannot be compared, if so."""
+    """Two files in our conventions, the steps, channels left out, and reasons why they cannot be compared."""
 
     ours: Exr
     reference: Exr
@@ -68,34 +68,34 @@ SIDES = ("ours", "the reference")
 
 
 def to_our_conventions(a: Exr, b: Exr, reading: Reading) -> ConvertedFiles:
-    """Both files by our names and conventions. A file that says it is ours (caster/...) is taken as it is.
+    """Both files in our names and conventions. A file with caster/... attributes is used as it is.
 
-    So is one that has our names throughout, unless they were made of the names of its parts.
+    So is one with our names throughout, unless they were made of the names of its parts.
     """
     check_maps(reading.maps, a.channels, b.channels)
     stated: list[str] = []
     files, foreign = [a, b], []
     for i, exr in enumerate(files):
         stated += [f"{SIDES[i]}: {line}" for line in _describe_parts(exr)]
-        asked = mapped(reading.maps, exr.channels)
-        if not asked and _written_by_caster(exr):
+        mapped_names = mapped(reading.maps, exr.channels)
+        if not mapped_names and _written_by_caster(exr):
             continue
         try:
-            names = _channel_names(exr, asked)
+            names = _channel_names(exr, mapped_names)
         except AmbiguousChannel as question:
             return ConvertedFiles(a, b, tuple(stated), reasons=(f"{SIDES[i]}: {question}",))
         changed = {ours: theirs for ours, theirs in names.items() if ours != theirs}
-        names = {n: theirs for n, theirs in names.items() if n not in COLOR_CHANNELS or n in asked}
+        names = {n: theirs for n, theirs in names.items() if n not in COLOR_CHANNELS or n in mapped_names}
         if changed or exr.parts or reading.depth or reading.miss:
             foreign.append(i)
-            files[i], told = _renamed(exr, names)
-            stated += [f"{SIDES[i]}: {line}" for line in told]
+            files[i], steps = _renamed(exr, names)
+            stated += [f"{SIDES[i]}: {line}" for line in steps]
     if not foreign:
         return ConvertedFiles(a, b, tuple(stated))
     try:
         for i in foreign:
-            files[i], told = _converted(files[i], files[1 - i], reading, alone=1 - i not in foreign)
-            stated += [f"{SIDES[i]}: {line}" for line in told]
+            files[i], steps = _converted(files[i], files[1 - i], reading, alone=1 - i not in foreign)
+            stated += [f"{SIDES[i]}: {line}" for line in steps]
     except AmbiguousConvention as question:
         return ConvertedFiles(a, b, tuple(stated), reasons=(f"{SIDES[i]}: {question}",))
     left = sorted(files[0].channels.keys() ^ files[1].channels.keys())
@@ -105,79 +105,81 @@ def to_our_conventions(a: Exr, b: Exr, reading: Reading) -> ConvertedFiles:
 
 
 def _describe_parts(exr: Exr) -> list[str]:
-    """What a multi-part file is made of, on one line; nothing of any other."""
-    return [f"{len(exr.parts)} parts as one picture: {', '.join(map(str, exr.parts))}"] if exr.parts else []
+    """The parts of a multi-part file on one line; [] for any other."""
+    return [f"{len(exr.parts)} parts as one image: {', '.join(map(str, exr.parts))}"] if exr.parts else []
 
 
 def _written_by_caster(exr: Exr) -> bool:
     return any(key.startswith(PROVENANCE_PREFIX) for key in exr.provenance)
 
 
-def _channel_names(exr: Exr, asked: Mapping[str, str]) -> dict[str, str]:
-    """Our channel -> the file's. What was asked for needs no recognising, nor what it is asked of."""
-    groups = {name.partition(".")[0] for name in asked}
-    rest = [n for n in exr.channels if n not in asked.values() and n.partition(".")[0] not in groups]
+def _channel_names(exr: Exr, mapped_names: Mapping[str, str]) -> dict[str, str]:
+    """Our channel -> the file's. --map overrides recognition by name, of its group and of its channel."""
+    groups = {name.partition(".")[0] for name in mapped_names}
+    rest = [n for n in exr.channels if n not in mapped_names.values() and n.partition(".")[0] not in groups]
     try:
         known = recognised(rest)
     except AmbiguousChannel:
-        known = recognised([n for n in rest if not _mapped_elsewhere(n, asked)])
+        known = recognised([n for n in rest if not _mapped_elsewhere(n, mapped_names)])
     return {
         **{ours: theirs for ours, theirs in known.items() if ours.partition(".")[0] not in groups},
-        **asked,
+        **mapped_names,
     }
 
 
-def _mapped_elsewhere(name: str, asked: Mapping[str, str]) -> bool:
-    """Whether a channel would be recognised as something that was asked for by another name."""
+def _mapped_elsewhere(name: str, mapped_names: Mapping[str, str]) -> bool:
+    """Whether --map assigns another channel to what this one would be recognised as."""
     try:
-        return bool(recognised([name]).keys() & asked.keys()) or _layer_mapped_elsewhere(name, asked)
+        return bool(recognised([name]).keys() & mapped_names.keys()) or _layer_mapped_elsewhere(
+            name, mapped_names
+        )
     except AmbiguousChannel:
         return False
 
 
-def _layer_mapped_elsewhere(name: str, asked: Mapping[str, str]) -> bool:
+def _layer_mapped_elsewhere(name: str, mapped_names: Mapping[str, str]) -> bool:
     layer = name.rpartition(".")[0]
     triple = [f"{layer}.{c}" for c in ("XYZ" if name[-1].isupper() else "xyz")]
-    return bool(recognised(triple).keys() & asked.keys())
+    return bool(recognised(triple).keys() & mapped_names.keys())
 
 
 def _renamed(exr: Exr, names: Mapping[str, str]) -> tuple[Exr, list[str]]:
-    """The file with the channels that are known, under our names."""
+    """The file with its recognised channels under our names, and the steps as text."""
     left = sorted(exr.channels.keys() - set(names.values()))
     changed = [f"{theirs} is {ours}" for ours, theirs in names.items() if ours != theirs]
-    told = ([f"channels: {', '.join(changed)}"] if changed else []) + (
+    steps = ([f"channels: {', '.join(changed)}"] if changed else []) + (
         [f"not recognised, and left out: {', '.join(left)} (--map OURS=THEIRS)"] if left else []
     )
-    return exr._replace(channels={ours: exr.channels[theirs] for ours, theirs in names.items()}), told
+    return exr._replace(channels={ours: exr.channels[theirs] for ours, theirs in names.items()}), steps
 
 
 def _converted(exr: Exr, other: Exr, reading: Reading, *, alone: bool) -> tuple[Exr, list[str]]:
     """Depth as distances with inf on a miss, and nothing of a surface where there is none.
 
-    alone: the other file is ours, so its depths are distances. Raises Unclear.
+    alone: the other file is ours, so its depths are distances. Raises AmbiguousConvention.
     """
     if "depth.Z" not in exr.channels:
         return exr, []
     misses = misses_of(exr, reading.miss)
-    told, channels = [misses.words], {n: a for n, a in exr.channels.items() if n not in misses.says_nothing}
+    steps, channels = [misses.words], {n: a for n, a in exr.channels.items() if n not in misses.uninformative}
     depth = stacked(exr, ["depth.Z"])[..., 0]
     if "depth.Z" in other.channels and other.channels["depth.Z"].shape == depth.shape:
         if alone or reading.depth:
             found = _convention(depth, misses.missed, exr, other, reading)
-            told.append(f"depth is {found.words}")
+            steps.append(f"depth is {found.words}")
             depth = found.distance
         else:
-            told.append("depth is taken as it is: neither file says what it means (--depth)")
+            steps.append("depth is used as it is: neither file states its convention (--depth)")
     number = depth > -np.inf  # what is not is a fault, wherever it is
     channels["depth.Z"] = _stored(np.where(misses.missed & number, np.inf, depth), channels["depth.Z"])
     for name, values in channels.items():
         if name.partition(".")[0] in GEOMETRY:
             channels[name] = np.where(misses.missed & np.isfinite(values), 0, values).astype(values.dtype)
-    return exr._replace(channels=channels), told
+    return exr._replace(channels=channels), steps
 
 
 def _stored(values: Array, before: Array) -> Array:
-    """A half stays one, so that its bound is a half's."""
+    """Values as float32, or as half where they were half, so that the bound of halves applies."""
     with np.errstate(over="ignore"):
         return values.astype(before.dtype if before.dtype == np.float16 else np.float32)
 
@@ -189,7 +191,7 @@ def _convention(depth: Array, missed: Array, exr: Exr, other: Exr, reading: Read
 
 
 def view_of(files: Sequence[Exr], reading: Reading, shape: tuple[int, ...]) -> ViewRays | None:
-    """The rays, by --scene or by what a file says of its scene; None where nobody tells, or of another size."""
+    """Camera rays by --scene or a file's provenance; None where there is no camera, or one of another film size."""
     for found in (reading.scene, *map(scene_in, files)):
         if found is None or found.camera.type == "ray":
             continue
@@ -216,9 +218,9 @@ def near_in_xml(scene: Scene) -> float | None:
 
 
 def scene_in(exr: Exr) -> Scene | None:
-    """Film and camera of a file's provenance; None where it has none that can be read."""
+    """Film and camera in a file's provenance; None where there are none, or unreadable ones."""
     try:
-        told = json.loads(exr.provenance[SCENE_JSON])
-        return Scene(film=Film(**told["film"]), camera=told["camera"])
+        record = json.loads(exr.provenance[SCENE_JSON])
+        return Scene(film=Film(**record["film"]), camera=record["camera"])
     except (KeyError, TypeError, ValueError, SceneError):
         return None

@@ -1,45 +1,156 @@
-"""ours - reference as an EXR file of its own, with a class for each pixel."""
+"""Comparison of two EXR files pixel by pixel; NaN, renamed channels, another window or a missed pixel never pass.
 
-import math
+An EXR holds no primitives, so the bounds of `validate` cannot be derived here. Where the reference carries `position`,
+`depth` and `normal` and its provenance names the camera, they give the conditioning of each pixel (magnitude of the
+numbers, angle of incidence, curvature) and with it a first-order bound; elsewhere plain tolerances apply. The result
+states which it was.
+"""
+
 import os
 import shlex
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 
 from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.image.exr import read_exr, write_exr
 from caster.scene.errors import SceneError
-from mitsuba_ref.error_model.exr_tolerances import (
-    COLOR_RTOL,
-    DEPTH_RTOL,
-    NORMAL_ATOL,
-    TYPICAL_ATOL,
-    Tolerances,
-)
-from mitsuba_ref.exr_compare.differences import (
-    FileComparison,
-    GroupResult,
-    Judged,
-    Worst,
-    judge,
-    judge_hits,
-    present_groups,
-)
-from mitsuba_ref.exr_compare.exr_layers import LAYERS, Array
+from mitsuba_ref.error_model.exr_tolerances import Tolerances
+from mitsuba_ref.exr_compare.comparison_result import FileComparison, failing_groups, result_messages
+from mitsuba_ref.exr_compare.differences import Judged, judge, judge_hits, present_groups
+from mitsuba_ref.exr_compare.exr_layers import Array
 from mitsuba_ref.exr_compare.exr_pair import SCENE_HASH, ExrPair, ignored_channels, incompatibilities, size_of
 from mitsuba_ref.exr_compare.foreign_files import Reading, to_our_conventions
 
+__all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]
+
+FileName = str | os.PathLike[str]
 LARGEST_FLOAT32 = float(np.finfo(np.float32).max)  # what an EXR channel holds
+SCENE = "caster/scene"  # provenance: the scene's path
 
 MISS, AGREE, DIFFER, HIT_MISS, NON_FINITE = range(5)
 CLASSES = "0 missed by both, 1 hit by both and agrees, 2 differs, 3 hit in one image only, 4 not finite"
 
 
-def write_difference(
-    path: str | os.PathLike[str], pair: ExrPair, judged: list[Judged], ours: str, reference: str
-) -> None:
+def compare_exr(
+    ours: FileName,
+    reference: FileName,
+    tolerances: Tolerances | None = None,
+    *,
+    diff: FileName | None = None,
+    reading: Reading | None = None,
+) -> FileComparison:
+    """Judge every pixel of two EXR files, by channel name.
+
+    diff: where to write ours - reference under the same channel names, float32, and the uint32 channel
+    `class.I` (codes in its provenance); not written when the files are not comparable.
+    reading: how to interpret files of other programs, where their numbers do not decide.
+    Raises FileMissing or UnreadableExr for an input, OutputError for diff, SceneError for an `ignore` that
+    names nothing or a diff that would overwrite an input.
+    """
+    tolerances = tolerances or Tolerances()
+    a, b = read_exr(ours), read_exr(reference)
+    if diff is not None and _same_file(diff, (ours, reference)):
+        raise SceneError(f"{diff}: the difference would overwrite an image it compares; give another name")
+    a, b, stated, alone, unclear = to_our_conventions(a, b, reading or Reading())
+    ignored = ignored_channels(a, b, tolerances.ignore)
+    blank = FileComparison(ours=str(ours), reference=str(reference), ignored=ignored, stated=stated)
+    left_out = (*ignored, *alone)
+    reasons = unclear or incompatibilities(a, b, left_out, other_scene=tolerances.other_scene)
+    if reasons:
+        return _not_comparable(blank, reasons)
+    pair = ExrPair.of(a, b, [name for name in a.channels if name not in left_out])
+    judged = _judged(pair, tolerances)
+    if diff is not None:
+        write_difference(diff, pair, judged, blank.ours, blank.reference)
+    counted = _counted(blank, pair, judged, tolerances)
+    notes = [*_half_notes(pair), *_scene_notes(pair)]
+    messages = result_messages(counted, len(pair.names), _next_steps(counted, pair, diff), notes)
+    return counted.model_copy(update={"messages": tuple(messages)})
+
+
+def _same_file(path: FileName, others: Iterable[FileName]) -> bool:
+    return os.path.exists(path) and any(os.path.samefile(path, other) for other in others)
+
+
+def _not_comparable(blank: FileComparison, reasons: Iterable[str]) -> FileComparison:
+    look = f"next:   caster info {shlex.quote(blank.ours)}; caster info {shlex.quote(blank.reference)}"
+    messages = ("NOT COMPARABLE", *(f"      {text}" for text in (*reasons, look)))
+    return blank.model_copy(update={"messages": messages})
+
+
+def _judged(pair: ExrPair, tolerances: Tolerances) -> list[Judged]:
+    hits = [judge_hits(pair)] if pair.mask_channel else []
+    groups = present_groups(pair.names)
+    return hits + [judge(pair, group, names, tolerances) for group, names in groups]
+
+
+def _is_empty(pair: ExrPair) -> bool:
+    """Whether nothing was hit; without a mask channel, whether every number of both images is 0."""
+    if pair.mask_channel:
+        return not (pair.hit_ours | pair.hit_reference).any()
+    return not any(exr.channels[name].any() for exr in (pair.ours, pair.reference) for name in pair.names)
+
+
+def _counted(
+    blank: FileComparison, pair: ExrPair, judged: list[Judged], tolerances: Tolerances
+) -> FileComparison:
+    broken = np.any([j.broken for j in judged], axis=0)
+    bad = int((np.any([j.differ for j in judged], axis=0) | broken).sum())
+    failed = bool(broken.any()) or bad > tolerances.max_pixels
+    masks = pair.hit_ours, pair.hit_reference, pair.hit_ours | pair.hit_reference
+    hits = [int(mask.sum()) for mask in masks] if pair.mask_channel else [None] * 3
+    empty = not tolerances.allow_empty and _is_empty(pair)
+    width, height = size_of(pair.reference)
+    return blank.model_copy(
+        update={
+            "width": width,
+            "height": height,
+            "hit_ours": hits[0],
+            "hit_reference": hits[1],
+            "hit_either": hits[2],
+            "differing_pixels": bad,
+            "allowed_pixels": tolerances.max_pixels,
+            "groups": tuple(each.result for each in judged),
+            "exit_code": DIFFERENCES if failed else NOTHING_SELECTED if empty else OK,
+        }
+    )
+
+
+def _next_steps(result: FileComparison, pair: ExrPair, diff: FileName | None) -> list[str]:
+    """Where to look and the next command, for the first group that fails."""
+    group = next(iter(failing_groups(result)), None)
+    if group is None:
+        return []
+    at = f"{group.worst.x} {group.worst.y}" if group.worst else "0 0"
+    scene = next(filter(None, (exr.provenance.get(SCENE) for exr in (pair.ours, pair.reference))), "")
+    look = f"      look:   {diff}, channel class.I ({CLASSES})"
+    replay = f"      replay: mitsuba-ref probe {shlex.quote(scene)} {at}"
+    info = f"      next:   caster info {shlex.quote(result.ours)}"
+    note = "      note:   rounding decides edges and shadow borders; see validate; --max-pixels N allows them"
+    return [
+        *([look] if diff is not None else []),
+        replay if scene and scene.isprintable() else info,
+        note,
+    ]
+
+
+def _half_notes(pair: ExrPair) -> list[str]:
+    stored = (("ours", pair.ours), ("the reference", pair.reference))
+    half = [who for who, exr in stored if any(exr.channels[n].dtype == np.float16 for n in pair.names)]
+    return [
+        f"note: {who} holds halves, 11 bits a number, and its bounds are a half's; float32 would show more"
+        for who in half
+    ]
+
+
+def _scene_notes(pair: ExrPair) -> list[str]:
+    hashes = {exr.provenance.get(SCENE_HASH) for exr in (pair.ours, pair.reference)} - {None}
+    note = f"note: the files are of different scenes, by their attributes ({SCENE_HASH})"
+    return [note] if len(hashes) > 1 else []
+
+
+def write_difference(path: FileName, pair: ExrPair, judged: list[Judged], ours: str, reference: str) -> None:
     """Each channel's difference under its own name, float32, and `class.I`; ours, reference: what was read.
 
     Raises OutputError.
@@ -64,191 +175,3 @@ def _classes(pair: ExrPair, judged: list[Judged]) -> Array:
     classes[~pair.same_mask] = HIT_MISS
     classes[np.any([j.broken for j in judged], axis=0)] = NON_FINITE
     return classes
-
-
-# What a comparison says last: pass or fail, how far, where to look, and the next command.
-
-
-SCENE = "caster/scene"  # provenance: the scene's path
-
-
-def messages_of(result: FileComparison, pair: ExrPair, diff: str | os.PathLike[str] | None) -> list[str]:
-    """The lines below the table."""
-    notes = [*_half_notes(pair), *_scene_notes(pair)]
-    if result.exit_code == 5:
-        return [
-            "EMPTY  neither image hits anything, so nothing was compared",
-            "      if that is what the scene shows: --allow-empty",
-            *notes,
-        ]
-    if result.exit_code == 1:
-        bad = [g for g in result.groups if g.differ or g.non_finite]
-        return [*(_failure(g, result) for g in bad), *_next_steps(bad[0], result, pair, diff), *notes]
-    if result.differing_pixels:
-        return [f"PASS  {result.differing_pixels} pixels differ, {result.allowed_pixels} may", *notes]
-    ratio, group = max(((g.worst.ratio, g.name) for g in result.groups if g.worst), default=(0.0, ""))
-    nearest = f", worst {ratio:.2g}x its bound ({group})" if group else ""
-    return [f"PASS  {_hit_pixels(result)} agree in {len(pair.names)} channels{nearest}", *notes]
-
-
-def _hit_pixels(result: FileComparison) -> str:
-    if result.hit_either is None:
-        return f"{result.width * result.height} pixels"
-    return f"{result.hit_either} hit pixels"
-
-
-def percent(count: int, total: int) -> str:
-    """Two digits, but 100 only for all."""
-    share = 100.0 * count / total
-    return f"{share:.2g} %" if share < 99.0 else f"{share:.4g} %"
-
-
-def _failure(group: GroupResult, result: FileComparison) -> str:
-    total = result.width * result.height if result.hit_either is None else result.hit_either
-    share = f" ({percent(group.differ, total)})" if total else ""
-    what = "are hit in one image only or differ in A" if group.name == "hit" else "beyond their bound"
-    found = [f"{group.differ} of {_hit_pixels(result)}{share} {what}"] if group.differ else []
-    found += [f"{group.non_finite} pixels not finite"] if group.non_finite else []
-    text = f"FAIL  {group.name}: {', '.join(found)}"
-    if group.worst is None:
-        return text
-    w = group.worst
-    far = f"worst {w.ratio:.3g}x" if math.isfinite(w.ratio) else "first"
-    return f"{text}, {far} at ({w.x}, {w.y}) in {w.channel}: ours {w.ours:.9g}, reference {w.reference:.9g}"
-
-
-def _next_steps(
-    group: GroupResult, result: FileComparison, pair: ExrPair, diff: str | os.PathLike[str] | None
-) -> list[str]:
-    at = f"{group.worst.x} {group.worst.y}" if group.worst else "0 0"
-    scene = next(filter(None, (exr.provenance.get(SCENE) for exr in (pair.ours, pair.reference))), "")
-    look = f"      look:   {diff}, channel class.I ({CLASSES})"
-    replay = f"      replay: mitsuba-ref probe {shlex.quote(scene)} {at}"
-    info = f"      next:   caster info {shlex.quote(result.ours)}"
-    note = "      note:   rounding decides edges and shadow borders; validate tells, --max-pixels N lets them pass"
-    return [
-        *([look] if diff is not None else []),
-        replay if scene and scene.isprintable() else info,
-        note,
-    ]
-
-
-def _half_notes(pair: ExrPair) -> list[str]:
-    stored = (("ours", pair.ours), ("the reference", pair.reference))
-    half = [who for who, exr in stored if any(exr.channels[n].dtype == np.float16 for n in pair.names)]
-    return [
-        f"note: {who} holds halves, 11 bits a number, and its bounds are a half's; float32 would show more"
-        for who in half
-    ]
-
-
-def _scene_notes(pair: ExrPair) -> list[str]:
-    hashes = {exr.provenance.get(SCENE_HASH) for exr in (pair.ours, pair.reference)} - {None}
-    note = f"note: the files say that they show different scenes ({SCENE_HASH})"
-    return [note] if len(hashes) > 1 else []
-
-
-# Compare two EXR files pixel by pixel; NaN, renamed channels, another window or a missed pixel never pass.
-#
-# An EXR holds no primitives, so the bounds of `validate` cannot be derived here. Where the reference carries
-# `position`, `depth` and `normal` and its provenance names the camera, they give the condition of each pixel
-# (how far numbers reach, how grazing the ray is, how fast the surface turns) and with it a first-order bound;
-# elsewhere plain tolerances apply, and the result says which it was.
-
-
-__all__ = [
-    "COLOR_RTOL",
-    "DEPTH_RTOL",
-    "LAYERS",
-    "NORMAL_ATOL",
-    "TYPICAL_ATOL",
-    "FileComparison",
-    "GroupResult",
-    "Reading",
-    "Tolerances",
-    "Worst",
-    "compare_exr",
-]
-
-FileName = str | os.PathLike[str]
-
-
-def compare_exr(
-    ours: FileName,
-    reference: FileName,
-    tolerances: Tolerances | None = None,
-    *,
-    diff: FileName | None = None,
-    reading: Reading | None = None,
-) -> FileComparison:
-    """Judge every pixel of two EXR files, by channel name.
-
-    diff: where to write ours - reference under the same channel names, float32, and the uint32 channel
-    `class.I` (codes in its provenance); not written when the files are not comparable.
-    reading: how files of other programs are to be read, where their numbers do not tell.
-    Raises FileMissing or UnreadableExr for an input, OutputError for diff, SceneError for an `ignore` that
-    names nothing or a diff that would overwrite an input.
-    """
-    tolerances = tolerances or Tolerances()
-    a, b = read_exr(ours), read_exr(reference)
-    if diff is not None and _same_file(diff, (ours, reference)):
-        raise SceneError(f"{diff}: the difference would overwrite an image it compares; give another name")
-    a, b, stated, alone, unclear = to_our_conventions(a, b, reading or Reading())
-    ignored = ignored_channels(a, b, tolerances.ignore)
-    blank = FileComparison(str(ours), str(reference), ignored=ignored, stated=stated)
-    left_out = (*ignored, *alone)
-    reasons = unclear or incompatibilities(a, b, left_out, other_scene=tolerances.other_scene)
-    if reasons:
-        return _not_comparable(blank, reasons)
-    pair = ExrPair.of(a, b, [name for name in a.channels if name not in left_out])
-    judged = _judged(pair, tolerances)
-    if diff is not None:
-        write_difference(diff, pair, judged, blank.ours, blank.reference)
-    counted = _counted(blank, pair, judged, tolerances)
-    return replace(counted, messages=tuple(messages_of(counted, pair, diff)))
-
-
-def _same_file(path: FileName, others: Iterable[FileName]) -> bool:
-    return os.path.exists(path) and any(os.path.samefile(path, other) for other in others)
-
-
-def _not_comparable(blank: FileComparison, reasons: Iterable[str]) -> FileComparison:
-    look = f"next:   caster info {shlex.quote(blank.ours)}; caster info {shlex.quote(blank.reference)}"
-    return replace(blank, messages=("NOT COMPARABLE", *(f"      {text}" for text in (*reasons, look))))
-
-
-def _judged(pair: ExrPair, tolerances: Tolerances) -> list[Judged]:
-    hits = [judge_hits(pair)] if pair.mask_channel else []
-    groups = present_groups(pair.names)
-    return hits + [judge(pair, group, names, tolerances) for group, names in groups]
-
-
-def _is_empty(pair: ExrPair) -> bool:
-    """Nothing was hit; or, where no channel tells, every number of both images is 0."""
-    if pair.mask_channel:
-        return not (pair.hit_ours | pair.hit_reference).any()
-    return not any(exr.channels[name].any() for exr in (pair.ours, pair.reference) for name in pair.names)
-
-
-def _counted(
-    blank: FileComparison, pair: ExrPair, judged: list[Judged], tolerances: Tolerances
-) -> FileComparison:
-    broken = np.any([j.broken for j in judged], axis=0)
-    bad = int((np.any([j.differ for j in judged], axis=0) | broken).sum())
-    failed = bool(broken.any()) or bad > tolerances.max_pixels
-    masks = pair.hit_ours, pair.hit_reference, pair.hit_ours | pair.hit_reference
-    hits = [int(mask.sum()) for mask in masks] if pair.mask_channel else [None] * 3
-    empty = not tolerances.allow_empty and _is_empty(pair)
-    width, height = size_of(pair.reference)
-    return replace(
-        blank,
-        width=width,
-        height=height,
-        hit_ours=hits[0],
-        hit_reference=hits[1],
-        hit_either=hits[2],
-        differing_pixels=bad,
-        allowed_pixels=tolerances.max_pixels,
-        groups=tuple(j.result for j in judged),
-        exit_code=DIFFERENCES if failed else NOTHING_SELECTED if empty else OK,
-    )

@@ -9,7 +9,8 @@ import pytest
 
 from caster.image.exr import UnreadableExr, read_exr, write_exr
 from caster.scene.fields import FileMissing, SceneError
-from mitsuba_ref.exr_compare.two_files import DEPTH_RTOL, FileComparison, Tolerances, compare_exr
+from mitsuba_ref.error_model.exr_tolerances import DEPTH_RTOL
+from mitsuba_ref.exr_compare.two_files import FileComparison, Tolerances, compare_exr
 
 WIDTH, HEIGHT = 32, 24
 EYE = (0.3, 0.4, 3.0)
@@ -369,7 +370,7 @@ def test_a_missing_or_extra_channel_is_not_comparable_unless_left_out(tmp_path):
         for ignore in (("normal",), ("normal.*",), ("normal.X", "normal.Y", "normal.Z")):
             result = compared(tmp_path, ours, reference, Tolerances(ignore=ignore))
             assert result.ok and result.ignored == ("normal.X", "normal.Y", "normal.Z")
-            assert "not compared, as asked: normal.X, normal.Y, normal.Z" in text(result)
+            assert "not compared, by --ignore: normal.X, normal.Y, normal.Z" in text(result)
 
 
 def test_the_reference_still_gives_the_condition_when_ours_has_depth_only(tmp_path):
@@ -465,7 +466,7 @@ def test_a_stated_tolerance_replaces_the_bound(tmp_path, name, factor, option):
     ours[name][INSIDE] *= np.float32(factor)
     assert compared(tmp_path, ours, EXACT).exit_code == 1
     result = compared(tmp_path, ours, EXACT, Tolerances(**option))
-    assert result.ok and any("as asked" in g.bound for g in result.groups)
+    assert result.ok and any("as given" in g.bound for g in result.groups)
     assert compared(tmp_path, ours, EXACT, Tolerances(**dict.fromkeys(option, 0.0))).exit_code == 1
 
 
@@ -550,7 +551,7 @@ def test_files_that_name_different_scenes_are_compared_only_on_demand(tmp_path):
     refused = compare_exr(a, b)
     assert refused.exit_code == 3 and "different scenes" in text(refused)
     allowed = compare_exr(a, b, Tolerances(other_scene=True))
-    assert allowed.exit_code == 0 and "note: the files say that they show different scenes" in text(allowed)
+    assert allowed.exit_code == 0 and "note: the files are of different scenes" in text(allowed)
 
 
 def test_two_black_pictures_prove_nothing(tmp_path):
@@ -578,12 +579,12 @@ def test_the_json_is_strict_and_holds_the_counts(tmp_path):
     ours = with_value("normal.X", np.nan)
     ours["id.shape"][INSIDE] = 1
     result = compared(tmp_path, ours)
-    told = json.loads(json.dumps(result.to_dict(), allow_nan=False))
+    told = json.loads(json.dumps(result.model_dump(mode="json"), allow_nan=False))
     assert (told["ok"], told["exit_code"], told["differing_pixels"]) == (False, 1, 1)
     by_name = {entry["name"]: entry for entry in told["groups"]}
     assert by_name["normal"]["non_finite"] == 1 and by_name["normal"]["worst"]["ours"] == "nan"
     assert by_name["shape_id"]["worst"]["ratio"] == "inf" and by_name["shape_id"]["worst"]["x"] == 15
-    json.dumps(compared(tmp_path, renamed(EXACT, "A", "a")).to_dict(), allow_nan=False)
+    json.dumps(compared(tmp_path, renamed(EXACT, "A", "a")).model_dump(mode="json"), allow_nan=False)
 
 
 # ---- the difference image ----

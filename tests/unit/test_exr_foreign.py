@@ -148,7 +148,7 @@ def test_two_values_of_a_miss_are_a_question(tmp_path, ours):
     result = compared(tmp_path, ours, theirs)
     assert result.exit_code == 3 and "which of them is a miss? --miss 0" in text(result)
     told = compared(tmp_path, ours, theirs, miss="0")
-    assert told.exit_code == 1 and "as asked" in text(told)  # 1e10 then is a depth, and wrong
+    assert told.exit_code == 1 and "as given" in text(told)  # 1e10 then is a depth, and wrong
 
 
 def test_what_is_no_number_is_an_error():
@@ -223,7 +223,7 @@ def test_without_a_camera_z_cannot_be_told_and_fails_with_the_way_out(tmp_path, 
     write_exr(tmp_path / "a.exr", ours, {"caster/version": "0"})
     OpenEXR.File({}, along_z(ours)).write(str(tmp_path / "b.exr"))
     result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
-    assert result.exit_code == 1 and "no camera tells z: --scene SCENE" in text(result)
+    assert result.exit_code == 1 and "z needs a camera: --scene SCENE" in text(result)
     assert compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", reading=Reading(scene=SCENE)).ok
     asked = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", reading=Reading(depth="z"))
     assert asked.exit_code == 3 and "--depth z needs the camera: --scene SCENE" in text(asked)
@@ -232,7 +232,7 @@ def test_without_a_camera_z_cannot_be_told_and_fails_with_the_way_out(tmp_path, 
 def test_a_convention_may_be_demanded_and_then_a_wrong_one_fails(tmp_path, ours):
     assert compared(tmp_path, ours, along_z(ours), depth="z").ok
     result = compared(tmp_path, ours, along_z(ours), depth="distance")
-    assert result.exit_code == 1 and "along the ray, as asked" in text(result)
+    assert result.exit_code == 1 and "along the ray, as given" in text(result)
 
 
 def test_a_file_of_ours_is_never_converted(tmp_path, ours):
@@ -270,7 +270,7 @@ def test_two_foreign_files_are_taken_as_they_are_and_that_is_said(tmp_path, ours
             str(tmp_path / f"{name}.exr")
         )
     result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
-    assert result.ok and "neither file says what it means (--depth)" in text(result)
+    assert result.ok and "neither file states its convention (--depth)" in text(result)
 
 
 # ---- halves ----

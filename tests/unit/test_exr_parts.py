@@ -202,7 +202,7 @@ def by_program(ours, program):
             {"depth", "shading_normal", "position"},
             "V.Combined (A), V.Depth (Z), V.Normal (X, Y, Z)",
         ),
-        ("Nuke", {"depth", "shading_normal"}, "3 parts as one picture: rgba (A, R), depth (Z), N (X, Y, Z)"),
+        ("Nuke", {"depth", "shading_normal"}, "3 parts as one image: rgba (A, R), depth (Z), N (X, Y, Z)"),
         ("Arnold", {"depth", "shading_normal", "position"}, "RGBA (A), Z (Z), N (B, G, R), P (B, G, R)"),
     ],
 )
@@ -239,4 +239,4 @@ def test_info_lists_the_parts(tmp_path, capsys):
     path = save(tmp_path / "a.exr", {"rgba": of("R", "A"), "depth": of("Z")})
     assert caster_main(["info", str(path)]) == 0
     out = capsys.readouterr().out
-    assert "2 parts as one picture:\n  rgba (A, R)\n  depth (Z)\n" in out and "depth.Z  float" in out
+    assert "2 parts as one image:\n  rgba (A, R)\n  depth (Z)\n" in out and "depth.Z  float" in out

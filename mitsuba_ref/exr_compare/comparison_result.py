@@ -1,0 +1,179 @@
+"""Result of a comparison of two EXR files: a model with one JSON schema, and its text for a terminal."""
+
+import math
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, PlainSerializer, computed_field
+
+from mitsuba_ref.error_model.intersections import K
+from mitsuba_ref.report.text_table import Column, format_table
+
+LEGEND = f"u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
+COLUMNS = (
+    Column("quantity"),
+    Column("agree", "right"),
+    Column("differ", "right"),
+    Column("not finite", "right"),
+    Column("worst", "right"),
+    Column("at", "right"),
+    Column("bound"),
+)
+
+
+def _json_number(value: float) -> float | str:
+    return value if math.isfinite(value) else str(value)
+
+
+JsonFloat = Annotated[float, PlainSerializer(_json_number, return_type=float | str, when_used="json")]
+"""A float; in JSON, which has no other numbers, one that is not finite is "inf", "-inf" or "nan"."""
+
+
+class Worst(BaseModel):
+    """The pixel of a group with the largest error over bound, in film coordinates."""
+
+    model_config = ConfigDict(frozen=True)
+
+    channel: str
+    x: int
+    y: int
+    ours: JsonFloat
+    reference: JsonFloat
+    error: JsonFloat
+    bound: JsonFloat
+
+    @computed_field  # type: ignore[prop-decorator] # pydantic's way
+    @property
+    def ratio(self) -> JsonFloat:
+        """error / bound; 0 where equal, inf where the bound is 0 or a value is not finite."""
+        if self.error == 0.0:
+            return 0.0
+        return self.error / self.bound if self.bound > 0.0 and math.isfinite(self.error) else math.inf
+
+
+class GroupResult(BaseModel):
+    """One quantity. agree counts pixels hit in both images; differ and non_finite all (misses hold values).
+
+    Pixels that only one image hits count under `hit` alone, unless a value of theirs is not finite.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    channels: tuple[str, ...]
+    bound: str
+    agree: int
+    differ: int
+    non_finite: int
+    worst: Worst | None
+
+
+class FileComparison(BaseModel):
+    """exit_code: 0 equal within the bounds, 1 differences, 3 not comparable, 5 nothing hit in either image.
+
+    hit_*: pixel counts, None if no channel holds the hit mask. differing_pixels counts a pixel once, however many
+    groups differ in it. stated: conventions that were applied to files of other programs.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    ours: str
+    reference: str
+    width: int = 0
+    height: int = 0
+    hit_ours: int | None = None
+    hit_reference: int | None = None
+    hit_either: int | None = None
+    differing_pixels: int = 0
+    allowed_pixels: int = 0
+    groups: tuple[GroupResult, ...] = ()
+    ignored: tuple[str, ...] = ()
+    exit_code: int = 3
+    messages: tuple[str, ...] = ()
+    stated: tuple[str, ...] = ()
+
+    @computed_field  # type: ignore[prop-decorator] # pydantic's way
+    @property
+    def ok(self) -> bool:
+        """Whether the files are equal within the bounds."""
+        return self.exit_code == 0
+
+    @computed_field  # type: ignore[prop-decorator] # pydantic's way
+    @property
+    def differing_percent(self) -> float | None:
+        """Of the pixels hit in either image; None if there are none or no channel holds the hit mask."""
+        return 100.0 * self.differing_pixels / self.hit_either if self.hit_either else None
+
+    def format_table(self) -> str:
+        """What `mitsuba-ref compare` prints: one line a group, then the verdict and the next command."""
+        lines = [f"ours       {self.ours}", f"reference  {self.reference}"]
+        lines += [f"reading    {line}" for line in self.stated]
+        if self.groups:
+            lines += [_hit_line(self), "", format_table(COLUMNS, map(_row, self.groups))]
+            lines += [LEGEND, ""] if any("K u S" in group.bound for group in self.groups) else [""]
+        if self.ignored:
+            lines.append(f"not compared, by --ignore: {', '.join(self.ignored)}")
+        return "\n".join([*lines, *self.messages])
+
+
+def _hit_line(result: FileComparison) -> str:
+    size = f"{result.width} x {result.height} pixels"
+    if result.hit_either is None:
+        return f"{size}, hits unknown (no channel A, id.shape, id.prim or depth.Z)"
+    by_file = f"{result.hit_ours} in ours, {result.hit_reference} in the reference"
+    return f"{size}, hit: {by_file}, {result.hit_either} in either"
+
+
+def _row(group: GroupResult) -> tuple[str, ...]:
+    worst = group.worst
+    ratio, at = (f"{worst.ratio:.2g}x", f"({worst.x}, {worst.y})") if worst else ("0x", "-")
+    return group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at, group.bound
+
+
+def result_messages(
+    result: FileComparison, channels: int, next_steps: list[str], notes: list[str]
+) -> list[str]:
+    """The lines below the table: pass or fail, how far, where to look. channels: how many were compared."""
+    if result.exit_code == 5:
+        return [
+            "EMPTY  neither image hits anything, so nothing was compared",
+            "      if that is what the scene shows: --allow-empty",
+            *notes,
+        ]
+    if result.exit_code == 1:
+        return [*(_failure(group, result) for group in failing_groups(result)), *next_steps, *notes]
+    if result.differing_pixels:
+        return [f"PASS  {result.differing_pixels} pixels differ, {result.allowed_pixels} may", *notes]
+    ratio, name = max(((g.worst.ratio, g.name) for g in result.groups if g.worst), default=(0.0, ""))
+    nearest = f", worst {ratio:.2g}x its bound ({name})" if name else ""
+    return [f"PASS  {_hit_pixels(result)} agree in {channels} channels{nearest}", *notes]
+
+
+def failing_groups(result: FileComparison) -> list[GroupResult]:
+    """Groups with a pixel beyond its bound or not finite."""
+    return [group for group in result.groups if group.differ or group.non_finite]
+
+
+def _hit_pixels(result: FileComparison) -> str:
+    if result.hit_either is None:
+        return f"{result.width * result.height} pixels"
+    return f"{result.hit_either} hit pixels"
+
+
+def percent(count: int, total: int) -> str:
+    """Two digits, but 100 only for all."""
+    share = 100.0 * count / total
+    return f"{share:.2g} %" if share < 99.0 else f"{share:.4g} %"
+
+
+def _failure(group: GroupResult, result: FileComparison) -> str:
+    total = result.width * result.height if result.hit_either is None else result.hit_either
+    share = f" ({percent(group.differ, total)})" if total else ""
+    what = "are hit in one image only or differ in A" if group.name == "hit" else "beyond their bound"
+    found = [f"{group.differ} of {_hit_pixels(result)}{share} {what}"] if group.differ else []
+    found += [f"{group.non_finite} pixels not finite"] if group.non_finite else []
+    text = f"FAIL  {group.name}: {', '.join(found)}"
+    if group.worst is None:
+        return text
+    w = group.worst
+    far = f"worst {w.ratio:.3g}x" if math.isfinite(w.ratio) else "first"
+    return f"{text}, {far} at ({w.x}, {w.y}) in {w.channel}: ours {w.ours:.9g}, reference {w.reference:.9g}"
