@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
-from caster.cli.progress_bar import StatusLine
+from caster.cli.progress import StatusLine
 from caster.scene.errors import SceneError, suggestion
 
 if TYPE_CHECKING:

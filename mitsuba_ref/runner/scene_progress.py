@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from caster.cli.progress_bar import ProgressBar
+from caster.cli.progress import ProgressBar
 from mitsuba_ref.runner.scene_runner import SceneEntry
 
 

@@ -5,7 +5,7 @@ import stat
 
 import pytest
 
-from caster.cli.compile_progress import announce_compilation, say_if_not_kept
+from caster.cli.progress import announce_compilation, report_refused_cache
 from caster.jit import kernel_cache, machine_code
 from caster.jit.decorators import COMPILATION_LOG
 from caster.jit.kernel_cache import cache_folder
@@ -20,10 +20,10 @@ def home(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     kernel_cache.refusals.clear()
-    say_if_not_kept.cache_clear()
+    report_refused_cache.cache_clear()
     yield tmp_path
     kernel_cache.refusals.clear()
-    say_if_not_kept.cache_clear()
+    report_refused_cache.cache_clear()
 
 
 def test_a_folder_of_this_user_alone_is_kept(home):

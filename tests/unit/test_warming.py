@@ -7,7 +7,7 @@ import pytest
 
 from caster.__main__ import main
 from caster.cameras import CAMERAS
-from caster.cli.compile_progress import CompileProgress, announce_compilation
+from caster.cli.progress import CompileProgress, announce_compilation
 from caster.geometry.packing import pack
 from caster.jit import decorators
 from caster.kernels.protocol import intersect, project_bounding_sphere

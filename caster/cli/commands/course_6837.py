@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     check_size(args.size)
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
-    from caster.cli.compile_progress import announce_compilation, type_names
+    from caster.cli.progress import announce_compilation, type_names
     from caster.image.image_files import write_image
 
     options = {"shade_back": args.shade_back, "shadows": args.shadows, "mesh_dirs": args.mesh_dir}

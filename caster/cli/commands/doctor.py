@@ -52,7 +52,7 @@ def print_findings(findings: Sequence[Finding], args: argparse.Namespace) -> int
 
 def warm(paths: Sequence[str], as_json: bool) -> int:
     """Compile what is not in the cache yet, and say how much that was."""
-    from caster.cli.compile_progress import CompileProgress, say_if_not_kept
+    from caster.cli.progress import CompileProgress, report_refused_cache
     from caster.jit.decorators import COMPILATION_LOG
     from caster.jit.kernel_cache import COMPILED
     from caster.rendering import warm_up
@@ -60,7 +60,7 @@ def warm(paths: Sequence[str], as_json: bool) -> int:
     if not COMPILED:
         print("kernels: none, as Numba is switched off or not installed")
         return OK
-    say_if_not_kept()
+    report_refused_cache()
     progress = CompileProgress()
     COMPILATION_LOG.compiling = progress.compiling
     done = warm_up.warm_up(_load_scenes(paths) if paths else warm_up.warm_up_scenes(), progress.begin)

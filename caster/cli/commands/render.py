@@ -16,7 +16,7 @@ from caster.cli.scene_arguments import add_scene, error_prefix, load
 from caster.scene.errors import SceneError
 
 if TYPE_CHECKING:
-    from caster.cli.progress_bar import ProgressBar
+    from caster.cli.progress import ProgressBar
     from caster.rendering.images import Aovs
     from caster.scene.files import Scene
 
@@ -64,7 +64,7 @@ def positive_int(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Render, write, and say what was written. Raises SceneError, FileMissing, OutputError."""
-    from caster.cli.compile_progress import announce_compilation, type_names
+    from caster.cli.progress import announce_compilation, type_names
 
     with announce_compilation("mesh files"):
         scene = cropped(load(args), args.crop)
@@ -107,7 +107,7 @@ def output_path(args: argparse.Namespace) -> str:
 
 def bar_for(scene: Scene) -> ProgressBar:
     """How far a render has come."""
-    from caster.cli.progress_bar import ProgressBar
+    from caster.cli.progress import ProgressBar
 
     x0, y0, x1, y1 = scene.film.window
     return ProgressBar("rendering", (x1 - x0) * (y1 - y0), "rays")

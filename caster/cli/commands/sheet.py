@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render and write. Raises SceneError, FileMissing, OutputError."""
-    from caster.cli.compile_progress import announce_compilation, type_names
+    from caster.cli.progress import announce_compilation, type_names
     from caster.image.atomic_files import check_writable
     from caster.image.image_files import check_image_name, write_image
     from caster.image.previews import sheet, sheet_columns, thumbnail

@@ -1,7 +1,10 @@
-"""What is said while work goes on: on a terminal, into a pipe, and how much work it counts."""
+"""Progress on standard error: on a terminal, into a pipe, and how much work it counts."""
 
 import io
 import os
+import re
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -9,17 +12,14 @@ import pytest
 
 import caster
 from caster.__main__ import main
-from caster.cli import progress_bar
-from caster.cli.compile_progress import CompileProgress
-from caster.cli.progress_bar import (
-    BAR_CHARACTERS,
-    ERASE,
+from caster.cli import progress
+from caster.cli.progress import (
     LOG_SECONDS,
     QUIET_SECONDS,
     REFRESH_SECONDS,
+    CompileProgress,
     ProgressBar,
     StatusLine,
-    bar_text,
     duration,
     si_number,
 )
@@ -42,6 +42,33 @@ type = "sphere"
 
 
 END = "<end>"
+CONTROL = re.compile(r"\x1b\[(\?25[lh]|\d*[A-Zm]|[\d;]+m)|\r|\n|[^\x1b\r\n]+")
+COLOR = re.compile(r"\x1b\[[\d;]*m")
+
+
+def screen(written):
+    """The lines left on a terminal: what a reader sees after cursor movements and erasures."""
+    lines, row, column = [""], 0, 0
+    for found in CONTROL.finditer(written):
+        code = found[0]
+        if code == "\r":
+            column = 0
+        elif code == "\n":
+            row, column = row + 1, 0
+            lines += [""] * (row + 1 - len(lines))
+        elif code == "\x1b[2K":
+            lines[row] = ""
+        elif code.endswith("A") and code.startswith("\x1b"):
+            row -= int(code[2:-1] or 1)
+        elif not code.startswith("\x1b"):
+            lines[row] = lines[row][:column].ljust(column) + code + lines[row][column + len(code) :]
+            column += len(code)
+    return [line.rstrip() for line in lines if line.strip()]
+
+
+def assert_erased(written):
+    assert written.endswith("\x1b[2K"), written
+    assert written.count("\x1b[?25h") == 1, "the cursor is shown again"
 
 
 class Clock:
@@ -78,13 +105,16 @@ def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
     stream, read = terminal
     clock = Clock()
     bar = ProgressBar("rendering", 4000, "rays", stream, clock)
-    for step in range(1, 4):
+    for step in range(1, 3):
         clock.now = step * QUIET_SECONDS
         bar.add(1000)
-    half = "rendering ████████████             50 %, 2k of 4k rays, 1k rays/s, 2 s left"
-    assert half in read().split(ERASE)
+    drawn = read()
+    (line,) = screen(drawn)
+    assert re.fullmatch("rendering ━{11}[╸━]━*[╺━]*━* 50 %, 2k of 4k rays, 1k rays/s, 2 s left", line), line
     bar.close()
-    assert read() == ERASE
+    erased = read()
+    assert_erased(erased)
+    assert screen(drawn + erased) == []
     bar.close()
     assert read() == ""
 
@@ -109,7 +139,8 @@ def test_nothing_is_drawn_more_often_than_the_eye_sees(terminal):
         bar.add(1)
     clock.now += REFRESH_SECONDS
     bar.add(1)
-    assert read().count(ERASE) == 2
+    assert read().count("rendering") == 2
+    bar.close()
 
 
 def test_the_line_makes_way_for_what_is_printed(terminal):
@@ -117,10 +148,18 @@ def test_the_line_makes_way_for_what_is_printed(terminal):
     clock = Clock()
     bar = ProgressBar("validating", 10, "rays", stream, clock)
     clock.now = QUIET_SECONDS
-    bar.add(5, "1 of 2 scenes")
-    assert "50 %, 1 of 2 scenes, 5 of 10 rays" in read()
+    bar.add(3, "1 of 2 scenes")
+    written = read()
+    assert "30 %, 1 of 2 scenes, 3 of 10 rays" in written
     with bar.aside():
-        assert read() == ERASE
+        written += read()
+        assert screen(written) == []
+        stream.write("a row\n")
+    clock.now += REFRESH_SECONDS
+    bar.add(2)
+    row, line = screen(written + read())
+    assert row == "a row" and "50 %, 1 of 2 scenes, 5 of 10 rays" in line
+    bar.close()
 
 
 def test_a_narrow_terminal_gets_a_shorter_line(terminal, monkeypatch):
@@ -130,7 +169,9 @@ def test_a_narrow_terminal_gets_a_shorter_line(terminal, monkeypatch):
     bar = ProgressBar("rendering", 10, "rays", stream, clock)
     clock.now = QUIET_SECONDS
     bar.add(5)
-    assert len(read().removeprefix(ERASE)) == 29
+    (line,) = screen(read())
+    assert len(line) <= 30
+    bar.close()
 
 
 def test_a_pipe_gets_whole_lines_now_and_then():
@@ -182,15 +223,19 @@ LINES = pytest.mark.parametrize("said", [compiling, sweeping, fuzzing])
 
 @LINES
 def test_every_line_is_cut_to_the_terminal_and_erased_once(terminal, monkeypatch, said):
-    """What wraps stays there for ever."""
+    """A wrapped line could not be erased."""
     stream, read = terminal
     monkeypatch.setenv("COLUMNS", "30")
     monkeypatch.setattr("sys.stderr", stream)
     end = said()
-    assert len(read().rpartition(ERASE)[2]) == 29
+    drawn = read()
+    (line,) = screen(drawn)
+    assert len(line) == 30
     end()
     end()
-    assert read() == ERASE
+    erased = read()
+    assert_erased(erased)
+    assert screen(drawn + erased) == []
 
 
 @LINES
@@ -200,28 +245,44 @@ def test_no_line_needs_a_terminal(terminal, monkeypatch, said, where):
     monkeypatch.setenv("TERM", "dumb")
     monkeypatch.setattr("sys.stderr", None if where == "closed" else stream)
     said()()
-    assert ERASE not in read()
+    assert "\x1b" not in read()
 
 
-def test_there_is_no_colour_for_no_color_to_forbid(terminal):
+@pytest.mark.parametrize("forbidden", [True, False])
+def test_no_color_is_respected(terminal, monkeypatch, forbidden):
+    """https://no-color.org: NO_COLOR, if set and not empty, whatever its value."""
     stream, read = terminal
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    if forbidden:
+        monkeypatch.setenv("NO_COLOR", "1")
     clock = Clock()
     bar = ProgressBar("rendering", 10, "rays", stream, clock)
     clock.now = QUIET_SECONDS
     bar.add(5)
     bar.close()
-    assert read().replace(ERASE, "").count("\x1b") == 0
+    assert bool(COLOR.search(read())) != forbidden
 
 
-def test_bars_fit_the_encoding():
-    assert (
-        bar_text(0.5, "utf-8") == f"{'█' * (BAR_CHARACTERS // 2):<{BAR_CHARACTERS}}"
-        and bar_text(1.0, "utf-8") == "█" * BAR_CHARACTERS
+def test_a_terminal_without_unicode_gets_a_bar_in_ascii(terminal):
+    stream, read = terminal
+    stream.reconfigure(encoding="ascii")
+    clock = Clock()
+    bar = ProgressBar("rendering", 10, "rays", stream, clock)
+    clock.now = QUIET_SECONDS
+    bar.add(5)
+    (line,) = screen(read())
+    assert line.startswith("rendering ----") and line.isascii()
+    bar.close()
+
+
+def test_rich_is_loaded_when_a_bar_is_drawn_and_not_before():
+    source = (
+        "import sys, io; from caster.cli.progress import ProgressBar, CompileProgress, StatusLine\n"
+        "bar = ProgressBar('rendering', 10, 'rays', io.StringIO(), lambda: 0.0); bar.add(5); bar.close()\n"
+        "StatusLine(io.StringIO()).show('text'); CompileProgress(io.StringIO()).begin('scene')\n"
+        "assert not {'rich', 'numba', 'numpy'} & sys.modules.keys()\n"
     )
-    assert bar_text(0.01, "utf-8") == "▏" + " " * (BAR_CHARACTERS - 1)
-    assert (
-        bar_text(0.5, "ascii") == bar_text(0.5, None) == f"[{'#' * (BAR_CHARACTERS // 2):<{BAR_CHARACTERS}}]"
-    )
+    subprocess.run([sys.executable, "-c", source], check=True)
 
 
 def test_numbers_are_short():
@@ -275,12 +336,14 @@ def test_render_shows_how_far_it_is_on_a_terminal_alone(tmp_path, terminal, monk
     stream, read = terminal
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(SCENE)
-    monkeypatch.setattr(progress_bar, "QUIET_SECONDS", 0.0)
+    monkeypatch.setattr(progress, "QUIET_SECONDS", 0.0)
     assert main(["render", "s.toml", "--aov", "depth,position"]) == 0  # standard error is a pipe here
     said = capsys.readouterr()
     assert "rendering" not in said.err
     monkeypatch.setattr("sys.stderr", stream)
     assert main(["render", "s.toml", "--aov", "depth,position"]) == 0
     shown = read()
-    assert f"{ERASE}rendering " in shown and " of 10.5k rays, " in shown and shown.endswith(ERASE)
+    assert "rendering " in shown and " of 10.5k rays, " in shown
+    assert_erased(shown)
+    assert screen(shown) == []
     assert capsys.readouterr().out == said.out

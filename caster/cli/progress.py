@@ -1,0 +1,222 @@
+"""Progress on standard error: bars, status lines and messages about kernel compilation.
+
+On a terminal the display is drawn by rich, redrawn in place and erased at the end; rich honours NO_COLOR. Elsewhere a
+line is written now and then. rich is imported when something is drawn, so that short commands never load it.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING, Any, TextIO
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.live import Live
+
+    from caster.scene.model import Scene
+
+__all__ = ["CompileProgress", "ProgressBar", "StatusLine", "announce_compilation", "type_names"]
+
+QUIET_SECONDS = 1.0  # work shorter than this draws nothing on a terminal
+REFRESH_SECONDS = 0.1  # between two updates of the terminal
+LOG_SECONDS = 10.0  # before the first and between further lines of a log, which keeps them all
+BAR_CHARACTERS = 24  # width of the bar on a terminal
+DUMB_TERMINALS = ("dumb", "unknown")  # values of TERM without cursor movement
+
+COMPILE_TIME_HINT = "once, some 5 to 30 s"
+
+
+class StatusLine:
+    """One line at the bottom of a terminal, redrawn in place and erased at the end; nothing without a terminal.
+
+    stream: default standard error; output to a closed standard error is dropped.
+    """
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self.stream = stream or sys.stderr or io.StringIO()
+        self.live = self.stream.isatty() and os.environ.get("TERM") not in DUMB_TERMINALS
+        self._display: Live | None = None
+
+    def show(self, content: str | RenderableType) -> None:
+        """Replace the line. Content wider than the terminal is cropped, as a wrapped line could not be erased."""
+        if not self.live:
+            return
+        from rich.text import Text
+
+        if self._display is None:
+            self._display = _started_display(self.stream)
+        line = Text(content, no_wrap=True, overflow="crop") if isinstance(content, str) else content
+        self._display.update(line, refresh=True)
+
+    def erase(self) -> None:
+        """Remove the line from the terminal; a later `show` draws it again."""
+        if self._display is not None:
+            self._display.stop()
+            self._display = None
+
+    def log(self, text: str) -> None:
+        """Write a line that stays, at once."""
+        self.stream.write(text + "\n")
+        self.stream.flush()
+
+
+def _started_display(stream: TextIO) -> Live:
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console(file=stream, force_terminal=True, highlight=False)
+    display = Live(
+        console=console, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
+    )
+    display.start()
+    return display
+
+
+class ProgressBar:
+    """A progress bar over counted work. `add` is thread-safe; `close` must be called on every path."""
+
+    def __init__(
+        self,
+        what: str,
+        total: int,
+        unit: str,
+        stream: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.what, self.total, self.unit = what, total, unit
+        self.line = StatusLine(stream)
+        self.clock, self.start = clock, clock()
+        self.next = self.start + (QUIET_SECONDS if self.line.live else LOG_SECONDS)
+        self.done, self.extra = 0, ""
+        self.lock = threading.Lock()
+
+    def add(self, count: int, extra: str = "") -> None:
+        """Count work as done. extra: further text to show from now on, such as a count of scenes."""
+        with self.lock:
+            self.done += count
+            self.extra = extra or self.extra
+            now = self.clock()
+            if now >= self.next and self.done < self.total:
+                self.next = now + (REFRESH_SECONDS if self.line.live else LOG_SECONDS)
+                self._draw(now - self.start)
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Erase the bar while the body prints; the next `add` draws it again."""
+        with self.lock:
+            self.line.erase()
+            yield
+
+    def close(self) -> None:
+        """Erase the bar."""
+        with self.lock:
+            self.line.erase()
+
+    def _draw(self, seconds: float) -> None:
+        if not self.line.live:
+            self.line.log(f"{self.what}: {self.text(seconds)}")
+            return
+        from rich.progress_bar import ProgressBar as Bar
+        from rich.table import Table
+
+        row = Table.grid(padding=(0, 1))
+        for _ in range(3):
+            row.add_column(no_wrap=True, overflow="crop")
+        bar = Bar(total=self.total, completed=self.done, width=BAR_CHARACTERS)
+        row.add_row(self.what, bar, self.text(seconds))
+        self.line.show(row)
+
+    def text(self, seconds: float) -> str:
+        """66 %, 2.1M of 3.1M rays, 520k rays/s, 2 s left"""
+        amount = f"{si_number(self.done)} of {si_number(self.total)} {self.unit}"
+        parts = [f"{100 * self.done / self.total:.0f} %", *filter(None, [self.extra]), amount]
+        if seconds > 0.0 and self.done:
+            rate = self.done / seconds
+            parts += [f"{si_number(rate)} {self.unit}/s", f"{duration((self.total - self.done) / rate)} left"]
+        return ", ".join(parts)
+
+
+def si_number(number: float) -> str:
+    """A number in three digits with an SI prefix: 2.1M, 850."""
+    for size, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if number >= size:
+            return f"{number / size:.3g}{prefix}"
+    return f"{number:.3g}"
+
+
+def duration(seconds: float) -> str:
+    """A time span in whole seconds or minutes, or tenths of hours."""
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def type_names(scene: Scene) -> str:
+    """The types of the shapes and the camera of a scene: "sphere, mesh, pinhole"."""
+    things: list[Any] = [*scene.shapes, scene.camera]
+    return ", ".join(dict.fromkeys(thing.type for thing in things))
+
+
+@contextmanager
+def announce_compilation(what: str) -> Iterator[None]:
+    """Print one line on standard error when the body compiles its first kernel; none if all are cached."""
+    from caster.jit.decorators import COMPILATION_LOG
+
+    def announce(name: str) -> None:
+        COMPILATION_LOG.compiling = _ignore
+        text = f"compiling the kernels for {what}: {COMPILE_TIME_HINT}; `caster doctor --warm` does it ahead"
+        print(text, file=sys.stderr, flush=True)
+        report_refused_cache()
+
+    COMPILATION_LOG.compiling = announce
+    try:
+        yield
+    finally:
+        COMPILATION_LOG.compiling = _ignore
+
+
+@cache
+def report_refused_cache() -> None:
+    """Print one line on standard error, once a process, if kernels are not cached because others could replace them."""
+    from caster.jit.kernel_cache import cache_folder, refusals
+
+    cache_folder()
+    hint = "remove it, or name a folder of your own as XDG_CACHE_HOME"
+    for refusal in refusals:
+        print(f"compiled kernels are not kept: {refusal}; {hint}", file=sys.stderr, flush=True)
+
+
+def _ignore(name: str) -> None:
+    pass
+
+
+class CompileProgress:
+    """Progress of `caster doctor --warm`: a status line on a terminal, else a log line per scene."""
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self.line = StatusLine(stream)
+        self.scene, self.count = "", 0
+
+    def begin(self, scene: str) -> None:
+        """Start with the kernels of a scene."""
+        self.scene = scene
+        if self.line.live:
+            self.line.show(scene)
+        else:
+            self.line.log(f"kernels for {scene}")
+
+    def compiling(self, kernel: str) -> None:
+        """Count a kernel whose compilation starts."""
+        self.count += 1
+        self.line.show(f"{self.scene}: compiling {kernel} ({self.count})")
+
+    def end(self) -> None:
+        """Erase the status line."""
+        self.line.erase()
