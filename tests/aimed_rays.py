@@ -10,7 +10,7 @@ import numpy as np
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.scene.fields import Shape
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Icosphere, Plane, Sphere, Triangle
 
 Rng = np.random.Generator

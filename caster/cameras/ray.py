@@ -9,7 +9,8 @@ from pydantic import Field, field_validator
 
 from caster.jit.decorators import implement
 from caster.kernels.protocol import camera_ray
-from caster.scene.fields import Description, PositiveNumber, Vec3, refuse
+from caster.scene.errors import refuse
+from caster.scene.fields import Description, PositiveNumber, Vec3
 
 # Directions of 2^-PLAIN to 2^PLAIN have squares, and t times such a length is a number wherever the scene is one.
 MAX_DIRECTION_EXPONENT = 100

@@ -8,7 +8,7 @@ import numpy as np
 
 from caster.rendering.edge_distances import EDGE_ON, UNIT_RADII, EdgeDistance
 from caster.rendering.pixel_probe import Candidate, PrimitiveResult, Probe
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 
 MAX_LISTED = 8  # candidates on the terminal; --json has all
 

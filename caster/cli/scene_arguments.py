@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from caster.scene.errors import FileMissing, SceneError
 
 if TYPE_CHECKING:
-    from caster.scene.files import Scene
+    from caster.scene.model import Scene
 
 SCENE_FILE = "a scene file, .toml or .json"
 SUFFIXES = (".toml", ".json")  # of the files of a folder that are scenes

@@ -16,7 +16,7 @@ from caster.rendering.acceleration import build_tree
 from caster.rendering.threads import thread_count
 from caster.scene.diagnostics import value_diagnostic
 from caster.scene.errors import SceneError
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 
 
 @dataclass(frozen=True)

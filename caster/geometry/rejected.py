@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.geometry.world_space import Rounding, as_given, is_usable, world_vertices
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 
 # A component of a cross product of two differences is off by at most 4 u of the magnitudes it is made of; u = 2^-53.
 # Products that underflow are off by 2^-1074, far less than TINY.

@@ -8,7 +8,7 @@ from caster.aovs import AOVS
 from caster.geometry.rejected import in_words
 from caster.image.exr import NO_ID
 from caster.rendering.images import Aovs
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 
 
 def aovs_to_channels(aovs: Aovs) -> dict[str, np.ndarray]:

@@ -15,7 +15,7 @@ from caster.image.exr_info import hit_mask
 from caster.image.image_files import BACKGROUND, label_image, write_image
 from caster.rendering.images import Aovs, render
 from caster.scene.errors import SceneError, suggestion
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 
 Array = np.ndarray[Any, np.dtype[Any]]
 

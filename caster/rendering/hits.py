@@ -14,8 +14,8 @@ from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.images import trace_rays
 from caster.rendering.threads import parallel_for
 from caster.rendering.view import View
-from caster.scene.fields import SceneError
-from caster.scene.files import Scene
+from caster.scene.errors import SceneError
+from caster.scene.model import Scene
 
 SMALLEST_NORMAL_FLOAT = 2.0**-1022
 

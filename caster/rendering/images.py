@@ -17,8 +17,8 @@ from caster.rendering.rasterization import find_nearest_on_film
 from caster.rendering.threads import parallel_for
 from caster.rendering.tiles import FilmResult, render_tiles
 from caster.rendering.view import View
-from caster.scene.fields import SceneError, suggestion
-from caster.scene.files import Scene
+from caster.scene.errors import SceneError, suggestion
+from caster.scene.model import Scene
 
 DEFAULT_AOVS = ("hit", "depth", "normal", "position", "diffuse")
 

@@ -14,8 +14,8 @@ from caster.kernels.nearest import Rays, nearest_of_candidates, no_hits
 from caster.rendering.casting import find_nearest
 from caster.rendering.edge_distances import EDGE_ON, EdgeDistance, edge_distances
 from caster.rendering.images import camera_rays, trace_film
-from caster.scene.fields import SceneError
-from caster.scene.files import Scene
+from caster.scene.errors import SceneError
+from caster.scene.model import Scene
 
 MAX_PRIMITIVES_PROBED = (
     256  # primitives that are looked at one by one; of more, those whose boxes are nearest to the ray

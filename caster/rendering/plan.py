@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from caster.jit.decorators import implements
 from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere
 from caster.rendering.casting import Culling
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 
 SURFACE_AOVS = ("position", "shading_normal", "uv")
 

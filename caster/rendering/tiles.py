@@ -49,9 +49,9 @@ from caster.rendering.rasterization import (
 )
 from caster.rendering.threads import parallel_for_pieces, thread_count
 from caster.rendering.view import View
-from caster.scene.errors import listed
-from caster.scene.fields import Camera, SceneError
-from caster.scene.files import Scene
+from caster.scene.errors import SceneError, listed
+from caster.scene.fields import Camera
+from caster.scene.model import Scene
 
 
 @dataclass(frozen=True)

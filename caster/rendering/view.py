@@ -19,8 +19,8 @@ from caster.kernels.surface.surfaces import (
 )
 from caster.rendering.casting import find_any
 from caster.rendering.threads import parallel_for
-from caster.scene.files import Scene
 from caster.scene.lights import Light
+from caster.scene.model import Scene
 
 
 @dataclass(frozen=True)

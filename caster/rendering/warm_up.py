@@ -16,8 +16,8 @@ from caster.kernels.nearest import Rays, exact_hit, precedes
 from caster.rendering.casting import Culling, exact_nearest
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
-from caster.scene.files import Scene
 from caster.scene.lights import Directional, Point
+from caster.scene.model import Scene
 from caster.shapes import SHAPES
 
 # Each alone, the ones that come unasked, and all at once: what else is asked for shares most kernels with these.

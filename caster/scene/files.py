@@ -1,4 +1,4 @@
-"""Which mesh files a scene may read, and reading them."""
+"""Scene files: loading and validation, resolution of mesh paths, and the JSON Schema."""
 
 import os
 from collections.abc import Iterable
@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from caster.scene.diagnostics import Diagnostic, Model, child_of, diagnostics_of, value_diagnostic
 from caster.scene.errors import FileMissing, SceneError, show
-from caster.scene.model import Check, Film, Scene, Shading
+from caster.scene.model import Scene
 from caster.scene.text import SceneFormat, format_diagnostics, parse, read_text
 from caster.shapes import SHAPES
 
@@ -82,9 +82,6 @@ def _resolve_mesh_file(
     return shape | {"file": str(where)}, [], False
 
 
-# Scene files: text -> Scene, or every error with its line.
-
-
 SCENE_FORMATS: dict[str, SceneFormat] = {".toml": "toml", ".json": "json"}
 
 
@@ -125,12 +122,6 @@ def scene_from_text(
         raise kind_of_error(format_diagnostics([*problems, *missing], text, kind, origin))
     scene._folder = reach.folder.resolve()
     return scene
-
-
-# Scenes: their model, their files, and the JSON Schema of those.
-
-
-__all__ = ["Check", "Film", "Scene", "Shading", "load_scene", "scene_from_text", "scene_schema"]
 
 
 def scene_schema() -> dict[str, Any]:

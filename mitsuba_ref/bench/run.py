@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 
 from caster import __version__
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.bench import scenes
 from mitsuba_ref.bench.contestants import BY_KEY, Contestant, contestants_for, processors
 from mitsuba_ref.bench.entries.copying import CHANNELS

@@ -12,9 +12,9 @@ from caster.geometry.packing import Triangles
 from caster.geometry.procedural import heightfield, torus
 from caster.image.atomic_files import write_bytes
 from caster.scene.errors import SceneError, suggestion
-from caster.scene.files import Scene
 from caster.scene.lights import Ambient, Point
 from caster.scene.materials import Diffuse
+from caster.scene.model import Scene
 from caster.shapes import MeshFile, Sphere
 from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING
 from mitsuba_ref.reference.rays import shared_rays

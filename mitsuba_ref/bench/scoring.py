@@ -10,7 +10,7 @@ import numpy as np
 
 from caster.geometry.packing import Packed, Triangles, pack, primitive_count
 from caster.geometry.world_space import as_float32
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.bench.scenes import BenchScene, rays_of, unit
 from mitsuba_ref.bench.work import ANY, DEFAULT, MESH_FILE, RAYS_FILE, ROBUST, SCENE_FILE, SHADING, SHADOW_END
 from mitsuba_ref.error_model.bounds import reference_bounds

@@ -5,7 +5,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from caster.cameras.orthographic import Orthographic
-from caster.scene.files import Film
+from caster.scene.model import Film
 from mitsuba_ref.cameras.camera_reference import (
     CameraRays,
     CameraReference,

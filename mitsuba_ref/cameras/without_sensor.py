@@ -6,7 +6,7 @@ from caster.cameras.fisheye import Fisheye
 from caster.cameras.panorama import Panorama
 from caster.cameras.parabolic import Parabolic
 from caster.cameras.ray import Ray
-from caster.scene.files import Film
+from caster.scene.model import Film
 from mitsuba_ref.cameras.camera_reference import (
     CameraRays,
     CameraReference,

@@ -66,7 +66,7 @@ def from_course(args: argparse.Namespace) -> ImportedScene:
     """The window of an orthographic camera is moved back, where something is behind it."""
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import with_window_behind_scene
-    from caster.scene.files import Film
+    from caster.scene.model import Film
     from mitsuba_ref.importers.mitsuba_xml import ImportedScene
 
     if args.parameters:

@@ -15,7 +15,7 @@ from caster.cli.scene_arguments import add_pixel, add_scene, error_prefix, load
 from mitsuba_ref.cli import candidate_options
 
 if TYPE_CHECKING:
-    from caster.scene.files import Scene
+    from caster.scene.model import Scene
     from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence
     from mitsuba_ref.reference.messages import Crash
 

@@ -10,7 +10,7 @@ import numpy as np
 from caster.geometry.packing import Packed, concatenate_parts
 from caster.scene.errors import SceneError
 from caster.scene.fields import Shape
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.shapes import REFERENCES

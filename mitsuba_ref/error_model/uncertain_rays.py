@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.intersections import KU, Intersections, norm, unit
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel, with_edges
 from mitsuba_ref.reference.rendering import camera_reference

@@ -12,7 +12,7 @@ from caster.image.channels import aovs_to_channels, channels_to_aovs, provenance
 from caster.image.exr import UnreadableExr, write_exr
 from caster.rendering.images import evaluate, film_window
 from caster.scene.errors import FileMissing, SceneError
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import PixelPairs, aov_rows, reference_bounds
 from mitsuba_ref.error_model.exr_tolerances import COLOR_RTOL, Tolerances
 from mitsuba_ref.error_model.intersections import KU

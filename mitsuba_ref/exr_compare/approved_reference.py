@@ -13,7 +13,7 @@ from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import Window, read_exr, write_exr
 from caster.rendering.images import film_window
 from caster.scene.errors import SceneError
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.scene_model import model_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.verdict import EXCUSED, TIE

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.image.exr import NO_ID, Exr
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.intersections import KU
 from mitsuba_ref.exr_compare.exr_layers import Array

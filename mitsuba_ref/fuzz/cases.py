@@ -16,7 +16,8 @@ from pydantic import ValidationError
 from caster.image.atomic_files import check_folder, write_text
 from caster.scene.errors import FileMissing, SceneError
 from caster.scene.export import SECTION_ORDER, format_toml
-from caster.scene.files import Scene, load_scene
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from mitsuba_ref.fuzz.aims import Shots
 from mitsuba_ref.fuzz.checks import check_image, check_rays, prepared_scene
 from mitsuba_ref.fuzz.families import scene_of

@@ -11,7 +11,7 @@ from caster.rendering.casting import Culling, find_nearest
 from caster.rendering.hits import Hits, validated_rays
 from caster.rendering.images import Aovs, camera_rays, render
 from caster.rendering.plan import culling_for
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.intersections import KU_OURS, Intersections
 from mitsuba_ref.error_model.scene_model import reference_of
 from mitsuba_ref.fuzz.aims import Shots

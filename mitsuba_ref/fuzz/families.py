@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.geometry.packing import Packed
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.fuzz import aims, kinds
 from mitsuba_ref.fuzz.aims import Aim, Shots, Targets, aimed_rays
 from mitsuba_ref.fuzz.groups import coincident_shapes, slivers, triangle_fan

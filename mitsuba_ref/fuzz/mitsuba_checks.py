@@ -1,7 +1,7 @@
 """Scenes held to Mitsuba by the judge itself, through one child for all of them."""
 
 from caster.scene.errors import SceneError
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.fuzz.findings import Finding, Tally
 from mitsuba_ref.fuzz.resident import Resident
 from mitsuba_ref.judge.verdict import SceneVerdict

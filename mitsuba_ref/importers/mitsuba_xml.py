@@ -10,7 +10,8 @@ from pydantic import ValidationError
 
 from caster.scene.diagnostics import Diagnostic, diagnostics_of
 from caster.scene.errors import FileMissing, SceneError, listed
-from caster.scene.files import MeshFolders, Scene, resolve_mesh_files
+from caster.scene.files import MeshFolders, resolve_mesh_files
+from caster.scene.model import Scene
 from mitsuba_ref.importers.appearance import add_emitter
 from mitsuba_ref.importers.scene_builder import SceneBuilder, Step, composed_matrix, transform_steps
 from mitsuba_ref.importers.shapes import add_shape

@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from caster.rendering.images import Aovs, film_window
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Bracket, Claims
 from mitsuba_ref.error_model.intersections import KU, Intersections

@@ -7,7 +7,7 @@ from time import perf_counter
 import numpy as np
 
 from caster.rendering.images import Aovs
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import PixelPairs, aov_rows, reference_bounds
 from mitsuba_ref.error_model.bracket import Bracket, Claims
 from mitsuba_ref.error_model.intersections import KU, KU_OURS

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from caster.scene.fields import SceneError
-from caster.scene.files import Check
+from caster.scene.errors import SceneError
+from caster.scene.model import Check
 from mitsuba_ref.error_model.bounds import PixelPairs
 from mitsuba_ref.judge.checks import CHECKS
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model import lambert, shadows
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows
 from mitsuba_ref.error_model.bracket import Bracket

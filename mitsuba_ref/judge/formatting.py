@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from caster.geometry.packing import Packed
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.classification import Judge, Judgement

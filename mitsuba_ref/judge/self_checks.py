@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.geometry.packing import Packed
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
 from mitsuba_ref.error_model.intersections import KU_OURS
 from mitsuba_ref.subjects.ours import COMPARED_AOVS, ImagePair

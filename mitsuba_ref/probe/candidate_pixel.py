@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, row_distance
 from mitsuba_ref.judge.candidate_formatting import failure_hints, format_answer
 from mitsuba_ref.judge.candidate_judge import CandidateJudge, CandidateJudgement, intersections_near

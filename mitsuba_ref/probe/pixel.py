@@ -8,7 +8,7 @@ import numpy as np
 
 from caster.rendering.images import Aovs
 from caster.scene.errors import SceneError
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.bracket import latest_hits
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of

@@ -13,8 +13,7 @@ from caster.geometry.packing import Packed
 from caster.geometry.world_space import as_float32
 from caster.rendering.hits import trace
 from caster.rendering.images import trace_film
-from caster.scene.files import Scene
-from caster.scene.model import MAX_FILM_SIDE
+from caster.scene.model import MAX_FILM_SIDE, Scene
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, judge_of
 from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED
 from mitsuba_ref.reference.messages import Crash

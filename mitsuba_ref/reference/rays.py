@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.rendering.images import camera_rays
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 
 
 class SharedRays(NamedTuple):

@@ -12,7 +12,7 @@ from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import Aovs, film_window
 from caster.scene.fields import Camera
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.cameras import REFERENCES
 from mitsuba_ref.cameras.camera_reference import CameraReference, ClipRange
 from mitsuba_ref.error_model.scene_model import (

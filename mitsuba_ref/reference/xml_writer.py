@@ -10,8 +10,8 @@ import numpy as np
 
 from caster.image.atomic_files import check_folder, write_bytes, write_text
 from caster.scene.fields import Shape
-from caster.scene.files import Scene
 from caster.scene.materials import Diffuse
+from caster.scene.model import Scene
 
 
 def ply_bytes(part: Any) -> bytes:

@@ -8,7 +8,7 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from caster.rendering.images import Aovs
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.judge.candidate_judge import CandidateJudge, CandidateJudgement
 from mitsuba_ref.judge.candidate_reasons import WHY, reason
 from mitsuba_ref.judge.diagnosis import Diagnosis

@@ -8,7 +8,7 @@ import numpy as np
 from caster import __version__
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import Judgement
 from mitsuba_ref.judge.verdict import FAILING
 from mitsuba_ref.report import class_colors

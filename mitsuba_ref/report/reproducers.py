@@ -14,7 +14,7 @@ from caster.geometry.world_space import as_float32
 from caster.image.atomic_files import write_text
 from caster.scene.errors import SceneError
 from caster.scene.export import SECTION_ORDER, format_toml
-from caster.scene.files import Film, Scene
+from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, judge_of
 from mitsuba_ref.judge.formatting import format_side, reproducer_header

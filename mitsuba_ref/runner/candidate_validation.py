@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.judge.aggregate import class_counts, defect_counts, largest_ratios
 from mitsuba_ref.judge.candidate_formatting import candidate_failure, failure_hints
 from mitsuba_ref.judge.candidate_judge import CandidateJudge, CandidateJudgement

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from caster.rendering.images import Aovs, film_window
-from caster.scene.files import Scene, load_scene
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.aggregate import class_counts, defect_counts, largest_ratios
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of

@@ -10,7 +10,7 @@ from caster.cameras import Fisheye, Pinhole
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.scene.fields import Shape
-from caster.scene.files import Film, Scene
+from caster.scene.model import Film, Scene
 from caster.shapes import Icosphere, Sphere
 
 Rng = np.random.Generator

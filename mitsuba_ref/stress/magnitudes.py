@@ -7,7 +7,7 @@ import numpy as np
 
 from caster.cameras import Pinhole
 from caster.rendering.images import camera_rays
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import Rectangle, Sphere, Triangle
 from mitsuba_ref.stress import family
 from mitsuba_ref.stress.family import (

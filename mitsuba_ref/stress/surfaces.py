@@ -6,7 +6,7 @@ import numpy as np
 
 from caster.cameras import Pinhole
 from caster.geometry.packing import Triangles
-from caster.scene.files import Film, Scene
+from caster.scene.model import Film, Scene
 from caster.shapes import Icosphere, Sphere, Triangle
 from mitsuba_ref.stress import family
 from mitsuba_ref.stress.family import (

@@ -12,7 +12,7 @@ from caster.geometry.world_space import as_float32
 from caster.rendering.hits import cast
 from caster.rendering.images import camera_rays, film_window
 from caster.rendering.rasterization import find_nearest_on_film
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.scene_model import SceneModel, model_of
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.rays import SharedRays

@@ -9,7 +9,7 @@ from caster.geometry.world_space import as_float32
 from caster.rendering.hits import trace
 from caster.rendering.images import Aovs, evaluate, film_window
 from caster.rendering.view import View
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import clip_planes
 from mitsuba_ref.error_model.scene_model import SceneModel, model_of
 from mitsuba_ref.reference.rays import SharedRays, shared_rays

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Protocol
 
 from caster.scene.errors import SceneError
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.subjects.answer import PRECISIONS, Answer

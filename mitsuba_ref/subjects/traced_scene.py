@@ -8,7 +8,7 @@ import numpy as np
 
 from caster.geometry.packing import Packed, Triangles
 from caster.image.atomic_files import check_folder, write_bytes
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes.cylinder import Cylinders
 from caster.shapes.disk import Disks
 from caster.shapes.plane import Planes

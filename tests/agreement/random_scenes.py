@@ -8,7 +8,7 @@ from random_fields import Rng, direction, own_fields, point
 
 from caster.cameras import CAMERAS
 from caster.scene.fields import Camera, Shape
-from caster.scene.files import Film, Scene
+from caster.scene.model import Film, Scene
 
 FILM = (37, 23)  # odd and oblong, so that a mix-up of width and height, or a lost last row, shows
 VIEWS: tuple[type[Camera], ...] = tuple(cls for cls in CAMERAS if issubclass(cls, Camera))  # not a mere ray

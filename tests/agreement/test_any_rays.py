@@ -11,7 +11,7 @@ from caster.geometry.packing import Kind, Packed
 from caster.kernels.triangles import Triangles
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import cast, occluded, packed, validated_rays
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import SHAPES, Icosphere
 
 SIZES = (1e-3, 1.0, 1e3)

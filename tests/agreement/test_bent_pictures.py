@@ -7,7 +7,7 @@ from same_bits import assert_same_bits
 
 from caster.cameras import Fisheye, Panorama, Parabolic
 from caster.rendering.images import render
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 
 BENDING = (Fisheye, Panorama, Parabolic)
 AHEAD: dict[str, Any] = {"eye": (0.0, 0.0, 0.0), "direction": (0.0, 0.0, 1.0), "up": (0.0, 1.0, 0.0)}

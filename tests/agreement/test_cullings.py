@@ -11,7 +11,7 @@ from caster.geometry.packing import pack
 from caster.jit.decorators import implements
 from caster.kernels.protocol import project_bounding_sphere
 from caster.rendering.images import render, render_film
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import SHAPES, Cube, Heightfield, Icosphere, Sphere
 
 SIZES = (1e-3, 1.0, 1e3)

@@ -14,7 +14,7 @@ from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_given
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import validated_rays
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import SHAPES, Sphere
 
 OFFSETS = 2 * (0.0, 1.0, 1e3, 1e5, 1e7)

@@ -14,8 +14,7 @@ from caster.rendering.casting import exact_nearest, find_nearest, uses_bvh
 from caster.rendering.hits import cast, packed, validated_rays
 from caster.rendering.images import film_window, trace_film
 from caster.rendering.rasterization import bin_kinds
-from caster.scene.files import Scene
-from caster.scene.model import Film
+from caster.scene.model import Film, Scene
 from caster.shapes import SHAPES, Cube, Cylinder, Disk, Icosphere, Plane, Sphere, Triangle
 
 FEW = 12  # rays of a family whose every primitive is asked exactly

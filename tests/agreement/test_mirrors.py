@@ -15,7 +15,7 @@ from same_bits import Arrays, assert_same_bits, without_signed_zeros
 
 from caster.cameras import Pinhole
 from caster.rendering.hits import cast, packed
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import SHAPES
 
 MIRRORS = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, 1.0), (-1.0, -1.0, -1.0))

@@ -16,7 +16,7 @@ from same_bits import Arrays, assert_same_bits
 from caster.cameras import Pinhole
 from caster.rendering.hits import cast, packed
 from caster.rendering.images import camera_rays
-from caster.scene.files import Film, Scene
+from caster.scene.model import Film, Scene
 from caster.shapes import SHAPES
 
 POWERS = (-300, -20, -1, 1, 20, 300)

@@ -11,7 +11,7 @@ from caster.cameras import Panorama, Pinhole
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import packed, validated_rays
 from caster.rendering.images import render
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import SHAPES
 
 THREADS = (2, 3, 7)

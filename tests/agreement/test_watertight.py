@@ -6,7 +6,7 @@ from random_fields import direction
 
 from caster.cameras import Pinhole
 from caster.rendering.hits import cast, packed
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import Icosphere, Torus
 from caster.shapes.mesh import MeshFile
 

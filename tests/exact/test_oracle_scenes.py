@@ -11,7 +11,7 @@ import pytest
 from oracle_aims import KINDS, SCALES, affine, aim, packed, triangles
 
 from caster.geometry.packing import pack, primitive_count
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import Plane, Sphere
 from caster.shapes.cylinder import Cylinders
 from caster.shapes.disk import Disks

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 import caster
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 
 Given = tuple[Any, Any]
 Trace = Callable[[Scene, np.ndarray, np.ndarray], Given]

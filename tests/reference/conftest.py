@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from edited_tree import PACKAGES, copy_tree
 
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.fuzz.resident import Resident
 from mitsuba_ref.judge.classification import Judge, judge_of
 from mitsuba_ref.judge.verdict import SceneVerdict

@@ -13,7 +13,8 @@ import caster
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import Aovs, render
-from caster.scene.files import Scene, load_scene
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model import scene_model as judges_model
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge import classification

@@ -9,7 +9,8 @@ import candidates
 import numpy as np
 import pytest
 
-from caster.scene.files import Scene, load_scene
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import WRONG
 from mitsuba_ref.probe import pixel

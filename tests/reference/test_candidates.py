@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from caster.image.exr import read_exr
-from caster.scene.files import Scene, load_scene
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, TIE, WRONG, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse

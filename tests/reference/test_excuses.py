@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import caster
-from caster.scene.files import Scene, load_scene
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.verdict import EXPLAINED, JUDGED_WITHOUT_REFERENCE

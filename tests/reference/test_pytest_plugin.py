@@ -32,7 +32,7 @@ radius = 1.3
 STRICT = "[check.depth]\nratio = 1e-6\n"
 NAMES = (VERDICT, *PIXEL_CHECKS, *SCENE_CHECKS)
 HEAVY = ("numba", "mitsuba", "drjit", "caster.jit.decorators")
-PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene.files", "mitsuba_ref.runner.pytest_scenes")
+PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene", "mitsuba_ref.runner.pytest_scenes")
 
 
 @pytest.fixture

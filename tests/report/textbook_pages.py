@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import planted
 
-from caster.scene.files import Scene, load_scene
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from mitsuba_ref.judge.verdict import SceneVerdict
 
 ROOT = Path(__file__).parents[2]

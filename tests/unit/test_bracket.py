@@ -7,7 +7,7 @@ import pytest
 
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import Icosphere, Plane, Sphere, Triangle
 from mitsuba_ref.error_model.bracket import Bracket, BracketResult, Claims
 from mitsuba_ref.error_model.intersections import KU, KU_OURS, U

@@ -11,7 +11,7 @@ from caster.kernels.math.vec import UNIT_SQUARE_ATOL
 from caster.kernels.nearest import Rays
 from caster.rendering.images import camera_rays
 from caster.scene.fields import Camera
-from caster.scene.files import Film, Scene
+from caster.scene.model import Film, Scene
 from mitsuba_ref.judge.scene_checks import render_checks
 from mitsuba_ref.judge.scene_checks.render_checks import check_camera, pixel_centers
 from mitsuba_ref.reference.rendering import camera_reference

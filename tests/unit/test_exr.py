@@ -11,7 +11,7 @@ import OpenEXR
 import pytest
 
 from caster.image.exr import OutputError, UnreadableExr, read_exr, write_exr
-from caster.scene.fields import FileMissing, SceneError
+from caster.scene.errors import FileMissing, SceneError
 
 SHAPE = (5, 7)
 

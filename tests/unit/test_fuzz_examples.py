@@ -8,7 +8,7 @@ import pytest
 
 from caster.cameras import CAMERAS
 from caster.geometry.packing import pack
-from caster.scene.fields import SceneError
+from caster.scene.errors import SceneError
 from caster.shapes import SHAPES
 from mitsuba_ref.fuzz import aims, kinds
 from mitsuba_ref.fuzz.campaign import look_at

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from caster.geometry.packing import pack
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.fuzz import checks
 from mitsuba_ref.fuzz.aims import Shots
 from mitsuba_ref.fuzz.checks import (

@@ -13,7 +13,8 @@ import pytest
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32, as_given
 from caster.scene.fields import Shape
-from caster.scene.files import Scene, load_scene
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from caster.shapes import (
     Cube,
     Cylinder,

@@ -18,7 +18,7 @@ from caster.image.exr_info import (
     hit_mask,
     ramp_for,
 )
-from caster.scene.fields import FileMissing
+from caster.scene.errors import FileMissing
 
 NO_ID = 0xFFFFFFFF
 

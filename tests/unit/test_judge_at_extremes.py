@@ -9,7 +9,7 @@ from caster.cameras import Orthographic, Pinhole
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import Aovs, render
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Plane, Sphere, Triangle
 from mitsuba_ref.cameras.camera_reference import ClipRange, clip_planes
 from mitsuba_ref.error_model.bounds import nearest_root

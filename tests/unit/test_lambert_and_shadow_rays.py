@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model import shadows
 from mitsuba_ref.error_model.intersections import KU, Intersections
 from mitsuba_ref.error_model.lambert import ShadingPoints, ambient_radiance, light_contribution

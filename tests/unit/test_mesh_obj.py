@@ -7,7 +7,7 @@ import pytest
 
 from caster.geometry.mesh import vertex_normals
 from caster.geometry.mesh_files import load_mesh
-from caster.scene.fields import FileMissing, SceneError
+from caster.scene.errors import FileMissing, SceneError
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 SQUARE_VERTICES = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]

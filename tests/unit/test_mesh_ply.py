@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from caster.geometry.mesh_files import load_mesh
-from caster.scene.fields import FileMissing, SceneError
+from caster.scene.errors import FileMissing, SceneError
 
 VERTICES = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.5)]
 TRIANGLES = [(0, 1, 2), (0, 2, 3)]

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from caster.shapes import Disk, Sphere
 from mitsuba_ref.error_model.independent_transform import compose_transform, transform_error_ratio
 from mitsuba_ref.judge.scene_checks.render_checks import check_placement

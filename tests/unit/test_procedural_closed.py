@@ -8,7 +8,7 @@ import pytest
 
 from caster.geometry.mesh import check_mesh
 from caster.geometry.procedural import icosphere, torus
-from caster.scene.fields import SceneError
+from caster.scene.errors import SceneError
 
 # A handful of roundings of u = 2^-53 each in a sine, a product and a sum.
 ROUNDING = 8 * 2.0**-53

@@ -9,7 +9,7 @@ import pytest
 from caster.geometry.mesh import check_mesh, normalize_rows
 from caster.geometry.procedural import teapot
 from caster.geometry.procedural.teapot import PARTS, patches
-from caster.scene.fields import SceneError
+from caster.scene.errors import SceneError
 
 # Three roundings of u = 2^-53 for a weight and three for the sum, of numbers below 4.
 ROUNDING = 8 * 4 * 2.0**-53

@@ -10,7 +10,8 @@ import caster
 from caster.geometry.mesh_files import load_mesh
 from caster.geometry.packing import pack, primitive_count
 from caster.geometry.world_space import as_float32
-from caster.scene.files import Scene, scene_from_text
+from caster.scene.files import scene_from_text
+from caster.scene.model import Scene
 from caster.shapes import SHAPES
 from mitsuba_ref.report.reproducers import pack_one, with_hex_floats
 from mitsuba_ref.shapes import REFERENCES

@@ -7,7 +7,7 @@ import pytest
 
 from caster.geometry.mesh_files import load_mesh
 from caster.scene import text
-from caster.scene.fields import FileMissing, SceneError
+from caster.scene.errors import FileMissing, SceneError
 from caster.scene.files import load_scene, scene_from_text
 
 CAMERA = '[camera]\ntype = "panorama"\neye = [0, 0, 0]\ndirection = [0, 0, 1]\n'

@@ -8,11 +8,11 @@ import pytest
 from pydantic import ValidationError
 
 from caster.cameras import Orthographic, Pinhole
-from caster.scene.fields import Description, SceneError
-from caster.scene.files import Check, Film, Scene, Shading
+from caster.scene.errors import SceneError
+from caster.scene.fields import Description
 from caster.scene.lights import Ambient, Point
 from caster.scene.materials import Diffuse
-from caster.scene.model import one_of
+from caster.scene.model import Check, Film, Scene, Shading, one_of
 from caster.shapes import SHAPES, Cube, Disk, Sphere
 
 CAMERA = Pinhole(eye=[0, 0, 5], look_at=[0, 0, 0])

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from caster.scene import fields
-from caster.scene.fields import Description, SceneError
+from caster.scene.errors import SceneError
+from caster.scene.fields import Description
 
 seeded = settings(derandomize=True, deadline=None)  # the same examples in every run
 

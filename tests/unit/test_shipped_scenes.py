@@ -14,8 +14,9 @@ from caster.geometry.packing import pack, primitive_count
 from caster.kernels.triangles import Triangles
 from caster.rendering.images import render
 from caster.scene.description import Description
-from caster.scene.files import Film, Scene, Shading, load_scene, scene_schema
+from caster.scene.files import load_scene, scene_schema
 from caster.scene.lights import LIGHTS
+from caster.scene.model import Film, Scene, Shading
 from caster.scene.to_world import Step
 from caster.shapes import SHAPES
 

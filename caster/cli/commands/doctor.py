@@ -12,7 +12,7 @@ from caster.cli.exit_codes import OK
 if TYPE_CHECKING:
     from caster.cli.installation import Finding
     from caster.rendering.warm_up import WarmUpCounts
-    from caster.scene.files import Scene
+    from caster.scene.model import Scene
 
 HELP = "say what was found on this machine, and what each missing thing would add"
 

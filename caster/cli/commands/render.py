@@ -18,7 +18,7 @@ from caster.scene.errors import SceneError
 if TYPE_CHECKING:
     from caster.cli.progress import ProgressBar
     from caster.rendering.images import Aovs
-    from caster.scene.files import Scene
+    from caster.scene.model import Scene
 
 HELP = "render a scene to an EXR file"
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from caster.geometry.mesh import Floats, Mesh, format_row, triangle_fans
 from caster.geometry.mesh_files.ply_body import read_ascii, read_binary
 from caster.geometry.mesh_files.ply_header import Lists, Table, parse_header
-from caster.scene.fields import SceneError
+from caster.scene.errors import SceneError
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")

@@ -8,7 +8,7 @@ import numpy as np
 
 from caster.geometry.mesh import Floats, Ints, Mesh, normalize_rows
 from caster.geometry.procedural.parameters import check_integer, check_length
-from caster.scene.fields import SceneError
+from caster.scene.errors import SceneError
 
 MAX_RESOLUTION = 4096  # 33,554,432 faces
 MAX_WAVES = 64

@@ -2,7 +2,7 @@
 
 import math
 
-from caster.scene.fields import SceneError
+from caster.scene.errors import SceneError
 
 
 def check_integer(shape: str, name: str, value: int, low: int, high: float = math.inf) -> None:

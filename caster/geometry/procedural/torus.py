@@ -6,7 +6,7 @@ import numpy as np
 
 from caster.geometry.mesh import Floats, Ints, Mesh
 from caster.geometry.procedural.parameters import check_integer, check_length
-from caster.scene.fields import SceneError
+from caster.scene.errors import SceneError
 
 MAX_PARTS = 4096  # 4096 * 4096 * 2 faces at most
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from caster.rendering.images import Aovs
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
 from mitsuba_ref.judge.verdict import SceneCheck
 

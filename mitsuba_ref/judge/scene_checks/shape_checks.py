@@ -7,8 +7,8 @@ import numpy as np
 from caster.geometry.packing import pack
 from caster.geometry.world_space import Rounding, as_float32, as_given
 from caster.scene.fields import Shape
-from caster.scene.files import Scene
 from caster.scene.materials import Diffuse
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
 from mitsuba_ref.error_model.scene_model import reference_of

@@ -7,7 +7,7 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from caster.rendering.images import Aovs
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.judge.adjudication import Adjudication
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from caster.rendering.images import Aovs
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import PixelPairs, aov_rows, error_over_bound, row_distance
 from mitsuba_ref.judge.checks import CHECKS
 from mitsuba_ref.judge.classification import Judge, Judgement
