@@ -4,6 +4,8 @@ from types import ModuleType
 
 from caster.aovs import albedo, depth, diffuse, hit, normal, position, prim_id, shading_normal, shape_id, uv
 
+__all__ = ["AOVS", "BY_NAME"]
+
 AOVS: tuple[ModuleType, ...] = (
     hit,
     depth,

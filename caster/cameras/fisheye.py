@@ -20,6 +20,8 @@ from caster.kernels.raster.wide_angle import (
 )
 from caster.scene.fields import Camera, WideFieldOfView
 
+__all__ = ["Fisheye", "FisheyeRays"]
+
 
 class FisheyeRays(NamedTuple):
     """The fisheye camera as its kernel reads it."""

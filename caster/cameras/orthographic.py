@@ -10,6 +10,8 @@ from caster.kernels.math.vec import add, dot, scaled, sub
 from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere
 from caster.scene.fields import Camera, NonNegative, Positive
 
+__all__ = ["Orthographic", "OrthographicRays"]
+
 
 class OrthographicRays(NamedTuple):
     """The orthographic camera as its kernels read it."""

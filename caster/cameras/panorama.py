@@ -15,6 +15,8 @@ from caster.kernels.raster.wide_angle import (
 )
 from caster.scene.fields import Camera
 
+__all__ = ["Panorama", "PanoramaRays"]
+
 # The sine of half of a ball's longitudes is its radius over the level distance. Where it nears 1, the angle is many
 # times as sensitive as the quotient, which is off by a few u: so it is made so much larger.
 ASIN_SENSITIVITY = 1.0 + 2.0**-40

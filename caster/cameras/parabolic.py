@@ -17,6 +17,8 @@ from caster.kernels.raster.wide_angle import (
 )
 from caster.scene.fields import Camera
 
+__all__ = ["Parabolic", "ParabolicRays"]
+
 
 class ParabolicRays(NamedTuple):
     """The parabolic camera as its kernel reads it."""

@@ -10,6 +10,8 @@ from caster.kernels.math.vec import U, add, dot, l1_norm, scaled, sub
 from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere
 from caster.scene.fields import Camera, FieldOfView, NonNegative, Number, Positive
 
+__all__ = ["Pinhole", "PinholeRays"]
+
 # A point is projected only where its depth is more than this share of its distance (the sum of magnitudes): there the
 # rounding of its position moves the picture by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
 MIN_DEPTH_SHARE = 1e-6

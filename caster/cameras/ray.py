@@ -12,6 +12,8 @@ from caster.kernels.protocol import camera_ray
 from caster.scene.errors import refuse
 from caster.scene.fields import Description, PositiveNumber, Vec3
 
+__all__ = ["Ray", "SingleRay"]
+
 # Directions of 2^-PLAIN to 2^PLAIN have squares, and t times such a length is a number wherever the scene is one.
 MAX_DIRECTION_EXPONENT = 100
 

@@ -17,6 +17,8 @@ from caster.scene.files import MeshFolders, resolve_mesh_files
 from caster.scene.model import Scene
 from caster.scene.text import format_excerpt, read_text
 
+__all__ = ["load_course_scene"]
+
 
 @dataclass(frozen=True)
 class CourseScene:

@@ -16,6 +16,8 @@ from caster.scene.lights import Ambient, Directional, Light, Point
 from caster.scene.model import Scene
 from caster.shapes import Plane, Sphere
 
+__all__ = ["with_window_behind_scene"]
+
 
 def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
     """(the scene with its window behind everything, how far it was moved). Depths then count from there.

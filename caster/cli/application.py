@@ -7,6 +7,8 @@ from types import ModuleType
 from caster import __version__
 from caster.cli import exit_codes
 
+__all__ = ["main"]
+
 
 def main(
     name: str, about: str, commands: Sequence[ModuleType], codes: Sequence[int], argv: Sequence[str] | None

@@ -9,6 +9,18 @@ from collections.abc import Callable
 
 from caster.scene.errors import SceneError
 
+__all__ = [
+    "DIFFERENCES",
+    "FILE",
+    "INTERRUPTED",
+    "MEANINGS",
+    "NOTHING_SELECTED",
+    "NOT_COMPARABLE",
+    "OK",
+    "PIPE_CLOSED",
+    "reopen_closed_streams",
+]
+
 OK = 0
 DIFFERENCES = 1
 USAGE = 2  # a wrong option, or a scene that cannot be used

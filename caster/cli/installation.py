@@ -9,6 +9,8 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
+__all__ = ["Finding", "Package", "exit_code", "find_package", "format_json", "report", "usable"]
+
 
 class Package(NamedTuple):
     """A Python package this project builds on."""

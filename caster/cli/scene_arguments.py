@@ -13,6 +13,17 @@ from typing import TYPE_CHECKING
 
 from caster.scene.errors import FileMissing, SceneError
 
+__all__ = [
+    "add_mesh_dirs",
+    "add_pixel",
+    "add_scene",
+    "display_names",
+    "error_prefix",
+    "load",
+    "mesh_dir_options",
+    "scene_files",
+]
+
 if TYPE_CHECKING:
     from caster.scene.model import Scene
 

@@ -18,6 +18,8 @@ from caster.scene.diagnostics import value_diagnostic
 from caster.scene.errors import SceneError
 from caster.scene.model import Scene
 
+__all__ = ["Packed", "Triangles", "concatenate_parts", "pack", "packed", "primitive_count"]
+
 
 @dataclass(frozen=True)
 class Kind:

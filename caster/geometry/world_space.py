@@ -16,6 +16,8 @@ from caster.geometry.mesh import Mesh, vertex_normals
 from caster.kernels.triangles import Triangles
 from caster.scene.fields import Shape
 
+__all__ = ["Rounding", "as_float32", "as_given"]
+
 Rounding = Callable[[np.ndarray], np.ndarray]
 
 # A product of a dozen rotations and uniform scales leaves its columns orthogonal and equally long to about

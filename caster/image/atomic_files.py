@@ -10,6 +10,8 @@ from pathlib import Path
 
 from caster.scene.errors import SceneError
 
+__all__ = ["OutputError", "atomic_write", "check_folder", "check_writable", "write_bytes", "write_text"]
+
 WRITE_ERRNOS = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES)
 
 

@@ -10,6 +10,8 @@ from caster.image.exr import NO_ID
 from caster.rendering.images import Aovs
 from caster.scene.model import Scene
 
+__all__ = ["aovs_to_channels", "channels_to_aovs", "provenance"]
+
 
 def aovs_to_channels(aovs: Aovs) -> dict[str, np.ndarray]:
     """Channel name -> (h, w) float32 or uint32. The mask A always comes along."""

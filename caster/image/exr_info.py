@@ -11,6 +11,8 @@ import numpy as np
 
 from caster.image.exr import NO_ID, Part, Window, read_exr
 
+__all__ = ["hit_mask"]
+
 Array = np.ndarray[Any, np.dtype[Any]]
 
 BINS = 24  # columns of a line that also holds ranges and counts

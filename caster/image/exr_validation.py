@@ -10,6 +10,8 @@ import numpy as np
 
 from caster.scene.errors import FileMissing, SceneError
 
+__all__ = ["PROVENANCE_PREFIX"]
+
 Window = tuple[int, int, int, int]
 """x0, y0, x1, y1 in pixels of the full film; x1 and y1 are the first column and row outside."""
 

@@ -12,6 +12,8 @@ import numpy as np
 from caster.image.atomic_files import write_bytes
 from caster.scene.errors import SceneError, listed
 
+__all__ = ["encode_image"]
+
 if TYPE_CHECKING:
     from PIL import ImageFont
 

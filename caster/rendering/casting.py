@@ -36,6 +36,8 @@ from caster.kernels.raster.tile import (
 )
 from caster.rendering.threads import parallel_for
 
+__all__ = ["Culling", "find_nearest"]
+
 Culling = Literal["everything", "screen", "bvh"]
 
 

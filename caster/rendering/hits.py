@@ -17,6 +17,8 @@ from caster.rendering.view import View
 from caster.scene.errors import SceneError
 from caster.scene.model import Scene
 
+__all__ = ["Hits", "cast", "trace", "validated_rays"]
+
 SMALLEST_NORMAL_FLOAT = 2.0**-1022
 
 

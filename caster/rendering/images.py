@@ -20,6 +20,8 @@ from caster.rendering.view import View
 from caster.scene.errors import SceneError, suggestion
 from caster.scene.model import Scene
 
+__all__ = ["Aovs", "camera_rays", "evaluate", "film_window", "render", "trace_film", "trace_rays"]
+
 DEFAULT_AOVS = ("hit", "depth", "normal", "position", "diffuse")
 
 

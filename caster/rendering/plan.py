@@ -9,6 +9,8 @@ from caster.kernels.protocol import distortion_bound, project, project_bounding_
 from caster.rendering.casting import Culling
 from caster.scene.model import Scene
 
+__all__ = ["culling_for"]
+
 SURFACE_AOVS = ("position", "shading_normal", "uv")
 
 

@@ -41,6 +41,8 @@ from caster.rendering.casting import decide_uncertain, prim_offsets, scene_prim_
 from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
 from caster.shapes.sphere import Spheres
 
+__all__ = ["find_nearest_on_film"]
+
 PARALLEL_MIN_PRIMITIVES = (
     4096  # points or primitives: to look for fewer takes less time than a second thread takes to begin
 )

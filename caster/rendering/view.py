@@ -22,6 +22,8 @@ from caster.rendering.threads import parallel_for
 from caster.scene.lights import Light
 from caster.scene.model import Scene
 
+__all__ = ["View"]
+
 
 @dataclass(frozen=True)
 class View:

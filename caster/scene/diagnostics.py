@@ -7,6 +7,8 @@ from pydantic import BaseModel, ValidationError
 
 from caster.scene.errors import listed, show, suggestion
 
+__all__ = ["Diagnostic", "diagnostics_of"]
+
 DataPath = tuple[str | int, ...]
 Model = type[BaseModel]
 

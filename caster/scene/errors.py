@@ -6,6 +6,8 @@ from typing import Any
 
 from pydantic_core import PydanticCustomError
 
+__all__ = ["FileMissing", "SceneError", "listed", "suggestion"]
+
 
 class SceneError(Exception):
     """A description, file or ray that cannot be used. str() is the whole message for the user."""

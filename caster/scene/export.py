@@ -11,6 +11,8 @@ from pydantic import BaseModel
 
 from caster.scene.errors import FileMissing
 
+__all__ = ["SECTION_ORDER", "format_toml", "to_toml"]
+
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 

@@ -14,6 +14,8 @@ from caster.scene.model import Scene
 from caster.scene.text import SceneFormat, format_diagnostics, parse, read_text
 from caster.shapes import SHAPES
 
+__all__ = ["MeshFolders", "load_scene", "resolve_mesh_files"]
+
 FILE_SHAPES: dict[str, Any] = {
     cls.model_fields["type"].default: cls for cls in SHAPES if hasattr(cls, "load")
 }

@@ -6,6 +6,8 @@ from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.scene import fields
 from caster.scene.fields import RGB, UnitVec3, Vec3
 
+__all__ = ["Ambient", "Point"]
+
 
 class Point(fields.Light):
     """A point that shines evenly in all directions. `intensity` in power per solid angle (W/sr)."""

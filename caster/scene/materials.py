@@ -4,6 +4,8 @@ from typing import Literal
 
 from caster.scene.fields import Description, Reflectance
 
+__all__ = ["Diffuse"]
+
 
 class Diffuse(Description):
     """Lambert's law: the same radiance in all directions, `reflectance` of what arrives.

@@ -25,6 +25,8 @@ from caster.scene.lights import LIGHTS, Light
 from caster.scene.materials import DEFAULT, Diffuse
 from caster.shapes import SHAPES
 
+__all__ = ["MAX_FILM_SIDE", "Check", "Film", "Scene"]
+
 MAX_FILM_SIDE = 65536  # pixels; one float32 channel of such a square takes 16 GiB
 
 

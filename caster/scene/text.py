@@ -12,6 +12,8 @@ from typing import Any, Literal, NamedTuple
 from caster.scene.diagnostics import Diagnostic
 from caster.scene.errors import FileMissing, SceneError
 
+__all__ = ["Span", "format_excerpt", "read_text"]
+
 DataPath = tuple[str | int, ...]
 
 

@@ -1,17 +1,33 @@
 """The registry of shapes: what a scene file may say in `type`."""
 
-from caster.shapes.cube import Cube as Cube
-from caster.shapes.cylinder import Cylinder as Cylinder
-from caster.shapes.disk import Disk as Disk
-from caster.shapes.heightfield import Heightfield as Heightfield
-from caster.shapes.icosphere import Icosphere as Icosphere
-from caster.shapes.mesh import MeshFile as MeshFile
-from caster.shapes.plane import Plane as Plane
-from caster.shapes.rectangle import Rectangle as Rectangle
-from caster.shapes.sphere import Sphere as Sphere
-from caster.shapes.teapot import Teapot as Teapot
-from caster.shapes.torus import Torus as Torus
-from caster.shapes.triangle import Triangle as Triangle
+from caster.shapes.cube import Cube
+from caster.shapes.cylinder import Cylinder
+from caster.shapes.disk import Disk
+from caster.shapes.heightfield import Heightfield
+from caster.shapes.icosphere import Icosphere
+from caster.shapes.mesh import MeshFile
+from caster.shapes.plane import Plane
+from caster.shapes.rectangle import Rectangle
+from caster.shapes.sphere import Sphere
+from caster.shapes.teapot import Teapot
+from caster.shapes.torus import Torus
+from caster.shapes.triangle import Triangle
+
+__all__ = [
+    "SHAPES",
+    "Cube",
+    "Cylinder",
+    "Disk",
+    "Heightfield",
+    "Icosphere",
+    "MeshFile",
+    "Plane",
+    "Rectangle",
+    "Sphere",
+    "Teapot",
+    "Torus",
+    "Triangle",
+]
 
 SHAPES = (
     Sphere,

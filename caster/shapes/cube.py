@@ -9,6 +9,8 @@ from caster.geometry.world_space import Rounding, transform_mesh
 from caster.kernels.triangles import Triangles
 from caster.scene.fields import Shape
 
+__all__ = ["Cube"]
+
 # The four corners of each side, counter-clockwise from outside, by the signs of x, y, z. Sides, corners and
 # the diagonal between the first and third follow Mitsuba's cube: a prim_id means the same triangle there.
 CORNERS = """

@@ -55,6 +55,8 @@ from caster.kernels.protocol import (
 )
 from caster.scene.fields import Positive, Shape, Vec3
 
+__all__ = ["Cylinder", "Cylinders"]
+
 
 class Cylinders(NamedTuple):
     """Images of the unit tube x^2 + y^2 = 1, 0 <= z <= 1 under p -> center + to_world p."""

@@ -46,6 +46,8 @@ from caster.kernels.protocol import (
 )
 from caster.scene.fields import Shape
 
+__all__ = ["Disk", "Disks"]
+
 
 class Disks(NamedTuple):
     """Images of the unit disk z = 0 under p -> center + to_world p."""

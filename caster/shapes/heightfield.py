@@ -9,6 +9,8 @@ from caster.geometry.procedural import heightfield
 from caster.geometry.world_space import MeshShape
 from caster.scene.fields import NonNegative, Positive
 
+__all__ = ["Heightfield"]
+
 
 class Heightfield(MeshShape):
     """A square of side `size` around the origin in x and y, its height a seeded sum of sine waves."""

@@ -8,6 +8,8 @@ from caster.geometry.mesh import Mesh
 from caster.geometry.procedural import icosphere
 from caster.geometry.world_space import MeshShape
 
+__all__ = ["Icosphere"]
+
 
 class Icosphere(MeshShape):
     """The unit sphere as an icosahedron whose faces are split in four `subdivisions` times."""

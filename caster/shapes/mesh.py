@@ -8,6 +8,8 @@ from caster.geometry.mesh import Mesh
 from caster.geometry.mesh_files import load_mesh
 from caster.geometry.world_space import MeshShape
 
+__all__ = ["MeshFile"]
+
 
 class MeshFile(MeshShape):
     """Triangles of a file; its vertex normals are used where it has them, unless face_normals."""

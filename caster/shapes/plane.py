@@ -40,6 +40,8 @@ from caster.kernels.protocol import (
 )
 from caster.scene.fields import Number, Shape, UnitVec3, Vec3
 
+__all__ = ["Plane", "Planes"]
+
 
 class Planes(NamedTuple):
     """All p with normal . (p - point) = 0."""

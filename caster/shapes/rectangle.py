@@ -9,6 +9,8 @@ from caster.geometry.world_space import Rounding, transform_mesh
 from caster.kernels.triangles import Triangles
 from caster.scene.fields import Shape
 
+__all__ = ["Rectangle"]
+
 CORNERS = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 FACES = np.array([[0, 1, 3], [1, 2, 3]], np.int32)
 

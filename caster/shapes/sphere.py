@@ -54,6 +54,8 @@ from caster.kernels.protocol import (
 )
 from caster.scene.fields import Positive, Shape, Vec3
 
+__all__ = ["Ellipsoids", "Sphere", "Spheres"]
+
 
 class Spheres(NamedTuple):
     """Balls in world space."""

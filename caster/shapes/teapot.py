@@ -8,6 +8,8 @@ from caster.geometry.mesh import Mesh
 from caster.geometry.procedural import teapot
 from caster.geometry.world_space import MeshShape
 
+__all__ = ["Teapot"]
+
 
 class Teapot(MeshShape):
     """The 32 published Bezier patches, each cut into 2 subdivisions^2 triangles; z is up."""

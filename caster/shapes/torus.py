@@ -9,6 +9,8 @@ from caster.geometry.procedural import torus
 from caster.geometry.world_space import MeshShape
 from caster.scene.fields import Positive
 
+__all__ = ["Torus"]
+
 PartCount = Annotated[int, Field(ge=3, le=4096)]
 
 

@@ -9,6 +9,8 @@ from caster.geometry.world_space import Rounding, transform_mesh
 from caster.kernels.triangles import Triangles
 from caster.scene.fields import Shape, UnitVec3, Vec2, Vec3
 
+__all__ = ["Triangle"]
+
 
 class Triangle(Shape):
     """Three corners; the normal (v1 - v0) x (v2 - v0) looks at you where they run counter-clockwise."""

@@ -63,10 +63,8 @@ def tree(tmp_path):
     for flat in ("true", "false"):
         (tmp_path / f"flat-{flat}.toml").write_text(SCENE.format(flat=flat), encoding="utf-8")
     add(tmp_path, "caster/shapes/tetrahedron.py")
-    registry, line = "caster/shapes/__init__.py", "from caster.shapes.torus import Torus as Torus\n"
-    edit(
-        tmp_path, registry, line, f"from caster.shapes.tetrahedron import Tetrahedron as Tetrahedron\n{line}"
-    )
+    registry, line = "caster/shapes/__init__.py", "from caster.shapes.torus import Torus\n"
+    edit(tmp_path, registry, line, f"from caster.shapes.tetrahedron import Tetrahedron\n{line}")
     edit(tmp_path, registry, "    Teapot,\n)", "    Teapot,\n    Tetrahedron,\n)")
     return tmp_path
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import OK
 
+__all__ = ["HELP", "add_json", "print_findings"]
+
 if TYPE_CHECKING:
     from caster.cli.installation import Finding
     from caster.rendering.warm_up import WarmUpCounts

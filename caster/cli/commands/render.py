@@ -15,6 +15,8 @@ from caster.cli.exit_codes import OK
 from caster.cli.scene_arguments import add_scene, error_prefix, load
 from caster.scene.errors import SceneError
 
+__all__ = ["AOV_NAMES", "DEFAULT_AOV_LIST", "check_exr_suffix", "write_render"]
+
 if TYPE_CHECKING:
     from caster.cli.progress import ProgressBar
     from caster.rendering.images import Aovs
