@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from caster.cameras import *  # noqa: F403 - a registry, whatever is in it
+    from caster.description.errors import SceneError as SceneError
     from caster.image.exr import read_exr as read_exr
     from caster.image.exr import write_exr as write_exr
     from caster.rendering.hits import Hits as Hits
     from caster.rendering.hits import cast as cast
     from caster.rendering.hits import occluded as occluded
     from caster.rendering.images import render as render
-    from caster.scene.errors import SceneError as SceneError
     from caster.scene.files import load_scene as load_scene
     from caster.scene.lights import Ambient as Ambient
     from caster.scene.lights import Directional as Directional
@@ -32,7 +32,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "load_scene": "caster.scene.files",
     "Scene": "caster.scene.model",
-    "SceneError": "caster.scene.errors",
+    "SceneError": "caster.description.errors",
     "render": "caster.rendering.images",
     "cast": "caster.rendering.hits",
     "occluded": "caster.rendering.hits",

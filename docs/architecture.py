@@ -31,10 +31,11 @@ MODULES_OF_PACKAGE = 12  # beside sub-packages and __init__
 FLOW = {
     "caster.jit": "compilation and kernel cache",
     "caster.kernels": "intersection in float64 and exactly",
-    "caster.scene": "descriptions, files, diagnostics",
+    "caster.description": "fields, transforms, diagnostics",
     "caster.geometry": "meshes, world space, packing",
     "caster.shapes": "one file a kind",
     "caster.cameras": "one file a kind",
+    "caster.scene": "model, files, export",
     "caster.aovs": "one file an AOV",
     "caster.rendering": "plan, tiles, hits, AOVs",
     "caster.image": "EXR files and previews",

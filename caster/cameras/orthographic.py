@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
+from caster.description.fields import Camera, NonNegative, Positive
 from caster.jit.decorators import implement
 from caster.kernels.math.vec import add, dot, scaled, sub
 from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere
-from caster.scene.fields import Camera, NonNegative, Positive
 
 __all__ = ["Orthographic", "OrthographicRays"]
 

@@ -3,6 +3,7 @@
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
+from caster.description.fields import Camera
 from caster.jit.decorators import implement
 from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project, project_bounding_sphere
 from caster.kernels.raster.wide_angle import (
@@ -15,7 +16,6 @@ from caster.kernels.raster.wide_angle import (
     unit_or_forward,
     unknown_projection,
 )
-from caster.scene.fields import Camera
 
 __all__ = ["Parabolic", "ParabolicRays"]
 

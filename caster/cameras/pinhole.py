@@ -5,10 +5,10 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
+from caster.description.fields import Camera, FieldOfView, NonNegative, Number, Positive
 from caster.jit.decorators import implement, inlined
 from caster.kernels.math.vec import U, add, dot, l1_norm, scaled, sub
 from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere
-from caster.scene.fields import Camera, FieldOfView, NonNegative, Number, Positive
 
 __all__ = ["Pinhole", "PinholeRays"]
 

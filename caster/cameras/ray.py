@@ -7,10 +7,10 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, field_validator
 
+from caster.description.errors import refuse
+from caster.description.fields import Description, PositiveNumber, Vec3
 from caster.jit.decorators import implement
 from caster.kernels.protocol import camera_ray
-from caster.scene.errors import refuse
-from caster.scene.fields import Description, PositiveNumber, Vec3
 
 __all__ = ["Ray", "SingleRay"]
 

@@ -11,8 +11,8 @@ from caster.classroom.grammar import FILE_START, SourceMessage
 from caster.classroom.parser import Parser
 from caster.classroom.scene_builder import Falloff, SceneBuilder
 from caster.classroom.scene_conversion import build_scene_data
-from caster.scene.diagnostics import Diagnostic, diagnostics_of
-from caster.scene.errors import FileMissing, SceneError
+from caster.description.diagnostics import Diagnostic, diagnostics_of
+from caster.description.errors import FileMissing, SceneError
 from caster.scene.files import MeshFolders, resolve_mesh_files
 from caster.scene.model import Scene
 from caster.scene.text import format_excerpt, read_text

@@ -8,10 +8,10 @@ import numpy as np
 from caster.cameras import Orthographic
 from caster.classroom.course_files import CourseScene
 from caster.classroom.scene_builder import Falloff
+from caster.description.fields import Shape
 from caster.geometry.world_space import as_given, world_vertices
 from caster.rendering.images import film_window, trace_film
 from caster.rendering.view import View
-from caster.scene.fields import Shape
 from caster.scene.lights import Ambient, Directional, Light, Point
 from caster.scene.model import Scene
 from caster.shapes import Plane, Sphere

@@ -16,7 +16,7 @@ from caster.classroom.grammar import (
     ValueFormat,
     tokens_of,
 )
-from caster.scene.errors import listed, suggestion
+from caster.description.errors import listed, suggestion
 
 MAX_NESTING = 64  # blocks in blocks; each takes a few frames of Python's stack
 

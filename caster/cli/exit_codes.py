@@ -7,7 +7,7 @@ import sys
 import traceback
 from collections.abc import Callable
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 __all__ = [
     "DIFFERENCES",

@@ -11,7 +11,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.scene.errors import FileMissing, SceneError
+from caster.description.errors import FileMissing, SceneError
 
 __all__ = [
     "add_mesh_dirs",

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -8,15 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from caster.geometry.world_space import Rounding, as_given
-from caster.kernels.bvh.build import Tree, bounding_boxes
+from caster.description.diagnostics import value_diagnostic
+from caster.description.errors import SceneError
+from caster.geometry.world_space import Rounding, ShapeCollection, as_given
+from caster.kernels.bvh.build import bounding_boxes
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
-from caster.rendering.acceleration import build_tree
-from caster.rendering.threads import thread_count
-from caster.scene.diagnostics import value_diagnostic
-from caster.scene.errors import SceneError
-from caster.scene.model import Scene
 
 __all__ = ["Packed", "Triangles", "concatenate_parts", "pack", "packed", "primitive_count"]
 
@@ -27,9 +24,11 @@ class Kind:
 
     prims: Any
     ids: np.ndarray  # (n,) int32
-    # What one picture has worked in and the next one may: for many triangles, to be given memory takes longer than what
-    # is done with it. Pictures that are painted at the same time do not find it there.
+    # Scratch buffers that one image leaves to the next: for many triangles, allocating them takes longer than filling
+    # them. Images that are rendered at the same time have their own.
     spare: list[tuple[np.ndarray, ...]] = field(default_factory=list, compare=False, repr=False)
+    # What is computed from these primitives on first use, such as their BVH (caster/rendering/acceleration.py).
+    derived: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
     def bounded(self) -> bool:
@@ -46,15 +45,6 @@ class Kind:
         """Largest |coordinate| of any box."""
         low, high = self.boxes()
         return float(max(-low.min(), low.max(), -high.min(), high.max()))
-
-    @property
-    def has_tree(self) -> bool:
-        """Whether the tree has been grown already."""
-        return "tree" in vars(self)
-
-    @cached_property
-    def tree(self) -> Tree:
-        return build_tree(*self.boxes(), thread_count())
 
 
 @dataclass(frozen=True)
@@ -84,7 +74,7 @@ class Packed:
         return np.where(prim < 0, -1, prim - self.first[np.maximum(shape, 0)]).astype(np.int32)
 
 
-def pack(scene: Scene, rounded: Rounding = as_given) -> Packed:
+def pack(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
     """World-space arrays of all shapes, every number passed through `rounded`.
 
     Raises SceneError for a shape whose numbers do not stay finite.
@@ -103,21 +93,22 @@ def pack(scene: Scene, rounded: Rounding = as_given) -> Packed:
     return Packed(tuple(kinds), parts, first, kind_of, start)
 
 
-def packed(scene: Scene) -> Packed:
+def packed(scene: ShapeCollection) -> Packed:
     """The same of a scene as it is, made once."""
     if "packed" not in scene.kept:
         scene.kept["packed"] = pack(scene)
     return scene.kept["packed"]
 
 
-def pack_shape(scene: Scene, i: int, rounded: Rounding) -> Any:
+def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:
     """Arrays of one shape, all finite."""
     part: Any = None
     with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
         part = scene.shapes[i].pack(rounded)
     if part is None or not all(np.isfinite(array).all() for array in part):
         text = "must stay finite in world space, but its numbers are too large or too small together"
-        raise SceneError(value_diagnostic(("shapes", i), text, scene, Scene).text)
+        model: Any = type(scene)
+        raise SceneError(value_diagnostic(("shapes", i), text, scene, model).text)
     return part
 
 

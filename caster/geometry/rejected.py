@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.geometry.world_space import Rounding, as_given, is_usable, world_vertices
-from caster.scene.model import Scene
+from caster.geometry.world_space import Rounding, ShapeCollection, as_given, is_usable, world_vertices
 
 # A component of a cross product of two differences is off by at most 4 u of the magnitudes it is made of; u = 2^-53.
 # Products that underflow are off by 2^-1074, far less than TINY.
@@ -34,7 +33,7 @@ class RejectedFaces(NamedTuple):
         return ", ".join(f"{count} {what}" for count, what in zip(self, words, strict=True) if count)
 
 
-def left_out(scene: Scene, rounded: Rounding = as_given) -> Mapping[str, RejectedFaces]:
+def left_out(scene: ShapeCollection, rounded: Rounding = as_given) -> Mapping[str, RejectedFaces]:
     """By the name of the shape, for shapes that have such faces."""
     names = scene.shape_names()
     counts = {names[i]: _rejected_of_shape(shape, rounded) for i, shape in enumerate(scene.shapes)}
@@ -79,6 +78,6 @@ def _is_degenerate(face: list[list[float]]) -> bool:
     return all(e[i - 1] * f[i - 2] == e[i - 2] * f[i - 1] for i in range(3))
 
 
-def in_words(scene: Scene) -> str:
+def in_words(scene: ShapeCollection) -> str:
     """For people; "" where there are none."""
     return "; ".join(f"{name}: {count}" for name, count in left_out(scene).items())

@@ -9,16 +9,30 @@ either way.
 import math
 from collections.abc import Callable
 from fractions import Fraction
+from typing import Any, Protocol
 
 import numpy as np
 
+from caster.description.fields import Shape
 from caster.geometry.mesh import Mesh, vertex_normals
 from caster.kernels.triangles import Triangles
-from caster.scene.fields import Shape
 
 __all__ = ["Rounding", "as_float32", "as_given"]
 
 Rounding = Callable[[np.ndarray], np.ndarray]
+
+
+class ShapeCollection(Protocol):
+    """What packing reads of a scene."""
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]: ...
+
+    @property
+    def kept(self) -> dict[str, Any]: ...
+
+    def shape_names(self) -> list[str]: ...
+
 
 # A product of a dozen rotations and uniform scales leaves its columns orthogonal and equally long to about
 # 12 * 8 u of their length, u = 2^-53; a stretch anybody means is far larger.

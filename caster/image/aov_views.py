@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.scene.errors import SceneError, suggestion
+from caster.description.errors import SceneError, suggestion
 
 ImageArray = np.ndarray[Any, np.dtype[Any]]
 

@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 __all__ = ["OutputError", "atomic_write", "check_folder", "check_writable", "write_bytes", "write_text"]
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.description.errors import FileMissing, SceneError
 from caster.image.atomic_files import OutputError, atomic_write
 from caster.image.exr_validation import (
     PROVENANCE_PREFIX,
@@ -28,7 +29,6 @@ from caster.image.exr_validation import (
     merged_provenance,
     to_storable,
 )
-from caster.scene.errors import FileMissing, SceneError
 
 __all__ = ["NO_ID", "Exr", "OutputError", "Part", "UnreadableExr", "Window", "read_exr", "write_exr"]
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.scene.errors import FileMissing, SceneError
+from caster.description.errors import FileMissing, SceneError
 
 __all__ = ["PROVENANCE_PREFIX"]
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from caster.description.errors import SceneError, listed
 from caster.image.atomic_files import write_bytes
-from caster.scene.errors import SceneError, listed
 
 __all__ = ["encode_image"]
 

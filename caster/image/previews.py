@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from caster import __version__
+from caster.description.errors import SceneError, suggestion
 from caster.image.aov_views import LabelledImage, aov_view, class_map_view
 from caster.image.channels import channels_to_aovs
 from caster.image.exr import Exr, read_exr
 from caster.image.exr_info import hit_mask
 from caster.image.image_files import BACKGROUND, label_image, write_image
 from caster.rendering.images import Aovs, render
-from caster.scene.errors import SceneError, suggestion
 from caster.scene.model import Scene
 
 Array = np.ndarray[Any, np.dtype[Any]]

@@ -5,6 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from caster.description.errors import SceneError
+from caster.geometry.packing import Kind
 from caster.jit.simd import CHILDREN
 from caster.kernels.bvh.build import (
     BOX_PADDING,
@@ -17,12 +19,24 @@ from caster.kernels.bvh.build import (
     collapse,
     quantize_boxes,
 )
-from caster.scene.errors import SceneError
+from caster.rendering.threads import thread_count
 
 PARALLEL_SUBTREES = 16  # a tree is begun by one thread, down to so many parts that grow on their own
 PARALLEL_MIN_PRIMITIVES = 20_000  # primitives; fewer take less time than parting them
 
 Nodes = tuple[np.ndarray, np.ndarray]  # boxes and links
+
+
+def bvh_of(kind: Kind) -> Tree:
+    """The BVH over all primitives of a kind, built on first use and kept with them."""
+    if not has_bvh(kind):
+        kind.derived["bvh"] = build_tree(*kind.boxes(), thread_count())
+    tree: Tree = kind.derived["bvh"]
+    return tree
+
+
+def has_bvh(kind: Kind) -> bool:
+    return "bvh" in kind.derived
 
 
 def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:

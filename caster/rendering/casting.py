@@ -34,6 +34,7 @@ from caster.kernels.raster.tile import (
     store_blocked,
     store_ray_range,
 )
+from caster.rendering.acceleration import bvh_of, has_bvh
 from caster.rendering.threads import parallel_for
 
 __all__ = ["Culling", "find_nearest"]
@@ -124,7 +125,7 @@ def _new_workspace() -> Workspace:
 def _kind_caster(kind: Kind, base: int, any_hit: bool) -> Callable[[int, np.ndarray, Workspace], None]:
     """Cast so many rays of a tile at a kind."""
     if uses_bvh(kind):
-        tree = kind.tree
+        tree = bvh_of(kind)
         return lambda count, tile, room: cast_packets(kind.prims, tree, base, count, tile, room, any_hit)
     return lambda count, tile, room: cast_packets_brute_force(
         kind.prims, len(kind.ids), base, count, tile, any_hit
@@ -159,7 +160,7 @@ def _brute_force_caster(
 
 
 def _bvh_caster(mode: Mode, kind: Kind, rays: Rays, record: UncertainHits) -> Callable[[int, int], None]:
-    tree = kind.tree
+    tree = bvh_of(kind)
 
     def work(start: int, stop: int) -> None:
         cast_bvh(mode, kind.prims, tree, rays, record, (start, stop), _new_workspace())
@@ -201,7 +202,7 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
     sketch, nearest = UncertainHits(*no_hits(count), np.zeros(count, bool)), no_hits(count)
 
     def go_through(kind: Kind, mode: Mode, rays: Rays = rays, sketch: UncertainHits = sketch) -> None:
-        tree = trees and uses_bvh(kind) and (count > BVH_MIN_RAYS or kind.has_tree)
+        tree = trees and uses_bvh(kind) and (count > BVH_MIN_RAYS or has_bvh(kind))
         cast = _bvh_caster if tree else _brute_force_caster
         parallel_for(cast(mode, kind, rays, sketch), len(rays.t_min), threads)
 

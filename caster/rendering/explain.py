@@ -6,6 +6,7 @@ from typing import Any
 from caster.aovs import BY_NAME
 from caster.geometry.packing import Kind
 from caster.geometry.rejected import in_words, left_out
+from caster.rendering.acceleration import bvh_of, has_bvh
 from caster.rendering.casting import uses_bvh
 from caster.rendering.images import RenderResult
 from caster.rendering.plan import Step
@@ -20,7 +21,7 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
         "culling": {"name": plan.culling, "reason": plan.reason},
         "primitives": _primitives(rendered),
         "never_hit": {name: found.total for name, found in left_out(rendered.scene).items()},
-        "trees": {**_step(plan.trees), "grown": sum(kind.has_tree for kind in rendered.packed.kinds)},
+        "trees": {**_step(plan.trees), "grown": sum(has_bvh(kind) for kind in rendered.packed.kinds)},
         "decided_exactly": painted.doubtful if painted else None,
         "surfaces": {
             "hits": hits if plan.surfaces else 0,
@@ -58,7 +59,7 @@ def _primitives(rendered: RenderResult) -> list[dict[str, Any]]:
             "count": len(kind.ids),
             "looked_for": on_film[i] if on_film is not None else len(kind.ids),
             "way": _way(kind, rendered.plan.culling),
-            "nodes": len(kind.tree.links) if kind.has_tree else 0,
+            "nodes": len(bvh_of(kind).links) if has_bvh(kind) else 0,
         }
         for i, kind in enumerate(rendered.packed.kinds)
     ]
@@ -71,7 +72,7 @@ def _way(kind: Kind, culling: str) -> str:
         return "tried by every ray, since they have no bounds"
     if culling == "screen":
         return "tried in the pixels around their pictures"
-    return f"a tree of {len(kind.tree.links)} nodes" if uses_bvh(kind) else "too few for a tree"
+    return f"a tree of {len(bvh_of(kind).links)} nodes" if uses_bvh(kind) else "too few for a tree"
 
 
 def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:

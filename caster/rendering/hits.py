@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from caster.description.errors import SceneError
 from caster.geometry.packing import pack
 from caster.geometry.packing import packed as packed
 from caster.geometry.world_space import Rounding, as_given
@@ -14,7 +15,6 @@ from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.images import trace_rays
 from caster.rendering.threads import parallel_for
 from caster.rendering.view import View
-from caster.scene.errors import SceneError
 from caster.scene.model import Scene
 
 __all__ = ["Hits", "cast", "trace", "validated_rays"]

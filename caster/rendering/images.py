@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from caster.aovs import BY_NAME
+from caster.description.errors import SceneError, suggestion
 from caster.geometry.packing import Packed, pack, packed
 from caster.geometry.world_space import Rounding, as_given
 from caster.kernels.nearest import Rays, new_rays
@@ -17,7 +18,6 @@ from caster.rendering.rasterization import find_nearest_on_film
 from caster.rendering.threads import parallel_for
 from caster.rendering.tiles import FilmResult, render_tiles
 from caster.rendering.view import View
-from caster.scene.errors import SceneError, suggestion
 from caster.scene.model import Scene
 
 __all__ = ["Aovs", "camera_rays", "evaluate", "film_window", "render", "trace_film", "trace_rays"]

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from caster.aovs import BY_NAME
+from caster.description.errors import SceneError, listed
+from caster.description.fields import Camera
 from caster.geometry.packing import Packed
 from caster.kernels.nearest import new_rays
 from caster.kernels.raster.screen_bounds import Window
@@ -49,8 +51,6 @@ from caster.rendering.rasterization import (
 )
 from caster.rendering.threads import parallel_for_pieces, thread_count
 from caster.rendering.view import View
-from caster.scene.errors import SceneError, listed
-from caster.scene.fields import Camera
 from caster.scene.model import Scene
 
 

@@ -1,1 +1,1 @@
-"""Scenes: description, files, diagnostics and export."""
+"""Scenes: the model of a scene, its files, lights, materials and export."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from caster.scene.errors import FileMissing
+from caster.description.errors import FileMissing
 
 __all__ = ["SECTION_ORDER", "format_toml", "to_toml"]
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from caster.scene.diagnostics import Diagnostic, Model, child_of, diagnostics_of, value_diagnostic
-from caster.scene.errors import FileMissing, SceneError, show
+from caster.description.diagnostics import Diagnostic, Model, child_of, diagnostics_of, value_diagnostic
+from caster.description.errors import FileMissing, SceneError, show
 from caster.scene.model import Scene
 from caster.scene.text import SceneFormat, format_diagnostics, parse, read_text
 from caster.shapes import SHAPES

@@ -2,9 +2,9 @@
 
 from typing import Literal
 
+from caster.description import fields
+from caster.description.fields import RGB, UnitVec3, Vec3
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
-from caster.scene import fields
-from caster.scene.fields import RGB, UnitVec3, Vec3
 
 __all__ = ["Ambient", "Point"]
 

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from caster.scene.fields import Description, Reflectance
+from caster.description.fields import Description, Reflectance
 
 __all__ = ["Diffuse"]
 

@@ -8,8 +8,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model
 from pydantic_core import PydanticCustomError
 
 from caster.cameras import CAMERAS
-from caster.scene.description import Description, PositiveNumber, row
-from caster.scene.diagnostics import (
+from caster.description.diagnostics import (
     CROSS_ELEMENT_ERROR,
     PLURAL,
     SINGULAR,
@@ -18,9 +17,10 @@ from caster.scene.diagnostics import (
     child_of,
     value_diagnostic,
 )
-from caster.scene.errors import complain, show, suggestion
+from caster.description.errors import complain, show, suggestion
+from caster.description.fields import Camera, Name, Shape
+from caster.description.quantities import Description, PositiveNumber, row
 from caster.scene.export import canonical_json, fingerprint, to_toml
-from caster.scene.fields import Camera, Name, Shape
 from caster.scene.lights import LIGHTS, Light
 from caster.scene.materials import DEFAULT, Diffuse
 from caster.shapes import SHAPES

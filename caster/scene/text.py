@@ -9,8 +9,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from caster.scene.diagnostics import Diagnostic
-from caster.scene.errors import FileMissing, SceneError
+from caster.description.diagnostics import Diagnostic
+from caster.description.errors import FileMissing, SceneError
 
 __all__ = ["Span", "format_excerpt", "read_text"]
 

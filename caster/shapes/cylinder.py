@@ -6,6 +6,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import model_validator
 
+from caster.description.fields import Positive, Shape, Vec3
 from caster.geometry.world_space import Rounding, affine_arrays
 from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.intersections import exact_unit_cylinder, ray_in_object_space
@@ -53,7 +54,6 @@ from caster.kernels.protocol import (
     surely_misses,
     surface,
 )
-from caster.scene.fields import Positive, Shape, Vec3
 
 __all__ = ["Cylinder", "Cylinders"]
 

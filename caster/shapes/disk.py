@@ -5,6 +5,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from caster.description.fields import Shape
 from caster.geometry.world_space import Rounding, affine_arrays
 from caster.jit.decorators import implement
 from caster.kernels.exact.intersections import exact_disk
@@ -44,7 +45,6 @@ from caster.kernels.protocol import (
     surely_misses,
     surface,
 )
-from caster.scene.fields import Shape
 
 __all__ = ["Disk", "Disks"]
 

@@ -4,10 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from caster.description.fields import NonNegative, Positive
 from caster.geometry.mesh import Mesh
 from caster.geometry.procedural import heightfield
 from caster.geometry.world_space import MeshShape
-from caster.scene.fields import NonNegative, Positive
 
 __all__ = ["Heightfield"]
 

@@ -6,6 +6,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import model_validator
 
+from caster.description.fields import Number, Shape, UnitVec3, Vec3
 from caster.geometry.world_space import Rounding
 from caster.jit.decorators import implement
 from caster.kernels.exact.intersections import exact_plane
@@ -38,7 +39,6 @@ from caster.kernels.protocol import (
     surely_misses,
     surface,
 )
-from caster.scene.fields import Number, Shape, UnitVec3, Vec3
 
 __all__ = ["Plane", "Planes"]
 

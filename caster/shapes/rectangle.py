@@ -4,10 +4,10 @@ from typing import Literal
 
 import numpy as np
 
+from caster.description.fields import Shape
 from caster.geometry.mesh import Mesh
 from caster.geometry.world_space import Rounding, transform_mesh
 from caster.kernels.triangles import Triangles
-from caster.scene.fields import Shape
 
 __all__ = ["Rectangle"]
 

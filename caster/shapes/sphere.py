@@ -5,6 +5,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from caster.description.fields import Positive, Shape, Vec3
 from caster.geometry.world_space import Rounding, affine_arrays, is_similarity, similarity_scale
 from caster.jit.decorators import implement, jit
 from caster.kernels.exact.intersections import exact_sphere, exact_unit_sphere, ray_in_object_space
@@ -52,7 +53,6 @@ from caster.kernels.protocol import (
     surely_misses,
     surface,
 )
-from caster.scene.fields import Positive, Shape, Vec3
 
 __all__ = ["Ellipsoids", "Sphere", "Spheres"]
 

@@ -4,10 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from caster.description.fields import Positive
 from caster.geometry.mesh import Mesh
 from caster.geometry.procedural import torus
 from caster.geometry.world_space import MeshShape
-from caster.scene.fields import Positive
 
 __all__ = ["Torus"]
 

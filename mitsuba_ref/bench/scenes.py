@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from caster.cameras import Fisheye, Orthographic, Pinhole
+from caster.description.errors import SceneError, suggestion
 from caster.geometry.packing import Triangles
 from caster.geometry.procedural import heightfield, torus
 from caster.image.atomic_files import write_bytes
-from caster.scene.errors import SceneError, suggestion
 from caster.scene.lights import Ambient, Point
 from caster.scene.materials import Diffuse
 from caster.scene.model import Scene

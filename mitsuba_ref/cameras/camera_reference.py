@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.scene.fields import Camera, Description
+from caster.description.fields import Camera, Description
 from caster.scene.model import Film
 from mitsuba_ref.reference.xml_writer import XmlElement
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
-from caster.scene.errors import FileMissing, SceneError
+from caster.description.errors import FileMissing, SceneError
 from mitsuba_ref.cli.output_options import check_report
 from mitsuba_ref.cli.stress import Progress, seed
 from mitsuba_ref.cli.validate import count

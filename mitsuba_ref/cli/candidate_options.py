@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 if TYPE_CHECKING:
     from mitsuba_ref.runner.scene_runner import JudgeScene

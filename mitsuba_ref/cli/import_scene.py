@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import OK
 from caster.cli.scene_arguments import add_mesh_dirs, error_prefix
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 if TYPE_CHECKING:
     from mitsuba_ref.importers.mitsuba_xml import ImportedScene

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict

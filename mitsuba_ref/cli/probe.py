@@ -101,7 +101,7 @@ def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence
 
 def check_can_draw() -> None:
     """Raise SceneError before any work where there is nothing to draw with."""
-    from caster.scene.errors import SceneError
+    from caster.description.errors import SceneError
     from mitsuba_ref.stress.page import MissingPlots, check_available
 
     try:

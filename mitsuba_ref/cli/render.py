@@ -7,7 +7,7 @@ import argparse
 from caster.cli.commands.render import AOV_NAMES, DEFAULT_AOV_LIST, check_exr_suffix, write_render
 from caster.cli.exit_codes import DIFFERENCES, OK
 from caster.cli.scene_arguments import add_scene, load
-from caster.scene.errors import SceneError, suggestion
+from caster.description.errors import SceneError, suggestion
 
 HELP = "render a scene with Mitsuba to an EXR file, along the rays that our caster traces"
 KNOWN = AOV_NAMES.split(", ")

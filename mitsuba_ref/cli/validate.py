@@ -21,7 +21,7 @@ from caster.cli.scene_arguments import (
     mesh_dir_options,
     scene_files,
 )
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 from mitsuba_ref.cli import candidate_options, html_option
 from mitsuba_ref.cli import output_options as ci
 

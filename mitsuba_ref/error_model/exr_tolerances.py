@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 from mitsuba_ref.error_model.intersections import K, U
 
 DEPTH_RTOL = K * U * 3

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.scene.fields import Shape
+from caster.description.fields import Shape
 from mitsuba_ref.error_model.intersections import K, norm, unit
 
 

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.description.errors import SceneError
+from caster.description.fields import Shape
 from caster.geometry.packing import Packed, concatenate_parts
-from caster.scene.errors import SceneError
-from caster.scene.fields import Shape
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections
 from mitsuba_ref.reference.rays import SharedRays

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from caster import __version__
+from caster.description.errors import FileMissing, SceneError
 from caster.image.channels import aovs_to_channels, channels_to_aovs, provenance
 from caster.image.exr import UnreadableExr, write_exr
 from caster.rendering.images import evaluate, film_window
-from caster.scene.errors import FileMissing, SceneError
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import PixelPairs, aov_rows, reference_bounds
 from mitsuba_ref.error_model.exr_tolerances import COLOR_RTOL, Tolerances

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from caster import __version__
+from caster.description.errors import SceneError
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import Window, read_exr, write_exr
 from caster.rendering.images import film_window
-from caster.scene.errors import SceneError
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.scene_model import model_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from caster.description.errors import SceneError, suggestion
 from caster.image.exr import Exr
-from caster.scene.errors import SceneError, suggestion
 
 Array = np.ndarray
 

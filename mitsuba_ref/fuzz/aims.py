@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, primitive_count
-from caster.scene.errors import SceneError
 from mitsuba_ref.fuzz.settings import Rng, Setting, perturbed_by_ulps, random_directions
 
 POINT_KINDS = ("corner", "edge", "beside", "inside")  # beside: just outside of an edge or a rim

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
+from caster.description.errors import FileMissing, SceneError
 from caster.image.atomic_files import check_folder, write_text
-from caster.scene.errors import FileMissing, SceneError
 from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.files import load_scene
 from caster.scene.model import Scene

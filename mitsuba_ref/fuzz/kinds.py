@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from caster.cameras import CAMERAS
+from caster.description.errors import SceneError
 from caster.geometry.procedural import icosphere
-from caster.scene.errors import SceneError
 from caster.shapes import SHAPES
 from mitsuba_ref.fuzz.settings import (
     LATTICE_STEPS,

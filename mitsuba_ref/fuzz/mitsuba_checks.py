@@ -1,6 +1,6 @@
 """Scenes held to Mitsuba by the judge itself, through one child for all of them."""
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 from caster.scene.model import Scene
 from mitsuba_ref.fuzz.findings import Finding, Tally
 from mitsuba_ref.fuzz.resident import Resident

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from caster.description.errors import SceneError
 from caster.geometry.packing import pack, primitive_count
 from caster.rendering.images import camera_rays
-from caster.scene.errors import SceneError
 from caster.shapes.plane import Planes
 from mitsuba_ref.fuzz.aims import Shots
 from mitsuba_ref.fuzz.cases import Case, findings_of

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
-from caster.scene.diagnostics import Diagnostic, diagnostics_of
-from caster.scene.errors import FileMissing, SceneError, listed
+from caster.description.diagnostics import Diagnostic, diagnostics_of
+from caster.description.errors import FileMissing, SceneError, listed
 from caster.scene.files import MeshFolders, resolve_mesh_files
 from caster.scene.model import Scene
 from mitsuba_ref.importers.appearance import add_emitter

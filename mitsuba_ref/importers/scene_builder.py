@@ -179,7 +179,7 @@ def matrix_rows(linear: np.ndarray, move: Any) -> list[list[float]]:
 
 def composed_matrix(steps: list[Step]) -> np.ndarray | None:
     """4x4 float64 of the steps, by caster's own composition; None where they are not valid (which is told later)."""
-    from caster.scene.errors import SceneError
+    from caster.description.errors import SceneError
     from caster.shapes import Cube
 
     try:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
 
-from caster.scene.errors import FileMissing, SceneError, suggestion
+from caster.description.errors import FileMissing, SceneError, suggestion
 from caster.scene.text import Span, format_excerpt, read_text
 
 

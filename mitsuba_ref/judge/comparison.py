@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 from caster.scene.model import Check
 from mitsuba_ref.error_model.bounds import PixelPairs
 from mitsuba_ref.judge.checks import CHECKS

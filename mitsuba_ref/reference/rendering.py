@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from caster.aovs import AOVS
+from caster.description.fields import Camera
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import Aovs, film_window
-from caster.scene.fields import Camera
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import REFERENCES
 from mitsuba_ref.cameras.camera_reference import CameraReference, ClipRange

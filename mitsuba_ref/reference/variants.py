@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 

@@ -8,8 +8,8 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 
+from caster.description.fields import Shape
 from caster.image.atomic_files import check_folder, write_bytes, write_text
-from caster.scene.fields import Shape
 from caster.scene.materials import Diffuse
 from caster.scene.model import Scene
 

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.cameras.ray import Ray
+from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
 from caster.image.atomic_files import write_text
-from caster.scene.errors import SceneError
 from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.lambert import direction_to_light

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import SceneVerdict
@@ -211,7 +211,7 @@ class CheckItem(pytest.Item):
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """The text alone, and its first line in the summary; a traceback only for what nobody foresaw."""
-        from caster.scene.errors import SceneError
+        from caster.description.errors import SceneError
 
         if not isinstance(excinfo.value, (CheckFailed, SceneError)):
             return super().repr_failure(excinfo, style)

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Sequence
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 TOKENS = re.compile(r"\s*([()]|[^\s()]+)")
 

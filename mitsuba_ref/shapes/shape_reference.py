@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.scene.fields import Shape
+from caster.description.fields import Shape
 from mitsuba_ref.error_model.independent_transform import ExpectedPacking
 from mitsuba_ref.error_model.intersections import ErrorModel
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement

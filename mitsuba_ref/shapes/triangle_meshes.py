@@ -6,8 +6,8 @@ the float32 corners, and far from the origin the two differ; mirrored, their geo
 
 from typing import Any
 
+from caster.description.fields import Shape
 from caster.geometry.packing import Triangles
-from caster.scene.fields import Shape
 from caster.shapes.cube import Cube
 from caster.shapes.heightfield import Heightfield
 from caster.shapes.icosphere import Icosphere

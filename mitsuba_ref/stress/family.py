@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.cameras import Fisheye, Pinhole
+from caster.description.fields import Shape
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
-from caster.scene.fields import Shape
 from caster.scene.model import Film, Scene
 from caster.shapes import Icosphere, Sphere
 

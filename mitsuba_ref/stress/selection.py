@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from caster.scene.errors import SceneError, suggestion
+from caster.description.errors import SceneError, suggestion
 from mitsuba_ref.runner.scene_selection import matching
 from mitsuba_ref.stress.family import Family
 

@@ -15,8 +15,8 @@ from typing import IO
 
 import numpy as np
 
+from caster.description.errors import FileMissing, SceneError
 from caster.image.exr import Exr, UnreadableExr, read_exr
-from caster.scene.errors import FileMissing, SceneError
 from mitsuba_ref.error_model.intersections import U
 from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.reference.rendering import export

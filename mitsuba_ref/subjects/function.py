@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 from mitsuba_ref.subjects.answer import PRECISIONS, Answer, NoAnswer, checked_answer, exception_text
 from mitsuba_ref.subjects.subject import CastRequest
 

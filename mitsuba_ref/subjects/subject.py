@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.rays import SharedRays

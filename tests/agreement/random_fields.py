@@ -14,8 +14,8 @@ from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 
+from caster.description.fields import Camera, Shape
 from caster.geometry.procedural import icosphere
-from caster.scene.fields import Camera, Shape
 
 Rng = np.random.Generator
 Draw = Callable[[Rng, float], Any]  # the random numbers, and the size of the scene in scene units

@@ -7,7 +7,7 @@ import numpy as np
 from random_fields import Rng, direction, own_fields, point
 
 from caster.cameras import CAMERAS
-from caster.scene.fields import Camera, Shape
+from caster.description.fields import Camera, Shape
 from caster.scene.model import Film, Scene
 
 FILM = (37, 23)  # odd and oblong, so that a mix-up of width and height, or a lost last row, shows

@@ -13,9 +13,10 @@ from random_scenes import random_scene
 from same_bits import assert_same_bits
 
 from caster.cameras import Panorama, Pinhole
+from caster.description.fields import Camera, Shape
 from caster.rendering import casting, rasterization, threads
+from caster.rendering.acceleration import bvh_of
 from caster.rendering.hits import packed
-from caster.scene.fields import Camera, Shape
 from caster.shapes import Sphere, Torus
 
 
@@ -84,9 +85,9 @@ def test_boxes_too_small_are_seen():
     scene = a_scene()
     rays = at_corners(scene_points(packed(scene)), np.random.default_rng(83), 300)
     for kind in packed(scene).kinds:
-        inset = 1e-3 * (kind.tree.boxes[:, 3:] - kind.tree.boxes[:, :3])
-        kind.tree.boxes[:, :3] += inset
-        kind.tree.boxes[:, 3:] -= inset
+        inset = 1e-3 * (bvh_of(kind).boxes[:, 3:] - bvh_of(kind).boxes[:, :3])
+        bvh_of(kind).boxes[:, :3] += inset
+        bvh_of(kind).boxes[:, 3:] -= inset
     with pytest.raises(AssertionError, match="a family: "):
         test_any_rays.count_hits_where_tree_agrees(scene, *rays, "a family")
 

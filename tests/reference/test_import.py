@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from mitsuba_scenes import VARIANTS, job
 
+from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import load_mesh
 from caster.rendering.images import render
-from caster.scene.errors import FileMissing, SceneError
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.importers.mitsuba_xml import import_xml

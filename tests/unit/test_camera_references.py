@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from caster.cameras import CAMERAS, Ray
+from caster.description.fields import Camera
 from caster.kernels.math.vec import UNIT_SQUARE_ATOL
 from caster.kernels.nearest import Rays
 from caster.rendering.images import camera_rays
-from caster.scene.fields import Camera
 from caster.scene.model import Film, Scene
 from mitsuba_ref.judge.scene_checks import render_checks
 from mitsuba_ref.judge.scene_checks.render_checks import check_camera, pixel_centers

@@ -18,8 +18,8 @@ from caster.aovs import BY_NAME
 from caster.cli import exit_codes
 from caster.cli.application import command_name
 from caster.cli.commands import COMMANDS, render
+from caster.description.errors import FileMissing, SceneError
 from caster.rendering.images import DEFAULT_AOVS
-from caster.scene.errors import FileMissing, SceneError
 from caster.scene.files import scene_schema
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,6 +14,7 @@ import caster.rendering.threads
 from caster.__main__ import main
 from caster.aovs import AOVS
 from caster.image.channels import channels_to_aovs
+from caster.rendering.acceleration import bvh_of
 from caster.rendering.hits import packed
 
 pytestmark = pytest.mark.usefixtures("warm")
@@ -169,7 +170,7 @@ def test_explain_tells_of_trees_surfaces_and_shadows_where_there_are_any(folder,
     render("--explain")
     said = capsys.readouterr().out
     cube = next(kind for kind in packed(caster.load_scene("s.toml")).kinds if len(kind.ids) == 12)
-    nodes = len(cube.tree.links)
+    nodes = len(bvh_of(cube).links)
     assert nodes >= 1 and "culling      bvh: " in said and f"triangles, 12: a tree of {nodes} nodes" in said
     assert "hits: position, normals\n" in said and "trees        1 grown: camera rays go through them" in said
     assert re.search(

@@ -10,8 +10,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from caster.description.errors import FileMissing, SceneError
 from caster.image.exr import OutputError, UnreadableExr, read_exr, write_exr
-from caster.scene.errors import FileMissing, SceneError
 
 SHAPE = (5, 7)
 

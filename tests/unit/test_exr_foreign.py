@@ -8,9 +8,9 @@ import pytest
 
 import caster
 from caster import __version__
+from caster.description.errors import SceneError
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
-from caster.scene.errors import SceneError
 from mitsuba_ref.exr_compare.depth_conventions import ViewRays
 from mitsuba_ref.exr_compare.two_files import FileComparison, Reading, Tolerances, compare_exr
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from caster.cameras import CAMERAS
+from caster.description.errors import SceneError
 from caster.geometry.packing import pack
-from caster.scene.errors import SceneError
 from caster.shapes import SHAPES
 from mitsuba_ref.fuzz import aims, kinds
 from mitsuba_ref.fuzz.campaign import look_at

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from caster.description.errors import FileMissing, SceneError
 from caster.rendering.hits import cast
-from caster.scene.errors import FileMissing, SceneError
 from caster.scene.files import load_scene
 from mitsuba_ref.fuzz import cases
 from mitsuba_ref.fuzz.cases import Case, one_ray

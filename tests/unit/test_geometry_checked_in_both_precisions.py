@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from caster.description.fields import Shape
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32, as_given
-from caster.scene.fields import Shape
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.shapes import (

@@ -32,12 +32,12 @@ KERNEL_LANGUAGE = (
 )
 
 # What descriptions are made of: the checks of fields, and transforms of geometry to world space.
-DESCRIBING = ("caster.scene.description", "caster.scene.fields", "caster.geometry", "pydantic")
+DESCRIBING = ("caster.description", "caster.geometry", "pydantic")
 PLUGGED_IN = {
     "shapes": DESCRIBING,
     "cameras": DESCRIBING,
     # A view: rays, hits and surfaces of one scene.
-    "aovs": ("caster.scene.fields", "caster.rendering.view", "caster.scene.lights"),
+    "aovs": ("caster.description", "caster.rendering.view", "caster.scene.lights"),
 }
 
 # The names that make a kernel of a function; the counts of compiled kernels may be read anywhere.
@@ -52,11 +52,7 @@ FLOW = tuple(architecture.FLOW)
 KNOWN_UPWARD = frozenset(
     {
         ("caster.aovs", "caster.rendering"),
-        ("caster.geometry", "caster.rendering"),
         ("caster.scene", "caster.aovs"),
-        ("caster.scene", "caster.cameras"),
-        ("caster.scene", "caster.geometry"),
-        ("caster.scene", "caster.shapes"),
         ("mitsuba_ref.error_model", "mitsuba_ref.reference"),
         ("mitsuba_ref.error_model", "mitsuba_ref.shapes"),
         ("mitsuba_ref.error_model", "mitsuba_ref.subjects"),
@@ -459,7 +455,7 @@ def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, sourc
         ("caster/shapes/__init__.py", "from caster.shapes.sphere import Sphere"),
         (
             "caster/shapes/disk.py",
-            "from caster.scene.fields import Shape\nfrom caster.kernels.math.vec import dot",
+            "from caster.description.fields import Shape\nfrom caster.kernels.math.vec import dot",
         ),
         ("caster/cli/commands/info.py", f"from {NUMBA_DOOR} import WORK"),
         ("mitsuba_ref/reference/mitsuba_process.py", "import drjit\nimport mitsuba"),

@@ -6,6 +6,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from caster.description.errors import FileMissing
 from caster.image.exr import UnreadableExr, write_exr
 from caster.image.exr_info import (
     ASCII_RAMP,
@@ -18,7 +19,6 @@ from caster.image.exr_info import (
     hit_mask,
     ramp_for,
 )
-from caster.scene.errors import FileMissing
 
 NO_ID = 0xFFFFFFFF
 

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from caster.description.errors import SceneError
 from caster.geometry.mesh import check_mesh
 from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_ply
 from caster.geometry.world_space import as_given, transform_mesh
-from caster.scene.errors import SceneError
 
 HEADER = (
     "ply\nformat {} 1.0\ncomment x\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"

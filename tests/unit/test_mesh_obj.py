@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh import vertex_normals
 from caster.geometry.mesh_files import load_mesh
-from caster.scene.errors import FileMissing, SceneError
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 SQUARE_VERTICES = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]

@@ -5,8 +5,8 @@ import struct
 import numpy as np
 import pytest
 
+from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import load_mesh
-from caster.scene.errors import FileMissing, SceneError
 
 VERTICES = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.5)]
 TRIANGLES = [(0, 1, 2), (0, 2, 3)]

@@ -6,9 +6,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from caster.description.errors import SceneError
 from caster.geometry.mesh import check_mesh
 from caster.geometry.procedural import icosphere, torus
-from caster.scene.errors import SceneError
 
 # A handful of roundings of u = 2^-53 each in a sine, a product and a sum.
 ROUNDING = 8 * 2.0**-53

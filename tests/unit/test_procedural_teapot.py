@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from caster.description.errors import SceneError
 from caster.geometry.mesh import check_mesh, normalize_rows
 from caster.geometry.procedural import teapot
 from caster.geometry.procedural.teapot import PARTS, patches
-from caster.scene.errors import SceneError
 
 # Three roundings of u = 2^-53 for a weight and three for the sum, of numbers below 4.
 ROUNDING = 8 * 4 * 2.0**-53

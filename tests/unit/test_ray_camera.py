@@ -7,9 +7,9 @@ import pytest
 
 from caster import Film, Ray, Scene, SceneError, Sphere, cast, render
 from caster.cameras import CAMERAS, Pinhole
+from caster.description.fields import Camera
 from caster.rendering.images import camera_rays
 from caster.rendering.plan import culling_for
-from caster.scene.fields import Camera
 from caster.scene.files import scene_from_text
 
 LINE = '[camera]\ntype = "ray"\norigin = {o}\ndirection = {d}\n'

@@ -4,8 +4,8 @@ import pytest
 
 from caster.aovs import AOVS
 from caster.cameras import CAMERAS
+from caster.description.fields import Shape
 from caster.geometry.world_space import MeshShape
-from caster.scene.fields import Shape
 from caster.shapes import SHAPES
 from mitsuba_ref import cameras, shapes
 from mitsuba_ref.error_model.scene_model import missing_reference, reference_of

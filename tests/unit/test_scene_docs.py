@@ -7,8 +7,8 @@ import pytest
 
 from caster.aovs import BY_NAME
 from caster.cameras import CAMERAS
-from caster.scene.errors import show
-from caster.scene.fields import Camera, Shape
+from caster.description.errors import show
+from caster.description.fields import Camera, Shape
 from caster.scene.files import load_scene, scene_from_text
 from caster.scene.lights import LIGHTS
 from caster.scene.materials import Diffuse

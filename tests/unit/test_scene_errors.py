@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 from caster.scene.files import scene_from_text
 
 CAMERA = """\

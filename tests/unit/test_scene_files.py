@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
+from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import load_mesh
 from caster.scene import text
-from caster.scene.errors import FileMissing, SceneError
 from caster.scene.files import load_scene, scene_from_text
 
 CAMERA = '[camera]\ntype = "panorama"\neye = [0, 0, 0]\ndirection = [0, 0, 1]\n'
@@ -155,7 +155,7 @@ def modules_after(code):
 
 def test_fields_load_neither_grammars_nor_compilers():
     heavy = {"tree_sitter", "tree_sitter_toml", "tree_sitter_json", "numba", "llvmlite", "mitsuba", "drjit"}
-    assert not heavy & modules_after("import caster.scene.fields")
+    assert not heavy & modules_after("import caster.description.fields")
 
 
 def test_a_scene_without_errors_loads_no_grammar():

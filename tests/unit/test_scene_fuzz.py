@@ -6,7 +6,7 @@ import json
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 from caster.scene.files import scene_from_text
 
 SCENE = {

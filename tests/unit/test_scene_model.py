@@ -8,8 +8,8 @@ import pytest
 from pydantic import ValidationError
 
 from caster.cameras import Orthographic, Pinhole
-from caster.scene.errors import SceneError
-from caster.scene.fields import Description
+from caster.description.errors import SceneError
+from caster.description.fields import Description
 from caster.scene.lights import Ambient, Point
 from caster.scene.materials import Diffuse
 from caster.scene.model import Check, Film, Scene, Shading, one_of

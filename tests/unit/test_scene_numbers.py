@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from caster.scene import fields
-from caster.scene.errors import SceneError
-from caster.scene.fields import Description
+from caster.description import fields
+from caster.description.errors import SceneError
+from caster.description.fields import Description
 
 seeded = settings(derandomize=True, deadline=None)  # the same examples in every run
 

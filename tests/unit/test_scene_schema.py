@@ -6,7 +6,7 @@ import tomllib
 import jsonschema
 import pytest
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 from caster.scene.files import scene_from_text, scene_schema
 
 SCENE = """

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from caster.cli.scene_arguments import display_names, scene_files
-from caster.scene.errors import FileMissing, SceneError
+from caster.description.errors import FileMissing, SceneError
 from mitsuba_ref.runner.scene_selection import matching
 
 NAMES = ("teapot", "mesh-tea", "mesh", "sphere")

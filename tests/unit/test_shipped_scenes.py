@@ -10,14 +10,14 @@ import pytest
 
 from caster.aovs import BY_NAME
 from caster.cameras import CAMERAS
+from caster.description.quantities import Description
+from caster.description.to_world import Step
 from caster.geometry.packing import pack, primitive_count
 from caster.kernels.triangles import Triangles
 from caster.rendering.images import render
-from caster.scene.description import Description
 from caster.scene.files import load_scene, scene_schema
 from caster.scene.lights import LIGHTS
 from caster.scene.model import Film, Scene, Shading
-from caster.scene.to_world import Step
 from caster.shapes import SHAPES
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"

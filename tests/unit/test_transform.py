@@ -7,8 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from caster.geometry import transform
-from caster.geometry.transform import compose, frame, is_invertible, look_at, rotate, scale, translate, unit
+from caster.description import transform
+from caster.description.transform import (
+    compose,
+    frame,
+    is_invertible,
+    look_at,
+    rotate,
+    scale,
+    translate,
+    unit,
+)
 
 U = 2.0**-53
 seeded = settings(derandomize=True, deadline=None)  # the same examples in every run

@@ -4,7 +4,7 @@ import argparse
 
 from caster.cli.exit_codes import FILE, OK, USAGE
 from caster.cli.scene_arguments import SCENE_FILE, add_mesh_dirs, error_prefix
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 HELP = "validate scene files: every error with file:line:col"
 

@@ -8,7 +8,7 @@ import sys
 from caster.cli.commands.render import positive_int
 from caster.cli.exit_codes import OK
 from caster.cli.scene_arguments import add_mesh_dirs, error_prefix
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 NAME = "6837"
 HELP = "draw a scene file of MIT 6.837, with that course's options and pictures (docs/classroom.md)"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from caster import __version__
 from caster.cli.exit_codes import OK
 from caster.cli.scene_arguments import add_scene, error_prefix, load
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 __all__ = ["AOV_NAMES", "DEFAULT_AOV_LIST", "check_exr_suffix", "write_render"]
 

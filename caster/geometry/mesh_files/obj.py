@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from caster.description.errors import SceneError
 from caster.geometry.mesh import Floats, Mesh, format_row, triangle_fans, vertex_normals
 from caster.geometry.mesh_files.plain_text import read_plain_obj
-from caster.scene.errors import SceneError
 
 Corner = tuple[int, int, int]  # v, vt, vn counted from 0; -1 where there is none
 

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from caster.description.errors import SceneError
 from caster.geometry.mesh import Floats, Mesh, format_row, triangle_fans
 from caster.geometry.mesh_files.ply_body import read_ascii, read_binary
 from caster.geometry.mesh_files.ply_header import Lists, Table, parse_header
-from caster.scene.errors import SceneError
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")

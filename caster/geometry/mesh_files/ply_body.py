@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.description.errors import SceneError
 from caster.geometry.mesh_files.plain_text import read_plain_lists, read_plain_rows
 from caster.geometry.mesh_files.ply_header import Column, Columns, Element, Header, Lists, Property, Table
 from caster.jit.kernel_cache import COMPILED
-from caster.scene.errors import SceneError
 
 
 def read_binary(data: bytes, header: Header, where: str) -> dict[str, Table]:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 Column = NDArray[Any]  # one value a row
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.description.errors import SceneError
 from caster.geometry.mesh import Floats, Ints, Mesh, normalize_rows
 from caster.geometry.procedural.parameters import check_integer, check_length
-from caster.scene.errors import SceneError
 
 MAX_RESOLUTION = 4096  # 33,554,432 faces
 MAX_WAVES = 64

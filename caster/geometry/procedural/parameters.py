@@ -2,7 +2,7 @@
 
 import math
 
-from caster.scene.errors import SceneError
+from caster.description.errors import SceneError
 
 
 def check_integer(shape: str, name: str, value: int, low: int, high: float = math.inf) -> None:

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
+from caster.description.errors import SceneError
 from caster.geometry.mesh import Floats, Ints, Mesh
 from caster.geometry.procedural.parameters import check_integer, check_length
-from caster.scene.errors import SceneError
 
 MAX_PARTS = 4096  # 4096 * 4096 * 2 faces at most
 

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.description.fields import Shape
 from caster.geometry.packing import pack
 from caster.geometry.world_space import Rounding, as_float32, as_given
-from caster.scene.fields import Shape
 from caster.scene.materials import Diffuse
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import error_over_bound

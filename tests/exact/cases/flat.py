@@ -12,7 +12,7 @@ from cases.shapes import KINDS, Aim, every_kind, rays_at, shape_of, turn
 from cases.spheres import scales
 from cases.triangles import grazing, in_the_plane
 from caster import Disk, Plane, Rectangle, cast
-from caster.geometry.transform import scale as scale_matrix
+from caster.description.transform import scale as scale_matrix
 
 
 def in_or_above(make: Maker) -> Iterator[Question]:

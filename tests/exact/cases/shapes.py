@@ -26,7 +26,7 @@ from caster import (
     Torus,
     Triangle,
 )
-from caster.scene.fields import Shape
+from caster.description.fields import Shape
 
 Rng = np.random.Generator
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from caster.scene.errors import listed, show, suggestion
+from caster.description.errors import listed, show, suggestion
 
 __all__ = ["Diagnostic", "diagnostics_of"]
 

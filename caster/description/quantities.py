@@ -18,9 +18,9 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from caster.geometry import transform
-from caster.scene.diagnostics import diagnostics_of
-from caster.scene.errors import SceneError, complain, refuse, show
+from caster.description import transform
+from caster.description.diagnostics import diagnostics_of
+from caster.description.errors import SceneError, complain, refuse, show
 
 HEX_FLOAT = r"^[+-]?0[xX][0-9a-fA-F]+(\.[0-9a-fA-F]*)?([pP][+-]?[0-9]+)?$"
 

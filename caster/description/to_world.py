@@ -7,9 +7,9 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import CoreSchema
 
-from caster.geometry import transform
-from caster.scene.description import HEX_FLOAT, Description, Number, UnitVec3, Vec3, row
-from caster.scene.errors import complain, listed, refuse, show
+from caster.description import transform
+from caster.description.errors import complain, listed, refuse, show
+from caster.description.quantities import HEX_FLOAT, Description, Number, UnitVec3, Vec3, row
 
 
 class Rotation(Description):

@@ -7,8 +7,9 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
-from caster.geometry import transform
-from caster.scene.description import (
+from caster.description import transform
+from caster.description.errors import FileMissing, SceneError, complain, refuse, show, suggestion
+from caster.description.quantities import (
     RGB,
     Description,
     FieldOfView,
@@ -23,8 +24,7 @@ from caster.scene.description import (
     Vec3,
     WideFieldOfView,
 )
-from caster.scene.errors import FileMissing, SceneError, complain, refuse, show, suggestion
-from caster.scene.to_world import Transform, check_elsewhere, check_up, matrix_of
+from caster.description.to_world import Transform, check_elsewhere, check_up, matrix_of
 
 __all__ = [
     "RGB",

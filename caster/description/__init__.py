@@ -1,0 +1,1 @@
+"""Descriptions: base classes of scene elements, checked fields, transforms and diagnostics."""
