@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.description.errors import SceneError, suggestion
 from caster.image.exr import Exr
 from caster.image.exr_info import hit_mask
-from caster.scene.errors import SceneError, suggestion
 from mitsuba_ref.error_model.intersections import K, U
 from mitsuba_ref.exr_compare.exr_layers import LAYERS, Array, stacked
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.description.errors import SceneError
 from caster.image.exr import Exr
 from caster.image.exr_validation import PROVENANCE_PREFIX
-from caster.scene.errors import SceneError
-from caster.scene.files import Film, Scene
+from caster.scene.model import Film, Scene
 from mitsuba_ref.exr_compare.depth_conventions import (
     MISS_SENTINELS,
     AmbiguousConvention,

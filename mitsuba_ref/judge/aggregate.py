@@ -6,9 +6,9 @@ from typing import Protocol
 
 import numpy as np
 
+from caster.description.errors import SceneError
 from caster.geometry.packing import packed
-from caster.scene.errors import SceneError
-from caster.scene.files import Scene
+from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import CLASS_CODE
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, UNLISTED, SceneStatistics
 

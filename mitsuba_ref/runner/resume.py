@@ -12,8 +12,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from caster.description.errors import SceneError
 from caster.image.atomic_files import OutputError, write_text
-from caster.scene.errors import SceneError
 from mitsuba_ref.judge.verdict import VERDICT_FORMAT, FileRecord, SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.rendering import variant_of

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from caster.scene.errors import SceneError
-from caster.scene.files import Scene
+from caster.description.errors import SceneError
+from caster.scene.model import Scene
 from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner

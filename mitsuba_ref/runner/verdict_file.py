@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from caster.scene.errors import FileMissing
+from caster.description.errors import FileMissing
 from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
 
 MALFORMED = (AttributeError, KeyError, TypeError, ValueError)  # what a record of another shape raises

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 import caster
+from caster.description.errors import SceneError
 from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr
-from caster.scene.errors import SceneError
-from caster.scene.files import Scene, load_scene
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.terminal import failure_text

@@ -7,8 +7,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from caster.description.errors import FileMissing, SceneError
 from caster.image.exr import UnreadableExr, read_exr, write_exr
-from caster.scene.fields import FileMissing, SceneError
 from mitsuba_ref.error_model.exr_tolerances import DEPTH_RTOL
 from mitsuba_ref.exr_compare.two_files import FileComparison, Tolerances, compare_exr
 
