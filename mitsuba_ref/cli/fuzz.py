@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.cli.progress import StatusLine
-from caster.scene.errors import SceneError, suggestion
+from caster.description.errors import SceneError, suggestion
 
 if TYPE_CHECKING:
     from mitsuba_ref.fuzz.campaign import Campaign, Plan
