@@ -128,12 +128,6 @@ KNOWN_CIRCLES = (
     ),
 )
 
-# Modules of the judge that still import another name of a module of caster than its __all__ lists.
-KNOWN_PRIVATE = frozenset({("mitsuba_ref.importers.mitsuba_xml", "caster.scene.files")})
-
-# Whether a module of caster without __all__ has no public name; else any name of it is one.
-ALL_REQUIRED = False
-
 IN_ROOT_PACKAGES = {"__init__.py", "__main__.py", "py.typed"}
 
 
@@ -258,7 +252,7 @@ def reasons_against(source: Any, found: Any, sources: list[Any]) -> Iterator[str
             yield rule.reason
     if is_upward(source.module, found.name):
         yield f"{package_in_flow(found.name)} comes after {package_in_flow(source.module)} in the flow"
-    if source.module.partition(".")[0] == "mitsuba_ref" and not is_public(source.module, found, sources):
+    if source.module.partition(".")[0] == "mitsuba_ref" and not is_public(found, sources):
         yield "the judge imports from caster only what a module names in __all__"
 
 
@@ -281,18 +275,20 @@ def is_upward(module: str, imported: str) -> bool:
 # --- public names
 
 
-def is_public(module: str, found: Any, sources: list[Any]) -> bool:
-    """Whether the judge may import this: not of caster, or the package caster itself, or named in an __all__."""
+def is_public(found: Any, sources: list[Any]) -> bool:
+    """Whether the judge may import this: not of caster, the package caster, a module with __all__, or a name in one."""
     root, _, rest = found.source.partition(".")
-    if root != "caster" or found.name == "caster" or (module, found.source) in KNOWN_PRIVATE:
+    if root != "caster" or found.name == "caster":
         return True
     modules = {source.module: source for source in sources}
-    if not rest:  # `from caster import Scene`, whose __all__ is made when it is asked for
+    if not rest:  # `from caster import Scene`, whose __all__ is computed on access
         return found.name not in modules
     if found.source not in modules:
         return True  # which fails at once where it is run
+    if found.name in modules:
+        return names_in_all(modules[found.name].path) is not None
     names = names_in_all(modules[found.source].path)
-    return found.name.rpartition(".")[2] in names if names is not None else not ALL_REQUIRED
+    return names is not None and found.name.rpartition(".")[2] in names
 
 
 def names_in_all(path: Path) -> frozenset[str] | None:
