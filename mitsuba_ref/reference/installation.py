@@ -40,8 +40,12 @@ PEERS = (
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 BROWSERS = (*CHROMIUM, "firefox")
 PROBE_TIMEOUT_SECONDS = 60  # an import takes well under a second; a Mitsuba that hangs is a finding, too
-# door.describe() -> {"variants": [the variants that work here], "libllvm": the path in use, or None}
-PROBE_SCRIPT = "import json; from mitsuba_ref import door; print(json.dumps(door.describe()))"
+# describe_installation() -> {"variants": [the variants that work here], "libllvm": the path in use, or None}
+PROBE_SCRIPT = """
+import json
+from mitsuba_ref.reference.mitsuba_process import describe_installation
+print(json.dumps(describe_installation()))
+"""
 
 
 def report() -> list[Finding]:

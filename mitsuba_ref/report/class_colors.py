@@ -1,6 +1,6 @@
 """The colour of each class of a pixel, wherever classes are drawn, and its name, as files of classes carry them.
 
-The report's page has the same, and one more for what is unlisted (report/page/colors.js, which a test compares).
+The report's page has the same, and one more for what is unlisted (report/html/page/colors.js, which a test compares).
 """
 
 from collections.abc import Sequence

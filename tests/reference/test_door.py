@@ -238,11 +238,11 @@ PRINTS = """
 import sys
 from pathlib import Path
 import numpy as np
-from mitsuba_ref import door
-from mitsuba_ref.reference.messages import Job
+from mitsuba_ref.reference import mitsuba_process
+from mitsuba_ref.reference.messages import TraceRequest
 o = np.zeros((1, 3), np.float32)
 try:
-    door.answer(Job(Path(sys.argv[1]), sys.argv[2], o, o + 1, o[:, 0] + 9, sensor=True))
+    mitsuba_process.trace_request(TraceRequest(Path(sys.argv[1]), sys.argv[2], o, o + 1, o[:, 0] + 9, sensor=True))
 except RuntimeError as refusal:
     assert "non-uniform" in str(refusal)
 """

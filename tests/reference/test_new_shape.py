@@ -121,7 +121,7 @@ def test_with_its_reference_the_registry_test_passes_and_so_does_its_scene(tree)
 def test_a_mistake_in_the_new_shape_is_found(tree):
     add_reference(tree)
     edit(tree, "caster/shapes/tetrahedron.py", "MeshShape):", "MeshShape):\n    def pack(self, rounded):\n"
-         "        from caster.geometry.world_space import triangles\n\n"
-         "        return triangles(self.mesh(), 1.001 * self.matrix, rounded, self.face_normals)\n")  # fmt: skip
+         "        from caster.geometry.world_space import transform_mesh\n\n"
+         "        return transform_mesh(self.mesh(), 1.001 * self.matrix, rounded, self.face_normals)\n")  # fmt: skip
     found = run(tree, "validate", str(tree / "flat-true.toml"))
     assert found.returncode == 1 and "FAIL  flat-true  geometry: " in found.stdout

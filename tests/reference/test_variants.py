@@ -82,7 +82,8 @@ def test_what_is_said_to_work_here_works(tmp_path):
 
 
 def test_the_door_describes_it():
-    program = "import json; from mitsuba_ref import door; print(json.dumps(door.describe()))"
+    describe = "from mitsuba_ref.reference.mitsuba_process import describe_installation"
+    program = f"import json; {describe}; print(json.dumps(describe_installation()))"
     run = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )

@@ -165,9 +165,9 @@ def test_whoever_waits_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsu
 ASK = """
 import sys
 from pathlib import Path
-from mitsuba_ref import worker
-from mitsuba_ref.reference.messages import Job
-worker.ask(Job.read(Path(sys.argv[1])), 60)
+from mitsuba_ref.reference import session
+from mitsuba_ref.reference.messages import TraceRequest
+session.send_request(TraceRequest.read(Path(sys.argv[1])), 60)
 """
 
 
@@ -255,7 +255,7 @@ def test_an_answer_that_is_not_whole_is_garbage(tmp_path, does, says):
     program = f"""
 import sys, numpy as np
 from pathlib import Path
-from mitsuba_ref import worker
+from mitsuba_ref.reference import session as worker
 folder = Path(sys.argv[-1])
 def change(**arrays):
     np.savez(folder / "answer.npz", **(whole | arrays))
@@ -300,12 +300,12 @@ def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_
 
 
 def test_asking_imports_no_mitsuba_and_the_child_nothing_slow():
-    program = "import sys; from mitsuba_ref import worker; print(*sys.modules)"
+    program = "import sys; from mitsuba_ref.reference import session; print(*sys.modules)"
     asking = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert not {"mitsuba", "drjit", "numba", "pydantic"} & set(asking.stdout.split())
-    program = "import sys; from mitsuba_ref import worker, door; print(*sys.modules)"
+    program = "import sys; from mitsuba_ref.reference import mitsuba_process, session; print(*sys.modules)"
     child_side = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )

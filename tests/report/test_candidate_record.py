@@ -20,7 +20,7 @@ def recorded(verdict, exact=True):
 
 
 def unpacked(array, like=None):
-    """The way back, as mitsuba_ref/report/page/arrays.js has it, in a few lines of NumPy."""
+    """The way back, as mitsuba_ref/report/html/page/arrays.js has it, in a few lines of NumPy."""
     kind = np.dtype(array["type"])
     planes = np.frombuffer(zlib.decompress(base64.b64decode(array["z"])), np.uint8).reshape(kind.itemsize, -1)
     bits = np.ascontiguousarray(planes.T).view(f"u{kind.itemsize}").ravel()

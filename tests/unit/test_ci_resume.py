@@ -124,7 +124,7 @@ def test_another_variant_or_size_judges_all_anew(judged, monkeypatch):
     assert judged("--resume", "--size", "20", "10")[1] == ["a", "b", "m"]
     judged()
     monkeypatch.setattr(resume, "variant_of", lambda scene: "another")
-    monkeypatch.setattr(resume.variants, "settings", lambda variant: {})
+    monkeypatch.setattr(resume.variants, "environment_for", lambda variant: {})
     assert judged("--resume")[1] == ["a", "b", "m"]
 
 

@@ -13,7 +13,8 @@ from caster.image.atomic_files import OutputError
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.report.html.html_report import MAX_PIXELS_WITH_IMAGES, HtmlReport
 from mitsuba_ref.report.output_manifest import MANIFEST, OutputManifest
-from mitsuba_ref.runner import resume, scene_runner
+from mitsuba_ref.runner import scene_runner
+from mitsuba_ref.runner.resume import IMAGES, files_of
 
 SCENE = (
     '# {name}\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
@@ -36,7 +37,7 @@ def judged(tmp_path, monkeypatch):
         if entry.name in settings["problem"]:
             return made(entry.name, ok=False, problem="crash")
         files = tuple(f"{entry.name}.{each}.toml" for each in settings["reproducers"])
-        for file in (*files, *(f"{entry.name}.{which}.exr" for which in resume.IMAGES)):
+        for file in (*files, *(f"{entry.name}.{which}.exr" for which in IMAGES)):
             (folder / file).write_bytes(f"{file}\n".encode())
         return made(entry.name, reproducers=files)
 
@@ -62,7 +63,7 @@ def test_files_of_a_scene_that_is_renamed_or_gone_are_removed_and_counted(judged
     capsys.readouterr()
     assert judged(*resume) == 0
     assert f"out: removed 6 {REMOVED}" in capsys.readouterr().err
-    assert names(".exr") == sorted(f"{name}.{which}.exr" for name in "cz" for which in resume.IMAGES)
+    assert names(".exr") == sorted(f"{name}.{which}.exr" for name in "cz" for which in IMAGES)
     assert judged() == 0 and "removed" not in capsys.readouterr().err  # once
 
 
@@ -129,8 +130,8 @@ def test_shards_in_one_folder_spare_each_other(judged, capsys):
 
 def test_a_candidates_pictures_are_listed_too():
     one = made("a")
-    assert resume.files_of(one)[0] == "a.ours.exr"
-    assert resume.files_of(replace(one, candidate="x:y"))[0] == "a.candidate.exr"
+    assert files_of(one)[0] == "a.ours.exr"
+    assert files_of(replace(one, candidate="x:y"))[0] == "a.candidate.exr"
 
 
 def test_a_run_that_was_killed_leaves_a_list_that_is_read_as_far_as_it_goes(tmp_path):

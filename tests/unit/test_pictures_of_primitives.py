@@ -145,7 +145,9 @@ def test_an_edge_is_bent_no_further_than_bent_says(name):
 def test_a_bend_that_is_taken_for_a_twentieth_of_it_is_seen(name, monkeypatch):
     for camera in (fisheye, panorama, parabolic):
         monkeypatch.setattr(
-            camera, "bulge", lambda angle, bend: (0.01 * bend * angle * angle, 0.9, angle <= 0.1)
+            camera,
+            "hull_distortion_bound",
+            lambda angle, bend: (0.01 * bend * angle * angle, 0.9, angle <= 0.1),
         )
     camera = CAMERAS[name].pack(FINE * WIDTH, FINE * HEIGHT)
     assert max(off_the_line(camera, np.random.default_rng(144))) > 1.0

@@ -186,15 +186,15 @@ def test_without_culling_nothing_is_counted():
 EVERYTHING_ASKED = """
 import numpy as np, caster
 from caster.aovs import BY_NAME
-from caster.kernels.compiling import machine_code
-from caster.jit.decorators import WORK
+from caster.jit import machine_code
+from caster.jit.decorators import COMPILATION_LOG
 scene = caster.load_scene("scenes/every-shape.toml").with_film(width=48, height=32)
 bent = scene.model_copy(update={"camera": caster.Fisheye(eye=(0.0, 1.0, 6.0), look_at=(0.0, 0.0, 0.0))})
 for each in (scene, bent):
     caster.render(each, tuple(BY_NAME))
 rays = np.random.default_rng(5).normal(size=(2, 500, 3))
 caster.cast(scene, *rays).surface, caster.cast(scene, *rays).normal, caster.occluded(scene, *rays)
-print(machine_code.usable(), WORK.slowly)
+print(machine_code.is_supported(), COMPILATION_LOG.slowly)
 """
 
 

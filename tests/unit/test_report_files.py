@@ -99,7 +99,7 @@ def test_no_text_ends_its_script():
 
 
 def test_every_script_of_the_page_is_in_it():
-    files = {each.name for each in (resources.files("mitsuba_ref.report") / "page").iterdir()}
+    files = {each.name for each in (resources.files("mitsuba_ref.report.html") / "page").iterdir()}
     assert {f"{name}.js" for name in SCRIPTS} | {"page.html", "page.css"} == files
     text = "".join(page({"summary": "", "candidate": "", "classes": []}, []))
     assert not re.findall(r"https?://|\bfetch\(|\bimport\b|new Worker|\beval\(", text)
@@ -116,7 +116,7 @@ ENOUGH = 4.5  # WCAG 2.2, 1.4.3: contrast of text of this size
 
 @pytest.mark.parametrize("theme", [0, 1, 2], ids=["light", "dark by the system", "dark by choice"])
 def test_words_stand_out_from_what_they_are_on(theme):
-    css = (resources.files("mitsuba_ref.report") / "page" / "page.css").read_text(encoding="utf-8")
+    css = (resources.files("mitsuba_ref.report.html") / "page" / "page.css").read_text(encoding="utf-8")
     blocks = re.findall(r"\{([^{}]*--bg:[^{}]*)\}", css)
     assert len(blocks) == 3
     colors = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", blocks[theme]))
@@ -156,7 +156,7 @@ def test_a_verdict_writes_itself(tmp_path):
 
 
 def test_classes_have_the_same_colours_on_the_page_as_in_files():
-    script = (resources.files("mitsuba_ref.report") / "page/colors.js").read_text(encoding="utf-8")
+    script = (resources.files("mitsuba_ref.report.html") / "page/colors.js").read_text(encoding="utf-8")
     listed = script.partition("const CLASS_COLORS = {")[2].partition("}")[0]
     found = {
         name: tuple(map(int, rgb.split(","))) for name, rgb in re.findall(r"(\w+): \[([^\]]+)\]", listed)

@@ -160,7 +160,7 @@ def test_fields_load_neither_grammars_nor_compilers():
 
 def test_a_scene_without_errors_loads_no_grammar():
     assert "tree_sitter" not in modules_after(
-        f"import caster.scene.files\ncaster.scene.scene_from_text({CAMERA!r})"
+        f"import caster.scene.files\ncaster.scene.files.scene_from_text({CAMERA!r})"
     )
 
 

@@ -94,7 +94,7 @@ def unknown_projection(depth: float) -> SphereProjection:
     return 0.0, 0.0, 0.0, 0.0, depth, False
 
 
-MAX_HULL_ANGLE = 0.1  # radians: how far apart the points of a hull may be for `bulge`
+MAX_HULL_ANGLE = 0.1  # radians: how far apart the points of a hull may be for `hull_distortion_bound`
 
 # How far beyond the pictures F(p_i) of its points the picture of a convex hull can reach, along any direction w, over
 # M L^2: M bounds the second derivative of f = w . F along great circles, L the angles between any two points. Seen from

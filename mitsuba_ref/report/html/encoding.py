@@ -1,6 +1,6 @@
 """Arrays as text: bytes of equal weight together, deflated, in base64. What goes in comes out to the bit.
 
-mitsuba_ref/report/page/arrays.js is the way back.
+mitsuba_ref/report/html/page/arrays.js is the way back.
 """
 
 import base64
