@@ -285,10 +285,9 @@ def is_public(found: Any, sources: list[Any]) -> bool:
         return found.name not in modules
     if found.source not in modules:
         return True  # which fails at once where it is run
-    if found.name in modules:
-        return names_in_all(modules[found.name].path) is not None
-    names = names_in_all(modules[found.source].path)
-    return names is not None and found.name.rpartition(".")[2] in names
+    if found.name.rpartition(".")[2] in (names_in_all(modules[found.source].path) or ()):
+        return True
+    return found.name in modules and names_in_all(modules[found.name].path) is not None
 
 
 def names_in_all(path: Path) -> frozenset[str] | None:
