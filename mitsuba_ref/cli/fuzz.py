@@ -198,19 +198,17 @@ def replay(args: argparse.Namespace) -> int:
 def long_run(args: argparse.Namespace) -> int:
     """Rays by the million."""
     from mitsuba_ref.fuzz import long_run
-    from mitsuba_ref.fuzz.kinds import SHAPE_TYPES
+    from mitsuba_ref.fuzz.kinds import shape_types
+
+    known = shape_types()
 
     for name in args.shape:
-        if name not in SHAPE_TYPES:
-            raise SceneError(
-                f"--shape {name}: unknown{suggestion(name, SHAPE_TYPES)} (known: {', '.join(SHAPE_TYPES)})"
-            )
+        if name not in known:
+            raise SceneError(f"--shape {name}: unknown{suggestion(name, known)} (known: {', '.join(known)})")
     if not args.rays:
         print("nothing selected: --rays 0 asks for no ray", file=sys.stderr)
         return NOTHING_SELECTED
-    outcome = long_run.LongRun(
-        args.seed, args.rays, tuple(args.shape) or SHAPE_TYPES, Path(args.out), args.keep
-    )
+    outcome = long_run.LongRun(args.seed, args.rays, tuple(args.shape) or known, Path(args.out), args.keep)
     finished, line = False, StatusLine()
     try:
         for _ in outcome.run():

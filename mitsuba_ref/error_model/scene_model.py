@@ -16,8 +16,6 @@ from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.shapes import REFERENCES
 from mitsuba_ref.shapes.shape_reference import ShapeReference
 
-REFERENCE_BY_SHAPE = {reference.describes: reference for reference in REFERENCES}
-
 
 class MissingReferenceError(SceneError, LookupError):
     """A scene with a shape or a camera that the judge does not know."""
@@ -25,9 +23,9 @@ class MissingReferenceError(SceneError, LookupError):
 
 def reference_of(shape: Shape) -> ShapeReference:
     """Raises MissingReferenceError with what to write, where a shape has no reference yet."""
-    if type(shape) not in REFERENCE_BY_SHAPE:
+    if type(shape) not in REFERENCES:
         raise MissingReferenceError(missing_reference(type(shape).__name__, "shapes"))
-    return REFERENCE_BY_SHAPE[type(shape)]
+    return REFERENCES[type(shape)]
 
 
 def missing_reference(name: str, kind: str) -> str:
@@ -111,4 +109,4 @@ def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
 
 def _model(references: Sequence[ShapeReference], packed: Packed, shapes: np.ndarray) -> ErrorModel:
     first = int(shapes[0])
-    return references[first].models[type(packed.parts[first])]
+    return references[first].model_of(packed.parts[first])

@@ -16,9 +16,9 @@ from mitsuba_ref.error_model.intersections import KU_OURS, Intersections
 from mitsuba_ref.error_model.scene_model import reference_of
 from mitsuba_ref.fuzz.aims import Shots
 from mitsuba_ref.fuzz.findings import Finding, Tally, t_text
-from mitsuba_ref.fuzz.settings import Rng
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
 from mitsuba_ref.reference.rays import pixel_of
+from mitsuba_ref.shapes.targets import Rng
 
 LIMITED_RAYS_PER_EXAMPLE = 12  # rays of an example that are cast again with other limits
 LIMITED_PUBLIC_CALLS = 3  # of them by caster.cast, which takes one pair of limits a call
@@ -123,7 +123,7 @@ def t_bounds(scene: Scene, packed: Packed, found: NearestHits, o: np.ndarray, d:
     for number in np.unique(shape[found.prim >= 0]):
         rows = np.flatnonzero((shape == number) & (found.prim >= 0))
         part = packed.parts[number]
-        model = reference_of(scene.shapes[number]).models[type(part)]
+        model = reference_of(scene.shapes[number]).model_of(part)
         intersect = model.intersect_ours or model.intersect
         with np.errstate(all="ignore"):
             k = found.prim[rows] - packed.first[number]

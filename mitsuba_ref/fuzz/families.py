@@ -15,13 +15,12 @@ from mitsuba_ref.fuzz.groups import coincident_shapes, slivers, triangle_fan
 from mitsuba_ref.fuzz.kinds import CAMERA_TYPES as CAMERAS
 from mitsuba_ref.fuzz.kinds import (
     FILM_SIZES,
-    FLAT_TYPES,
-    MESH_TYPES,
-    QUADRIC_TYPES,
-    SHAPE_TYPES,
+    bounded_types,
     random_shape,
+    shape_types,
 )
-from mitsuba_ref.fuzz.settings import Rng, Setting, log_uniform, random_lattice_setting, random_setting
+from mitsuba_ref.fuzz.settings import Setting, log_uniform, random_lattice_setting, random_setting
+from mitsuba_ref.shapes.targets import Rng
 
 Shapes = list[dict[str, Any]]
 DrawScene = Callable[[Rng], tuple[Setting, Shapes]]
@@ -45,19 +44,19 @@ def random_shapes(rng: Rng, setting: Setting, kinds: tuple[str, ...], most: int)
 
 def any_shapes(rng: Rng) -> tuple[Setting, Shapes]:
     setting = random_setting(rng)
-    return setting, random_shapes(rng, setting, SHAPE_TYPES, 5)
+    return setting, random_shapes(rng, setting, shape_types(), 5)
 
 
 def shared_edges(rng: Rng) -> tuple[Setting, Shapes]:
     setting = random_setting(rng)
     if rng.random() < 0.5:
         return setting, triangle_fan(rng, setting)
-    return setting, random_shapes(rng, setting, MESH_TYPES, 2)
+    return setting, random_shapes(rng, setting, shape_types("mesh"), 2)
 
 
 def quadrics(rng: Rng) -> tuple[Setting, Shapes]:
     setting = random_setting(rng)
-    return setting, random_shapes(rng, setting, QUADRIC_TYPES, 4)
+    return setting, random_shapes(rng, setting, shape_types("quadric"), 4)
 
 
 def ties(rng: Rng) -> tuple[Setting, Shapes]:
@@ -67,12 +66,12 @@ def ties(rng: Rng) -> tuple[Setting, Shapes]:
 
 def flat_shapes(rng: Rng) -> tuple[Setting, Shapes]:
     setting = random_setting(rng)
-    return setting, random_shapes(rng, setting, FLAT_TYPES, 4)
+    return setting, random_shapes(rng, setting, shape_types("flat"), 4)
 
 
 def on_the_lattice(rng: Rng) -> tuple[Setting, Shapes]:
     setting = random_lattice_setting(rng)
-    return setting, random_shapes(rng, setting, SHAPE_TYPES, 4)
+    return setting, random_shapes(rng, setting, shape_types(), 4)
 
 
 def sliver_scenes(rng: Rng) -> tuple[Setting, Shapes]:
@@ -84,12 +83,12 @@ def tiny_and_huge(rng: Rng) -> tuple[Setting, Shapes]:
     """Sizes from 1e-100 to 1e17: squares of numbers that leave the range of float64, or nearly so."""
     size = log_uniform(rng, 1e-100, 1e-20) if rng.random() < 0.5 else log_uniform(rng, 1e10, 1e17)
     setting = Setting(size, (0.0, 0.0, 0.0), 10.0)
-    return setting, random_shapes(rng, setting, SHAPE_TYPES, 3)
+    return setting, random_shapes(rng, setting, shape_types(), 3)
 
 
 def transformed(rng: Rng) -> tuple[Setting, Shapes]:
     setting = Setting(1.0, (0.0, 0.0, 0.0), condition=1e6)
-    return setting, random_shapes(rng, setting, tuple(kind for kind in SHAPE_TYPES if kind != "plane"), 4)
+    return setting, random_shapes(rng, setting, bounded_types(), 4)
 
 
 def far_off(rng: Rng) -> tuple[Setting, Shapes]:
@@ -97,13 +96,13 @@ def far_off(rng: Rng) -> tuple[Setting, Shapes]:
     size = log_uniform(rng, 1e-3, 1e3)
     away = size * log_uniform(rng, 1e3, 1e9) * rng.normal(size=3)
     setting = Setting(size, (float(away[0]), float(away[1]), float(away[2])), 10.0)
-    return setting, random_shapes(rng, setting, SHAPE_TYPES, 4)
+    return setting, random_shapes(rng, setting, shape_types(), 4)
 
 
 def clutter(rng: Rng) -> tuple[Setting, Shapes]:
     """Many small primitives through each other: deep trees, crowded pictures."""
     setting = random_lattice_setting(rng) if rng.random() < 0.3 else Setting(1.0, (0.0, 0.0, 0.0), 10.0)
-    kinds = ["sphere", "cylinder", "disk", "triangle", "rectangle"]
+    kinds = list(shape_types("small"))
     if rng.random() < 0.5:
         kinds = [str(rng.choice(kinds))]  # so that its tree is deep
     return setting, [
@@ -114,7 +113,7 @@ def clutter(rng: Rng) -> tuple[Setting, Shapes]:
 def small_images(rng: Rng) -> tuple[Setting, Shapes]:
     """Shapes a few pixels wide."""
     setting = Setting(0.25, (0.0, 0.0, 0.0), 10.0) if rng.random() < 0.6 else random_lattice_setting(rng)
-    return setting, random_shapes(rng, setting, tuple(kind for kind in SHAPE_TYPES if kind != "plane"), 4)
+    return setting, random_shapes(rng, setting, bounded_types(), 4)
 
 
 FAMILIES: tuple[Family, ...] = (

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.fuzz.kinds import SHAPE_TYPES, random_shape, triangle_of
-from mitsuba_ref.fuzz.settings import Rng, Setting, log_uniform, perturbed_by_ulps, random_rotation
+from mitsuba_ref.fuzz.kinds import random_shape, shape_types, triangle_of
+from mitsuba_ref.fuzz.settings import Setting, log_uniform, perturbed_by_ulps, random_rotation
+from mitsuba_ref.shapes.targets import Rng
 
 TriangleShapes = list[dict[str, Any]]
 
@@ -63,13 +64,13 @@ def coincident_shapes(rng: Rng, setting: Setting) -> CoincidentShapes:
     """A few shapes that coincide, in random order, with something else among them."""
     shapes = COINCIDENT_GROUPS[rng.integers(len(COINCIDENT_GROUPS))](rng, setting)
     if rng.random() < 0.5:
-        shapes.append(random_shape(rng, str(rng.choice(SHAPE_TYPES)), setting))
+        shapes.append(random_shape(rng, str(rng.choice(shape_types())), setting))
     return [shapes[i] for i in rng.permutation(len(shapes))]
 
 
 def copies(rng: Rng, setting: Setting) -> CoincidentShapes:
     """The same shape two to six times."""
-    shape = random_shape(rng, str(rng.choice(SHAPE_TYPES)), setting)
+    shape = random_shape(rng, str(rng.choice(shape_types())), setting)
     return [copy.deepcopy(shape) for _ in range(int(rng.integers(2, 7)))]
 
 

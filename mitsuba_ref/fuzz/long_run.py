@@ -16,8 +16,9 @@ from mitsuba_ref.fuzz.families import scene_of, seed_of_name
 from mitsuba_ref.fuzz.findings import Finding, Tally, first_of_each_kind
 from mitsuba_ref.fuzz.groups import nearly_equal_spheres
 from mitsuba_ref.fuzz.kinds import random_shape
-from mitsuba_ref.fuzz.settings import Rng, Setting, random_setting
+from mitsuba_ref.fuzz.settings import Setting, random_setting
 from mitsuba_ref.fuzz.shrink import smallest_case
+from mitsuba_ref.shapes.targets import Rng
 
 RAYS_PER_SCENE = 2048
 LIMITED_RAYS_PER_SCENE = RAYS_PER_SCENE // 8  # cast again with other limits

@@ -5,9 +5,7 @@ from typing import Any
 
 import numpy as np
 
-Rng = np.random.Generator
-
-LATTICE_STEPS = 8  # lattice coordinates are whole multiples of size / 8: their sums and differences are exact
+from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng
 
 
 @dataclass(frozen=True)
@@ -30,17 +28,6 @@ class Setting:
 def log_uniform(rng: Rng, low: float, high: float) -> float:
     """Any order of magnitude is as likely as any other."""
     return float(10.0 ** rng.uniform(np.log10(low), np.log10(high)))
-
-
-def random_directions(rng: Rng, count: int) -> np.ndarray:
-    """(count, 3) of about unit length; some along axes, some with small whole components, the rest any."""
-    any_way = rng.normal(size=(count, 3))
-    any_way /= np.linalg.norm(any_way, axis=1, keepdims=True)
-    whole = rng.integers(-3, 4, (count, 3)).astype(float)
-    whole[~whole.any(axis=1), 0] = 1.0
-    axes = np.eye(3)[rng.integers(3, size=count)] * rng.choice([-1.0, 1.0], (count, 1))
-    which = rng.choice(3, (count, 1), p=(0.6, 0.25, 0.15))
-    return np.where(which == 0, any_way, np.where(which == 1, whole, axes))
 
 
 def perturbed_by_ulps(rng: Rng, numbers: np.ndarray, ulps: int = 2) -> np.ndarray:

@@ -12,11 +12,10 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.geometry.packing import pack, primitive_count
 from caster.rendering.images import camera_rays
-from caster.shapes.plane import Planes
 from mitsuba_ref.fuzz.aims import Shots
 from mitsuba_ref.fuzz.cases import Case, findings_of
 from mitsuba_ref.fuzz.findings import Finding
-from mitsuba_ref.subjects.traced_scene import describe_primitive
+from mitsuba_ref.subjects.traced_scene import describe_surface
 
 MANTISSA_BITS = (1, 2, 3, 4, 6, 8, 12, 24)  # of a mantissa, tried in this order
 
@@ -192,15 +191,7 @@ ShapeFields = dict[str, Any]
 def as_packed(part: Any) -> list[ShapeFields]:
     """Shapes that pack to the same primitives in the same order, one each. Raises LookupError for an unknown kind."""
     with np.errstate(all="ignore"):
-        return [
-            plane_fields(part, k) if type(part) is Planes else describe_primitive(part, k)
-            for k in range(primitive_count(part))
-        ]
-
-
-def plane_fields(part: Planes, k: int) -> ShapeFields:
-    """`rebuilt` looks for a normal that rounds to a float32 one; these are float64."""
-    return {"type": "plane", "normal": part.normal[k].tolist(), "point": part.point[k].tolist()}
+        return [describe_surface(part, k) for k in range(primitive_count(part))]
 
 
 def translated(shape: ShapeFields, by: np.ndarray) -> ShapeFields | None:

@@ -19,7 +19,7 @@ from mitsuba_ref.judge.adjudication import Adjudication, claims_other_tie, needs
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.judge.defect_features import FeatureMeasurement
 from mitsuba_ref.judge.exact_share import ExactRatios, exact_ratios
-from mitsuba_ref.judge.known_defects import case_of
+from mitsuba_ref.judge.known_defects import defect_of
 from mitsuba_ref.judge.verdict import (
     AGREE,
     EXPLAINED,
@@ -231,7 +231,7 @@ class CandidateJudge:
         measured = FeatureMeasurement(self.model, self.oracle).all_of(
             lines, self._reference_claims(rows), answers, prims
         )
-        return {int(row): case_of(each) for row, each in zip(rows, measured, strict=True)}
+        return {int(row): defect_of(each) for row, each in zip(rows, measured, strict=True)}
 
 
 def reference_prims(witness: ReferenceResult, model: SceneModel) -> np.ndarray:

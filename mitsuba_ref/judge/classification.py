@@ -16,7 +16,7 @@ from mitsuba_ref.judge.adjudication import Adjudication, adjudicate, claims_othe
 from mitsuba_ref.judge.comparison import Comparison, check_allowances, compare
 from mitsuba_ref.judge.defect_features import FeatureMeasurement
 from mitsuba_ref.judge.diffuse import DiffuseComparison, diffuse_within_float64, judge_diffuse, shading_points
-from mitsuba_ref.judge.known_defects import case_of
+from mitsuba_ref.judge.known_defects import defect_of
 from mitsuba_ref.judge.self_checks import SelfCheck, fails_self_check, inconsistent_aovs, self_checks
 from mitsuba_ref.judge.verdict import (
     AGREE,
@@ -219,7 +219,7 @@ class Judge:
             lines = self.o[rows], self.d[rows], self.t_max[rows]
             prims = [self.reference_prim(int(row)) for row in rows]
             measured = FeatureMeasurement(self.model, self.oracle).all_of(lines, claims, answers, prims)
-            cases |= {int(row): case_of(each) for row, each in zip(rows, measured, strict=True)}
+            cases |= {int(row): defect_of(each) for row, each in zip(rows, measured, strict=True)}
         return cases
 
     def reference_prim(self, row: int) -> int:

@@ -2,25 +2,21 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims
-from mitsuba_ref.error_model.intersections import KU
-from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.judge.known_defects import (
-    CYLINDERS,
-    ELLIPSOIDS,
-    PLANES,
-    SPHERES,
-    TRIANGLES,
+from mitsuba_ref.error_model.defect_conditions import (
     WIDENED_BOUNDS_FACTOR,
     DefectFeatures,
+    DefectView,
 )
+from mitsuba_ref.error_model.intersections import KU
+from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
+from mitsuba_ref.shapes import kind_of
 
 MAX_PRIMS_TESTED_AT_ZERO = (
     64  # primitives of the shape that the reference names which are asked for a hit at t = 0, nearest first
@@ -81,24 +77,25 @@ class FeatureMeasurement:
         prim: int,
         at_zero: bool,
     ) -> DefectFeatures:
-        ours, theirs = (self._kind(each) for each in (answer.prim, prim))
-        looks = [self._look(each, o, d) for each in (answer.prim, prim) if each >= 0]
-        triangle = self._corners(prim) if theirs == TRIANGLES else None
+        hit, named = answer.prim, prim
+        views = {each: self._view(each, o, d, t) for each in (hit, named) if each >= 0}
+        sizes = [self._distance_and_offset(each, o) for each in views]
+        theirs = views.get(named, DefectView())
         return DefectFeatures(
-            ours,
-            theirs,
+            self._kind(hit),
+            self._kind(named),
             where=frozenset(each.where for each in answer.ties),
             flags=answer.flags,
             t=t,
             at_zero=at_zero,
-            cosine=min((look["cosine"] for look in looks), default=1.0),
-            beyond_corners=triangle is not None and _beyond(triangle, o, d, t),
-            without_area=triangle is not None and not has_area(triangle),
-            slenderness=min((look["slenderness"] for look in looks), default=1.0),
-            distance=max((look["distance"] for look in looks), default=0.0),
-            offset=max((look["offset"] for look in looks), default=0.0),
-            axis_angle=min((look["axis_angle"] for look in looks), default=1.0),
-            stretch=max((look["stretch"] for look in looks), default=1.0),
+            cosine=min((view.cosine for view in views.values()), default=1.0),
+            beyond_corners=theirs.beyond_corners,
+            without_area=theirs.without_area,
+            slenderness=min((view.slenderness for view in views.values()), default=1.0),
+            distance=max((distance for distance, _ in sizes), default=0.0),
+            offset=max((offset for _, offset in sizes), default=0.0),
+            axis_angle=min((view.axis_angle for view in views.values()), default=1.0),
+            stretch=max((view.stretch for view in views.values()), default=1.0),
             nearly=False,
         )
 
@@ -110,18 +107,13 @@ class FeatureMeasurement:
         return kind.prims, int(prim - packed.first[shape] + packed.start[shape])
 
     def _kind(self, prim: int) -> str:
-        return type(self._place(prim)[0]).__name__ if prim >= 0 else ""
-
-    def _corners(self, prim: int) -> np.ndarray:
-        prims, k = self._place(prim)
-        corners: np.ndarray = prims.vertices[prims.faces[k]]
-        return corners
+        return kind_of(self._place(prim)[0]).name if prim >= 0 else ""
 
     def _at_zero(self, shape: int, prim: int, o: np.ndarray, d: np.ndarray) -> bool:
-        """Whether the primitive, or another one of that shape, is met at t = 0; a plane, as its patch may be."""
+        """Whether the primitive, or another one of that shape, is met at t = 0; a stand-in, up to its bound."""
         if shape < 0:
             return False
-        if self._kind(prim) == PLANES:
+        if prim >= 0 and kind_of(self._place(prim)[0]).model.unfold is not None:
             at = self.model.intersect(np.array([prim]), o[None], d[None], KU, ours=False).at
             return bool((np.isfinite(at.t_error) & (np.abs(at.t) <= at.t_error)).any())
         first, last = (int(n) for n in self.model.packed.first[shape : shape + 2])
@@ -131,58 +123,17 @@ class FeatureMeasurement:
         asked = dict.fromkeys([prim, *nearest.tolist()])
         return any(hit.t == 0 for each in asked for hit in self.oracle.roots(each, o, d))
 
-    def _look(self, prim: int, o: np.ndarray, d: np.ndarray) -> dict[str, float]:
-        """The shape of one primitive as the ray sees it."""
+    def _view(self, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+        """What its kind measures of one primitive and the ray."""
         prims, k = self._place(prim)
-        kind = type(prims).__name__
-        found = {"cosine": 1.0, "slenderness": 1.0, "axis_angle": 1.0, "stretch": 1.0}
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return kind_of(prims).defect_view(prims, k, o, d, t)
+
+    def _distance_and_offset(self, prim: int, o: np.ndarray) -> tuple[float, float]:
+        """How far one primitive is from o, and its farthest corner from the origin, in its sizes; 0 without a size."""
         low, high = (corner[prim] for corner in self.model.boxes)
         size = float(np.max(high - low))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            away = float(np.linalg.norm(np.maximum(np.maximum(low - o, o - high), 0.0)))
-            ends = float(np.max(np.maximum(np.abs(low), np.abs(high))))
-            found["distance"] = away / size if np.isfinite(size) and size > 0.0 else 0.0
-            found["offset"] = ends / size if np.isfinite(size) and size > 0.0 else 0.0
-        if kind == TRIANGLES:
-            found |= _triangle(prims.vertices[prims.faces[k]], d)
-        elif hasattr(prims, "normal"):
-            found["cosine"] = abs_cosine(prims.normal[k], d)
-        elif hasattr(prims, "to_world") and kind not in (SPHERES, ELLIPSOIDS, CYLINDERS):
-            found["cosine"] = abs_cosine(prims.to_object[k][2], d)
-        elif kind in (ELLIPSOIDS, CYLINDERS):
-            found["stretch"] = float(np.linalg.norm(prims.to_object[k] @ d))
-            if kind == CYLINDERS:
-                axis = prims.to_world[k][:, 2]
-                found["axis_angle"] = float(
-                    np.linalg.norm(np.cross(axis, d)) / (np.linalg.norm(axis) * np.linalg.norm(d))
-                )
-        return found
-
-
-def abs_cosine(n: np.ndarray, d: np.ndarray) -> float:
-    """|cos| of the angle between two vectors; 1 where one has no length."""
-    lengths = float(np.linalg.norm(n) * np.linalg.norm(d))
-    return abs(float(n @ d)) / lengths if lengths > 0.0 else 1.0
-
-
-def _triangle(corners: np.ndarray, d: np.ndarray) -> dict[str, float]:
-    edges = np.roll(corners, -1, axis=0) - corners
-    longest = float(np.linalg.norm(edges, axis=1).max())
-    across = np.cross(edges[0], edges[1])
-    area = float(np.linalg.norm(across))
-    slenderness = area / longest**2 if longest > 0.0 else 0.0
-    return {"cosine": abs_cosine(across, d), "slenderness": slenderness}
-
-
-def _beyond(corners: np.ndarray, o: np.ndarray, d: np.ndarray, t: float) -> bool:
-    """Whether t lies outside of what the corners span along the ray, by more than the rounding of it."""
-    along = (corners - o) @ d / float(d @ d)
-    room = KU * (np.abs(along).max() + abs(t))
-    return bool(t > along.max() + room or t < along.min() - room)
-
-
-def has_area(corners: np.ndarray) -> bool:
-    """Whether the triangle has an area, exactly: its edges' cross product in whole numbers."""
-    a, b, c = ([Fraction(x) for x in corner] for corner in corners.tolist())
-    u, v = ([x - y for x, y in zip(p, a, strict=True)] for p in (b, c))
-    return any(u[i] * v[j] != u[j] * v[i] for i, j in ((0, 1), (1, 2), (2, 0)))
+        if not (np.isfinite(size) and size > 0.0):
+            return 0.0, 0.0
+        away = float(np.linalg.norm(np.maximum(np.maximum(low - o, o - high), 0.0)))
+        return away / size, float(np.max(np.maximum(np.abs(low), np.abs(high)))) / size

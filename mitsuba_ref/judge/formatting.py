@@ -10,7 +10,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.classification import Judge, Judgement
-from mitsuba_ref.judge.known_defects import DEFECT_NAMES
+from mitsuba_ref.judge.known_defects import defect_name
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 
@@ -83,7 +83,7 @@ def format_side(judge: Judge, row: int, *, ours: bool) -> str:
 def format_defect(case: int | None) -> str:
     """A case with its number."""
     return (
-        f"case {case}: {DEFECT_NAMES[case]}"
+        f"case {case}: {defect_name(case)}"
         if case is not None
         else f"{UNLISTED}: none of the cases that are known"
     )

@@ -18,7 +18,7 @@ from mitsuba_ref.oracle.interface import (
     primitive_count,
 )
 from mitsuba_ref.oracle.primitive_index import CandidatePrimitive, PrimitiveArray, PrimitiveIndex, RayColumns
-from mitsuba_ref.shapes import REFERENCES
+from mitsuba_ref.shapes import KINDS
 
 __all__ = ["ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", "Root", "exact_kinds"]
 
@@ -126,22 +126,20 @@ def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
     kinds = exact_kinds()
     if type(simpler) not in kinds:
         raise LookupError(
-            f"{type(simpler).__name__} has no exact arithmetic: write an ExactKind (mitsuba_ref/exact_arithmetic/"
-            "kind.py) and name it as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes"
+            f"{type(simpler).__name__} has no exact arithmetic: write an ExactKind (mitsuba_ref/oracle/interface.py) "
+            "and name it as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes"
         )
     return PrimitiveArray(kinds[type(simpler)], simpler, ids[owner], {})
 
 
 def exact_kinds() -> dict[type, ExactKind]:
-    """The exact arithmetic of every kind of primitive that shapes are packed to."""
-    models = [(kind, model) for reference in REFERENCES for kind, model in reference.models.items()]
-    return {kind: model.exact for kind, model in models if model.exact is not None}
+    """The exact arithmetic of every kind of primitive that is registered."""
+    return {arrays: kind.model.exact for arrays, kind in KINDS.items() if kind.model.exact is not None}
 
 
 def expand_stand_ins(prims: Any) -> tuple[Any, np.ndarray]:
     """(primitives that have exact arithmetic, which of `prims` each of them is a piece of)."""
-    for reference in REFERENCES:
-        for model in reference.models.values():
-            if model.unfold is not None and type(prims) in model.unfold:
-                return model.unfold[type(prims)](prims)
+    for kind in KINDS.values():
+        if kind.model.unfold is not None and type(prims) in kind.model.unfold:
+            return kind.model.unfold[type(prims)](prims)
     return prims, np.arange(primitive_count(prims))

@@ -16,6 +16,7 @@ from caster.image.atomic_files import write_text
 from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.lambert import direction_to_light
+from mitsuba_ref.error_model.scene_model import reference_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, judge_of
 from mitsuba_ref.judge.formatting import format_side, reproducer_header
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG
@@ -117,10 +118,8 @@ def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
         note = f"{judge.scene.shape_names()[i]} is here as a whole, as it was described"
         return whole.model_dump(by_alias=True, exclude_none=True), [note]
     notes = []
-    if type(packed.parts[i]).__name__ == "Planes":
-        notes.append(
-            "in place of a plane Mitsuba gets a patch of triangles, cut to the rays: here, to this ray alone"
-        )
+    if note := reference_of(whole).stand_in_note:
+        notes.append(note)
     return shape | {"name": name, "material": whole.material}, notes
 
 

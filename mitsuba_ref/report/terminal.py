@@ -5,7 +5,7 @@ from urllib.parse import quote
 
 from mitsuba_ref.error_model.intersections import K
 from mitsuba_ref.error_model.tolerances import LARGEST_Z
-from mitsuba_ref.judge.known_defects import DEFECT_NAMES
+from mitsuba_ref.judge.known_defects import defect_name
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,
@@ -237,7 +237,7 @@ def _case_lines(verdict: Verdict) -> Iterator[str]:
                 "or of what it was handed"
             )
         else:
-            yield f"ref. wrong: {count} pixels of case {case}, {DEFECT_NAMES[int(case)]}"
+            yield f"ref. wrong: {count} pixels of case {case}, {defect_name(int(case))}"
 
 
 def _stored_lines(verdict: Verdict) -> Iterator[str]:

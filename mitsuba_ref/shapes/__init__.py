@@ -1,8 +1,34 @@
-"""The registry of references: one for every shape of caster.shapes.SHAPES (a test demands it)."""
+"""The registry of shapes and primitive kinds on the judge's side: one entry for every shape of caster.shapes.SHAPES."""
 
+from typing import Any
+
+from caster.description.fields import Shape
 from mitsuba_ref.shapes import cylinder, disk, plane, sphere, triangle_meshes
+from mitsuba_ref.shapes.shape_reference import PrimitiveReference, ShapeReference
 
-REFERENCES = (
+__all__ = ["KINDS", "REFERENCES", "kind_of", "register"]
+
+REFERENCES: dict[type[Shape], ShapeReference] = {}
+KINDS: dict[type[Any], PrimitiveReference] = {}  # by the class of their arrays
+
+
+def register(reference: ShapeReference) -> None:
+    """Add a shape and its kinds; a second reference of a shape takes the place of the first."""
+    REFERENCES[reference.describes] = reference
+    KINDS.update({kind.arrays: kind for kind in reference.kinds})
+
+
+def kind_of(part: Any) -> PrimitiveReference:
+    """The kind of packed arrays. Raises LookupError with what to write, where nothing is registered."""
+    if type(part) not in KINDS:
+        raise LookupError(
+            f"{type(part).__name__}: no primitive kind of that name is registered in mitsuba_ref.shapes "
+            "(docs/adding-a-shape.md)"
+        )
+    return KINDS[type(part)]
+
+
+for _reference in (
     sphere.REFERENCE,
     plane.REFERENCE,
     triangle_meshes.TRIANGLE,
@@ -15,4 +41,5 @@ REFERENCES = (
     triangle_meshes.TORUS,
     triangle_meshes.HEIGHTFIELD,
     triangle_meshes.TEAPOT,
-)
+):
+    register(_reference)

@@ -1,11 +1,20 @@
 """Cylinder: Mitsuba's cylinder, or an instance of one where it is stretched; and its error model."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from caster.shapes.cylinder import Cylinder, Cylinders
-from mitsuba_ref.error_model.independent_transform import expected_cylinder
+from mitsuba_ref.error_model.defect_conditions import (
+    ALONG_AXIS_SINE,
+    FAR_IN_SIZES,
+    STARTS_ON_CURVED,
+    STRETCHED,
+    DefectView,
+    KnownDefect,
+)
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
@@ -15,8 +24,10 @@ from mitsuba_ref.error_model.intersections import (
     norm,
     position_error,
 )
-from mitsuba_ref.oracle.exact_quadrics import CYLINDERS
+from mitsuba_ref.error_model.rounding_groups import by_matrix
+from mitsuba_ref.oracle.exact_quadrics import CYLINDERS as EXACT_CYLINDERS
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.shapes.descriptions import unit_shape_matrix
 from mitsuba_ref.shapes.quadric_error import (
     affine_bounds,
     half_chord_error,
@@ -25,7 +36,19 @@ from mitsuba_ref.shapes.quadric_error import (
     sphere_roots,
     world_normal,
 )
-from mitsuba_ref.shapes.shape_reference import ShapeReference
+from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
+from mitsuba_ref.shapes.targets import (
+    BESIDE_DECADES,
+    Rng,
+    SurfacePoints,
+    UnitPoints,
+    coin_flip,
+    random_fractions,
+    random_length,
+    random_point,
+    to_world_points,
+    unit_circle_points,
+)
 
 
 def to_xml(out: ShapeWriter, shape: Cylinder, part: Any) -> list[XmlElement]:
@@ -90,5 +113,116 @@ def intersect(
     return tuple(found)
 
 
-MODEL = ErrorModel(intersect, affine_bounds, ours_through_object_space(intersect), exact=CYLINDERS)
-REFERENCE = ShapeReference(Cylinder, to_xml, {Cylinders: MODEL}, expected_cylinder, analytic=True)
+def describe_cylinder(part: Cylinders, k: int) -> Fields:
+    return {"type": "cylinder", "to_world": unit_shape_matrix(part, k)}
+
+
+# A matrix that is flatter than this may turn inside out when its numbers are rounded to float32.
+LARGEST_HANDED_CONDITION = 2.0**20
+
+
+def expected_cylinder(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """Base, axis and handedness; and A A^T, which does not depend on where around the axis the angle begins."""
+    linear, packed = shape.matrix[:3, :3], part.to_world[0]
+    p0, axis = np.array(shape.p0), np.subtract(shape.p1, shape.p0)
+    ends = np.abs(shape.p0) + np.abs(shape.p1)
+    across = np.eye(3) - np.outer(axis, axis) / np.dot(axis, axis)
+    own = shape.radius**2 * across + np.outer(axis, axis)
+    reach = np.abs(linear).sum(axis=1) * (shape.radius + ends.max())
+    yield expected_point(shape, "p0", part.center[0], p0)
+    yield ExpectedNumbers("axis", packed[:, 2], linear @ axis, np.abs(linear) @ ends)
+    yield ExpectedNumbers("radius", packed @ packed.T, linear @ own @ linear.T, np.outer(reach, reach))
+    hands = np.sign(np.linalg.det(packed)), np.sign(np.linalg.det(linear))
+    yield ExpectedNumbers(
+        "handedness", *hands, np.where(np.linalg.cond(packed) < LARGEST_HANDED_CONDITION, 0.0, np.inf)
+    )
+
+
+def on_cylinders(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+    return to_world_points(prims, k, unit_cylinder_points(rng, len(k), sort))
+
+
+def unit_cylinder_points(rng: Rng, count: int, sort: str) -> UnitPoints:
+    c, s = unit_circle_points(rng, count)
+    zero, one = np.zeros(count), np.ones(count)
+    z = (
+        rng.integers(0, 2, count).astype(float)
+        if sort in ("corner", "beside")
+        else random_fractions(rng, count)[:, 0]
+    )
+    if sort == "beside":
+        z += 10.0 ** rng.uniform(*BESIDE_DECADES, count) * np.where(z > 0.0, 1.0, -1.0)
+    around, upright = np.column_stack([-s, c, zero]), np.column_stack([zero, zero, one])
+    along = np.where(rng.random((count, 1)) < 0.5, around, upright)
+    return np.column_stack([c, s, z]), along, np.column_stack([c, s, zero])
+
+
+def random_fields(rng: Rng, lattice: bool) -> Fields:
+    if coin_flip(rng):
+        return {}
+    p0, p1 = random_point(rng, lattice), random_point(rng, lattice)
+    if p0 == p1:
+        p1[2] += 1.0
+    return {"p0": p0, "p1": p1, "radius": random_length(rng, lattice)}
+
+
+def view_cylinder(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+    axis = prims.to_world[k][:, 2]
+    sine = np.linalg.norm(np.cross(axis, d)) / (np.linalg.norm(axis) * np.linalg.norm(d))
+    return DefectView(axis_angle=float(sine), stretch=float(np.linalg.norm(prims.to_object[k] @ d)))
+
+
+TANGENT = KnownDefect(
+    55,
+    "a cylinder that a ray touches along its wall, exactly",
+    6,
+    "hit",
+    lambda m: m.missed and "tangent" in m.where,
+)
+RIM = KnownDefect(
+    56,
+    "a ray through the end of a cylinder, exactly",
+    9,
+    "hit",
+    lambda m: m.missed and "rim" in m.where,
+)
+ALONG_AXIS = KnownDefect(
+    53,
+    "a ray nearly along the axis of a cylinder",
+    14,
+    "either",
+    lambda m: m.axis_angle < ALONG_AXIS_SINE and m.nearly,
+)
+THIN_AND_FAR = KnownDefect(
+    57,
+    "a cylinder that is thin and far away",
+    16,
+    "either",
+    lambda m: m.distance > FAR_IN_SIZES and m.nearly,
+)
+FAR_FROM_ORIGIN = KnownDefect(
+    61,
+    "a cylinder far from the origin",
+    22,
+    "either",
+    lambda m: m.offset > FAR_IN_SIZES and m.nearly,
+)
+
+CYLINDERS = PrimitiveReference(
+    Cylinders,
+    ErrorModel(intersect, affine_bounds, ours_through_object_space(intersect), exact=EXACT_CYLINDERS),
+    describe_cylinder,
+    on_cylinders,
+    rounding_groups=(by_matrix,),
+    known_defects=(STARTS_ON_CURVED, TANGENT, RIM, ALONG_AXIS, STRETCHED, THIN_AND_FAR, FAR_FROM_ORIGIN),
+    defect_view=view_cylinder,
+)
+REFERENCE = ShapeReference(
+    Cylinder,
+    to_xml,
+    (CYLINDERS,),
+    expected_cylinder,
+    random_fields,
+    groups=frozenset({"quadric", "small"}),
+    analytic=True,
+)

@@ -1,11 +1,20 @@
 """Disk: Mitsuba's disk, which takes any matrix; and its error model."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from caster.shapes.disk import Disk, Disks
-from mitsuba_ref.error_model.independent_transform import expected_disk
+from mitsuba_ref.error_model.defect_conditions import (
+    FAR_IN_SIZES,
+    GRAZED_FLAT,
+    STARTS_ON_FLAT,
+    DefectView,
+    KnownDefect,
+    abs_cosine,
+)
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
@@ -13,15 +22,26 @@ from mitsuba_ref.error_model.intersections import (
     norm,
     position_error,
 )
-from mitsuba_ref.oracle.exact_planar import DISKS
+from mitsuba_ref.error_model.rounding_groups import by_normal
+from mitsuba_ref.oracle.exact_planar import DISKS as EXACT_DISKS
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.shapes.descriptions import unit_shape_matrix
 from mitsuba_ref.shapes.quadric_error import (
     affine_bounds,
     ours_through_object_space,
     rays_in_object_space,
     world_normal,
 )
-from mitsuba_ref.shapes.shape_reference import ShapeReference
+from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
+from mitsuba_ref.shapes.targets import (
+    Rng,
+    SurfacePoints,
+    UnitPoints,
+    pushed_outside,
+    random_fractions,
+    to_world_points,
+    unit_circle_points,
+)
 from mitsuba_ref.shapes.triangle_error import UNRESOLVABLE
 
 
@@ -53,7 +73,58 @@ def intersect(
     return (Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error),)
 
 
-MODEL = ErrorModel(
-    intersect, affine_bounds, ours_through_object_space(intersect, used=(1.0, 1.0, 0.0)), exact=DISKS
+def describe_disk(part: Disks, k: int) -> Fields:
+    return {"type": "disk", "to_world": unit_shape_matrix(part, k)}
+
+
+def expected_disk(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """The matrix as it is."""
+    yield up_to_rounding("center", part.center[0], shape.matrix[:3, 3])
+    yield up_to_rounding("to_world", part.to_world[0], shape.matrix[:3, :3])
+
+
+def on_disks(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+    return to_world_points(prims, k, unit_disk_points(rng, len(k), sort))
+
+
+def unit_disk_points(rng: Rng, count: int, sort: str) -> UnitPoints:
+    c, s = unit_circle_points(rng, count)
+    zero = np.zeros(count)
+    rim, around = np.column_stack([c, s, zero]), np.column_stack([-s, c, zero])
+    share = random_fractions(rng, count) if sort == "inside" else np.ones((count, 1))
+    along = np.where(rng.random((count, 1)) < 0.5, around, rim)
+    return share * pushed_outside(rng, rim, sort), along, np.tile([0.0, 0.0, 1.0], (count, 1))
+
+
+def view_disk(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+    return DefectView(cosine=abs_cosine(prims.to_object[k][2], d))
+
+
+RIM = KnownDefect(
+    45, "a ray through the rim of a disk, exactly", 8, "hit", lambda m: m.missed and "rim" in m.where
 )
-REFERENCE = ShapeReference(Disk, to_xml, {Disks: MODEL}, expected_disk, analytic=True)
+FAR_FROM_ORIGIN = KnownDefect(
+    47,
+    "a disk far from the origin",
+    21,
+    "either",
+    lambda m: m.offset > FAR_IN_SIZES and m.nearly,
+)
+
+DISKS = PrimitiveReference(
+    Disks,
+    ErrorModel(
+        intersect,
+        affine_bounds,
+        ours_through_object_space(intersect, used=(1.0, 1.0, 0.0)),
+        exact=EXACT_DISKS,
+    ),
+    describe_disk,
+    on_disks,
+    rounding_groups=(by_normal,),
+    known_defects=(STARTS_ON_FLAT, RIM, GRAZED_FLAT, FAR_FROM_ORIGIN),
+    defect_view=view_disk,
+)
+REFERENCE = ShapeReference(
+    Disk, to_xml, (DISKS,), expected_disk, groups=frozenset({"quadric", "flat", "small"}), analytic=True
+)

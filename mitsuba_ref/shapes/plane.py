@@ -5,13 +5,19 @@ plane nearby would pay for those that meet it at the horizon. The patch is a squ
 it, each twice as large, so that the corners around a hit are about as far away as the hit itself.
 """
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.geometry.packing import Triangles
 from caster.shapes.plane import Plane, Planes
-from mitsuba_ref.error_model.independent_transform import expected_plane
+from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
+from mitsuba_ref.error_model.independent_transform import (
+    ExpectedNumbers,
+    expected_point,
+    transformed_normals,
+)
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
@@ -21,10 +27,20 @@ from mitsuba_ref.error_model.intersections import (
     position_error,
     unit,
 )
-from mitsuba_ref.oracle.exact_planar import PLANES
+from mitsuba_ref.error_model.rounding_groups import by_normal
+from mitsuba_ref.oracle.exact_planar import PLANES as EXACT_PLANES
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
 from mitsuba_ref.shapes import triangle_error
-from mitsuba_ref.shapes.shape_reference import ShapeReference
+from mitsuba_ref.shapes.descriptions import unit_vector_rounding_to
+from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
+from mitsuba_ref.shapes.targets import (
+    Rng,
+    SurfacePoints,
+    coin_flip,
+    random_directions,
+    random_fractions,
+    random_point,
+)
 
 PATCH_RINGS = 24  # 2^24 times the square: beyond that, float32 does not tell the hit from the horizon
 LARGEST_PATCH_COORDINATE = 1e10  # Embree's triangles are right up to about here (docs/method.md, "Domain")
@@ -194,5 +210,65 @@ def expand_patches(prims: Patches) -> tuple[Triangles, np.ndarray]:
     return as_triangles(prims), np.repeat(np.arange(len(prims.corners)), len(PATCH_FACES))
 
 
-MODEL = ErrorModel(intersect, bounds, intersect_ours, exact=PLANES, unfold={Patches: expand_patches})
-REFERENCE = ShapeReference(Plane, to_xml, {Planes: MODEL}, expected_plane, stand_in=patches)
+def describe_plane(part: Planes, k: int) -> Fields:
+    return {
+        "type": "plane",
+        "normal": unit_vector_rounding_to(part.normal[k]).tolist(),
+        "point": part.point[k].tolist(),
+    }
+
+
+def expected_plane(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """A point of it, and the normal by the matrix of cofactors."""
+    point = shape.point if shape.point is not None else np.multiply(shape.offset, shape.normal)
+    yield expected_point(shape, "point", part.point[0], np.array(point))
+    normal, size = transformed_normals(shape.matrix, np.array([shape.normal]))
+    yield ExpectedNumbers("normal", part.normal, normal, size)
+
+
+def on_planes(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+    n = prims.normal[k]
+    side = np.eye(3)[np.argmin(np.abs(n), axis=1)]
+    u, v = np.cross(n, side), np.cross(n, np.cross(n, side))
+    if sort == "corner":
+        return SurfacePoints(prims.point[k], u, n)
+    at = random_fractions(rng, len(k)) * u + random_fractions(rng, len(k)) * v
+    return SurfacePoints(prims.point[k] + at, np.where(rng.random((len(k), 1)) < 0.5, u, v), n)
+
+
+def random_fields(rng: Rng, lattice: bool) -> Fields:
+    normal = random_directions(rng, 1)[0].tolist()
+    if coin_flip(rng):
+        return {"normal": normal, "point": random_point(rng, lattice)}
+    return {"normal": normal, "offset": random_point(rng, lattice)[0]}
+
+
+def describe_plane_surface(part: Planes, k: int) -> Fields:
+    """By the very numbers: a normal of any length is the same plane's."""
+    return {"type": "plane", "normal": part.normal[k].tolist(), "point": part.point[k].tolist()}
+
+
+def view_plane(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+    return DefectView(cosine=abs_cosine(prims.normal[k], d))
+
+
+PLANES = PrimitiveReference(
+    Planes,
+    ErrorModel(intersect, bounds, intersect_ours, exact=EXACT_PLANES, unfold={Patches: expand_patches}),
+    describe_plane,
+    on_planes,
+    describe_surface=describe_plane_surface,
+    rounding_groups=(by_normal,),
+    known_defects=(STARTS_ON_FLAT, GRAZED_FLAT),
+    defect_view=view_plane,
+)
+REFERENCE = ShapeReference(
+    Plane,
+    to_xml,
+    (PLANES,),
+    expected_plane,
+    random_fields,
+    groups=frozenset({"flat", "unbounded"}),
+    stand_in=patches,
+    stand_in_note="in place of a plane Mitsuba gets a patch of triangles, cut to the rays: here, to this ray alone",
+)

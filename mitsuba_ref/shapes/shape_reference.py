@@ -1,39 +1,120 @@
-"""What the judge has to know of a shape: how to tell Mitsuba, and how far Mitsuba may be off."""
+"""Declarations of shapes and primitive kinds on the judge's side (docs/adding-a-shape.md).
 
-from collections.abc import Callable, Mapping
+A shape is what a scene file describes (`type = "disk"`); a primitive kind is the NamedTuple of arrays that shapes pack
+to (`Disks`). caster declares both in caster/shapes/<kind>.py. Everything the judge, the fuzzer, the reports and the
+importer need beyond that is declared here, as one `ShapeReference` for a shape and one `PrimitiveReference` for a kind,
+and registered in mitsuba_ref/shapes/__init__.py.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from caster.description.fields import Shape
+from mitsuba_ref.error_model.defect_conditions import DefectView, KnownDefect
 from mitsuba_ref.error_model.independent_transform import ExpectedPacking
 from mitsuba_ref.error_model.intersections import ErrorModel
+from mitsuba_ref.error_model.rounding_groups import GroupKey, single_group
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.shapes.targets import Rng, SurfacePoints
+
+Fields = dict[str, Any]  # of a shape, as a scene file gives them
 
 
 def as_packed(part: Any, o: np.ndarray, d: np.ndarray) -> Any:
-    """Mitsuba traces the very numbers that were packed."""
+    """Mitsuba traces the packed numbers themselves."""
     return part
+
+
+def all_numbers(part: Any, k: int) -> list[np.ndarray]:
+    """Row k of every array."""
+    return [array[k] for array in part]
+
+
+def plain_view(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+    """The view of a kind without known defects of its own."""
+    return DefectView()
+
+
+def no_fields(rng: Rng, lattice: bool) -> Fields:
+    """A shape that its to_world alone varies."""
+    return {}
+
+
+@dataclass(frozen=True)
+class PrimitiveReference:
+    """A primitive kind: error model, exact arithmetic, and what else belongs to the kind."""
+
+    arrays: type[Any]  # caster's NamedTuple; its name stands in reports
+
+    # predicted intersections with error bounds, boxes, exact arithmetic
+    model: ErrorModel = field(repr=False)
+
+    # (arrays, k) -> the fields of a shape that packs to the very numbers of primitive k
+    describe: Callable[[Any, int], Fields]
+
+    # (arrays, k (m,), random generator, one of targets.SORTS) -> points where rays are likely to be judged wrongly
+    surface_points: Callable[[Any, np.ndarray, Rng, str], SurfacePoints]
+
+    # (arrays, k) -> the same surface, where the packed bits do not matter; None: as `describe`
+    describe_surface: Callable[[Any, int], Fields] | None = None
+
+    # (arrays, k) -> the numbers that are cast and judged
+    numbers: Callable[[Any, int], list[np.ndarray]] = all_numbers
+
+    # ways in which one rounding of the reference may be common to many pixels; by its LLVM variant, None: the same
+    rounding_groups: Sequence[GroupKey] = (single_group,)
+    rounding_groups_llvm: Sequence[GroupKey] | None = None
+
+    # what Mitsuba is known to get wrong about this kind, and the measurements by which it is recognised
+    known_defects: tuple[KnownDefect, ...] = ()
+    defect_view: Callable[[Any, int, np.ndarray, np.ndarray, float], DefectView] = plain_view
+
+    @property
+    def name(self) -> str:
+        """The kind's name in reports."""
+        return self.arrays.__name__
 
 
 @dataclass(frozen=True)
 class ShapeReference:
-    """One entry of the registry `mitsuba_ref.shapes.REFERENCES`."""
+    """A shape: its XML, its packing computed a second time, its random instances, its importers."""
 
     describes: type[Shape]
 
     # (writer, description, float32 arrays) -> the elements of the shape, the last with its id
     to_xml: Callable[[ShapeWriter, Any, Any], list[XmlElement]]
 
-    # for each kind of primitive the shape packs to
-    models: Mapping[type, ErrorModel] = field(repr=False)
+    # every kind of primitive that the shape packs to
+    kinds: tuple[PrimitiveReference, ...]
 
-    # (description, its packed arrays) -> what has to hold of them, worked out a second time
-    placed: ExpectedPacking
+    # (description, its packed arrays) -> the numbers expected of them, computed a second time
+    expected: ExpectedPacking
+
+    # (random generator, whether coordinates are on the fuzzer's lattice) -> the shape's own fields, about unit size
+    random_fields: Callable[[Rng, bool], Fields] = no_fields
+
+    # the groups that the fuzzer draws it in: "quadric", "flat", "mesh", "small" (few primitives)
+    groups: frozenset[str] = frozenset()
 
     # Mitsuba intersects it with code of its own, which is float64 in its scalar variant only
     analytic: bool = False
 
-    # (float32 arrays, rays o, d) -> what Mitsuba traces in place of what it cannot express
+    # (float32 arrays, rays o, d) -> what Mitsuba traces in place of what it cannot express, and a remark about that
     stand_in: Callable[[Any, np.ndarray, np.ndarray], Any] = as_packed
+    stand_in_note: str = ""
+
+    # Mitsuba's plugin name -> (reader, element, steps of to_world, whether an instance places it) -> the shape's fields
+    importers: Mapping[str, Callable[..., Fields]] = field(default_factory=dict)
+
+    def model_of(self, part: Any) -> ErrorModel:
+        """The error model of what the shape packed to."""
+        return next(kind.model for kind in self.kinds if kind.arrays is type(part))
+
+    @property
+    def type_name(self) -> str:
+        """What a scene file calls it."""
+        name: str = self.describes.model_fields["type"].default
+        return name

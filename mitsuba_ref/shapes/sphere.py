@@ -1,11 +1,23 @@
 """Sphere: to Mitsuba's sphere, or an instance of one where it is stretched; and its error model."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from caster.shapes.sphere import Ellipsoids, Sphere, Spheres
-from mitsuba_ref.error_model.independent_transform import expected_sphere
+from mitsuba_ref.error_model.defect_conditions import (
+    FAR_IN_SIZES,
+    STARTS_ON_CURVED,
+    STRETCHED,
+    DefectView,
+    KnownDefect,
+)
+from mitsuba_ref.error_model.independent_transform import (
+    ExpectedNumbers,
+    expected_point,
+    up_to_rounding,
+)
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
@@ -14,8 +26,11 @@ from mitsuba_ref.error_model.intersections import (
     norm,
     position_error,
 )
-from mitsuba_ref.oracle.exact_quadrics import ELLIPSOIDS, SPHERES
+from mitsuba_ref.error_model.rounding_groups import by_approach, by_center, by_matrix
+from mitsuba_ref.oracle.exact_quadrics import ELLIPSOIDS as EXACT_ELLIPSOIDS
+from mitsuba_ref.oracle.exact_quadrics import SPHERES as EXACT_SPHERES
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.shapes.descriptions import unit_shape_matrix
 from mitsuba_ref.shapes.quadric_error import (
     affine_bounds,
     half_chord_error,
@@ -24,7 +39,18 @@ from mitsuba_ref.shapes.quadric_error import (
     sphere_roots,
     world_normal,
 )
-from mitsuba_ref.shapes.shape_reference import ShapeReference
+from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
+from mitsuba_ref.shapes.targets import (
+    Rng,
+    SurfacePoints,
+    UnitPoints,
+    coin_flip,
+    pushed_outside,
+    random_length,
+    random_point,
+    to_world_points,
+    unit_circle_points,
+)
 
 
 def to_xml(out: ShapeWriter, shape: Sphere, part: Any) -> list[XmlElement]:
@@ -102,15 +128,112 @@ def sphere_bounds(prims: Spheres) -> tuple[np.ndarray, np.ndarray]:
     return prims.center - r, prims.center + r
 
 
+def describe_sphere(part: Spheres, k: int) -> Fields:
+    return {"type": "sphere", "center": part.center[k].tolist(), "radius": float(part.radius[k])}
+
+
+def describe_ellipsoid(part: Ellipsoids, k: int) -> Fields:
+    return {"type": "sphere", "to_world": unit_shape_matrix(part, k)}
+
+
+def expected_sphere(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """Centre, and radius or matrix; a similarity stretches every direction as it does the x axis."""
+    linear = shape.matrix[:3, :3]
+    yield expected_point(shape, "center", part.center[0], np.array(shape.center))
+    if hasattr(part, "radius"):
+        radius = shape.radius * np.linalg.norm(linear[:, 0])
+        yield ExpectedNumbers("radius", part.radius[0], radius, radius)
+    else:
+        yield up_to_rounding("to_world", part.to_world[0], shape.radius * linear)
+
+
+def on_spheres(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+    p, along, n = unit_sphere_points(rng, len(k), sort)
+    r = prims.radius[k][:, None]
+    return SurfacePoints(prims.center[k] + r * p, r * along, n)
+
+
+def on_ellipsoids(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+    return to_world_points(prims, k, unit_sphere_points(rng, len(k), sort))
+
+
+def unit_sphere_points(rng: Rng, count: int, sort: str) -> UnitPoints:
+    c, s = unit_circle_points(rng, count)
+    turned = rng.permuted(np.column_stack([c, s, np.zeros(count)]), axis=1)
+    any_way = rng.normal(size=(count, 3))
+    any_way /= np.linalg.norm(any_way, axis=1, keepdims=True)
+    u = np.where((sort == "corner") | (rng.random((count, 1)) < 0.3), turned, any_way)
+    across = np.cross(u, np.eye(3)[np.argmin(np.abs(u), axis=1)])
+    return pushed_outside(rng, u, sort), across, u
+
+
+def random_fields(rng: Rng, lattice: bool) -> Fields:
+    return (
+        {"center": random_point(rng, lattice), "radius": random_length(rng, lattice)}
+        if coin_flip(rng)
+        else {}
+    )
+
+
+def view_ellipsoid(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+    return DefectView(stretch=float(np.linalg.norm(prims.to_object[k] @ d)))
+
+
+def numbers_of_sphere(part: Spheres, k: int) -> list[np.ndarray]:
+    """All but its turn, which only uv depend on."""
+    return [part.center[k], part.radius[k]]
+
+
+TANGENT = KnownDefect(
+    4,
+    "a sphere that a ray touches in one point, exactly: Mitsuba misses it",
+    5,
+    "hit",
+    lambda m: m.missed and "tangent" in m.where,
+)
+SMALL_AND_FAR = KnownDefect(
+    2,
+    "a sphere that is small and far away",
+    17,
+    "either",
+    lambda m: m.distance > FAR_IN_SIZES and m.nearly,
+)
+FAR_FROM_ORIGIN = KnownDefect(
+    9,
+    "a sphere far from the origin; one so far that it is lost in the rounding of its centre has no normal there",
+    19,
+    "either",
+    lambda m: m.offset > FAR_IN_SIZES and (m.nearly or m.normless),
+)
+DEFECTS = (STARTS_ON_CURVED, TANGENT, SMALL_AND_FAR, FAR_FROM_ORIGIN)
+
+SPHERES = PrimitiveReference(
+    Spheres,
+    ErrorModel(intersect, sphere_bounds, exact=EXACT_SPHERES),
+    describe_sphere,
+    on_spheres,
+    numbers=numbers_of_sphere,
+    rounding_groups=(by_approach,),
+    rounding_groups_llvm=(by_center,),
+    known_defects=DEFECTS,
+)
+ELLIPSOIDS = PrimitiveReference(
+    Ellipsoids,
+    ErrorModel(
+        meet_ellipsoid, affine_bounds, ours_through_object_space(meet_ellipsoid), exact=EXACT_ELLIPSOIDS
+    ),
+    describe_ellipsoid,
+    on_ellipsoids,
+    rounding_groups=(by_matrix,),
+    known_defects=(*DEFECTS, STRETCHED),
+    defect_view=view_ellipsoid,
+)
 REFERENCE = ShapeReference(
     Sphere,
     to_xml,
-    {
-        Spheres: ErrorModel(intersect, sphere_bounds, exact=SPHERES),
-        Ellipsoids: ErrorModel(
-            meet_ellipsoid, affine_bounds, ours_through_object_space(meet_ellipsoid), exact=ELLIPSOIDS
-        ),
-    },
+    (SPHERES, ELLIPSOIDS),
     expected_sphere,
+    random_fields,
+    groups=frozenset({"quadric", "small"}),
     analytic=True,
 )

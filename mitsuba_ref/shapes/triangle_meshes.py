@@ -1,13 +1,15 @@
-"""Shapes that both sides trace as the same triangles, in world space and in float32.
+"""Shapes that both sides trace as the same triangles, in world space and in float32: a PLY file for Mitsuba.
 
 Mitsuba's own rectangle and cube are among them: they would take their shading normals from the matrix, ours come of
 the float32 corners, and far from the origin the two differ; mirrored, their geometric normals would turn inwards.
 """
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
+
 from caster.description.fields import Shape
-from caster.geometry.packing import Triangles
 from caster.shapes.cube import Cube
 from caster.shapes.heightfield import Heightfield
 from caster.shapes.icosphere import Icosphere
@@ -17,71 +19,122 @@ from caster.shapes.teapot import Teapot
 from caster.shapes.torus import Torus
 from caster.shapes.triangle import Triangle
 from mitsuba_ref.error_model.independent_transform import (
+    ExpectedNumbers,
     ExpectedPacking,
-    expected_cube,
-    expected_mesh,
-    expected_rectangle,
-    expected_triangle,
+    angle_weighted_normals,
+    exactly,
+    transformed_normals,
 )
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.shape_reference import ShapeReference
-from mitsuba_ref.shapes.triangle_error import MODEL
-
-
-def triangle_mesh_reference(
-    describes: type[Shape], placed: ExpectedPacking = expected_mesh
-) -> ShapeReference:
-    """A shape of triangles that goes to Mitsuba as a PLY file."""
-    return ShapeReference(describes, mesh_to_xml, {Triangles: MODEL}, placed)
+from mitsuba_ref.shapes.adversarial_meshes import mesh_files
+from mitsuba_ref.shapes.shape_reference import Fields, ShapeReference, no_fields
+from mitsuba_ref.shapes.targets import Rng, coin_flip, random_point
+from mitsuba_ref.shapes.triangle_kind import TRIANGLES
 
 
 def mesh_to_xml(out: ShapeWriter, shape: Any, part: Any) -> list[XmlElement]:
     return [out.mesh(shape, part)]
 
 
-# Triangle: a mesh of one face.
+def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """Corners, which side of each face is outside, and the vertex normals where there are to be some."""
+    given = shape.mesh()
+    linear = shape.matrix[:3, :3]
+    corners = np.einsum("jk,ik->ij", linear, given.vertices) + shape.matrix[:3, 3]
+    size = np.abs(given.vertices) @ np.abs(linear.T) + np.abs(shape.matrix[:3, 3])
+    yield ExpectedNumbers("vertices", part.vertices, corners, size)
+    mirrored = np.linalg.slogdet(linear)[0] < 0.0
+    yield exactly("faces", part.faces, given.faces[:, [0, 2, 1]] if mirrored else given.faces)
+    smooth = not getattr(shape, "face_normals", given.normals is None)
+    yield exactly("smooth", part.smooth, np.full(len(given.faces), smooth))
+    if smooth and given.normals is not None:
+        yield ExpectedNumbers("normals", part.normals, *transformed_normals(shape.matrix, given.normals))
+    elif smooth:
+        yield ExpectedNumbers(
+            "generated normals", part.normals, *angle_weighted_normals(part.vertices, part.faces)
+        )
 
 
-TRIANGLE = triangle_mesh_reference(Triangle, expected_triangle)
+def expected_triangle(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """The corners and normals in the order that was described, and where they stand."""
+    given = shape.mesh()
+    yield exactly("corners", given.vertices, shape.vertices)
+    yield exactly("face", given.faces, [[0, 1, 2]])
+    if shape.normals is not None:
+        yield exactly("described normals", given.normals, shape.normals)
+    yield from expected_mesh(shape, part)
 
 
-# Mesh: a PLY file with corners, normals and uv in world space.
+def expected_rectangle(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """[-1, 1]^2 at z = 0, facing +z, and where it stands."""
+    corners, doubled = _sides(shape)
+    yield exactly("corners", np.abs(corners), np.tile([1.0, 1.0, 0.0], (len(corners), 1)))
+    yield exactly("winding", np.sign(doubled[:, 2]), np.ones(len(doubled)))
+    yield exactly("area", 0.5 * doubled.sum(axis=0), [0.0, 0.0, 4.0])
+    yield from expected_mesh(shape, part)
 
 
-MESH = triangle_mesh_reference(MeshFile)
+def expected_cube(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """[-1, 1]^3 with its outside outside, and where it stands."""
+    corners, doubled = _sides(shape)
+    middles = shape.mesh().vertices[shape.mesh().faces].mean(axis=1)
+    yield exactly("corners", np.abs(corners), np.ones_like(corners))
+    yield exactly("winding", np.sign(np.einsum("ij,ij->i", doubled, middles)), np.ones(len(doubled)))
+    yield exactly("area", 0.5 * np.abs(doubled).sum(axis=0), [8.0, 8.0, 8.0])
+    yield from expected_mesh(shape, part)
 
 
-# Rectangle: its triangles.
+def _sides(shape: Any) -> tuple[np.ndarray, np.ndarray]:
+    """(corners of the mesh, twice the area of each face as a vector)."""
+    given = shape.mesh()
+    a, b, c = (given.vertices[given.faces[:, j]] for j in range(3))
+    return given.vertices, np.cross(b - a, c - a)
 
 
-RECTANGLE = triangle_mesh_reference(Rectangle, expected_rectangle)
+def random_triangle(rng: Rng, lattice: bool) -> Fields:
+    return {"vertices": [random_point(rng, lattice) for _ in range(3)]}
 
 
-# Cube: its triangles.
+def random_mesh(rng: Rng, lattice: bool) -> Fields:
+    return {"file": str(rng.choice(mesh_files())), "face_normals": coin_flip(rng)}
 
 
-CUBE = triangle_mesh_reference(Cube, expected_cube)
+def random_icosphere(rng: Rng, lattice: bool) -> Fields:
+    return {"subdivisions": int(rng.integers(0, 2)), "face_normals": coin_flip(rng)}
 
 
-# Icosphere: its triangles.
+def random_torus(rng: Rng, lattice: bool) -> Fields:
+    counts = {"segments": int(rng.integers(3, 7)), "sides": int(rng.integers(3, 6))}
+    return {"major_radius": 0.75, "minor_radius": 0.25, "face_normals": coin_flip(rng), **counts}
 
 
-ICOSPHERE = triangle_mesh_reference(Icosphere)
+def random_heightfield(rng: Rng, lattice: bool) -> Fields:
+    amplitude = float(rng.choice([0.0, 0.25]))
+    counts = {"resolution": int(rng.integers(1, 5)), "waves": 2, "seed": int(rng.integers(100))}
+    return {"amplitude": amplitude, "face_normals": coin_flip(rng), **counts}
 
 
-# Torus: its triangles.
+def random_teapot(rng: Rng, lattice: bool) -> Fields:
+    return {"subdivisions": 1, "face_normals": coin_flip(rng)}
 
 
-TORUS = triangle_mesh_reference(Torus)
+def triangle_mesh_reference(
+    describes: type[Shape],
+    random_fields: Callable[[Rng, bool], Fields] = no_fields,
+    expected: ExpectedPacking = expected_mesh,
+    groups: frozenset[str] = frozenset({"mesh"}),
+) -> ShapeReference:
+    """A shape of triangles that goes to Mitsuba as a PLY file."""
+    return ShapeReference(describes, mesh_to_xml, (TRIANGLES,), expected, random_fields, groups)
 
 
-# Heightfield: its triangles.
+FLAT_AND_SMALL = frozenset({"flat", "small"})
 
-
-HEIGHTFIELD = triangle_mesh_reference(Heightfield)
-
-
-# Teapot: its triangles.
-
-
-TEAPOT = triangle_mesh_reference(Teapot)
+TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
+MESH = triangle_mesh_reference(MeshFile, random_mesh)
+RECTANGLE = triangle_mesh_reference(Rectangle, no_fields, expected_rectangle, FLAT_AND_SMALL)
+CUBE = triangle_mesh_reference(Cube, no_fields, expected_cube, frozenset({"flat", "mesh"}))
+ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere)
+TORUS = triangle_mesh_reference(Torus, random_torus)
+HEIGHTFIELD = triangle_mesh_reference(Heightfield, random_heightfield)
+TEAPOT = triangle_mesh_reference(Teapot, random_teapot)

@@ -133,9 +133,9 @@ def test_a_triangle_nearly_edge_on_is_case_28(judged):
 
 def altered_export(monkeypatch: pytest.MonkeyPatch, shape: type, change: Any) -> None:
     """The exporter writes other numbers of this shape than were packed."""
-    known = judges_model.REFERENCE_BY_SHAPE[shape]
+    known = judges_model.REFERENCES[shape]
     altered = replace(known, to_xml=lambda out, one, part: known.to_xml(out, one, change(part)))
-    monkeypatch.setitem(judges_model.REFERENCE_BY_SHAPE, shape, altered)
+    monkeypatch.setitem(judges_model.REFERENCES, shape, altered)
 
 
 BALL = caster.Sphere(name="ball", center=(-0.6, 0, 0))

@@ -75,7 +75,7 @@ def pose(kind: str, setting: Setting, seed: list[int], count: int = 300, shapes:
     packed, (o, d) = pack(scene, as_float32), rays_at(scene, rng, setting, count)
     reference, prims = reference_of(scene.shapes[0]), packed.kinds[0].prims
     k = np.repeat(np.arange(shapes), -(-count // shapes))[:count]
-    return Pairs(prims, k, o, d, reference.models[type(prims)], reference.stand_in(prims, o, d))
+    return Pairs(prims, k, o, d, reference.model_of(prims), reference.stand_in(prims, o, d))
 
 
 def rounding(rng: Rng, u: float) -> Off:

@@ -12,27 +12,29 @@ from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.scene.files import load_scene
 from caster.shapes import SHAPES
+from caster.shapes.sphere import Spheres
 from mitsuba_ref.error_model.intersections import K
-from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
-from mitsuba_ref.judge.scene_checks.bias import (
-    GROUP_KEYS,
-    GROUP_KEYS_LLVM,
+from mitsuba_ref.error_model.rounding_groups import (
     SAME_NORMAL_TOLERANCE,
     by_approach,
     by_center,
     by_corner,
     by_matrix,
     by_normal,
+    single_group,
+)
+from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
+from mitsuba_ref.judge.scene_checks.bias import (
     check_bias,
     extremes,
     looseness,
-    single_group,
     weakest_bias,
     z_of_groups,
 )
 from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneVerdict, Verdict
 from mitsuba_ref.report.junit import junit
 from mitsuba_ref.report.terminal import failure_text, summary_text
+from mitsuba_ref.shapes import KINDS
 
 SCENES = Path(__file__).parents[2] / "scenes"
 NOTHING = np.zeros((0, 3))
@@ -104,8 +106,9 @@ def groups(key: np.ndarray) -> int:
 def test_every_kind_of_primitive_has_its_groups():
     scenes = [load_scene(SCENES / f"{name}.toml") for name in ("every-shape", "ellipsoids")]
     assert {type(shape) for scene in scenes for shape in scene.shapes} == set(SHAPES)
-    kinds = {type(kind.prims).__name__ for scene in scenes for kind in pack(scene, as_float32).kinds}
-    assert kinds == set(GROUP_KEYS)
+    kinds = {type(kind.prims) for scene in scenes for kind in pack(scene, as_float32).kinds}
+    assert kinds == set(KINDS)
+    assert all(single_group not in kind.rounding_groups for kind in KINDS.values())
 
 
 def test_a_kind_that_nobody_described_is_one_group():
@@ -151,7 +154,7 @@ def test_balls_are_grouped_by_where_the_ray_passes_their_centres():
 def test_balls_in_float32_are_grouped_by_their_centres():
     prims = SimpleNamespace(center=np.array([[0.0, 0, 0], [3, 0, 0], [3, 0, 0]]))
     assert groups(by_center(prims, np.array([0, 0, 1, 2]), NOTHING, NOTHING, NOTHING)) == 2
-    assert GROUP_KEYS_LLVM["Spheres"] == (by_center,) and set(GROUP_KEYS_LLVM) == set(GROUP_KEYS)
+    assert KINDS[Spheres].rounding_groups_llvm == (by_center,)
 
 
 # ---- what is recorded and checked ----

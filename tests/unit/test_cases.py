@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mitsuba_ref.judge import known_defects
-from mitsuba_ref.judge.defect_features import abs_cosine, has_area
-from mitsuba_ref.judge.known_defects import DEFECT_NAMES, KNOWN_DEFECTS, DefectFeatures, case_of
+from mitsuba_ref.error_model import defect_conditions
+from mitsuba_ref.error_model.defect_conditions import DefectFeatures, abs_cosine
+from mitsuba_ref.judge.known_defects import defect_name, defect_of, known_defects
+from mitsuba_ref.shapes.triangle_kind import has_area
 
 INSIDE = frozenset({"inside"})
 ORDINARY = DefectFeatures(
@@ -29,9 +30,9 @@ ORDINARY = DefectFeatures(
     True,
 )
 FAR, EDGE_ON, ALONG = (
-    2.0 * known_defects.FAR_IN_SIZES,
-    0.5 * known_defects.NEARLY_EDGE_ON_COSINE,
-    0.5 * known_defects.ALONG_AXIS_SINE,
+    2.0 * defect_conditions.FAR_IN_SIZES,
+    0.5 * defect_conditions.NEARLY_EDGE_ON_COSINE,
+    0.5 * defect_conditions.ALONG_AXIS_SINE,
 )
 KINDS = ("Triangles", "Planes", "Disks", "Spheres", "Ellipsoids", "Cylinders")
 
@@ -57,7 +58,7 @@ EXAMPLES = {
     26: at("Triangles", cosine=2.0**-12),
     43: at("Disks", cosine=2.0**-12),
     53: at("Cylinders", axis_angle=ALONG),
-    8: at("Ellipsoids", stretch=2.0 * known_defects.SQUASHED_STRETCH),
+    8: at("Ellipsoids", stretch=2.0 * defect_conditions.SQUASHED_STRETCH),
     57: at("Cylinders", distance=FAR),
     2: at("Spheres", distance=FAR),
     35: at("Triangles", distance=FAR),
@@ -69,14 +70,13 @@ EXAMPLES = {
 
 
 def test_every_case_has_an_example():
-    assert [case.number for case in KNOWN_DEFECTS] == list(EXAMPLES) and len(DEFECT_NAMES) == len(
-        KNOWN_DEFECTS
-    )
+    assert [defect.number for defect in known_defects()] == list(EXAMPLES)
+    assert len({defect_name(number) for number in EXAMPLES}) == len(EXAMPLES)
 
 
 @pytest.mark.parametrize("number", EXAMPLES)
 def test_an_example_is_named_by_its_number(number):
-    assert case_of(EXAMPLES[number]) == number
+    assert defect_of(EXAMPLES[number]) == number
 
 
 @pytest.mark.parametrize("ours", ["", *KINDS])
@@ -84,7 +84,7 @@ def test_an_example_is_named_by_its_number(number):
 @pytest.mark.parametrize("t", [4.2, 0.0, math.inf])
 def test_an_ordinary_pixel_is_none_of_them(ours, theirs, t):
     for where in ("inside", "edge"):
-        assert case_of(at(ours, where, theirs=theirs, t=t)) is None
+        assert defect_of(at(ours, where, theirs=theirs, t=t)) is None
 
 
 ROUNDED = (22, 19, 26, 43, 53, 8, 57, 2, 35, 9, 34, 47, 61)
@@ -92,13 +92,13 @@ ROUNDED = (22, 19, 26, 43, 53, 8, 57, 2, 35, 9, 34, 47, 61)
 
 @pytest.mark.parametrize("number", ROUNDED)
 def test_what_is_far_beyond_rounding_is_no_case_of_rounding(number):
-    assert case_of(replace(EXAMPLES[number], nearly=False)) is None
+    assert defect_of(replace(EXAMPLES[number], nearly=False)) is None
 
 
 @pytest.mark.parametrize("number", [4, 55, 16, 45, 56])
 def test_what_the_reference_does_hit_is_no_case_of_a_miss(number):
     example = EXAMPLES[number]
-    assert case_of(replace(example, theirs=example.ours)) is None
+    assert defect_of(replace(example, theirs=example.ours)) is None
 
 
 def test_an_area_is_told_exactly():

@@ -9,7 +9,7 @@ from caster.geometry.packing import pack
 from mitsuba_ref.fuzz.cases import SCENE_ERRORS, Case, one_ray
 from mitsuba_ref.fuzz.families import BY_NAME, example, scene_of
 from mitsuba_ref.fuzz.findings import Finding
-from mitsuba_ref.fuzz.kinds import SHAPE_TYPES
+from mitsuba_ref.fuzz.kinds import shape_types
 from mitsuba_ref.fuzz.shrink import (
     Budget,
     Shrinker,
@@ -90,7 +90,7 @@ def test_a_walk_goes_through_everything():
     assert ("shape", 0, "a", 1, "b") in paths and len(paths) == 6
 
 
-@pytest.mark.parametrize("kind", SHAPE_TYPES)
+@pytest.mark.parametrize("kind", shape_types())
 def test_shapes_written_anew_have_the_same_primitives(kind):
     """In the same order, so that ties stay what they are."""
     exercised = 0

@@ -71,7 +71,7 @@ def scene_of(shape: Shape) -> Scene:
 
 def claims_of(shape: Shape) -> list[str]:
     part = pack(scene_of(shape), as_given).parts[0]
-    return [claim.what for claim in reference_of(shape).placed(shape, part)]
+    return [claim.what for claim in reference_of(shape).expected(shape, part)]
 
 
 FAULTS = [
@@ -93,7 +93,7 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
         return pack(scene, how)
 
     def placed(shape: Shape, part: Any) -> Any:
-        for claim in reference_of(shape).placed(shape, part):
+        for claim in reference_of(shape).expected(shape, part):
             if claim.what == what and packed_now == [rounded]:
                 off = OFF[precision] if claim.rounded else 1.0  # an index or a flag is right or another one
                 claim = claim._replace(packed=claim.packed + off * np.maximum(np.abs(claim.packed), off))
@@ -101,7 +101,7 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
 
     monkeypatch.setattr(shape_checks, "pack", pack_and_note)
     assert check_geometry(scene_of(shape)).ok
-    monkeypatch.setattr(shape_checks, "reference_of", lambda shape: SimpleNamespace(placed=placed))
+    monkeypatch.setattr(shape_checks, "reference_of", lambda shape: SimpleNamespace(expected=placed))
     found = check_geometry(scene_of(shape))
     assert not found.ok
     assert found.what == f"{what} of shape-0 ({precision})"

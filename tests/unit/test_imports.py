@@ -215,7 +215,7 @@ RULES = (
             "numpy",
             "mitsuba_ref.oracle",
             "caster.geometry.packing.Packed",  # the packed arrays' own record
-            "mitsuba_ref.shapes.REFERENCES",  # the registry of its arithmetic
+            "mitsuba_ref.shapes.KINDS",  # the registry of its arithmetic
         ),
     ),
 )

@@ -19,7 +19,7 @@ from mitsuba_ref.error_model.intersections import KU, KU_OURS
 from mitsuba_ref.error_model.scene_model import SceneModel, model_of
 from mitsuba_ref.judge.classification import cast_ours
 from mitsuba_ref.judge.defect_features import FeatureMeasurement
-from mitsuba_ref.judge.known_defects import case_of
+from mitsuba_ref.judge.known_defects import defect_of
 from mitsuba_ref.judge.scene_checks import render_checks, shape_checks
 from mitsuba_ref.judge.scene_checks.render_checks import check_render
 from mitsuba_ref.judge.scene_checks.shape_checks import check_geometry
@@ -202,7 +202,7 @@ def measured(shape: Any, o: Any, d: Any, t: float, n: Any, p: Any) -> int | None
     n, p = (np.asarray(v, float)[None] for v in (n, p))
     claims = Claims(np.array([t]), np.array([0]), n, n, p)
     (found,) = FeatureMeasurement(model, oracle).all_of(line, claims, answers, [0])
-    return case_of(found)
+    return defect_of(found)
 
 
 NOTHING = [np.nan] * 3

@@ -23,7 +23,7 @@ SEEN_THROUGH = {"hit": "mask"}  # AOV -> the check it goes by
 
 
 def test_every_shape_has_exactly_one_reference():
-    described = [reference.describes for reference in shapes.REFERENCES]
+    described = list(shapes.REFERENCES)
     for shape in SHAPES:
         assert described.count(shape) == 1, missing_reference(shape.__name__, "shapes")
     assert len(described) == len(SHAPES), "a reference without its shape in caster/shapes/__init__.py"

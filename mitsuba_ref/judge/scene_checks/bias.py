@@ -1,74 +1,16 @@
-"""Which pixels share a rounding of the reference's, by kind of primitive (docs/method.md, "Bias")."""
+"""Bias of the errors of t: whether they lean to one side, by kind of primitive (docs/method.md, "Bias")."""
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
-from mitsuba_ref.error_model.intersections import K, dot
+from mitsuba_ref.error_model.intersections import K
 from mitsuba_ref.error_model.tolerances import LARGEST_Z
-from mitsuba_ref.judge.known_defects import CYLINDERS, DISKS, ELLIPSOIDS, PLANES, SPHERES, TRIANGLES
 from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneCheck
+from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.subjects.ours import ImagePair
-
-# Faces whose unit normals agree to this share are one group: parallel faces have the same differences of corners.
-SAME_NORMAL_TOLERANCE = 2.0**-12
-
-# (prims, k (m,), n (m, 3), o (m, 3), d (m, 3)) -> (m, c) rows that are equal where pixels are of one group
-GroupKey = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-
-
-def by_normal(_prims: Any, _k: np.ndarray, n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """Flat: what is rounded is the plane, and parallel ones may be rounded alike; so may mirror images be."""
-    key: np.ndarray = np.sort(np.round(np.abs(n) / SAME_NORMAL_TOLERANCE), axis=1)
-    return key
-
-
-def by_corner(
-    axis: int, prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray
-) -> np.ndarray:
-    """Faces on rings and grids: what is rounded is one coordinate of many corners, as seen from the ray's origin."""
-    corner: np.ndarray = np.abs(prims.vertices[prims.faces[k, 0], axis])
-    return corner[:, None]
-
-
-def by_matrix(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """Through a matrix: what is rounded is its inverse; a mirror image's has the same magnitudes."""
-    key: np.ndarray = np.abs(prims.to_world[k].reshape(len(k), 9))
-    return key
-
-
-def by_approach(prims: Any, k: np.ndarray, _n: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Balls are solved in float64, but from the point nearest to the centre, which lies at a t rounded to float32."""
-    nearest: np.ndarray = dot(prims.center[k] - o, d) / dot(d, d)
-    return nearest.astype(np.float32)[:, None]
-
-
-def by_center(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """Balls in float32 throughout, as the LLVM variant has them: what is rounded is the centre from the origin."""
-    center: np.ndarray = prims.center[k]
-    return center
-
-
-def single_group(_prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """A kind of which nobody has said what is rounded for many pixels at once: it can tell nothing."""
-    return np.zeros((len(k), 1))
-
-
-# All ways in which a rounding may be common to many pixels. The one that explains a leaning best is taken.
-GROUP_KEYS: Mapping[str, Sequence[GroupKey]] = {
-    TRIANGLES: (by_normal, *(partial(by_corner, axis) for axis in range(3))),
-    PLANES: (by_normal,),
-    DISKS: (by_normal,),
-    CYLINDERS: (by_matrix,),
-    ELLIPSOIDS: (by_matrix,),
-    SPHERES: (by_approach,),
-}
-GROUP_KEYS_LLVM = {**GROUP_KEYS, SPHERES: (by_center,)}
-
 
 # How much of their bounds the errors of the reference use, and whether they lean to one side.
 #
@@ -119,15 +61,16 @@ def _kind_biases(
     shape = packed.shape_of(prim)
     kind, k = packed.kind_of[shape], prim - packed.first[shape] + packed.start[shape]
     scalar = pair.witness.answer.versions["variant"].startswith("scalar")
-    ways_of = GROUP_KEYS if scalar else GROUP_KEYS_LLVM
     biases = []
     for place in np.unique(kind):
         prims, here = packed.kinds[place].prims, kind == place
-        at, name = rows[here], type(prims).__name__
+        at, reference = rows[here], kind_of(prims)
         o, d = (a[at].astype(np.float64) for a in (pair.rays.o, pair.rays.d))
-        ways = ways_of.get(name, (single_group,))
+        ways = reference.rounding_groups
+        if not scalar and reference.rounding_groups_llvm is not None:
+            ways = reference.rounding_groups_llvm
         keys = [way(prims, k[here], bounds.own.n[at], o, d) for way in ways]
-        biases.append(KindBias(name, *weakest_bias([z_of_groups(key, share[at]) for key in keys])))
+        biases.append(KindBias(reference.name, *weakest_bias([z_of_groups(key, share[at]) for key in keys])))
     return tuple(biases)
 
 

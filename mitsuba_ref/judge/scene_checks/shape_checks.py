@@ -54,7 +54,7 @@ def check_geometry(scene: Scene) -> SceneCheck:
     for precision in PRECISIONS:
         parts = pack(scene, precision.rounded).parts
         for name, shape, part in zip(scene.shape_names(), scene.shapes, parts, strict=True):
-            for claim in reference_of(shape).placed(shape, part):
+            for claim in reference_of(shape).expected(shape, part):
                 share = _packing_error_ratio(claim, precision.unit_roundoff, precision.smallest_normal)
                 shares.add(f"{claim.what} of {name} ({precision.name})", share)
     worst, share = shares.worst()

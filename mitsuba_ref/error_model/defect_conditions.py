@@ -1,0 +1,123 @@
+"""Conditions under which Mitsuba 3.9.1 is known to be wrong: what is measured at a pixel, and thresholds on it.
+
+Each kind of primitive declares its own defects (`PrimitiveReference.known_defects`); those that several kinds share are
+here. The numbers are those of a catalogue of 77 hard cases of ray casting; only the ones that Mitsuba fails are used. A
+condition is so tight that a wrong image of an ordinary surface fulfils none.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+# Rounding that is worse than the bounds of docs/method.md, yet rounding: what they allow when widened so much.
+WIDENED_BOUNDS_FACTOR = 16.0
+
+NEARLY_EDGE_ON_COSINE = 2.0**-6  # |cos|, 0.9 degrees
+GRAZING_COSINE = 2.0**-10  # |cos|, 0.06 degrees
+SLIVER_HEIGHT_RATIO = 2.0**-13  # height over longest edge
+COLLINEAR_HEIGHT_RATIO = 2.0**-20  # height over longest edge
+FAR_IN_SIZES = 2.0**13  # sizes
+SQUASHED_STRETCH = 2.0**6  # lengths of the direction in object space
+ALONG_AXIS_SINE = 2.0**-6  # sine
+
+
+class DefectView(NamedTuple):
+    """Measurements that one kind of primitive makes of a ray and a t; the defaults fulfil no condition."""
+
+    cosine: float = 1.0  # |cos| between the ray and the normal of a flat primitive
+    slenderness: float = 1.0  # least height of a triangle over its longest edge
+    axis_angle: float = 1.0  # sine of the angle between the ray and an axis
+    stretch: float = 1.0  # length of the ray's direction in object space
+    beyond_corners: bool = False  # t is beyond the farthest corner of a triangle, or before the nearest
+    without_area: bool = False  # a triangle has no area, exactly
+
+
+@dataclass(frozen=True)
+class DefectFeatures:
+    """A pixel where the reference is wrong. Kinds are names of primitive kinds, such as Triangles; "" for a miss."""
+
+    ours: str  # kind that is hit, by exact arithmetic as by the caster
+    theirs: str  # kind of what the reference names
+    where: frozenset[str]  # of the members of the exact tie set
+    flags: frozenset[str]  # of the exact answer
+    t: float  # of the reference, inf on a miss
+    # a primitive of the shape it names is met at t = 0: exactly, or of a stand-in, up to its rounding
+    at_zero: bool
+    # of the views of both sides' primitives: the least, but beyond_corners and without_area of the reference's alone
+    cosine: float
+    beyond_corners: bool
+    without_area: bool
+    slenderness: float
+    distance: float  # from the ray's origin to the primitive in question, in its sizes
+    offset: float  # the primitive's largest coordinate, in its sizes
+    axis_angle: float
+    stretch: float  # the larger of both
+    nearly: bool  # bounds WIDENED_BOUNDS_FACTOR times as wide would allow the reference's answer
+    # its normal is no number, may be one of length 0 as far as rounding goes, and but for that it is `nearly`
+    normless: bool = False
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        return frozenset({self.ours, self.theirs} - {""})
+
+    @property
+    def missed(self) -> bool:
+        """The reference does not find what is there."""
+        return self.ours != "" and self.theirs != self.ours
+
+
+class KnownDefect(NamedTuple):
+    """One way in which the reference is known to be wrong about a kind of primitive."""
+
+    number: int
+    name: str
+    priority: int  # of several whose conditions hold, the least is the pixel's
+    subject: Literal[
+        "hit", "named", "either"
+    ]  # whether the kind is hit exactly, named by the reference, or either
+    condition: Callable[[DefectFeatures], bool]
+
+    def applies(self, kind: str, features: DefectFeatures) -> bool:
+        """Whether it explains the pixel, as a defect declared by this kind."""
+        kinds = {"hit": {features.ours}, "named": {features.theirs}, "either": features.kinds}[self.subject]
+        return kind in kinds and self.condition(features)
+
+
+NAN_T = KnownDefect(27, "a t that is not a number, from a denormal slope", 0, "either", lambda m: m.t != m.t)
+STARTS_ON_FLAT = KnownDefect(
+    30,
+    "a ray that starts on a flat surface, or on the patch for a plane, up to its rounding: Mitsuba reports a hit at "
+    "t = 0",
+    1,
+    "named",
+    lambda m: m.at_zero and m.t == 0.0,
+)
+STARTS_ON_CURVED = KnownDefect(
+    7,
+    "a ray that starts on a sphere or a cylinder: Mitsuba reports a hit at t = 0",
+    2,
+    "named",
+    lambda m: m.at_zero and m.t == 0.0,
+)
+GRAZED_FLAT = KnownDefect(
+    43,
+    "a disk or a plane at grazing incidence",
+    13,
+    "either",
+    lambda m: m.cosine < GRAZING_COSINE and m.nearly,
+)
+STRETCHED = KnownDefect(
+    8,
+    "a squashed ellipsoid: the ray's direction in object space is far from length 1, which Mitsuba takes it to be",
+    15,
+    "either",
+    lambda m: m.stretch > SQUASHED_STRETCH and m.nearly,
+)
+
+
+def abs_cosine(n: np.ndarray, d: np.ndarray) -> float:
+    """|cos| of the angle between two vectors; 1 where one has no length."""
+    lengths = float(np.linalg.norm(n) * np.linalg.norm(d))
+    return abs(float(n @ d)) / lengths if lengths > 0.0 else 1.0

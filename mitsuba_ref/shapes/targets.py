@@ -1,0 +1,87 @@
+"""Random points on surfaces and random numbers of shapes: what the fuzzer aims at, and what it draws shapes from."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Rng = np.random.Generator
+
+LATTICE_STEPS = 8  # lattice coordinates are whole multiples of size / 8: their sums and differences are exact
+POINT_KINDS = ("corner", "edge", "beside", "inside")  # beside: just outside of an edge or a rim
+
+
+BESIDE_DECADES = (-16.0, -2.0)  # decades of how far outside, in sizes of the primitive
+
+
+class SurfacePoints(NamedTuple):
+    """One row a place. Computed in float64, so on the primitive up to rounding; exactly so on the lattice."""
+
+    p: np.ndarray  # (m, 3)
+    along: np.ndarray  # (m, 3) a direction within the surface there: of the edge, the rim or a tangent
+    n: np.ndarray  # (m, 3) across the surface, of any length
+
+
+UnitPoints = tuple[np.ndarray, np.ndarray, np.ndarray]  # p, along, n of a shape at the origin
+
+
+SurfaceSampler = Callable[[Any, np.ndarray, Rng, str], SurfacePoints]
+
+
+def to_world_points(prims: Any, k: np.ndarray, unit: UnitPoints) -> SurfacePoints:
+    """A unit shape's places under p -> center + to_world p."""
+    p, along, n = unit
+    to_world, to_object = prims.to_world[k], prims.to_object[k]
+    moved = prims.center[k] + np.einsum("ijk,ik->ij", to_world, p)
+    across = np.einsum("ikj,ik->ij", to_object, n)
+    return SurfacePoints(
+        moved, np.einsum("ijk,ik->ij", to_world, along), across / np.abs(across).max(initial=1e-300)
+    )
+
+
+def pushed_outside(rng: Rng, p: np.ndarray, sort: str) -> np.ndarray:
+    return p * (1.0 + 10.0 ** rng.uniform(*BESIDE_DECADES, (len(p), 1))) if sort == "beside" else p
+
+
+def unit_circle_points(rng: Rng, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the unit circle: on an axis, (3, 4) / 5 up to one rounding, or any."""
+    angle = 2.0 * np.pi * rng.random(count)
+    c = np.choose(rng.integers(3, size=count), [np.ones(count), np.full(count, 0.6), np.cos(angle)])
+    s = np.choose((c == 1.0) + 2 * (c == 0.6), [np.sin(angle), np.zeros(count), np.full(count, 0.8)])
+    swap = rng.random(count) < 0.5
+    c, s = np.where(swap, s, c), np.where(swap, c, s)
+    return c * rng.choice([-1.0, 1.0], count), s * rng.choice([-1.0, 1.0], count)
+
+
+def random_fractions(rng: Rng, count: int) -> np.ndarray:
+    """(count, 1) of 0 to 1; half of them eighths, which leave lattice points on the lattice."""
+    eighths = rng.integers(0, 9, (count, 1)) / 8.0
+    return np.where(rng.random((count, 1)) < 0.5, eighths, rng.random((count, 1)))
+
+
+def random_point(rng: Rng, lattice: bool) -> list[float]:
+    """Within the cube [-1, 1]^3, in units of the shape."""
+    if lattice:
+        return [float(x) for x in rng.integers(-LATTICE_STEPS, LATTICE_STEPS + 1, 3) / LATTICE_STEPS]
+    return [float(x) for x in rng.uniform(-1.0, 1.0, 3)]
+
+
+def random_length(rng: Rng, lattice: bool) -> float:
+    if lattice:
+        return float(rng.integers(1, LATTICE_STEPS + 1)) / LATTICE_STEPS
+    return float(10.0 ** rng.uniform(-1.5, 0.0))
+
+
+def coin_flip(rng: Rng) -> bool:
+    return bool(rng.random() < 0.5)
+
+
+def random_directions(rng: Rng, count: int) -> np.ndarray:
+    """(count, 3) of about unit length; some along axes, some with small whole components, the rest any."""
+    any_way = rng.normal(size=(count, 3))
+    any_way /= np.linalg.norm(any_way, axis=1, keepdims=True)
+    whole = rng.integers(-3, 4, (count, 3)).astype(float)
+    whole[~whole.any(axis=1), 0] = 1.0
+    axes = np.eye(3)[rng.integers(3, size=count)] * rng.choice([-1.0, 1.0], (count, 1))
+    which = rng.choice(3, (count, 1), p=(0.6, 0.25, 0.15))
+    return np.where(which == 0, any_way, np.where(which == 1, whole, axes))
