@@ -10,9 +10,9 @@ from caster.geometry.world_space import as_float32
 from caster.scene.model import Scene
 from caster.shapes import Icosphere, Plane, Sphere, Triangle
 from mitsuba_ref.error_model.bracket import Bracket, BracketResult, Claims
+from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
 from mitsuba_ref.error_model.intersections import KU, KU_OURS, U
 from mitsuba_ref.error_model.scene_model import SceneModel, model_of
-from mitsuba_ref.judge.known_defects import WIDENED_BOUNDS_FACTOR
 from mitsuba_ref.reference.rays import SharedRays
 
 UP = np.array([0.0, 0.0, 1.0])
