@@ -1,12 +1,14 @@
-"""The diffuse reflectance of the material that was hit."""
+"""Diffuse reflectance of the material, in [0, 1]."""
 
 import numpy as np
 
-from caster.rendering.view import View
+from caster.kernels.protocol import Vec3
+from caster.kernels.surface.hit import Hit
 
-NAME, CHANNELS, MISS = "albedo", ("albedo.R", "albedo.G", "albedo.B"), 0.0
+NAME, CHANNELS, DTYPE, MISS = "albedo", ("albedo.R", "albedo.G", "albedo.B"), np.float64, 0.0
+NEEDS = ("albedo",)
+PREVIEW = "reflectance"
 
 
-def evaluate(view: View) -> np.ndarray:
-    """(n, 3) float64 in [0, 1], 0 on a miss."""
-    return view.reflectance
+def evaluate(hit: Hit) -> Vec3:
+    return hit.albedo

@@ -1,12 +1,15 @@
-"""How far away: the distance from the eye along the ray, in scene units."""
+"""Distance from the eye along the ray, in scene units; counted from the eye also where a near plane hides a part."""
+
+import math
 
 import numpy as np
 
-from caster.rendering.view import View, length
+from caster.kernels.surface.hit import Hit, length
 
-NAME, CHANNELS, MISS = "depth", ("depth.Z",), np.inf
+NAME, CHANNELS, DTYPE, MISS = "depth", ("depth.Z",), np.float64, math.inf
+NEEDS = ()
+PREVIEW = "depth"
 
 
-def evaluate(view: View) -> np.ndarray:
-    """(n,) float64, inf on a miss. Measured from the eye also where a near plane hides what is closer."""
-    return view.start + view.nearest.t * length(view.rays.d)
+def evaluate(hit: Hit) -> float:
+    return hit.start + hit.t * length(hit.d)

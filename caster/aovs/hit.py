@@ -1,12 +1,13 @@
-"""The mask: 1 where the ray met something."""
+"""Mask: 1 where the ray hits something."""
 
 import numpy as np
 
-from caster.rendering.view import View
+from caster.kernels.surface.hit import Hit
 
-NAME, CHANNELS, MISS = "hit", ("A",), 0.0
+NAME, CHANNELS, DTYPE, MISS = "hit", ("A",), np.float64, 0.0
+NEEDS = ()
+PREVIEW = "mask"
 
 
-def evaluate(view: View) -> np.ndarray:
-    """(n,) float64, 0 or 1."""
-    return view.hit.astype(np.float64)
+def evaluate(hit: Hit) -> float:
+    return 1.0

@@ -1,12 +1,14 @@
-"""The geometric normal: across the surface itself, outwards; never turned towards the ray."""
+"""Geometric normal: unit length, outwards, never turned towards the ray."""
 
 import numpy as np
 
-from caster.rendering.view import View
+from caster.kernels.protocol import Vec3
+from caster.kernels.surface.hit import Hit
 
-NAME, CHANNELS, MISS = "normal", ("normal.X", "normal.Y", "normal.Z"), 0.0
+NAME, CHANNELS, DTYPE, MISS = "normal", ("normal.X", "normal.Y", "normal.Z"), np.float64, 0.0
+NEEDS = ("normal",)
+PREVIEW = "direction"
 
 
-def evaluate(view: View) -> np.ndarray:
-    """(n, 3) float64, unit length, 0 on a miss."""
-    return view.surfaces.n
+def evaluate(hit: Hit) -> Vec3:
+    return hit.normal

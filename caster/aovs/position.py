@@ -1,12 +1,14 @@
-"""Where the ray meets the surface, in world space."""
+"""Point of the surface that the ray hits, in world space."""
 
 import numpy as np
 
-from caster.rendering.view import View
+from caster.kernels.protocol import Vec3
+from caster.kernels.surface.hit import Hit
 
-NAME, CHANNELS, MISS = "position", ("position.X", "position.Y", "position.Z"), 0.0
+NAME, CHANNELS, DTYPE, MISS = "position", ("position.X", "position.Y", "position.Z"), np.float64, 0.0
+NEEDS = ("position",)
+PREVIEW = "position"
 
 
-def evaluate(view: View) -> np.ndarray:
-    """(n, 3) float64, 0 on a miss."""
-    return view.surfaces.p
+def evaluate(hit: Hit) -> Vec3:
+    return hit.position

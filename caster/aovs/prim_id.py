@@ -1,12 +1,13 @@
-"""Which primitive of the shape: the triangle of a mesh, 0 for a shape of one piece."""
+"""Index of the primitive within its shape: the triangle of a mesh, 0 for a shape of one primitive."""
 
 import numpy as np
 
-from caster.rendering.view import View
+from caster.kernels.surface.hit import Hit
 
-NAME, CHANNELS, MISS = "prim_id", ("id.prim",), -1
+NAME, CHANNELS, DTYPE, MISS = "prim_id", ("id.prim",), np.int32, -1  # 0xFFFFFFFF in a file
+NEEDS = ("prim_id",)
+PREVIEW = "ids"
 
 
-def evaluate(view: View) -> np.ndarray:
-    """(n,) int32, -1 on a miss (0xFFFFFFFF in a file)."""
-    return view.prim_id
+def evaluate(hit: Hit) -> int:
+    return hit.prim_id

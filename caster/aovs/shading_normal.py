@@ -1,13 +1,15 @@
-"""The shading normal: interpolated between a mesh's vertex normals, elsewhere the geometric one."""
+"""Shading normal: interpolated between a mesh's vertex normals, elsewhere the geometric one."""
 
 import numpy as np
 
-from caster.rendering.view import View
+from caster.kernels.protocol import Vec3
+from caster.kernels.surface.hit import Hit
 
-NAME, MISS = "shading_normal", 0.0
+NAME, DTYPE, MISS = "shading_normal", np.float64, 0.0
 CHANNELS = ("shading_normal.X", "shading_normal.Y", "shading_normal.Z")
+NEEDS = ("shading_normal",)
+PREVIEW = "direction"
 
 
-def evaluate(view: View) -> np.ndarray:
-    """(n, 3) float64, unit length, 0 on a miss."""
-    return view.surfaces.sh_n
+def evaluate(hit: Hit) -> Vec3:
+    return hit.shading_normal

@@ -1,12 +1,13 @@
-"""Which shape, counted from 0 in the order of the scene."""
+"""Index of the shape in the scene, from 0."""
 
 import numpy as np
 
-from caster.rendering.view import View
+from caster.kernels.surface.hit import Hit
 
-NAME, CHANNELS, MISS = "shape_id", ("id.shape",), -1
+NAME, CHANNELS, DTYPE, MISS = "shape_id", ("id.shape",), np.int32, -1  # 0xFFFFFFFF in a file
+NEEDS = ("shape_id",)
+PREVIEW = "ids"
 
 
-def evaluate(view: View) -> np.ndarray:
-    """(n,) int32, -1 on a miss (0xFFFFFFFF in a file)."""
-    return view.shape_id
+def evaluate(hit: Hit) -> int:
+    return hit.shape_id

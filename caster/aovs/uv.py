@@ -1,12 +1,13 @@
-"""Surface coordinates; what they mean is said at each shape's `surface`."""
+"""Surface coordinates; each shape's `surface` defines them."""
 
 import numpy as np
 
-from caster.rendering.view import View
+from caster.kernels.surface.hit import Hit
 
-NAME, CHANNELS, MISS = "uv", ("uv.U", "uv.V"), 0.0
+NAME, CHANNELS, DTYPE, MISS = "uv", ("uv.U", "uv.V"), np.float64, 0.0
+NEEDS = ("uv",)
+PREVIEW = "uv"
 
 
-def evaluate(view: View) -> np.ndarray:
-    """(n, 2) float64, 0 on a miss."""
-    return view.surfaces.uv
+def evaluate(hit: Hit) -> tuple[float, float]:
+    return hit.uv

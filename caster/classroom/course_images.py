@@ -10,8 +10,8 @@ from caster.classroom.course_files import CourseScene
 from caster.classroom.scene_builder import Falloff
 from caster.description.fields import Shape
 from caster.geometry.world_space import as_given, world_vertices
+from caster.rendering.hits import RayHits
 from caster.rendering.images import film_window, trace_film
-from caster.rendering.view import View
 from caster.scene.lights import Ambient, Directional, Light, Point
 from caster.scene.model import Scene
 from caster.shapes import Plane, Sphere
@@ -106,7 +106,7 @@ def to_bytes_truncated(values: Array) -> Array:
     return (255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
 
 
-def _colors(course: CourseScene, view: View) -> Array:
+def _colors(course: CourseScene, view: RayHits) -> Array:
     """(n, 3): ambient light times the diffuse colour, and for each light color max(0, n . l) times it.
 
     Lights have no 1 / r^2, unless their file says so; this is where the course and our AOV `diffuse` differ.
@@ -123,7 +123,7 @@ def _colors(course: CourseScene, view: View) -> Array:
     return np.where(view.hit[:, None], shaded, course.background)
 
 
-def _brightness(light: Light, falloff: Falloff | None, n: Array, view: View) -> Array:
+def _brightness(light: Light, falloff: Falloff | None, n: Array, view: RayHits) -> Array:
     """(n,): what each hit gets of a light's colour; 0 in shadow, where the scene has shadows."""
     towards, strength = _incident_light(light, falloff, view)
     brightness = np.where(view.hit, strength * np.maximum(np.sum(n * towards, axis=1), 0.0), 0.0)
@@ -132,7 +132,7 @@ def _brightness(light: Light, falloff: Falloff | None, n: Array, view: View) -> 
     return brightness
 
 
-def _incident_light(light: Light, falloff: Falloff | None, view: View) -> tuple[Array, Array]:
+def _incident_light(light: Light, falloff: Falloff | None, view: RayHits) -> tuple[Array, Array]:
     """(unit vectors to the light, what the distance leaves of its colour); nothing in the light itself."""
     count = len(view.hit)
     if isinstance(light, Directional):

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.aovs import AOVS, BY_NAME
 from caster.description.errors import SceneError, suggestion
 
 ImageArray = np.ndarray[Any, np.dtype[Any]]
@@ -116,15 +117,15 @@ def aov_view(name: str, values: Array, hit: Array) -> LabelledImage:
     Values that are not finite where something is hit are magenta, and counted in the words. Raises SceneError for an
     AOV that has no picture.
     """
-    if name not in COLORINGS:
-        raise SceneError(
-            f"no picture of aov '{name}'{suggestion(name, COLORINGS)} (known: {', '.join(COLORINGS)})"
-        )
+    if name not in BY_NAME or BY_NAME[name].PREVIEW not in COLORINGS:
+        known = [aov.NAME for aov in AOVS if aov.PREVIEW in COLORINGS]
+        raise SceneError(f"no picture of aov '{name}'{suggestion(name, known)} (known: {', '.join(known)})")
+    kind = BY_NAME[name].PREVIEW
     finite = _in_all_channels(np.isfinite(values))
-    shown = (np.ones_like(hit) if name == "hit" else hit) & finite
+    shown = (np.ones_like(hit) if kind == "mask" else hit) & finite
     if shown.any():
         with np.errstate(all="ignore"):  # of what is not shown
-            pixels, words = COLORINGS[name](values, shown)
+            pixels, words = COLORINGS[kind](values, shown)
     else:
         pixels, words = np.zeros((*hit.shape, 3), np.uint8), "nothing to show"
     broken = hit & ~finite
@@ -222,17 +223,16 @@ def _labels(values: Array, shown: Array) -> Colored:
     return label_colors(np.where(shown, values, 0)), f"a colour a number, {count} of them"
 
 
+# By what an AOV declares as its PREVIEW.
 COLORINGS: Mapping[str, Coloring] = {
-    "hit": _mask,
+    "mask": _mask,
     "depth": _depth,
-    "normal": _direction,
-    "shading_normal": _direction,
+    "direction": _direction,
     "position": _position,
     "uv": _uv,
-    "albedo": _reflectance,
-    "diffuse": _radiance,
-    "shape_id": _labels,
-    "prim_id": _labels,
+    "reflectance": _reflectance,
+    "radiance": _radiance,
+    "ids": _labels,
 }
 
 

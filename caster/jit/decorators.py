@@ -52,6 +52,57 @@ GIVES = {"none": "", "int64": INTEGER, "float64": REAL}  # what machine code can
 _LOCK = threading.RLock()  # LLVM and the lists below are one thread's at a time
 
 
+_PACKAGE = __name__.partition(".")[0]
+_EXTENDED: set[type] = set()  # classes of this package for which some other module has given a body
+
+
+def is_cacheable(kind: type) -> bool:
+    """Whether what is compiled for arguments of a class may be kept on disk.
+
+    The cache folder is named after the sources of this package (kernel_cache.py). A class from elsewhere, or one that
+    has bodies from elsewhere, has kernels that may change without a change of these: they are compiled anew in each
+    process.
+    """
+    return kind not in _EXTENDED and (_is_own(kind.__module__) or kind.__module__ == "builtins")
+
+
+def _is_own(module: str) -> bool:
+    return module.partition(".")[0] == _PACKAGE
+
+
+def _all_cacheable(args: Any) -> bool:
+    """Whether that holds for the classes of all tuples among some arguments."""
+    return all(is_cacheable(type(arg)) and _all_cacheable(arg) for arg in args if isinstance(arg, tuple))
+
+
+def _class_ids(args: Any) -> list[Any]:
+    """The identity of all tuples' classes among some arguments; all of them stay as long as the process."""
+    return [(id(type(arg)), _class_ids(arg)) for arg in args if isinstance(arg, tuple)]
+
+
+class _CacheOfOwn:
+    """Numba's cache of a dispatcher, for arguments whose classes are cacheable; none for others."""
+
+    def __init__(self, cache: Any) -> None:
+        self._cache = cache
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cache, name)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        return self._cache.load_overload(signature, context) if self._keeps(signature) else None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        if self._keeps(signature):
+            self._cache.save_overload(signature, result)
+
+    def _keeps(self, types: Any) -> bool:
+        return all(
+            is_cacheable(getattr(each, "instance_class", int)) and self._keeps(getattr(each, "types", ()))
+            for each in getattr(types, "args", types)
+        )
+
+
 class CompilationLog:
     """What this process did to have its kernels, by their names; `compiling` is called before one is compiled."""
 
@@ -89,7 +140,8 @@ class Kernel:
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         update_wrapper(self, function)
-        self.function, self.options = function, {**OPTIONS, **options}
+        self.function = function
+        self.options = {**OPTIONS, "cache": _is_own(function.__module__), **options}
         self._calls: dict[str | None, Callable[..., Any]] = {}  # by `signature_key` the arguments
         self._latest: dict[type, Callable[..., Any]] = {}  # by the class of the first argument
         self._dispatcher: Any = None
@@ -100,7 +152,9 @@ class Kernel:
             answer = call(*args)
             if answer is not MISMATCH:
                 return answer
-        return self._prepared(args)(*args)
+        answer = self._prepared(args)(*args)
+        assert answer is not MISMATCH, f"{self.__name__}: machine code of other classes of arguments"
+        return answer
 
     def __reduce__(self) -> str:
         return self.__qualname__
@@ -111,6 +165,7 @@ class Kernel:
         with _LOCK:
             if self._dispatcher is None:
                 self._dispatcher = _numba().njit(**self.options)(self.function)
+                self._dispatcher._cache = _CacheOfOwn(self._dispatcher._cache)
             return self._dispatcher
 
     @property
@@ -120,7 +175,7 @@ class Kernel:
 
     def _prepared(self, args: tuple[Any, ...]) -> Callable[..., Any]:
         """What to call with such arguments: machine code from the cache or just compiled, else Numba."""
-        key = signature_key(args) if machine_code.is_supported() else None
+        key = self._key(args) if machine_code.is_supported() else None
         with _LOCK:
             call = self._calls.get(key) if key is not None else None
             if call is None:
@@ -134,13 +189,23 @@ class Kernel:
             self._latest[type(args[0])] = call
         return call
 
+    def _key(self, args: tuple[Any, ...]) -> str | None:
+        """What tells machine code apart: in all processes, or, with classes from elsewhere, in this one."""
+        key = signature_key(args)
+        return key if key is None or self._kept(args) else f"{key} {_class_ids(args)}"
+
     def _place(self, key: str) -> tuple[str, Path]:
         """Name of the entry, and the file it is kept in."""
         words = "\n".join([self.__module__, self.__qualname__, key, machine_code.target_description()])
         symbol = f"caster_{hashlib.sha256(words.encode()).hexdigest()[:32]}"
         return symbol, cache_folder() / f"{self.__name__}-{symbol}.o"
 
+    def _kept(self, args: tuple[Any, ...]) -> bool:
+        return _is_own(self.function.__module__) and _all_cacheable(args)
+
     def _found(self, key: str, args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
+        if not self._kept(args):
+            return None
         code = machine_code.read(self._place(key)[1])
         if code is not None:
             COMPILATION_LOG.loaded.append(_named(self.__name__, args))
@@ -155,7 +220,7 @@ class Kernel:
         symbol, path = self._place(key)
         function = result.fndesc.llvm_func_name
         code = machine_code.extract_object_code(result.library, function, symbol, argument_forms(args), gives)
-        if code is not None:
+        if code is not None and self._kept(args):
             code.write(path)
         return code
 
@@ -299,6 +364,8 @@ def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], 
 
     def keep(body: Function) -> Function:
         _GENERICS[function].bodies[kind] = body
+        if not _is_own(body.__module__):
+            _EXTENDED.add(kind)
         return body
 
     return keep

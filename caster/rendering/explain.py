@@ -14,7 +14,7 @@ from caster.rendering.plan import Step
 
 def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
     """All of it, for `caster render --json`: numbers are counts of work done; None where nothing was counted."""
-    plan, painted = rendered.plan, rendered.painted
+    plan, counts = rendered.plan, rendered.counts
     hits = int(rendered.aovs.hit.sum())
     return {
         "camera_rays": _camera_rays(rendered),
@@ -22,14 +22,14 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
         "primitives": _primitives(rendered),
         "never_hit": {name: found.total for name, found in left_out(rendered.scene).items()},
         "trees": {**_step(plan.trees), "grown": sum(has_bvh(kind) for kind in rendered.packed.kinds)},
-        "decided_exactly": painted.doubtful if painted else None,
+        "decided_exactly": counts.decided_exactly if counts else None,
         "surfaces": {
             "hits": hits if plan.surfaces else 0,
             "worked_out": list(plan.surfaces),
             "reason": plan.surfaces_reason,
         },
         "shading": _step(plan.shading),
-        "shadow_rays": {**_step(plan.shadows), "cast": painted.shadow_rays if painted else None},
+        "shadow_rays": {**_step(plan.shadows), "cast": counts.shadow_rays if counts else None},
         "aovs": list(aovs),
         "skipped_aovs": [name for name in BY_NAME if name not in aovs],
     }
@@ -52,7 +52,7 @@ def _camera_rays(rendered: RenderResult) -> dict[str, Any]:
 
 
 def _primitives(rendered: RenderResult) -> list[dict[str, Any]]:
-    on_film = rendered.painted.on_film if rendered.painted else None
+    on_film = rendered.counts.on_film if rendered.counts else None
     return [
         {
             "kind": type(kind.prims).__name__.lower(),
@@ -80,39 +80,39 @@ def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:
     return "\n".join(f"{what:<12} {text}" for what, text in _lines(rendered, account(rendered, aovs)))
 
 
-def _lines(rendered: RenderResult, told: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    rays, (width, height) = told["camera_rays"], told["camera_rays"]["film"]
+def _lines(rendered: RenderResult, counted: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    rays, (width, height) = counted["camera_rays"], counted["camera_rays"]["film"]
     x0, y0, x1, y1 = rays["window"]
     start = "from one point" if rays["share_origin"] else "from a point each"
     size = f"{x1 - x0} x {y1 - y0} of a film of {width} x {height}"
     yield "camera rays", f"{rays['cast']} {start}: {rays['camera']}, {size}"
-    yield "culling", f"{told['culling']['name']}: {told['culling']['reason']}"
-    for kind in told["primitives"]:
+    yield "culling", f"{counted['culling']['name']}: {counted['culling']['reason']}"
+    for kind in counted["primitives"]:
         culled = kind["count"] - kind["looked_for"]
         beside = f"; {culled} of them behind the camera or off the film" if culled else ""
         yield "primitives", f"{kind['kind']}, {kind['count']}: {kind['way']}{beside}"
-    if not told["primitives"]:
+    if not counted["primitives"]:
         yield "primitives", "none: every ray misses"
     if words := in_words(rendered.scene):
         yield "never hit", words
-    yield "trees", _trees(told)
-    if told["decided_exactly"] is not None:
-        yield "decided", f"{told['decided_exactly']} pixels exactly, where float64 could not tell"
-    found = told["surfaces"]
+    yield "trees", _trees(counted)
+    if counted["decided_exactly"] is not None:
+        yield "decided", f"{counted['decided_exactly']} pixels exactly, where float64 could not tell"
+    found = counted["surfaces"]
     done = f"worked out for {found['hits']} hits: {', '.join(found['worked_out'])}"
     yield "surfaces", done if found["worked_out"] else f"skipped: {found['reason']}"
-    shadows = told["shadow_rays"]
+    shadows = counted["shadow_rays"]
     number = "" if shadows["cast"] is None else f"{shadows['cast']} "
     yield (
         "shadow rays",
         f"{number}{shadows['reason']}" if shadows["runs"] else f"skipped: {shadows['reason']}",
     )
-    yield "AOVs", ", ".join(told["aovs"])
-    yield "skipped", ", ".join(told["skipped_aovs"]) or "no AOV"
+    yield "AOVs", ", ".join(counted["aovs"])
+    yield "skipped", ", ".join(counted["skipped_aovs"]) or "no AOV"
 
 
-def _trees(told: dict[str, Any]) -> str:
-    trees = told["trees"]
+def _trees(counted: dict[str, Any]) -> str:
+    trees = counted["trees"]
     if trees["grown"] and not trees["runs"]:
         return f"{trees['grown']} grown: so many pixels had to be decided exactly"
     if not trees["runs"]:

@@ -1,25 +1,142 @@
-"""Casting one's own rays."""
+"""Nearest hits of any rays: `cast`, `occluded`, and AOVs of what was hit."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from caster.description.errors import SceneError
-from caster.geometry.packing import pack
+from caster.geometry.packing import Packed, pack
 from caster.geometry.packing import packed as packed
 from caster.geometry.world_space import Rounding, as_given
-from caster.kernels.nearest import Rays
-from caster.kernels.surface.surfaces import OUT_OF_RANGE, Surfaces, find_invalid_ray
-from caster.rendering.casting import find_any, find_nearest
-from caster.rendering.images import trace_rays
+from caster.kernels.nearest import Nearest, Rays, new_rays
+from caster.kernels.raster.screen_bounds import Window
+from caster.kernels.raster.tile import PIXELS, WIDTH, Box, clear_rays, load_hits
+from caster.kernels.surface.camera_rays import OUT_OF_RANGE, find_invalid_ray
+from caster.kernels.surface.lighting import shadow_rays_of
+from caster.rendering.casting import find_any, find_nearest, prim_offsets
+from caster.rendering.plan import plan
+from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.threads import parallel_for
-from caster.rendering.view import View
+from caster.rendering.tiles import NO_START, TileShader, TileWorkspace, material_tables, new_image
+from caster.scene.lights import Light
 from caster.scene.model import Scene
 
-__all__ = ["Hits", "cast", "trace", "validated_rays"]
+__all__ = ["Hits", "RayHits", "cast", "trace", "trace_rays", "validated_rays"]
 
 SMALLEST_NORMAL_FLOAT = 2.0**-1022
+
+
+class Surfaces(NamedTuple):
+    """Where each ray meets the scene; zeros on a miss."""
+
+    p: np.ndarray  # (n, 3) float64
+    n: np.ndarray  # (n, 3) geometric normal
+    sh_n: np.ndarray  # (n, 3) shading normal
+    uv: np.ndarray  # (n, 2)
+
+
+@dataclass(frozen=True)
+class RayHits:
+    """Rays and their nearest hits in a scene. `start` is what each ray's depth counts from, beyond its origin."""
+
+    scene: Scene
+    packed: Packed
+    rays: Rays
+    nearest: Nearest
+    start: np.ndarray  # (n,) float64
+    threads: int | None = None
+
+    @cached_property
+    def hit(self) -> np.ndarray:
+        """(n,) bool."""
+        return self.nearest.prim >= 0
+
+    @cached_property
+    def shape_id(self) -> np.ndarray:
+        """(n,) int32, -1 on a miss."""
+        return self.packed.shape_of(self.nearest.prim)
+
+    @cached_property
+    def prim_id(self) -> np.ndarray:
+        """(n,) int32 within the shape, -1 on a miss."""
+        return self.packed.index_in_shape(self.nearest.prim)
+
+    @cached_property
+    def surfaces(self) -> Surfaces:
+        """Position, normals and uv of every hit."""
+        names = ("position", "normal", "shading_normal", "uv")
+        return Surfaces(*self.evaluate(names).values())
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """(n, 3) geometric normals of the hits alone, 0 on a miss; those of `surfaces`."""
+        return self.evaluate(("normal",))["normal"]
+
+    @cached_property
+    def reflectance(self) -> np.ndarray:
+        """(n, 3) of the material that was hit, 0 on a miss."""
+        return self.evaluate(("albedo",))["albedo"]
+
+    @cached_property
+    def two_sided(self) -> np.ndarray:
+        """(n,) bool."""
+        table = material_tables(self.scene)[1]
+        return table[self.shape_id] & self.hit if len(table) else self.hit
+
+    def evaluate(self, aovs: Sequence[str], dtype: type[np.floating] = np.float64) -> dict[str, np.ndarray]:
+        """AOVs by name, (n,) or (n, c) each: the rays are the pixels of a film that is WIDTH wide."""
+        count = len(self.rays.t_min)
+        window = Window(0, 0, WIDTH, -(-count // WIDTH))
+        images = {name: new_image(name, window, dtype) for name in aovs}
+        planned, prim = plan(self.scene, aovs, "bvh"), self._prim_in_tile()
+        shader = TileShader(
+            self.scene, self.packed, planned, images, start=self._start(window), exact_shadows=True
+        )
+
+        def work(number: int, box: Box, workspace: TileWorkspace) -> None:
+            first = box[1] * WIDTH
+            stop = min(first + PIXELS, count)
+            load_hits(self.rays, self.nearest.t, prim, first, stop, workspace.tile)
+            clear_rays(workspace.tile, stop - first, (box[3] - box[1]) * WIDTH)
+            shader(workspace, box)
+
+        parallel_for_tiles(work, window, self.threads, TileWorkspace)
+        return {name: image.reshape(-1, *image.shape[2:])[:count] for name, image in images.items()}
+
+    def _prim_in_tile(self) -> np.ndarray:
+        """(n,) number of each ray's primitive, counted kind by kind, -1 on a miss."""
+        packed, prim = self.packed, self.nearest.prim
+        if len(packed.parts) <= 1:
+            return prim
+        shape = np.maximum(self.shape_id, 0)
+        offset = np.array(prim_offsets(packed), np.int64)[packed.kind_of[shape]]
+        return np.where(self.hit, prim - packed.first[shape] + packed.start[shape] + offset, -1)
+
+    def _start(self, window: Window) -> np.ndarray:
+        if not self.start.any():
+            return NO_START
+        start = np.zeros(window.height * window.width)
+        start[: len(self.start)] = self.start
+        return start.reshape(window.height, window.width)
+
+    def lit(self, light: Light, where: np.ndarray) -> np.ndarray:
+        """Whether nothing stands between the hits `where` and the light; True in a scene without shadows."""
+        if not self.scene.shading.shadows:
+            return np.ones(len(where), bool)
+        out = new_rays(len(where))
+        shadow_rays_of(light.pack(), self.surfaces, self.rays, self.nearest.t, where, out)
+        return ~find_any(self.packed, out, self.threads)
+
+
+def trace_rays(
+    scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None
+) -> RayHits:
+    """Cast given rays; `start` (n,) is what the depth of each counts from, beyond its origin."""
+    return RayHits(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
 
 
 @dataclass(frozen=True)
@@ -27,7 +144,7 @@ class Hits:
     """What each ray meets first; all but t is worked out when it is asked for."""
 
     t: np.ndarray  # (n,) float64, inf on a miss
-    view: View
+    view: RayHits
 
     @property
     def shape_id(self) -> np.ndarray:
@@ -91,8 +208,8 @@ def trace(
     start: np.ndarray,
     *,
     rounded: Rounding = as_given,
-) -> View:
-    """Cast rays with limits of their own, and give the view that AOVs are evaluated from.
+) -> RayHits:
+    """Cast rays with limits of their own, for AOVs of what they hit.
 
     o, d: (n, 3); t_max: (n,), negative where there is no ray; start: (n,) what depth counts from, beyond o.
     The geometry's numbers go through `rounded` first: as placing.as_float32 leaves them, a float32 renderer

@@ -1,28 +1,47 @@
-"""Scene in, AOVs out."""
+"""Films of a scene: its AOVs as images."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from caster.aovs import BY_NAME
+from caster.aovs import BY_NAME, kernel_of
 from caster.description.errors import SceneError, suggestion
+from caster.description.fields import Camera
 from caster.geometry.packing import Packed, pack, packed
 from caster.geometry.world_space import Rounding, as_given
 from caster.kernels.nearest import Rays, new_rays
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.surface.surfaces import generate_rays
-from caster.rendering.casting import Culling, find_nearest
+from caster.kernels.raster.tile import WIDTH, Box, generate_camera_rays
+from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
+from caster.kernels.surface.camera_rays import generate_rays, generate_rays_at
+from caster.kernels.surface.hit import NO_IDS, store_hits
+from caster.kernels.surface.normals import film_of_own_origins, film_of_shared_origin
+from caster.rendering.casting import Culling, exact_nearest, find_nearest, tile_caster
+from caster.rendering.hits import RayHits
 from caster.rendering.plan import Plan, culling_for, plan
-from caster.rendering.rasterization import find_nearest_on_film
-from caster.rendering.threads import parallel_for
-from caster.rendering.tiles import FilmResult, render_tiles
-from caster.rendering.view import View
+from caster.rendering.rasterization import (
+    BinnedKind,
+    bin_kinds,
+    cast_tile,
+    find_nearest_on_film,
+    parallel_for_tiles,
+    release_workspace,
+)
+from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
+from caster.rendering.tiles import NO_START, TileShader, TileWorkspace, new_image
 from caster.scene.model import Scene
 
-__all__ = ["Aovs", "camera_rays", "evaluate", "film_window", "render", "trace_film", "trace_rays"]
+__all__ = ["Aovs", "camera_rays", "evaluate", "film_window", "render", "trace_film"]
 
 DEFAULT_AOVS = ("hit", "depth", "normal", "position", "diffuse")
+
+
+# Called with the number of pixels that have just been done, from any thread.
+OnProgress = Callable[[int], None] | None
 
 
 class Aovs(Mapping[str, np.ndarray]):
@@ -61,6 +80,17 @@ def render(
 
 
 @dataclass(frozen=True)
+class FilmCounts:
+    """Work done for a film."""
+
+    decided_exactly: int  # pixels whose answer had to be found exactly
+    shadow_rays: int
+    on_film: (
+        tuple[int, ...] | None
+    )  # primitives of each kind that some pixel was tested for; None: no such list
+
+
+@dataclass(frozen=True)
 class RenderResult:
     """What was rendered, and how."""
 
@@ -68,7 +98,7 @@ class RenderResult:
     packed: Packed
     aovs: Aovs
     plan: Plan
-    painted: FilmResult | None  # None: without culling there is no count of what was done
+    counts: FilmCounts | None  # None: brute force counts nothing
 
 
 def render_film(
@@ -78,17 +108,150 @@ def render_film(
     threads: int | None = None,
     culling: Culling | None = None,
     dtype: type[np.floating] = np.float64,
-    told: Callable[[int], None] | None = None,
+    on_progress: OnProgress = None,
 ) -> RenderResult:
-    """The same as `render`, with an account of it. told: hears of the pixels that are done, a number at a time."""
+    """The same as `render`, with an account of it. on_progress: called with the number of pixels just done."""
     check_names(aovs)
     window, planned = film_window(scene), plan(scene, aovs, culling)
     if planned.culling != "everything":
         arrays = packed(scene)
-        painted = render_tiles(scene, arrays, window, aovs, planned, threads, dtype, told)
-        return RenderResult(scene, arrays, Aovs(painted.images, painted.hit), planned, painted)
-    view = trace_film(scene, threads=threads, culling=culling)
-    return RenderResult(scene, view.packed, evaluate(view, aovs, window, dtype), planned, None)
+        film = FilmRenderer(scene, arrays, window, planned, aovs, threads, dtype, on_progress)
+        counts = film.render()
+        return RenderResult(scene, arrays, Aovs(film.images, film.hit), planned, counts)
+    hits = trace_film(scene, threads=threads, culling=culling)
+    return RenderResult(scene, hits.packed, evaluate(hits, aovs, window, dtype), planned, None)
+
+
+CHUNKS_PER_THREAD = 8  # so few that steps of Python do not count, enough to share the work evenly
+
+
+class FilmRenderer:
+    """A film on its way: rays of tiles, their nearest hits by rasterization or through trees, their AOVs."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        packed: Packed,
+        window: Window,
+        plan: Plan,
+        aovs: Sequence[str],
+        threads: int | None,
+        dtype: type[np.floating],
+        on_progress: OnProgress,
+    ) -> None:
+        self.scene, self.packed, self.window, self.plan = scene, packed, window, plan
+        self.threads, self.on_progress = threads, on_progress
+        self.camera = scene.camera.pack(scene.film.width, scene.film.height)
+        self.hit, self.uncertain = (np.zeros((window.height, window.width), bool) for _ in range(2))
+        self.images = {name: new_image(name, window, dtype) for name in aovs}
+        self.reach = _farthest_origin(self.camera, window)
+        # Normals without a branch are for d of length 1, which a camera from elsewhere may not have.
+        reach = self.reach if isinstance(scene.camera, Camera) else np.inf
+        self.shader = TileShader(scene, packed, plan, self.images, reach=reach)
+
+    def render(self) -> FilmCounts:
+        """All pixels; those that float64 leaves open once more, exactly."""
+        kinds = None
+        if self.plan.culling == "screen":
+            kinds = bin_kinds(self.packed, self.camera, self.window, self.reach, self.threads)
+        if kinds and len(kinds) == 1 and (aovs := self._without_surface()) is not None:
+            self._render_at_once(kinds[0], *aovs)
+        else:
+            self._render_by_tile(kinds)
+        decided = self._decide_uncertain()
+        release_workspace(kinds or [])
+        on_film = None if kinds is None else tuple(it.seen for it in kinds)
+        return FilmCounts(decided, self.shader.shadow_rays, on_film)
+
+    def _without_surface(self) -> tuple[str | None, str | None] | None:
+        """(an AOV that needs the ray alone, one that needs the normal alone) where those are all there are."""
+        of_ray = [name for name in self.images if not BY_NAME[name].NEEDS]
+        of_normal = [name for name in self.images if tuple(BY_NAME[name].NEEDS) == ("normal",)]
+        if len(of_ray) > 1 or len(of_normal) > 1 or len(of_ray) + len(of_normal) < len(self.images):
+            return None
+        return of_ray[0] if of_ray else None, of_normal[0] if of_normal else None
+
+    def _render_at_once(self, it: BinnedKind, of_ray: str | None, of_normal: str | None) -> None:
+        """Films of one kind without surfaces: many tiles without a step of Python."""
+        camera, window = self.camera, self.window
+        film = film_of_shared_origin if self.scene.camera.shares_origin else film_of_own_origins
+        out = (
+            self.hit,
+            self.uncertain,
+            self._kernel_and_image(of_ray, "depth"),
+            self._kernel_and_image(of_normal, "normal"),
+        )
+        kind = it.kind.prims, it.order, it.runs, it.spans
+        workers, count = thread_count(self.threads), len(it.runs) - 1
+        edges = np.linspace(0, count, min(count, workers * CHUNKS_PER_THREAD) + 1).astype(int).tolist()
+
+        def begin() -> Callable[[tuple[int, int]], None]:
+            workspace = TileWorkspace()
+            buffers = workspace.tile, workspace.surface, NO_IDS, NO_START
+            return lambda tiles: film(camera, window, kind, self.reach, tiles, buffers, out)
+
+        pixels, on_progress = window.width * window.height, self.on_progress
+
+        def done(tiles: tuple[int, int]) -> None:
+            assert on_progress is not None
+            on_progress(
+                pixels * tiles[1] // count - pixels * tiles[0] // count
+            )  # all shares together are all
+
+        parallel_for_pieces(begin, list(pairwise(edges)), workers, done if on_progress else None)
+
+    def _kernel_and_image(self, name: str | None, otherwise: str) -> tuple[Any, np.ndarray]:
+        """Of an AOV, or, for none, a kernel with an image without size."""
+        if name is not None:
+            return kernel_of(name), self.images[name]
+        channels = (len(BY_NAME[otherwise].CHANNELS),) if len(BY_NAME[otherwise].CHANNELS) > 1 else ()
+        return kernel_of(otherwise), np.empty((0, 0, *channels))
+
+    def _render_by_tile(self, kinds: list[BinnedKind] | None) -> None:
+        """Any AOVs of any scene. kinds: None for trees."""
+        seek = self._seeker(kinds)
+
+        def work(number: int, box: Box, workspace: TileWorkspace) -> None:
+            if kinds is not None and not any(it.runs[number] < it.runs[number + 1] for it in kinds):
+                self.shader.fill_miss(box)
+                return
+            generate_camera_rays(self.camera, self.window, box, workspace.tile)
+            seek(number, box, workspace.tile)
+            self.shader(workspace, box)
+            store_hits(workspace.tile, box, self.hit, self.uncertain)  # last: shadows may be uncertain, too
+
+        parallel_for_tiles(work, self.window, self.threads, TileWorkspace, self.on_progress)
+
+    def _seeker(self, kinds: list[BinnedKind] | None) -> Callable[[int, Box, np.ndarray], None]:
+        """Finds the hits of a tile, given its number, its box and its rays."""
+        if kinds is not None:
+            cast = cast_shared_origin if self.scene.camera.shares_origin else cast_own_origins
+            return partial(cast_tile, cast, kinds)
+        cast_rows = tile_caster(self.packed)
+        return lambda number, box, tile: cast_rows((box[3] - box[1]) * WIDTH, tile)
+
+    def _decide_uncertain(self) -> int:
+        """The pixels that float64 leaves open, exactly; how many."""
+        pixels = np.flatnonzero(self.uncertain)
+        if len(pixels):
+            rays = new_rays(len(pixels))
+            generate_rays_at(self.camera, self.window, rays, pixels)
+            nearest = exact_nearest(self.packed, rays, self.threads)
+            hits = RayHits(self.scene, self.packed, rays, nearest, np.zeros(len(pixels)), self.threads)
+            self.hit.reshape(-1)[pixels] = hits.hit
+            for name, rows in hits.evaluate(tuple(self.images)).items():
+                image = self.images[name]
+                with np.errstate(over="ignore", under="ignore"):
+                    image.reshape(self.uncertain.size, *image.shape[2:])[pixels] = rows
+        return len(pixels)
+
+
+def _farthest_origin(camera: Any, window: Window) -> float:
+    """The largest |coordinate| of an origin, which is one point or linear over the film: at a corner of it."""
+    rays = new_rays(4)
+    right, bottom = window.width - 1, (window.height - 1) * window.width
+    generate_rays_at(camera, window, rays, np.array([0, right, bottom, bottom + right]))
+    return float(np.abs(rays.o).max())
 
 
 def check_names(aovs: Sequence[str]) -> None:
@@ -116,7 +279,7 @@ def camera_rays(scene: Scene, threads: int | None = None) -> Rays:
 
 def trace_film(
     scene: Scene, *, rounded: Rounding = as_given, threads: int | None = None, culling: Culling | None = None
-) -> View:
+) -> RayHits:
     """Cast the camera's rays."""
     packed, rays = pack(scene, rounded), camera_rays(scene, threads)
     camera = scene.camera.pack(scene.film.width, scene.film.height)
@@ -127,24 +290,13 @@ def trace_film(
         )
     else:
         nearest = find_nearest(packed, rays, culling, threads)
-    return View(scene, packed, rays, nearest, np.zeros(len(rays.t_min)), threads)
+    return RayHits(scene, packed, rays, nearest, np.zeros(len(rays.t_min)), threads)
 
 
-def trace_rays(
-    scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None
-) -> View:
-    """Cast given rays; `start` (n,) is what the depth of each counts from, beyond its origin."""
-    return View(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
-
-
-def evaluate(view: View, aovs: Sequence[str], window: Window, dtype: type[np.floating] = np.float64) -> Aovs:
-    """The AOVs of a view, as images of the window."""
+def evaluate(
+    hits: RayHits, aovs: Sequence[str], window: Window, dtype: type[np.floating] = np.float64
+) -> Aovs:
+    """AOVs of the rays of a window, as images."""
     shape = (window.height, window.width)
-    images = {}
-    for name in aovs:
-        flat = BY_NAME[name].evaluate(view)
-        if flat.dtype == np.float64:
-            with np.errstate(over="ignore", under="ignore"):
-                flat = flat.astype(dtype, copy=False)
-        images[name] = flat.reshape(shape + flat.shape[1:])
-    return Aovs(images, view.hit.reshape(shape))
+    images = {name: rows.reshape(shape + rows.shape[1:]) for name, rows in hits.evaluate(aovs, dtype).items()}
+    return Aovs(images, hits.hit.reshape(shape))

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from caster.aovs import AOVS, BY_NAME, needs_of
 from caster.jit.decorators import implements
 from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere
 from caster.rendering.casting import Culling
@@ -11,7 +12,8 @@ from caster.scene.model import Scene
 
 __all__ = ["culling_for"]
 
-SURFACE_AOVS = ("position", "shading_normal", "uv")
+# Fields of a hit that come with its surface; the geometric normal can be had alone.
+SURFACE_FIELDS = frozenset({"position", "shading_normal", "uv"})
 
 
 class Step(NamedTuple):
@@ -27,6 +29,7 @@ class Plan:
 
     culling: Culling
     reason: str  # for the culling
+    needs: frozenset[str]  # fields of a hit that some AOV needs
     surfaces: tuple[str, ...]  # what is worked out of each hit's surface: some of position, normals, uv
     surfaces_reason: str
     shading: Step  # light that comes from somewhere
@@ -41,7 +44,8 @@ def plan(scene: Scene, aovs: Sequence[str], culling: Culling | None = None) -> P
         chosen, reason = culling, "it was asked for"
     shading = _shading(scene, aovs)
     shadows = _shadows(scene, shading)
-    return Plan(chosen, reason, *_surfaces(aovs, shading), shading, shadows, _trees(chosen, shadows))
+    surfaces = _surfaces(aovs, shading)
+    return Plan(chosen, reason, needs_of(aovs), *surfaces, shading, shadows, _trees(chosen, shadows))
 
 
 def culling_for(camera: Any) -> tuple[Culling, str]:
@@ -58,11 +62,13 @@ def culling_for(camera: Any) -> tuple[Culling, str]:
 
 def _shading(scene: Scene, aovs: Sequence[str]) -> Step:
     lights = sum(light.type != "ambient" for light in scene.lights)
-    if "diffuse" not in aovs:
-        return Step(False, "diffuse was not asked for")
+    lit = [name for name in aovs if "radiance" in BY_NAME[name].NEEDS]
+    if not lit:
+        every = [aov.NAME for aov in AOVS if "radiance" in aov.NEEDS]
+        return Step(False, f"{' or '.join(every)} was not asked for")
     if not lights:
         return Step(False, "no light of the scene comes from anywhere")
-    return Step(True, f"diffuse was asked for, and {lights} lights come from somewhere")
+    return Step(True, f"{' and '.join(lit)} was asked for, and {lights} lights come from somewhere")
 
 
 def _shadows(scene: Scene, shading: Step) -> Step:
@@ -74,13 +80,21 @@ def _shadows(scene: Scene, shading: Step) -> Step:
 
 
 def _surfaces(aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]:
-    wanting = [name for name in SURFACE_AOVS if name in aovs]
-    if wanting or shading.runs:
-        why = ", ".join([*wanting, *(["diffuse"] if shading.runs else [])])
-        return (("position", "normals", "uv") if "uv" in aovs else ("position", "normals")), f"for {why}"
-    if "normal" in aovs:
-        return ("normals",), "for normal"
+    """(what is computed, for what). Normals alone go straight to the images of AOVs that need nothing else."""
+    needs = {aov.NAME: set(aov.NEEDS) for aov in AOVS if aov.NAME in aovs}
+    wanting = [name for name, fields in needs.items() if _whole_surface(fields)]
+    if shading.runs:
+        wanting += [name for name, fields in needs.items() if "radiance" in fields and name not in wanting]
+    if wanting:
+        uv = any("uv" in fields for fields in needs.values())
+        return ("position", "normals", "uv") if uv else ("position", "normals"), f"for {', '.join(wanting)}"
+    if normal := [name for name, fields in needs.items() if "normal" in fields]:
+        return ("normals",), f"for {', '.join(normal)}"
     return (), "no AOV asked for needs them"
+
+
+def _whole_surface(needs: set[str]) -> bool:
+    return bool(needs & SURFACE_FIELDS) or ("normal" in needs and len(needs) > 1)
 
 
 def _trees(culling: Culling, shadows: Step) -> Step:

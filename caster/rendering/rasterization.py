@@ -130,24 +130,24 @@ def parallel_for_tiles(
     window: Window,
     threads: int | None,
     room: Callable[[], Own],
-    told: Callable[[int], None] | None = None,
+    on_progress: Callable[[int], None] | None = None,
 ) -> None:
     """Call work(number, box, own) for each tile of the window; `room` makes what every thread has of its own.
 
-    told: called with the number of pixels of each tile that is done.
+    on_progress: called with the number of pixels of each tile that is done.
     """
 
     def done(piece: tuple[int, Box]) -> None:
-        assert told is not None
+        assert on_progress is not None
         x0, y0, x1, y1 = piece[1]
-        told((x1 - x0) * (y1 - y0))
+        on_progress((x1 - x0) * (y1 - y0))
 
     def begin() -> Callable[[tuple[int, Box]], None]:
         own = room()
         return lambda piece: work(*piece, own)
 
     parallel_for_pieces(
-        begin, list(enumerate(tile_boxes(window))), thread_count(threads), done if told else None
+        begin, list(enumerate(tile_boxes(window))), thread_count(threads), done if on_progress else None
     )
 
 

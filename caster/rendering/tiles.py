@@ -1,107 +1,224 @@
-"""Diffuse shading of a film, tile by tile: a ray from each hit to each light that it faces."""
+"""From the nearest hits of a tile to AOVs: surfaces, materials, shadow rays, per-hit kernels.
 
-from collections.abc import Callable, Sequence
+One way for all rays: a film is tiles of its camera's rays; an array of rays is a film that is WIDTH pixels wide.
+"""
+
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from caster.aovs import BY_NAME
-from caster.description.errors import SceneError, listed
-from caster.description.fields import Camera
+from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
-from caster.kernels.nearest import new_rays
+from caster.kernels.nearest import Rays
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import WIDTH, Box, generate_camera_rays, new_tile
-from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
+from caster.kernels.raster.tile import (
+    DX,
+    DY,
+    DZ,
+    OX,
+    OY,
+    OZ,
+    T_MAX,
+    T_MIN,
+    UNCERTAIN,
+    WIDTH,
+    Box,
+    T,
+    new_tile,
+)
+from caster.kernels.surface.hit import (
+    NO_IDS,
+    PrimitiveIds,
+    fill_miss,
+    new_surface_buffer,
+    surfaces_in_tile,
+    write_aov,
+)
 from caster.kernels.surface.lighting import (
-    RADIANCE,
-    SH_N,
-    UV,
-    N,
-    P,
     add_ambient,
     add_light,
     materials_in_tile,
-    new_shade,
-    paint_fields,
     shadow_rays_in_tile,
-    surfaces_in_tile,
 )
-from caster.kernels.surface.normals import (
-    film_from_one_point,
-    film_in_one_direction,
-    paint_albedo,
-    paint_normals,
-    paint_nothing,
-    paint_numbers,
-    paint_seen,
-)
-from caster.kernels.surface.surfaces import generate_rays_at
+from caster.kernels.surface.normals import normals_in_tile
 from caster.rendering.casting import exact_nearest, prim_offsets, scene_prim_ids, tile_caster
 from caster.rendering.plan import Plan
-from caster.rendering.rasterization import (
-    BinnedKind,
-    bin_kinds,
-    cast_tile,
-    parallel_for_tiles,
-    release_workspace,
-)
-from caster.rendering.threads import parallel_for_pieces, thread_count
-from caster.rendering.view import View
 from caster.scene.model import Scene
+
+NO_START = np.empty((0, 0))
 
 
 @dataclass(frozen=True)
 class TileWorkspace:
-    """The numbers of the tile that a thread works on, and of what only some tiles need."""
+    """Buffers of one thread: the tile it works on, and what only some AOVs need."""
 
     tile: np.ndarray = field(default_factory=new_tile)
 
     @cached_property
-    def shade(self) -> np.ndarray:
-        return new_shade()
+    def surface(self) -> np.ndarray:
+        return new_surface_buffer()
 
     @cached_property
-    def beam(self) -> np.ndarray:
-        """A tile of shadow rays."""
+    def shadow_tile(self) -> np.ndarray:
         return new_tile()
 
 
-class Shading:
-    """Lambert's law for a scene; `shadow_rays` counts what was cast for it."""
+Step = Callable[[TileWorkspace, Box], None]
 
-    def __init__(self, scene: Scene, packed: Packed, plan: Plan, image: np.ndarray) -> None:
-        self.lights = [light.pack() for light in scene.lights if light.type != "ambient"]
-        self.ambient = np.array(
-            [light.radiance for light in scene.lights if light.type == "ambient"]
-        ).reshape(-1, 3)
-        self.cast = tile_caster(packed, any_hit=True) if plan.shadows.runs else None
-        self.shapes = packed.shape_of(scene_prim_ids(packed))
-        self.tables = material_tables(scene)
-        self.image = image
-        self._aimed: list[int] = []  # one a tile and light: threads only append
+
+def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
+    """Zeros for the image of an AOV: (h, w), or (h, w, c) for several channels."""
+    aov = BY_NAME[name]
+    shape = (window.height, window.width)
+    channels = () if len(aov.CHANNELS) == 1 else (len(aov.CHANNELS),)
+    return np.zeros(shape + channels, aov.DTYPE if aov.DTYPE is np.int32 else dtype)
+
+
+class TileShader:
+    """Writes the AOVs of tiles whose rays and nearest hits are known.
+
+    images: by AOV, new ones. reach: no coordinate of an origin is larger; inf where d need not be of length 1.
+    start: (h, w) what depth counts from. exact_shadows: decide at once where float64 cannot tell whether a point is
+    lit; otherwise its pixel gets UNCERTAIN.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        packed: Packed,
+        plan: Plan,
+        images: Mapping[str, np.ndarray],
+        *,
+        reach: float = np.inf,
+        start: np.ndarray = NO_START,
+        exact_shadows: bool = False,
+    ) -> None:
+        self.images, self.start, self.reach = images, start, reach
+        self._shadow_rays: list[int] = []  # one a tile and light: threads only append
+        self.ids = _primitive_ids(packed, plan.needs)
+        self.steps: list[Step] = []
+        if packed.kinds:
+            self.steps += self._surface_steps(packed, plan)
+            if plan.needs & {"albedo", "radiance"}:
+                self.steps += self._material_steps(scene, packed)
+            if "radiance" in plan.needs:
+                self.steps += self._light_steps(scene, packed, plan, exact_shadows)
+            self.steps += [step for name in images for step in self._writers(name, packed, plan)]
+        else:
+            self.steps.append(lambda workspace, box: self.fill_miss(box))
 
     @property
     def shadow_rays(self) -> int:
-        return sum(self._aimed)
+        """Shadow rays cast so far."""
+        return sum(self._shadow_rays)
 
-    def __call__(self, room: TileWorkspace, box: Box) -> None:
-        """Paint the image of a tile whose hits and, if there are lights, surfaces are known."""
-        tile, shade = room.tile, room.shade
-        materials_in_tile(tile, box, self.shapes, *self.tables, shade)
-        for light in self.lights:
-            count = shadow_rays_in_tile(light, tile, box, shade, room.beam)
-            if count and self.cast:
-                self._aimed.append(count)
-                self.cast((box[3] - box[1]) * WIDTH, room.beam)
-            if count:
-                add_light(tile, box, shade, room.beam)
-        if len(self.ambient):
-            add_ambient(tile, box, shade, self.ambient)
-        paint_fields(tile, box, shade, int(RADIANCE), self.image)
+    def __call__(self, workspace: TileWorkspace, box: Box) -> None:
+        for step in self.steps:
+            step(workspace, box)
+
+    def fill_miss(self, box: Box) -> None:
+        """AOVs of a tile where nothing is hit; images are zeros to begin with."""
+        for name, image in self.images.items():
+            if BY_NAME[name].MISS != 0:
+                fill_miss(kernel_of(name), box, image)
+
+    def _surface_steps(self, packed: Packed, plan: Plan) -> list[Step]:
+        if "position" not in plan.surfaces:
+            return []
+        wants_uv = "uv" in plan.surfaces
+        return [_surface_step(prims, numbers, wants_uv) for prims, numbers in kind_ranges(packed)]
+
+    def _material_steps(self, scene: Scene, packed: Packed) -> list[Step]:
+        shapes, (reflectance, two_sided) = shape_by_primitive(packed), material_tables(scene)
+        return [lambda ws, box: materials_in_tile(ws.tile, box, shapes, reflectance, two_sided, ws.surface)]
+
+    def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
+        cast = tile_caster(packed, any_hit=True) if plan.shadows.runs else None
+        steps: list[Step] = [
+            partial(self._add_light, light.pack(), cast, packed if exact else None)
+            for light in scene.lights
+            if light.type != "ambient"
+        ]
+        ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(
+            -1, 3
+        )
+        if len(ambient):
+            steps.append(lambda ws, box: add_ambient(ws.tile, box, ws.surface, ambient))
+        return steps
+
+    def _add_light(
+        self, light: Any, cast: Any, exact: Packed | None, workspace: TileWorkspace, box: Box
+    ) -> None:
+        """Radiance of what a light reaches."""
+        tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
+        count = shadow_rays_in_tile(light, tile, box, surface, shadow_tile)
+        if count and cast:
+            self._shadow_rays.append(count)
+            cast((box[3] - box[1]) * WIDTH, shadow_tile)
+            if exact:
+                decide_shadows(exact, shadow_tile, (box[3] - box[1]) * WIDTH)
+        if count:
+            add_light(tile, box, surface, shadow_tile)
+
+    def _writers(self, name: str, packed: Packed, plan: Plan) -> list[Step]:
+        kernel, image, ids, start = kernel_of(name), self.images[name], self.ids, self.start
+        if plan.surfaces == ("normals",) and "normal" in BY_NAME[name].NEEDS:
+            return [
+                _normal_step(kernel, prims, numbers, self.reach, start, image)
+                for prims, numbers in kind_ranges(packed)
+            ]
+        return [lambda ws, box: write_aov(kernel, ws.tile, box, ws.surface, ids, start, image)]
+
+
+def kind_ranges(packed: Packed) -> list[tuple[Any, tuple[int, int]]]:
+    """(primitives, their numbers in a tile: first, last + 1) of each kind."""
+    offsets = zip(packed.kinds, prim_offsets(packed), strict=True)
+    return [(kind.prims, (first, first + len(kind.ids))) for kind, first in offsets]
+
+
+def _surface_step(prims: Any, numbers: tuple[int, int], wants_uv: bool) -> Step:
+    return lambda ws, box: surfaces_in_tile(prims, numbers, ws.tile, box, ws.surface, wants_uv)
+
+
+def _normal_step(
+    kernel: Any, prims: Any, numbers: tuple[int, int], reach: float, start: np.ndarray, image: np.ndarray
+) -> Step:
+    return lambda ws, box: normals_in_tile(kernel, prims, numbers, reach, ws.tile, box, start, image)
+
+
+def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:
+    """Of the first `count` shadow rays of a tile, decide exactly those that float64 left open."""
+
+    def values(field: Any) -> np.ndarray:
+        return shadow_tile[int(field) : int(field) + count]
+
+    rows = np.flatnonzero((values(UNCERTAIN) != 0.0) & (values(T) == np.inf))
+    if len(rows):
+        o, d = (
+            np.stack([values(axis)[rows] for axis in axes], axis=1) for axes in ((OX, OY, OZ), (DX, DY, DZ))
+        )
+        blocked = exact_nearest(packed, Rays(o, d, values(T_MIN)[rows], values(T_MAX)[rows]), 1).prim >= 0
+        values(T)[rows] = np.where(blocked, 0.0, np.inf)
+        values(UNCERTAIN)[rows] = 0.0
+
+
+def shape_by_primitive(packed: Packed) -> np.ndarray:
+    """Shape of each primitive, by its number in a tile: int32."""
+    return packed.shape_of(scene_prim_ids(packed))
+
+
+def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
+    if not packed.kinds or not needs & {"shape_id", "prim_id"}:
+        return NO_IDS
+    ids = scene_prim_ids(packed)
+    shapes = packed.shape_of(ids)
+    numbers = (ids - packed.first[shapes]).astype(np.int32)
+    return PrimitiveIds(
+        shapes if "shape_id" in needs else NO_IDS.shape, numbers if "prim_id" in needs else NO_IDS.prim
+    )
 
 
 def material_tables(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -109,228 +226,3 @@ def material_tables(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     materials = [scene.material_of(shape) for shape in scene.shapes]
     reflectance = np.array([material.reflectance for material in materials]).reshape(-1, 3)
     return reflectance, np.array([material.two_sided for material in materials], bool)
-
-
-# AOVs of a film, tile by tile: rays, hits and what is asked about them, while they are in a core's cache.
-#
-# The same bits as `rendering.evaluate` gives, which takes one step after the other for the whole film.
-
-
-CHANNELS = {"position": 3, "normal": 3, "shading_normal": 3, "uv": 2, "albedo": 3, "diffuse": 3}
-ID_AOVS = ("shape_id", "prim_id")
-FIELDS = {"position": P, "normal": N, "shading_normal": SH_N, "uv": UV}
-COMPUTED = ("hit", "depth", *CHANNELS, *ID_AOVS)
-
-Painter = Callable[[TileWorkspace, Box], None]
-# Hears of the pixels that have been painted, a number at a time, from any thread.
-OnProgress = Callable[[int], None] | None
-
-
-@dataclass(frozen=True)
-class FilmResult:
-    """A film with all its pixels."""
-
-    images: dict[str, np.ndarray]
-    hit: np.ndarray  # (h, w) bool
-    doubtful: int  # pixels whose answer had to be found exactly
-    shadow_rays: int
-    on_film: (
-        tuple[int, ...] | None
-    )  # of each kind, the primitives that some pixel was tried for; None: no such list
-
-
-@dataclass(frozen=True)
-class FilmTarget:
-    """A film in the making."""
-
-    scene: Scene
-    packed: Packed
-    camera: Any  # packed
-    window: Window
-    images: dict[str, np.ndarray]  # by AOV, but for hit
-    hit: np.ndarray  # (h, w) bool
-    doubt: np.ndarray  # (h, w) bool, pixels that have to be found exactly
-    threads: int | None
-    told: OnProgress
-
-    def image(self, name: str, channels: tuple[int, ...] = ()) -> np.ndarray:
-        """The image of an AOV; one without size if it was not asked for. channels: (3,) where it has three."""
-        return self.images[name] if name in self.images else np.empty((0, 0, *channels))
-
-
-def render_tiles(
-    scene: Scene,
-    packed: Packed,
-    window: Window,
-    aovs: Sequence[str],
-    plan: Plan,
-    threads: int | None = None,
-    dtype: type[np.floating] = np.float64,
-    told: OnProgress = None,
-) -> FilmResult:
-    """The AOVs as planned, by the cullings "screen" (for cameras that can tell where they show a ball) or "bvh".
-
-    Raises SceneError for an AOV of the registry that is not computed here: its image would stay unset.
-    """
-    for name in aovs:
-        if name not in COMPUTED:
-            known = listed(COMPUTED, "and")
-            raise SceneError(f"aov {name!r}: render does not compute it for a film; it computes {known}")
-    camera = scene.camera.pack(scene.film.width, scene.film.height)
-    hit, doubt = (np.zeros((window.height, window.width), bool) for _ in range(2))
-    images = {name: _blank(name, window, dtype) for name in aovs if name != "hit"}
-    canvas = FilmTarget(scene, packed, camera, window, images, hit, doubt, threads, told)
-    reach, shadow_rays = _farthest_origin(camera, window), 0
-    kinds = bin_kinds(packed, camera, window, reach, threads) if plan.culling == "screen" else None
-    if kinds and len(kinds) == 1 and images.keys() <= {"depth", "normal"}:
-        _render_depth_normal(canvas, kinds[0], reach)
-    else:
-        shadow_rays = _render_aovs(canvas, plan, kinds, reach)
-    doubtful = _resolve_uncertain(canvas)
-    if "hit" in aovs:
-        images["hit"] = hit.astype(dtype)
-    on_film = None if kinds is None else tuple(it.seen for it in kinds)
-    release_workspace(kinds or [])
-    return FilmResult(images, hit, doubtful, shadow_rays, on_film)
-
-
-CHUNKS_PER_THREAD = (
-    8  # for each thread: so few that steps of Python do not count, enough to share the work evenly
-)
-
-
-def _render_depth_normal(canvas: FilmTarget, it: BinnedKind, reach: float) -> None:
-    """Depth and normals of a scene of one kind."""
-    camera, window = canvas.camera, canvas.window
-    film = film_from_one_point if canvas.scene.camera.shares_origin else film_in_one_direction
-    images = canvas.hit, canvas.doubt, canvas.image("depth"), canvas.image("normal", (3,))
-    kind = it.kind.prims, it.order, it.runs, it.spans
-    workers, count = thread_count(canvas.threads), len(it.runs) - 1
-    edges = np.linspace(0, count, min(count, workers * CHUNKS_PER_THREAD) + 1).astype(int).tolist()
-
-    def begin() -> Callable[[tuple[int, int]], None]:
-        tile = new_tile()
-        return lambda tiles: film(camera, window, kind, reach, tiles, tile, images)
-
-    told, pixels = canvas.told, window.width * window.height
-
-    def done(tiles: tuple[int, int]) -> None:
-        assert told is not None
-        told(
-            pixels * tiles[1] // count - pixels * tiles[0] // count
-        )  # their share; all of them together are all
-
-    parallel_for_pieces(begin, list(pairwise(edges)), workers, done if told else None)
-
-
-def _render_aovs(canvas: FilmTarget, plan: Plan, kinds: list[BinnedKind] | None, reach: float) -> int:
-    """Anything else, one step after the other for each tile; how many shadow rays that took. kinds: None for trees."""
-    scene, packed, images = canvas.scene, canvas.packed, canvas.images
-    seek, depth = _seeker(canvas, kinds), canvas.image("depth")
-    painters = _painters(scene, packed, reach, images, plan.surfaces)
-    shading = (
-        Shading(scene, packed, plan, images["diffuse"]) if "diffuse" in images and packed.kinds else None
-    )
-    if shading:
-        painters.append(shading)
-
-    def work(number: int, box: Box, room: TileWorkspace) -> None:
-        if kinds is not None and not any(it.runs[number] < it.runs[number + 1] for it in kinds):
-            paint_nothing(box, depth)
-            return
-        generate_camera_rays(canvas.camera, canvas.window, box, room.tile)
-        seek(number, box, room.tile)
-        for paint in painters:
-            paint(room, box)
-        paint_seen(room.tile, box, canvas.hit, canvas.doubt, depth)  # last: shading has doubts of its own
-
-    parallel_for_tiles(work, canvas.window, canvas.threads, TileWorkspace, canvas.told)
-    return shading.shadow_rays if shading else 0
-
-
-def _seeker(canvas: FilmTarget, kinds: list[BinnedKind] | None) -> Callable[[int, Box, np.ndarray], None]:
-    """What finds the hits of a tile, given its number, its box and its rays."""
-    if kinds is not None:
-        cast = cast_shared_origin if canvas.scene.camera.shares_origin else cast_own_origins
-        return partial(cast_tile, cast, kinds)
-    cast_rows = tile_caster(canvas.packed)
-    return lambda number, box, tile: cast_rows((box[3] - box[1]) * WIDTH, tile)
-
-
-def _resolve_uncertain(canvas: FilmTarget) -> int:
-    """Paint the pixels that float64 could not tell, exactly; how many."""
-    pixels = np.flatnonzero(canvas.doubt)
-    if len(pixels):
-        rays = new_rays(len(pixels))
-        generate_rays_at(canvas.camera, canvas.window, rays, pixels)
-        nearest = exact_nearest(canvas.packed, rays, canvas.threads)
-        view = View(canvas.scene, canvas.packed, rays, nearest, np.zeros(len(pixels)), canvas.threads)
-        canvas.hit.reshape(-1)[pixels] = view.hit
-        for name, image in canvas.images.items():
-            with np.errstate(over="ignore", under="ignore"):
-                image.reshape(canvas.doubt.size, *image.shape[2:])[pixels] = BY_NAME[name].evaluate(view)
-    return len(pixels)
-
-
-def _blank(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
-    """An image of nothing; depth is written everywhere."""
-    shape = window.height, window.width
-    if name in ID_AOVS:
-        return np.full(shape, -1, np.int32)
-    return np.zeros((*shape, CHANNELS[name]), dtype) if name in CHANNELS else np.empty(shape, dtype)
-
-
-def _farthest_origin(camera: Any, window: Window) -> float:
-    """The largest |coordinate| of an origin, which is one point or linear over the film: at a corner of it."""
-    rays = new_rays(4)
-    right, bottom = window.width - 1, (window.height - 1) * window.width
-    generate_rays_at(camera, window, rays, np.array([0, right, bottom, bottom + right]))
-    return float(np.abs(rays.o).max())
-
-
-def _painters(
-    scene: Scene, packed: Packed, reach: float, images: dict[str, np.ndarray], surfaces: tuple[str, ...]
-) -> list[Painter]:
-    """What finds surfaces or normals and paints the images, but for depth, diffuse and the normals found alone."""
-    painters: list[Painter] = []
-    for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True):
-        places = base, base + len(kind.ids)
-        if "position" in surfaces:
-            painters.append(_surface_finder(kind.prims, places, "uv" in surfaces))
-        elif surfaces:
-            # Normals without a branch are for d of length 1, which a camera that looks nowhere may not have.
-            far = reach if isinstance(scene.camera, Camera) else np.inf
-            painters.append(_normal_painter(kind.prims, places, far, images["normal"]))
-    fields = FIELDS if "position" in surfaces else {}
-    painters.extend(_field_painter(field, images[name]) for name, field in fields.items() if name in images)
-    if packed.kinds and images.keys() & {*ID_AOVS, "albedo"}:
-        painters.extend(_number_painters(scene, packed, images))
-    return painters
-
-
-def _surface_finder(prims: Any, places: tuple[int, int], wants_uv: bool) -> Painter:
-    return lambda room, box: surfaces_in_tile(prims, places, room.tile, box, room.shade, wants_uv)
-
-
-def _normal_painter(prims: Any, places: tuple[int, int], reach: float, image: np.ndarray) -> Painter:
-    return lambda room, box: paint_normals(prims, places, reach, room.tile, box, image)
-
-
-def _field_painter(field: Any, image: np.ndarray) -> Painter:
-    first = int(field)
-    return lambda room, box: paint_fields(room.tile, box, room.shade, first, image)
-
-
-def _number_painters(scene: Scene, packed: Packed, images: dict[str, np.ndarray]) -> list[Painter]:
-    ids = scene_prim_ids(packed)
-    shapes = packed.shape_of(ids)
-    painters: list[Painter] = []
-    if "shape_id" in images:
-        painters.append(lambda room, box: paint_numbers(room.tile, box, shapes, images["shape_id"]))
-    if "prim_id" in images:
-        numbers = (ids - packed.first[shapes]).astype(np.int32)
-        painters.append(lambda room, box: paint_numbers(room.tile, box, numbers, images["prim_id"]))
-    if "albedo" in images:
-        table = material_tables(scene)[0]
-        painters.append(lambda room, box: paint_albedo(room.tile, box, shapes, table, images["albedo"]))
-    return painters

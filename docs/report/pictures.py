@@ -16,7 +16,7 @@ from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
 
 from caster import load_scene
-from caster.rendering.view import View
+from caster.rendering.hits import RayHits
 from mitsuba_ref.judge import classification
 from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.report.html.html_report import HtmlReport, write_report
@@ -75,7 +75,7 @@ def candidate_report_into(folder: Path) -> Path:
     return write_report(folder, [replace(verdict, options=("--candidate", CANDIDATE))], 1)  # as it was typed
 
 
-def faulty_view(scene: object, rays: object) -> View:
+def faulty_view(scene: object, rays: object) -> RayHits:
     view = cast_ours(scene, rays)
     if (scene.film.width, scene.film.height, len(scene.shapes)) != FAULTY_SCENE:
         return view

@@ -6,9 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from caster.geometry.world_space import as_float32
-from caster.rendering.hits import trace
+from caster.rendering.hits import RayHits, trace
 from caster.rendering.images import Aovs, evaluate, film_window
-from caster.rendering.view import View
 from caster.scene.model import Scene
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
@@ -38,12 +37,12 @@ class ImagePair:
         return length
 
 
-def cast_ours(scene: Scene, rays: SharedRays) -> View:
+def cast_ours(scene: Scene, rays: SharedRays) -> RayHits:
     """Our caster along the shared rays, on the float32 geometry."""
     return trace(scene, rays.o, rays.d, rays.t_max, rays.start, rounded=as_float32)
 
 
-def pair_images(scene: Scene, rays: SharedRays, view: View, witness: ReferenceResult) -> ImagePair:
+def pair_images(scene: Scene, rays: SharedRays, view: RayHits, witness: ReferenceResult) -> ImagePair:
     """The two as pictures under the same names."""
     window = film_window(scene)
     ours = evaluate(view, (*COMPARED_AOVS, *DERIVED_AOVS), window)

@@ -14,10 +14,8 @@ import caster
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
 from caster.kernels.nearest import Rays
-from caster.rendering.images import trace_rays
-from caster.rendering.view import View
-from caster.scene.files import load_scene
-from caster.scene.model import Scene
+from caster.rendering.hits import RayHits, trace_rays
+from caster.scene.files import Scene, load_scene
 from mitsuba_ref import validate
 from mitsuba_ref.error_model.bounds import PixelPairs
 from mitsuba_ref.error_model.intersections import K
@@ -46,11 +44,11 @@ class Asked:
         assert not isinstance(answer, Crash), answer
         self.witness: ReferenceResult = answer
 
-    def judge(self, view: View) -> Judge:
+    def judge(self, view: RayHits) -> Judge:
         """Ours as it is seen there, the reference's bounds of the right geometry along the right rays."""
         return Judge(self.scene, self.model, pair_images(self.scene, self.rays, view, self.witness))
 
-    def altered(self, alter: Callable[[Any], None]) -> View:
+    def altered(self, alter: Callable[[Any], None]) -> RayHits:
         """Ours traced through packed arrays that `alter` has changed, a kind at a time; float64, not rounded again."""
         faulty = pack(self.scene, as_float32)
         for kind in faulty.kinds:
@@ -59,7 +57,7 @@ class Asked:
         rays = Rays(self.rays.o.astype(np.float64), self.rays.d.astype(np.float64), *limits)
         return trace_rays(self.scene, faulty, rays, self.rays.start)
 
-    def grown(self, share: float) -> View:
+    def grown(self, share: float) -> RayHits:
         """Every ball larger by this share of its radius."""
 
         def grow(prims: Any) -> None:
@@ -67,7 +65,7 @@ class Asked:
 
         return self.altered(grow)
 
-    def shifted(self, pixels: float) -> View:
+    def shifted(self, pixels: float) -> RayHits:
         """Pixel centres to the side by so many pixels; rays in float32 as ever."""
         camera = self.scene.camera
         assert isinstance(camera, caster.Pinhole)
@@ -86,7 +84,7 @@ def beyond(judge: Judge) -> np.ndarray:
     return found
 
 
-def errors(asked: Asked, view: View) -> ErrorStatistics:
+def errors(asked: Asked, view: RayHits) -> ErrorStatistics:
     judge = asked.judge(view)
     return error_statistics(asked.packed, judge.pair, judge.bounds)
 

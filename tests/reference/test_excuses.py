@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import caster
+from caster.rendering.hits import RayHits
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
@@ -72,10 +73,12 @@ def test_a_plane_edge_on_excuses_neither_what_stands_before_it_nor_beside_it(jud
     camera = caster.Orthographic(eye=(0, -4, 3), direction=(0, 0.8, -0.6), up=(0, 0, 1), width=1.5)
     scene = scene_of(*shapes, camera=camera)
     assert judged(scene).ok
-    from caster.aovs import normal
+    evaluate = RayHits.evaluate
 
-    evaluate = normal.evaluate
-    monkeypatch.setattr(normal, "evaluate", lambda view: -evaluate(view))
+    def with_turned_normals(hits, aovs, *dtype):
+        return {aov: -rows if aov == "normal" else rows for aov, rows in evaluate(hits, aovs, *dtype).items()}
+
+    monkeypatch.setattr(RayHits, "evaluate", with_turned_normals)
     found = judged(scene)
     assert not found.ok and found.counts["wrong"] > 0.9 * found.hit_pixels
 

@@ -29,33 +29,26 @@ class Fault(NamedTuple):
     size: tuple[str, str] = (WIDTH, HEIGHT)
 
 
-ONE_NAN = "return np.where(np.arange(len(view.hit)){rows} == np.flatnonzero(view.hit)[7], np.nan, {value})"
+ONE_NAN = """
+        if {aov!r} in images:
+            images[{aov!r}].reshape(window.height * WIDTH, -1)[np.flatnonzero(self.hit)[7]] = np.nan
+"""
 
 
-def one_nan(aov: str, value: str, rows: str = "[:, None]") -> Fault:
+def one_nan(aov: str) -> Fault:
     """A single pixel that is not a number."""
-    file, check = f"caster/aovs/{aov}.py", aov
-    return Fault(
-        f"one NaN in {aov}",
-        "one-sphere",
-        check,
-        file,
-        f"return {value}\n",
-        ONE_NAN.format(rows=rows, value=value) + "\n",
-    )
+    old = "        parallel_for_tiles(work, window, self.threads, TileWorkspace)\n"
+    return Fault(f"one NaN in {aov}", "one-sphere", aov, HITS, old, old + ONE_NAN.format(aov=aov)[1:])
 
 
+AOVS, HITS, IMAGES = "caster/aovs", "caster/rendering/hits.py", "caster/rendering/images.py"
 ROOTS, TRIANGLES = "caster/kernels/math/quadric_roots.py", "caster/kernels/triangles.py"
 SPHERE, CYLINDER, DISK, PLANE = (
     f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane")
 )
 PINHOLE, ORTHOGRAPHIC = "caster/cameras/pinhole.py", "caster/cameras/orthographic.py"
-DIFFUSE, LIGHTS, VIEW = "caster/aovs/diffuse.py", "caster/scene/lights.py", "caster/rendering/view.py"
-LIGHT, PAINT, SHADE = (
-    "caster/kernels/surface/lighting.py",
-    "caster/kernels/surface/normals.py",
-    "caster/kernels/surface/lighting.py",
-)
+LIGHTS, TILES = "caster/scene/lights.py", "caster/rendering/tiles.py"
+LIGHT, HIT = "caster/kernels/surface/lighting.py", "caster/kernels/surface/hit.py"
 SCREEN, TREE, PLACING = (
     "caster/kernels/raster/tile_casting.py",
     "caster/kernels/bvh/traversal.py",
@@ -114,8 +107,8 @@ FAULTS = (
         "shared-edges-cube",
         "mask",
         TRIANGLES,
-        "answer(inside & steep, outside, t, off)",
-        "answer(inside & steep, not inside, t, off)",
+        "filter_result(inside & steep, outside, t, off)",
+        "filter_result(inside & steep, not inside, t, off)",
         ODD,
     ),
     Fault(
@@ -198,11 +191,11 @@ FAULTS = (
         "depth as z",
         "one-sphere",
         "depth",
-        "caster/aovs/depth.py",
-        "view.nearest.t * length(view.rays.d)",
-        "view.nearest.t * (view.rays.d @ view.scene.camera.frame[2])",
+        f"{AOVS}/depth.py",
+        "hit.t * length(hit.d)",
+        "hit.t * abs(hit.d[2])",
     ),
-    Fault("depth from the near plane", "near-far-clip", "depth", "caster/aovs/depth.py", "view.start + ", ""),
+    Fault("depth from the near plane", "near-far-clip", "depth", f"{AOVS}/depth.py", "hit.start + ", ""),
     Fault(
         "flipped normal of triangles",
         "triangles",
@@ -216,16 +209,16 @@ FAULTS = (
         "one-sphere",
         "normal",
         ROOTS,
-        "out = along(closest, side * told, d)",
-        "out = along(closest, -side * told, d)",
+        "out = point_at(closest, side * told, d)",
+        "out = point_at(closest, -side * told, d)",
     ),
     Fault(
         "normal turned to the viewer",
         "inside-sphere",
         "normal",
-        "caster/aovs/normal.py",
-        "return view.surfaces.n",
-        "return view.surfaces.n * -np.sign((view.surfaces.n * view.rays.d).sum(axis=1, keepdims=True))",
+        f"{AOVS}/normal.py",
+        "return hit.normal",
+        "return tuple(-float(np.sign(np.dot(hit.normal, hit.d))) * x for x in hit.normal)",
     ),
     Fault(
         "unnormalised normal",
@@ -240,7 +233,7 @@ FAULTS = (
         "coarse-silhouettes",
         "shading_normal",
         TRIANGLES,
-        "sh_n = unit(add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2))))",
+        "sh_n = normalize(add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2))))",
         "sh_n = add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2)))",
     ),
     Fault(
@@ -256,45 +249,41 @@ FAULTS = (
         "ellipsoids",
         "normal",
         SPHERE,
-        "n = unit(transposed_mat_vec(prims.to_object, k, q))",
-        "n = unit(turned(prims.to_world, k, q))",
+        "n = normalize(transposed_mat_vec(prims.to_object, k, q))",
+        "n = normalize(turned(prims.to_world, k, q))",
     ),
     Fault(
         "position from the ray's length alone",
         "one-sphere",
         "position",
         SPHERE,
-        "return along(center, r, n), n, n,",
-        "return along(o, 1.0001 * t, d), n, n,",
+        "return point_at(center, r, n), n, n,",
+        "return point_at(o, 1.0001 * t, d), n, n,",
     ),
     Fault(
         "shapes numbered from the back",
         "closest-of-several",
         "shape_id",
-        "caster/aovs/shape_id.py",
-        "return view.shape_id",
-        "return np.where(view.hit, len(view.scene.shapes) - 1 - view.shape_id, -1).astype(np.int32)",
+        f"{AOVS}/shape_id.py",
+        "return hit.shape_id",
+        "return 2 - hit.shape_id",
     ),
-    one_nan("depth", "view.start + view.nearest.t * length(view.rays.d)", ""),
-    one_nan("normal", "view.surfaces.n"),
-    one_nan("shading_normal", "view.surfaces.sh_n"),
-    one_nan("position", "view.surfaces.p"),
-    one_nan("diffuse", "direct(view) + ambient(view)"),
+    *(one_nan(aov) for aov in ("depth", "normal", "shading_normal", "position", "diffuse")),
     Fault(
         "depth 0 on a miss",
         "one-sphere",
         "depth",
-        "caster/aovs/depth.py",
-        "return view.start + view.nearest.t * length(view.rays.d)",
-        "return np.where(view.hit, view.start + view.nearest.t * length(view.rays.d), 0.0)",
+        f"{AOVS}/depth.py",
+        "np.float64, math.inf",
+        "np.float64, 0.0",
     ),
     Fault(
         "light on a miss",
         "one-sphere",
         "diffuse",
-        DIFFUSE,
-        "return direct(view) + ambient(view)",
-        "return np.where(view.hit[:, None], direct(view) + ambient(view), 0.1)",
+        f"{AOVS}/diffuse.py",
+        "np.float64, 0.0",
+        "np.float64, 0.1",
     ),
     # ---- where shapes stand ----
     Fault(
@@ -464,9 +453,9 @@ FAULTS = (
         "fisheye",
         "camera",
         "caster/cameras/fisheye.py",
-        "d = mixed(camera, sideways * across, sideways * above, 1.0 - 2.0 * h_square * sine * sine)",
+        "d = combine_axes(camera, sideways * across, sideways * above, 1.0 - 2.0 * h_square * sine * sine)",
         "sine = square * math.sin(half) ** 2\n    sideways = 2.0 * math.sin(half) * math.sqrt(max(1.0 - sine, 0.0))\n"
-        "    d = mixed(camera, sideways * across, sideways * above, 1.0 - 2.0 * sine)",
+        "    d = combine_axes(camera, sideways * across, sideways * above, 1.0 - 2.0 * sine)",
     ),
     Fault(
         "a panorama inside out",
@@ -486,7 +475,7 @@ FAULTS = (
         "math.sqrt(max(1.0 - square, 0.0)))\n",
     ),
     # ---- light ----
-    Fault("no 1/pi", "one-sphere", "diffuse", DIFFUSE, "/ np.pi * irradiance", "* irradiance"),
+    Fault("no 1/pi", "one-sphere", "diffuse", LIGHT, "albedo[0] / math.pi * flux[0]", "albedo[0] * flux[0]"),
     Fault(
         "light that does not fall off",
         "one-sphere",
@@ -523,9 +512,9 @@ FAULTS = (
         "ambient light twice",
         "fisheye",
         "diffuse",
-        DIFFUSE,
-        "return direct(view) + ambient(view)",
-        "return direct(view) + 2.0 * ambient(view)",
+        LIGHT,
+        "sum_ += buffer",
+        "sum_ += 2.0 * buffer",
     ),
     Fault(
         "the sun from the other side",
@@ -548,9 +537,9 @@ FAULTS = (
         "no shadows",
         "spheres-on-plane",
         "diffuse",
-        VIEW,
-        "if not self.scene.shading.shadows:",
-        "if self.scene.shading.shadows:",
+        TILES,
+        "if plan.shadows.runs else None",
+        "if not plan.shadows.runs else None",
     ),
     Fault(
         "surfaces that shadow themselves",
@@ -573,27 +562,27 @@ FAULTS = (
         "cosine of the geometric normal",
         "coarse-silhouettes",
         "diffuse",
-        VIEW,
-        "received_irradiance_of_rays(light.pack(), self.surfaces,",
-        "received_irradiance_of_rays(light.pack(), self.surfaces._replace(sh_n=self.surfaces.n),",
+        LIGHT,
+        "get(buffer, SH_N + i), d,",
+        "get(buffer, N + i), d,",
     ),
     Fault(
         "only some kinds of shape cast shadows",
         "lights-and-shadows",
         "diffuse",
-        VIEW,
-        "return ~find_any(self.packed, self.shadow",
+        TILES,
+        "cast = tile_caster(packed, any_hit=True)",
         "from dataclasses import replace\n\n"
-        "        return ~find_any(replace(self.packed, kinds=self.packed.kinds[:1]), self.shadow",
+        "        cast = tile_caster(replace(packed, kinds=packed.kinds[:1]), any_hit=True)",
         FEW,
     ),
     Fault(
         "blue for red",
         "one-sphere",
         "diffuse",
-        VIEW,
-        "table[self.shape_id], 0.0)",
-        "table[self.shape_id][:, ::-1], 0.0)",
+        LIGHT,
+        "(reflectance[shape, 0], reflectance[shape, 1], reflectance[shape, 2])",
+        "(reflectance[shape, 2], reflectance[shape, 1], reflectance[shape, 0])",
     ),
     Fault(
         "the first material for every shape",
@@ -613,34 +602,35 @@ FAULTS = (
         "for at in range(start, start + (0 if start + number == len(tree.order) else number)):",
     ),
     Fault(
-        "depth as z in render",
+        "depth in render from a unit beyond the eye",
         "one-sphere",
         "culling",
-        PAINT,
-        "tile[T + i] * math.sqrt(a * a + b * b + c * c)",
-        "-tile[T + i] * c",
+        IMAGES,
+        "plan, self.images, reach=reach",
+        "plan, self.images, reach=reach, start=np.ones((window.height, window.width))",
     ),
     Fault(
         "one NaN in the depth of render",
         "one-sphere",
         "culling",
-        PAINT,
-        "tile[T + i] * math.sqrt(a * a + b * b + c * c)",
-        "math.nan if (y, x) == (5, 6) else tile[T + i] * math.sqrt(a * a + b * b + c * c)",
+        IMAGES,
+        "        decided = self._decide_uncertain()\n",
+        "        decided = self._decide_uncertain()\n"
+        "        if 'depth' in self.images:\n            self.images['depth'][5, 6] = np.nan\n",
     ),
     Fault(
         "one NaN in the normals of render",
         "one-sphere",
         "culling",
-        SHADE,
-        "shade[lane(first) + lane(c) * ONE + i] if there else 0.0",
-        "math.nan if (y, x, c) == (5, 6, 1) else (shade[lane(first) + lane(c) * ONE + i] if there else 0.0)",
+        HIT,
+        "put(buffer, N + i, n)",
+        "put(buffer, N + i, (n[0], math.nan if i == 5 * WIDTH + 6 else n[1], n[2]))",
     ),
     Fault(
         "one NaN in the light of render",
         "one-sphere",
         "culling",
-        SHADE,
+        LIGHT,
         "(sum_[0] + r, sum_[1] + g, sum_[2] + b)",
         "(sum_[0] + r, math.nan if i == 5 * WIDTH + 6 else sum_[1] + g, sum_[2] + b)",
     ),
@@ -664,9 +654,9 @@ FAULTS = (
         "render without lights",
         "one-sphere",
         "culling",
-        "caster/rendering/tiles.py",
-        '[light.pack() for light in scene.lights if light.type != "ambient"]',
-        "[]",
+        IMAGES,
+        "TileShader(scene, packed",
+        "TileShader(scene.model_copy(update={'lights': ()}), packed",
     ),
     Fault(
         "triangles reversed",
@@ -696,25 +686,25 @@ FAULTS = (
         "normals in float32",
         "one-sphere",
         "normal",
-        "caster/aovs/normal.py",
-        "return view.surfaces.n",
-        "return view.surfaces.n.astype(np.float32).astype(float)",
+        f"{AOVS}/normal.py",
+        "return hit.normal",
+        "return tuple(np.array(hit.normal, np.float32).tolist())",
     ),
     Fault(
         "a mask turned round",
         "one-sphere",
         "mask",
-        "caster/aovs/hit.py",
-        "return view.hit",
-        "return (~view.hit)",
+        f"{AOVS}/hit.py",
+        "return 1.0",
+        "return 0.0",
     ),
     Fault(
         "prim_id that counts from one",
         "cornell-box",
         "shape_id",
-        "caster/aovs/prim_id.py",
-        "return view.prim_id",
-        "return view.prim_id + view.hit.astype(np.int32)",
+        f"{AOVS}/prim_id.py",
+        "return hit.prim_id",
+        "return hit.prim_id + 1",
     ),
     Fault(
         "pictures of primitives too narrow",

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from caster import Ambient, Diffuse, Film, Pinhole, Plane, Scene, Sphere
-from caster.rendering.view import View
+from caster.rendering.hits import RayHits
 from mitsuba_ref.judge import classification
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
@@ -55,7 +55,7 @@ def good() -> SceneVerdict:
 def bad(patch: pytest.MonkeyPatch) -> SceneVerdict:
     """Our t is too large by 1e-5 of itself at one pixel; at three more, Mitsuba's answer is none."""
 
-    def wrong_view(*given: object) -> View:
+    def wrong_view(*given: object) -> RayHits:
         view = cast_ours(*given)
         t = view.nearest.t.copy()
         t[row_of(OURS_WRONG)] *= 1.0 + 1e-5

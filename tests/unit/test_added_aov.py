@@ -1,52 +1,164 @@
-"""An AOV added as documented, by one file and its entry in the registry, is computed or refused, never left unset."""
+"""An AOV from outside of the tree, once registered, renders like those of the tree: films, arrays, brute force."""
 
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+import caster
+from caster.aovs import BY_NAME, register, unregister
+from caster.kernels.protocol import Vec3
+from caster.kernels.surface.hit import Hit
+from caster.rendering.hits import RayHits
+from caster.rendering.images import trace_film
+
 ROOT = Path(__file__).resolve().parents[2]
-ADDED = '''"""Twice the ray parameter."""
-
-NAME, CHANNELS, MISS = "twice", ("twice.T",), 0.0
 
 
-def evaluate(view):
-    return 2.0 * view.nearest.t
-'''
-SCENE = """
-camera = { type = "pinhole", eye = [0, 0, 5], look_at = [0, 0, 0] }
-film = { width = 4, height = 3 }
-[[shape]]
-type = "sphere"
+def slope(hit: Hit) -> tuple[float, float]:
+    """The cosine between ray and normal, and t, from a ray of length 1."""
+    n, d = hit.normal, hit.d
+    return n[0] * d[0] + n[1] * d[1] + n[2] * d[2], hit.t
+
+
+def shape_in_light(hit: Hit) -> Vec3:
+    return hit.radiance[0] * hit.albedo[1], hit.uv[0] + hit.position[2], 1.0 * hit.shape_id
+
+
+def twice(hit: Hit) -> int:
+    return 2 * hit.prim_id + 1
+
+
+def aov(name, evaluate, channels, needs, dtype=np.float64, miss=0.0):
+    return SimpleNamespace(
+        __name__=__name__,
+        NAME=name,
+        CHANNELS=tuple(f"{name}.{c}" for c in channels),
+        DTYPE=dtype,
+        MISS=miss,
+        NEEDS=needs,
+        PREVIEW="position",
+        evaluate=evaluate,
+    )
+
+
+NEEDS = ("radiance", "albedo", "uv", "position", "shape_id")
+ADDED = {
+    "slope": aov("slope", slope, "XT", ("normal",), miss=-7.0),
+    "in_light": aov("in_light", shape_in_light, "ABC", NEEDS),
+    "twice": aov("twice", twice, "I", ("prim_id",), np.int32, -3),
+}
+
+
+@pytest.fixture(params=ADDED)
+def added(request):
+    register(ADDED[request.param])
+    yield request.param
+    unregister(request.param)
+
+
+SHAPES = (caster.Icosphere(subdivisions=1), caster.Sphere(center=(1.5, 0, 0), radius=0.7))
+LIGHTS = (caster.Point(position=(1, 2, 6), intensity=(30, 20, 10)), caster.Ambient(radiance=(0.1, 0.2, 0.3)))
+
+
+def scene(camera=caster.Pinhole, shapes=SHAPES):
+    seen_from = camera(eye=(0.0, 0.0, 4.0), look_at=(0.0, 0.0, 0.0))
+    film = caster.Film(width=17, height=11)
+    return caster.Scene(camera=seen_from, film=film, shapes=shapes, lights=LIGHTS)
+
+
+def in_plain_python(a_scene, name):
+    """The per-hit kernel, hit by hit, with fields from the AOVs of the tree."""
+    fields = ("position", "normal", "shading_normal", "uv", "albedo", "diffuse", "shape_id", "prim_id")
+    images, hits = caster.render(a_scene, fields), trace_film(a_scene)
+    found = []
+    for i, inside in enumerate(hits.hit):
+        at = [images[field].reshape(len(hits.hit), -1)[i].tolist() for field in fields]
+        o, d = tuple(hits.rays.o[i].tolist()), tuple(hits.rays.d[i].tolist())
+        values = [tuple(each) if len(each) > 1 else each[0] for each in at]
+        value = ADDED[name].evaluate(Hit(o, d, float(hits.nearest.t[i]), 0.0, *values))
+        missed = np.broadcast_to(ADDED[name].MISS, len(ADDED[name].CHANNELS))
+        found.append(np.atleast_1d(value) if inside else missed)
+    return np.array(found, ADDED[name].DTYPE)
+
+
+@pytest.mark.parametrize("camera", [caster.Pinhole, caster.Panorama, caster.Orthographic])
+def test_an_added_aov_is_rendered_each_way(added, camera):
+    a_scene = scene(camera)
+    expected = in_plain_python(a_scene, added)
+    assert (expected != ADDED[added].MISS).any() and (expected == ADDED[added].MISS).any()
+    for culling in (None, "bvh", "everything"):
+        image = caster.render(a_scene, (added,), culling=culling)[added]
+        assert np.array_equal(image.reshape(expected.shape), expected), culling
+    hits = trace_film(a_scene)
+    assert isinstance(hits, RayHits)
+    assert np.array_equal(hits.evaluate((added,))[added].reshape(expected.shape), expected)
+
+
+@pytest.mark.parametrize("shapes", [SHAPES[:1], SHAPES[1:], ()], ids=["triangles", "a sphere", "nothing"])
+def test_an_added_aov_beside_others_of_one_kind_or_none(added, shapes):
+    """Films of one kind without surfaces are rendered many tiles at once."""
+    a_scene = scene(shapes=shapes)
+    expected = in_plain_python(a_scene, added)
+    for names in ((added, "depth"), (added, *caster.rendering.images.DEFAULT_AOVS)):
+        image = caster.render(a_scene, names)[added]
+        assert np.array_equal(image.reshape(expected.shape), expected), names
+
+
+def test_what_is_not_declared_or_taken_is_refused(added):
+    with pytest.raises(ValueError, match="is taken"):
+        register(ADDED[added])
+    for change, message in (
+        ({"NEEDS": ("colour",)}, "needs .*'colour'.*; known are position, "),
+        ({"DTYPE": np.float32}, "DTYPE"),
+        ({"MISS": None, "evaluate": None}, None),
+    ):
+        broken = SimpleNamespace(**(vars(ADDED[added]) | {"NAME": "other", "CHANNELS": ("o",)} | change))
+        if message is None:
+            del broken.MISS
+            message = "does not declare MISS"
+        with pytest.raises(ValueError, match=message):
+            register(broken)
+    assert "other" not in BY_NAME
+
+
+FOREIGN = """
+import numpy as np
+
+NAME, CHANNELS, DTYPE, MISS = "foreign", ("foreign.V",), np.float64, -1.0
+NEEDS, PREVIEW = (), "depth"
+
+
+def evaluate(hit):
+    return FACTOR * hit.t
+
+
+FACTOR = 2.0
+"""
+PROGRAM = """
+import sys, numpy as np
+sys.path.insert(0, sys.argv[1])
+import foreign
+from caster.aovs import register
+from caster.__main__ import main
+register(foreign)
+import caster
+assert main(["render", sys.argv[2], "--aov", "depth,foreign", "-o", sys.argv[1] + "/s.exr"]) == 0
+image = caster.read_exr(sys.argv[1] + "/s.exr")
+depth, value = image.channels["depth.Z"], image.channels["foreign.V"]
+hit = np.isfinite(depth)
+print(set(np.round(value[hit] / depth[hit], 4).tolist()), set(value[~hit].tolist()))
 """
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """A copy of the renderer with one more AOV, and a scene."""
-    shutil.copytree(ROOT / "caster", tmp_path / "caster", ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "caster/aovs/twice.py").write_text(ADDED)
-    registry = tmp_path / "caster/aovs/__init__.py"
-    before = registry.read_text()
-    after = before.replace("from caster.aovs import ", "from caster.aovs import twice, ")
-    after = after.replace("AOVS: tuple[ModuleType, ...] = (", "AOVS: tuple[ModuleType, ...] = (twice, ")
-    assert after.count("twice, ") == 2
-    registry.write_text(after)
-    (tmp_path / "s.toml").write_text(SCENE)
-    return tmp_path
-
-
-@pytest.mark.parametrize("camera", ["pinhole", "panorama"])  # rasterised, and through the tree
-def test_an_added_aov_that_the_film_does_not_compute_is_refused(folder, camera):
-    scene = folder / "s.toml"
-    scene.write_text(scene.read_text().replace("pinhole", camera))
-    env = {**os.environ, "PYTHONPATH": str(folder), "CASTER_JIT": "0"}
-    command = [sys.executable, "-m", "caster", "render", "s.toml", "--aov", "depth,twice"]
-    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True)
-    assert done.returncode == 2, done.stdout
-    assert done.stderr.startswith("s.toml: aov 'twice': render does not compute it for a film"), done.stderr
-    assert not (folder / "s.exr").exists()
+def test_a_changed_file_of_an_added_aov_is_never_served_from_the_cache(tmp_path):
+    """Compiled or not, its kernel is that of the file as it stands."""
+    for factor in ("2.0", "3.0"):
+        (tmp_path / "foreign.py").write_text(FOREIGN.replace("FACTOR = 2.0", f"FACTOR = {factor}"))
+        program = [sys.executable, "-B", "-c", PROGRAM, str(tmp_path), "scenes/one-sphere.toml"]
+        done = subprocess.run(program, cwd=ROOT, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.splitlines()[-1] == f"{{{factor}}} {{-1.0}}"

@@ -36,8 +36,7 @@ DESCRIBING = ("caster.description", "caster.geometry", "pydantic")
 PLUGGED_IN = {
     "shapes": DESCRIBING,
     "cameras": DESCRIBING,
-    # A view: rays, hits and surfaces of one scene.
-    "aovs": ("caster.description", "caster.rendering.view", "caster.scene.lights"),
+    "aovs": (),
 }
 
 # The names that make a kernel of a function; the counts of compiled kernels may be read anywhere.
@@ -51,7 +50,6 @@ FLOW = tuple(architecture.FLOW)
 # Imports against the flow that are left: (importing package, imported package).
 KNOWN_UPWARD = frozenset(
     {
-        ("caster.aovs", "caster.rendering"),
         ("caster.scene", "caster.aovs"),
         ("mitsuba_ref.error_model", "mitsuba_ref.reference"),
         ("mitsuba_ref.error_model", "mitsuba_ref.shapes"),

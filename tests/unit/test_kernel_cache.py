@@ -20,14 +20,14 @@ SMALL = """
 import sys
 import numpy as np
 from caster.jit.decorators import COMPILATION_LOG
-from caster.kernels.surface.normals import paint_seen
+from caster.kernels.surface.hit import store_hits
 from caster.kernels.raster.tile import new_tile, PRIM, clear_rays
 from caster.kernels.bvh.build import best_split_bin
 COMPILATION_LOG.compiling = lambda name: print("compiling", name)
 tile, hit = new_tile(), np.ones((2, 3), bool)
 clear_rays(tile, 0, 4)
 tile[PRIM + 1] = 5.0
-paint_seen(tile, (0, 0, 3, 2), hit, np.zeros((2, 3), bool), np.zeros((0, 0)))
+store_hits(tile, (0, 0, 3, 2), hit, np.zeros((2, 3), bool))
 assert hit.tolist()[0] == [False, True, False], hit
 assert best_split_bin(np.ones(16, np.int64), np.tile(np.arange(16.0)[:, None], (1, 6))) in range(16)
 print("compiled", len(COMPILATION_LOG.compiled), "loaded", len(COMPILATION_LOG.loaded), "numba" in sys.modules)

@@ -8,7 +8,7 @@ from PIL import Image
 
 import caster
 from caster.__main__ import main
-from caster.aovs import BY_NAME
+from caster.aovs import AOVS, BY_NAME
 from caster.image.aov_views import (
     CHECKER_GREYS,
     CHECKER_PIXELS,
@@ -102,7 +102,7 @@ def test_numbers_have_colours_of_their_own():
 
 
 def test_every_aov_has_a_picture():
-    assert COLORINGS.keys() == BY_NAME.keys()
+    assert COLORINGS.keys() == {aov.PREVIEW for aov in AOVS}
 
 
 def test_every_aov_of_a_render_is_shown(folder):

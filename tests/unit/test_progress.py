@@ -314,7 +314,7 @@ def test_a_render_tells_of_each_of_its_pixels_once(tmp_path, aovs, camera, threa
     (tmp_path / "s.toml").write_text(SCENE.replace("pinhole", camera))
     scene = caster.load_scene(tmp_path / "s.toml").with_film(crop=(3, 5, 149, 68))
     told = []
-    heard = render_film(scene, aovs, threads=threads, told=told.append)
+    heard = render_film(scene, aovs, threads=threads, on_progress=told.append)
     assert sum(told) == 146 * 63 and len(told) > 1 and min(told) > 0
     unheard = render_film(scene, aovs, threads=threads)
     assert all(np.array_equal(heard.aovs[name], unheard.aovs[name]) for name in aovs)

@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     shown = preview_names(args, aovs)
     check_writable(output)  # before a render that may take long
     with error_prefix(args.scene), announce_compilation(type_names(scene)), closing(bar_for(scene)) as bar:
-        rendered = render_film(scene, aovs, threads=args.threads, told=bar.add)
+        rendered = render_film(scene, aovs, threads=args.threads, on_progress=bar.add)
     images = rendered.aovs
     write_render(output, scene, images, args.scene)
     if args.preview is not None:

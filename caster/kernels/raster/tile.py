@@ -32,9 +32,6 @@ T, T_ERROR, PRIM, UNCERTAIN, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (
 # T, OFF: the nearest so far, the true t within OFF; PLACE: number of the primitive, kind by kind, -1 for none;
 # DOUBT: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
 
-# Once all is cast, three of them are free for normals.
-NX, NY, NZ = T_ERROR, T_MIN, T_MAX
-
 # Behind the fields: how the rays of a bundle see boxes (caster/kernels/bvh/packet.py).
 SCRATCH = lane(STRIDE * FIELDS)
 SCRATCH_SIZE = 9 * LANES
@@ -97,6 +94,14 @@ def load_ray_range(rays: Any, start: int, stop: int, tile: Any, at: int) -> None
     for n in range(start, stop):
         o, d = (rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]), (rays.d[n, 0], rays.d[n, 1], rays.d[n, 2])
         start_ray(tile, lane(at + n - start), (o, d, rays.t_min[n], rays.t_max[n]))
+
+
+@jit
+def load_hits(rays: Any, t: Any, prim: Any, start: int, stop: int, tile: Any) -> None:
+    """Begin a tile with rays start..stop whose nearest hits are known; prim (n,): primitives counted kind by kind."""
+    load_ray_range(rays, start, stop, tile, 0)
+    for n in range(start, stop):
+        tile[T + lane(n - start)], tile[PRIM + lane(n - start)] = t[n], prim[n]
 
 
 @jit

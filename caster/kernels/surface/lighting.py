@@ -3,30 +3,11 @@
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
 from caster.kernels.math.vec import dot, max_norm, point_at, row, scaled, sub
-from caster.kernels.protocol import Vec3, surface
-from caster.kernels.raster.tile import (
-    CACHE_LINE,
-    DX,
-    DY,
-    DZ,
-    OX,
-    OY,
-    OZ,
-    PRIM,
-    STRIDE,
-    T_MAX,
-    UNCERTAIN,
-    WIDTH,
-    Box,
-    T,
-    clear_rays,
-    lane,
-    start_ray,
-)
+from caster.kernels.protocol import Vec3
+from caster.kernels.raster.tile import PRIM, T_MAX, UNCERTAIN, WIDTH, Box, T, clear_rays, lane, start_ray
+from caster.kernels.surface.hit import ALBEDO, FLUX, ONE, RADIANCE, SH_N, SIDES, N, P, get, put, ray_of
 
 # A computed hit lies within 16 u (|o| + t + |p|) of the surface (caster/kernels/math/quadric_roots.py,
 # triangles.py); shadow rays start
@@ -96,8 +77,8 @@ def received_irradiance(light: Any, p: Vec3, sh_n: Vec3, d: Vec3, two_sided: boo
     """
     towards, irradiance = incident_irradiance(light, p)
     cosine, facing = dot(towards, sh_n), -dot(d, sh_n)
-    seen = cosine * facing > 0.0 if two_sided else (cosine > 0.0) & (facing > 0.0)
-    return seen, scaled(abs(cosine), irradiance)
+    faces = cosine * facing > 0.0 if two_sided else (cosine > 0.0) & (facing > 0.0)
+    return faces, scaled(abs(cosine), irradiance)
 
 
 @inlined
@@ -117,18 +98,6 @@ def shadow_ray(light: Any, p: Vec3, n: Vec3, o: Vec3, d: Vec3, t: float) -> tupl
 
 
 @jit
-def received_irradiance_of_rays(
-    light: Any, surfaces: Any, rays: Any, hit: Any, two_sided: Any, seen: Any, flux: Any
-) -> None:
-    """`arriving` for all rays that hit; seen (n,) bool and flux (n, 3) are false and zero elsewhere."""
-    for i in range(len(hit)):
-        if hit[i]:
-            p, sh_n = row(surfaces.p, i), row(surfaces.sh_n, i)
-            seen[i], irradiance = received_irradiance(light, p, sh_n, row(rays.d, i), two_sided[i])
-            flux[i, 0], flux[i, 1], flux[i, 2] = irradiance
-
-
-@jit
 def shadow_rays_of(light: Any, surfaces: Any, rays: Any, t: Any, where: Any, out: Any) -> None:
     """`shadow_ray` for the rays `where`, written to rays 0.. of out."""
     for j in range(len(where)):
@@ -140,110 +109,66 @@ def shadow_rays_of(light: Any, surfaces: Any, rays: Any, t: Any, where: Any, out
         out.t_min[j], out.t_max[j] = near, reach
 
 
-# From the hits of a tile to their surfaces, and to what they send back of each light.
-
-
-# Fields like those of a tile: position, normals, uv, reflectance, whether both sides are lit, what arrives from the
-# light at hand, and the radiance of all lights so far.
-P, N, SH_N, UV, ALBEDO, SIDES, FLUX, RADIANCE = (
-    lane(STRIDE * field) for field in (0, 3, 6, 9, 11, 14, 15, 18)
-)
-SHADE_FIELDS = 21
-ONE, TWO = lane(STRIDE), lane(2 * STRIDE)
-
-
-def new_shade() -> np.ndarray:
-    return np.zeros(SHADE_FIELDS * STRIDE + CACHE_LINE // 8)
-
-
-@inlined
-def get(shade: Any, at: Any) -> Vec3:
-    """Three fields of a pixel."""
-    return shade[at], shade[at + ONE], shade[at + TWO]
-
-
-@inlined
-def put(shade: Any, at: Any, v: Vec3) -> None:
-    shade[at], shade[at + ONE], shade[at + TWO] = v[0], v[1], v[2]
-
-
-@inlined
-def ray_of(tile: Any, i: Any) -> tuple[Vec3, Vec3]:
-    """(o, d) of a pixel."""
-    return (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
-
-
 @jit
-def surfaces_in_tile(prims: Any, places: Any, tile: Any, box: Box, shade: Any, wants_uv: bool) -> None:
-    """P, N, SH_N and UV of the hits on one kind, whose places are places[0] to places[1]."""
+def materials_in_tile(
+    tile: Any, box: Box, shapes: Any, reflectance: Any, two_sided: Any, buffer: Any
+) -> None:
+    """ALBEDO and SIDES of the hits, from tables by shape; shapes[prim] is a primitive's. RADIANCE: 0."""
     for y in range(box[3] - box[1]):
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-            place = int(tile[PRIM + i])
-            if places[0] <= place < places[1]:
-                o, d = ray_of(tile, i)
-                p, n, sh_n, u, v = surface(prims, place - places[0], o, d, tile[T + i], wants_uv)
-                put(shade, P + i, p)
-                put(shade, N + i, n)
-                put(shade, SH_N + i, sh_n)
-                shade[UV + i], shade[UV + i + ONE] = u, v
+            prim = int(tile[PRIM + i])
+            if prim >= 0:
+                shape = shapes[prim]
+                put(buffer, ALBEDO + i, (reflectance[shape, 0], reflectance[shape, 1], reflectance[shape, 2]))
+                buffer[SIDES + i] = two_sided[shape]
+                put(buffer, RADIANCE + i, (0.0, 0.0, 0.0))
 
 
 @jit
-def materials_in_tile(tile: Any, box: Box, shapes: Any, reflectance: Any, two_sided: Any, shade: Any) -> None:
-    """ALBEDO and SIDES of the hits, from tables by shape; shapes[place] is a primitive's. And no RADIANCE yet."""
-    for y in range(box[3] - box[1]):
-        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-            place = int(tile[PRIM + i])
-            if place >= 0:
-                shape = shapes[place]
-                put(shade, ALBEDO + i, (reflectance[shape, 0], reflectance[shape, 1], reflectance[shape, 2]))
-                shade[SIDES + i] = two_sided[shape]
-                put(shade, RADIANCE + i, (0.0, 0.0, 0.0))
-
-
-@jit
-def shadow_rays_in_tile(light: Any, tile: Any, box: Box, shade: Any, beam: Any) -> int:
-    """Begin the tile `beam`: a ray to the light from each hit that faces it; how many.
+def shadow_rays_in_tile(light: Any, tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> int:
+    """Begin the tile `shadow_tile`: a ray to the light from each hit that faces it; how many.
 
     FLUX: what arrives if nothing is in between.
     """
     width, count = box[2] - box[0], 0
     for y in range(box[3] - box[1]):
         for i in range(lane(y * WIDTH), lane(y * WIDTH + width)):
-            seen = False
+            faces = False
             if tile[PRIM + i] >= 0.0:
                 o, d = ray_of(tile, i)
-                p = get(shade, P + i)
-                seen, flux = received_irradiance(light, p, get(shade, SH_N + i), d, shade[SIDES + i] != 0.0)
-                if seen:
-                    put(shade, FLUX + i, flux)
-                    start_ray(beam, i, shadow_ray(light, p, get(shade, N + i), o, d, tile[T + i]))
+                p = get(buffer, P + i)
+                faces, flux = received_irradiance(
+                    light, p, get(buffer, SH_N + i), d, buffer[SIDES + i] != 0.0
+                )
+                if faces:
+                    put(buffer, FLUX + i, flux)
+                    start_ray(shadow_tile, i, shadow_ray(light, p, get(buffer, N + i), o, d, tile[T + i]))
                     count += 1
-            if not seen:
-                start_ray(beam, i, ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0))
-        clear_rays(beam, y * WIDTH + width, (y + 1) * WIDTH)
+            if not faces:
+                start_ray(shadow_tile, i, ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0))
+        clear_rays(shadow_tile, y * WIDTH + width, (y + 1) * WIDTH)
     return count
 
 
 @jit
-def add_light(tile: Any, box: Box, shade: Any, beam: Any) -> None:
-    """RADIANCE of what is lit, once the beam has been cast; doubt where it may be in a shadow."""
+def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
+    """RADIANCE of what is lit, once the shadow_tile has been cast; doubt where it may be in a shadow."""
     for y in range(box[3] - box[1]):
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-            if beam[T_MAX + i] >= 0.0 and beam[T + i] == math.inf:
-                albedo, flux, sum_ = get(shade, ALBEDO + i), get(shade, FLUX + i), get(shade, RADIANCE + i)
+            if shadow_tile[T_MAX + i] >= 0.0 and shadow_tile[T + i] == math.inf:
+                albedo, flux, sum_ = get(buffer, ALBEDO + i), get(buffer, FLUX + i), get(buffer, RADIANCE + i)
                 r, g, b = (
                     albedo[0] / math.pi * flux[0],
                     albedo[1] / math.pi * flux[1],
                     albedo[2] / math.pi * flux[2],
                 )
-                put(shade, RADIANCE + i, (sum_[0] + r, sum_[1] + g, sum_[2] + b))
-                if beam[UNCERTAIN + i] != 0.0:
+                put(buffer, RADIANCE + i, (sum_[0] + r, sum_[1] + g, sum_[2] + b))
+                if shadow_tile[UNCERTAIN + i] != 0.0:
                     tile[UNCERTAIN + i] = 1.0
 
 
 @jit
-def add_ambient(tile: Any, box: Box, shade: Any, ambient: Any) -> None:
+def add_ambient(tile: Any, box: Box, buffer: Any, ambient: Any) -> None:
     """RADIANCE of what comes evenly from everywhere; ambient: (k, 3) radiances."""
     for y in range(box[3] - box[1]):
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
@@ -251,17 +176,5 @@ def add_ambient(tile: Any, box: Box, shade: Any, ambient: Any) -> None:
                 for c in range(3):
                     field, sum_ = lane(c) * ONE + i, 0.0
                     for k in range(len(ambient)):
-                        sum_ += shade[ALBEDO + field] * ambient[k, c]
-                    shade[RADIANCE + field] += sum_
-
-
-@jit
-def paint_fields(tile: Any, box: Box, shade: Any, first: Any, image: Any) -> None:
-    """The fields from `first` on, as many as the image has channels; 0 on a miss."""
-    x0, y0, x1, y1 = box
-    for y in range(y0, y1):
-        for x in range(x1 - x0):
-            i = lane((y - y0) * WIDTH + x)
-            there = tile[PRIM + i] >= 0.0
-            for c in range(image.shape[2]):
-                image[y, x0 + x, c] = shade[lane(first) + lane(c) * ONE + i] if there else 0.0
+                        sum_ += buffer[ALBEDO + field] * ambient[k, c]
+                    buffer[RADIANCE + field] += sum_

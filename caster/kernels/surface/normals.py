@@ -1,24 +1,19 @@
-"""From the hits of a tile to AOVs: one pass a tile for each thing that was asked for."""
+"""Normals of the hits of a tile without the rest of their surfaces, and films of such AOVs in one go.
 
-import math
+A normal that is the same all over a primitive is computed once for a run of pixels; others several at a time.
+"""
+
 from typing import Any
 
 from caster.jit.decorators import inlined, jit
 from caster.jit.simd import LANES
-from caster.kernels.protocol import fast_normal, normal, normal_setup
+from caster.kernels.protocol import Vec3, fast_normal, normal, normal_setup
 from caster.kernels.raster.tile import (
-    DX,
-    DY,
-    DZ,
     HEIGHT,
-    NX,
-    NY,
-    NZ,
-    OX,
-    OY,
-    OZ,
     PRIM,
-    UNCERTAIN,
+    T_ERROR,
+    T_MAX,
+    T_MIN,
     WIDTH,
     Box,
     T,
@@ -26,87 +21,48 @@ from caster.kernels.raster.tile import (
     lane,
 )
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
+from caster.kernels.surface.hit import (
+    Hit,
+    fill_miss,
+    per_hit,
+    ray_of,
+    store_hits,
+    store_miss,
+    store_value,
+    write_aov,
+)
 
-# Images are (height, width) or (height, width, c) arrays of the whole window; box says where the tile lies.
+# Once all is cast, three fields of a tile are free for normals.
+NX, NY, NZ = T_ERROR, T_MIN, T_MAX
 
+CONSTANT_NORMAL_LENGTH = 2  # members of the `normal_setup` of a primitive whose normal is the same all over
 
-@jit
-def paint_seen(tile: Any, box: Any, hit: Any, doubt: Any, depth: Any) -> None:
-    """Whether anything was hit, whether that has to be found exactly, and depth; without size: not asked for.
-
-    Doubt is all false before. Depth is t times the length of d, inf on a miss.
-    """
-    x0, y0, x1, y1 = box
-    for y in range(y0, y1):
-        first, count = lane((y - y0) * WIDTH), lane(x1 - x0)
-        any_doubt = 0.0
-        for x in range(count):
-            hit[y, lane(x0) + x] = tile[PRIM + first + x] >= 0.0
-            any_doubt += tile[UNCERTAIN + first + x]
-        if any_doubt > 0.0:
-            for x in range(count):
-                doubt[y, lane(x0) + x] = tile[UNCERTAIN + first + x] != 0.0
-        if depth.size > 0:
-            for x in range(count):
-                i = first + x
-                a, b, c = tile[DX + i], tile[DY + i], tile[DZ + i]
-                depth[y, lane(x0) + x] = tile[T + i] * math.sqrt(a * a + b * b + c * c)
+UNKNOWN = (0.0, 0.0, 0.0)  # fields that the AOV does not need
 
 
 @jit
-def paint_nothing(box: Any, depth: Any) -> None:
-    """Of a tile where nothing can be seen, the one image that is not empty to begin with."""
-    if depth.size > 0:
-        for y in range(box[1], box[3]):
-            for x in range(box[0], box[2]):
-                depth[y, x] = math.inf
+def normals_in_tile(
+    aov: Any, prims: Any, numbers: Any, reach: float, tile: Any, box: Box, start: Any, image: Any
+) -> None:
+    """An AOV that needs normals alone, of hits on one kind; its primitives are numbers[0] to numbers[1] in the tile.
 
-
-@jit
-def paint_numbers(tile: Any, box: Any, table: Any, image: Any) -> None:
-    """table[place] of what was hit; the image stays as it is elsewhere."""
-    x0, y0, x1, y1 = box
-    for y in range(y0, y1):
-        for x in range(x1 - x0):
-            place = int(tile[PRIM + lane((y - y0) * WIDTH + x)])
-            if place >= 0:
-                image[y, x0 + x] = table[place]
-
-
-@jit
-def paint_albedo(tile: Any, box: Any, shapes: Any, table: Any, image: Any) -> None:
-    """table[shapes[place]], three numbers each; the image stays as it is on a miss."""
-    x0, y0, x1, y1 = box
-    for y in range(y0, y1):
-        for x in range(x1 - x0):
-            place = int(tile[PRIM + lane((y - y0) * WIDTH + x)])
-            if place >= 0:
-                for c in range(3):
-                    image[y, x0 + x, c] = table[shapes[place], c]
-
-
-CONSTANT_NORMAL_LENGTH = 2  # members of what `facing` says of a primitive whose normal is the same all over
-
-
-@jit
-def paint_normals(prims: Any, places: Any, reach: float, tile: Any, box: Any, image: Any) -> None:
-    """Geometric normals of the hits on one kind, whose places are places[0] to places[1]; run by run of pixels.
-
-    The first kind paints the misses, too: 0. reach: the largest |coordinate| of an origin.
+    The first kind writes the misses, too. reach: the largest |coordinate| of an origin, if all d are of length 1, or
+    inf. start: as for `write_aov`.
     """
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
         first = lane((y - y0) * WIDTH)
         x, stop = 0, x1 - x0
         while x < stop:
-            place = tile[PRIM + first + lane(x)]
+            prim = tile[PRIM + first + lane(x)]
             end = run_end(tile, PRIM + first, x, stop)
-            if places[0] <= place < places[1]:
-                k = int(place) - places[0]
-                paint_run(prims, k, normal_setup(prims, k, reach), tile, first, image, (y, x0, x, end))
-            elif place < 0.0 and places[0] == 0:
+            if numbers[0] <= prim < numbers[1]:
+                k = int(prim) - numbers[0]
+                run = y, x0, x, end
+                write_run(aov, prims, k, normal_setup(prims, k, reach), tile, first, start, image, run)
+            elif prim < 0.0 and numbers[0] == 0:
                 for i in range(x0 + x, x0 + end):
-                    image[y, i, 0], image[y, i, 1], image[y, i, 2] = 0.0, 0.0, 0.0
+                    store_miss(image, y, i, aov.miss)
             x = end
 
 
@@ -127,34 +83,39 @@ def run_end(tile: Any, row: Any, x: int, stop: int) -> int:
 
 
 @inlined
-def paint_run(prims: Any, k: int, face: Any, tile: Any, first: Any, image: Any, run: Any) -> None:
-    """The normals of pixels in a row that show one primitive; run: row, left end of the tile, start and stop there."""
-    y, x0, start, stop = run
-    if len(face) == CONSTANT_NORMAL_LENGTH:
-        n = face[1]
-        for x in range(x0 + start, x0 + stop):
-            image[y, x, 0], image[y, x, 1], image[y, x, 2] = n[0], n[1], n[2]
+def write_run(
+    aov: Any, prims: Any, k: int, setup: Any, tile: Any, first: Any, start: Any, image: Any, run: Any
+) -> None:
+    """Pixels in a row that show one primitive; run: row, left end of the tile, start and stop there."""
+    y, x0, begin, stop = run
+    if len(setup) == CONSTANT_NORMAL_LENGTH:
+        for x in range(begin, stop):
+            store_hit_with_normal(aov, tile, first + lane(x), setup[1], start, image, y, x0 + x)
         return
-    if face[0]:  # apart from the image, so that several are done at once
-        for i in range(first + lane(start), first + lane(stop)):
-            o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
-            tile[NX + i], tile[NY + i], tile[NZ + i] = fast_normal(prims, face, o, d, tile[T + i])
+    if setup[0]:  # apart from the image, so that several are done at once
+        for i in range(first + lane(begin), first + lane(stop)):
+            o, d = ray_of(tile, i)
+            tile[NX + i], tile[NY + i], tile[NZ + i] = fast_normal(prims, setup, o, d, tile[T + i])
     else:
-        for i in range(first + lane(start), first + lane(stop)):
-            o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
+        for i in range(first + lane(begin), first + lane(stop)):
+            o, d = ray_of(tile, i)
             tile[NX + i], tile[NY + i], tile[NZ + i] = normal(prims, k, o, d, tile[T + i])
-    for x in range(start, stop):
+    for x in range(begin, stop):
         i = first + lane(x)
-        image[y, x0 + x, 0], image[y, x0 + x, 1], image[y, x0 + x, 2] = (
-            tile[NX + i],
-            tile[NY + i],
-            tile[NZ + i],
-        )
+        n = tile[NX + i], tile[NY + i], tile[NZ + i]
+        store_hit_with_normal(aov, tile, i, n, start, image, y, x0 + x)
 
 
-# Depth and normals of many tiles in one go, for scenes of one kind: rays, hits and images without a step of Python.
-#
-# Steps of Python are taken by one thread at a time, and waiting for one's turn costs more than they do.
+@inlined
+def store_hit_with_normal(
+    aov: Any, tile: Any, i: Any, n: Vec3, start: Any, image: Any, y: int, x: int
+) -> None:
+    """The AOV of pixel i, at y, x of the image."""
+    o, d = ray_of(tile, i)
+    begin = start[y, x] if start.size > 0 else 0.0
+    unknown = UNKNOWN
+    hit = Hit(o, d, tile[T + i], begin, unknown, n, unknown, (0.0, 0.0), unknown, unknown, -1, -1)
+    store_value(image, y, x, per_hit(aov, hit))
 
 
 @inlined
@@ -166,44 +127,58 @@ def box_of(window: Any, number: int) -> Box:
 
 
 @jit
-def film_from_one_point(
-    camera: Any, window: Any, kind: Any, reach: float, tiles: Any, tile: Any, images: Any
+def film_of_shared_origin(
+    camera: Any, window: Any, kind: Any, reach: float, tiles: Any, buffers: Any, out: Any
 ) -> None:
-    """Tiles tiles[0]..tiles[1] of a film whose rays start in one point.
+    """Tiles tiles[0]..tiles[1] of a film of one kind whose rays start in one point: no step of Python a tile, since
+    Python's steps are taken by one thread at a time, and waiting for one's turn costs more than they do.
 
-    kind: (prims, order, runs, spans) of film_casting.Sorted; images: hit, doubt, depth and normal, without size where
-    they were not asked for.
+    kind: (prims, order, runs, bounds) of rasterization.BinnedKind; buffers: tile, surface buffer, ids and start as
+    `write_aov` takes them. out: hit, uncertain, and an AOV that needs the ray alone and one that needs the normal
+    alone, kernel and image each; images without size are not written.
     """
-    prims, order, runs, spans = kind
+    prims, order, runs, bounds = kind
     for number in range(tiles[0], tiles[1]):
         box, run = box_of(window, number), (runs[number], runs[number + 1])
         if run[0] == run[1]:
-            paint_nothing(box, images[2])
+            _miss_all(box, out)
             continue
-        generate_camera_rays(camera, window, box, tile)
-        cast_shared_origin(prims, order, run, spans, 0, box, tile)
-        _paint(prims, spans, reach, tile, box, images)
+        generate_camera_rays(camera, window, box, buffers[0])
+        cast_shared_origin(prims, order, run, bounds, 0, box, buffers[0])
+        _write(prims, bounds, reach, buffers, box, out)
 
 
 @jit
-def film_in_one_direction(
-    camera: Any, window: Any, kind: Any, reach: float, tiles: Any, tile: Any, images: Any
+def film_of_own_origins(
+    camera: Any, window: Any, kind: Any, reach: float, tiles: Any, buffers: Any, out: Any
 ) -> None:
     """The same for parallel rays."""
-    prims, order, runs, spans = kind
+    prims, order, runs, bounds = kind
     for number in range(tiles[0], tiles[1]):
         box, run = box_of(window, number), (runs[number], runs[number + 1])
         if run[0] == run[1]:
-            paint_nothing(box, images[2])
+            _miss_all(box, out)
             continue
-        generate_camera_rays(camera, window, box, tile)
-        cast_own_origins(prims, order, run, spans, 0, box, tile)
-        _paint(prims, spans, reach, tile, box, images)
+        generate_camera_rays(camera, window, box, buffers[0])
+        cast_own_origins(prims, order, run, bounds, 0, box, buffers[0])
+        _write(prims, bounds, reach, buffers, box, out)
 
 
 @inlined
-def _paint(prims: Any, spans: Any, reach: float, tile: Any, box: Box, images: Any) -> None:
-    hit, doubt, depth, normal = images
-    if normal.size > 0:
-        paint_normals(prims, (0, len(spans.near)), reach, tile, box, normal)
-    paint_seen(tile, box, hit, doubt, depth)
+def _miss_all(box: Box, out: Any) -> None:
+    _, _, (of_ray, ray_image), (of_normal, normal_image) = out
+    if ray_image.size > 0:
+        fill_miss(of_ray, box, ray_image)
+    if normal_image.size > 0 and of_normal.miss != 0.0:
+        fill_miss(of_normal, box, normal_image)
+
+
+@inlined
+def _write(prims: Any, bounds: Any, reach: float, buffers: Any, box: Box, out: Any) -> None:
+    tile, surface, ids, start = buffers
+    hit, uncertain, (of_ray, ray_image), (of_normal, normal_image) = out
+    if ray_image.size > 0:
+        write_aov(of_ray, tile, box, surface, ids, start, ray_image)
+    if normal_image.size > 0:
+        normals_in_tile(of_normal, prims, (0, len(bounds.near)), reach, tile, box, start, normal_image)
+    store_hits(tile, box, hit, uncertain)

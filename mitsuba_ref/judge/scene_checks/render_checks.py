@@ -15,8 +15,8 @@ from caster.description.fields import Camera
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_given
 from caster.rendering.casting import find_nearest
-from caster.rendering.hits import trace
-from caster.rendering.images import Aovs, camera_rays, evaluate, film_window, render, trace_rays
+from caster.rendering.hits import trace, trace_rays
+from caster.rendering.images import Aovs, camera_rays, evaluate, film_window, render
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
 from mitsuba_ref.error_model.bounds import aov_rows, nearest_root

@@ -1,26 +1,11 @@
-"""Rays out of a camera, and surfaces out of hits: each computed once, for what turned out to be visible."""
+"""Rays of a camera, and whether rays from outside are sound."""
 
 import math
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import Any
 
 from caster.jit.decorators import jit
 from caster.kernels.math.vec import max_norm, row
-from caster.kernels.protocol import Vec3, camera_ray, normal, surface
-
-
-class Surfaces(NamedTuple):
-    """Where each ray meets the scene; zeros on a miss."""
-
-    p: np.ndarray  # (n, 3) float64
-    n: np.ndarray  # (n, 3) geometric normal
-    sh_n: np.ndarray  # (n, 3) shading normal
-    uv: np.ndarray  # (n, 2)
-
-
-def no_surfaces(count: int) -> Surfaces:
-    return Surfaces(*(np.zeros((count, size)) for size in (3, 3, 3, 2)))
+from caster.kernels.protocol import Vec3, camera_ray
 
 
 @jit
@@ -68,37 +53,3 @@ def find_invalid_ray(o: Any, d: Any, start: int, stop: int) -> int:
             return i
         plain &= MIN_DIRECTION_IN_RANGE < length < MAX_DIRECTION_IN_RANGE
     return ALL_IN_RANGE if plain else OUT_OF_RANGE
-
-
-@jit
-def find_normals_at(
-    prims: Any, ks: Any, where: Any, rays: Any, t: Any, out: Any, start: int, stop: int
-) -> None:
-    """The geometric normal of primitive ks[j] on ray where[j], for j from start to stop."""
-    for j in range(start, stop):
-        i = where[j]
-        n = normal(prims, ks[j], row(rays.o, i), row(rays.d, i), t[i])
-        out[i, 0], out[i, 1], out[i, 2] = n[0], n[1], n[2]
-
-
-@jit
-def find_all_normals(prims: Any, rays: Any, prim: Any, t: Any, out: Any, start: int, stop: int) -> None:
-    """The same for all of rays start..stop, given the primitives that they hit; 0 for -1."""
-    for i in range(start, stop):
-        n = (0.0, 0.0, 0.0)
-        if prim[i] >= 0:
-            n = normal(prims, prim[i], row(rays.o, i), row(rays.d, i), t[i])
-        out[i, 0], out[i, 1], out[i, 2] = n[0], n[1], n[2]
-
-
-@jit
-def find_surfaces(
-    prims: Any, ks: Any, where: Any, rays: Any, t: Any, out: Any, start: int, stop: int
-) -> None:
-    """The surface of primitive ks[j] on ray where[j], for j from start to stop."""
-    for j in range(start, stop):
-        i = where[j]
-        p, n, sh_n, u, v = surface(prims, ks[j], row(rays.o, i), row(rays.d, i), t[i], True)
-        for c in range(3):
-            out.p[i, c], out.n[i, c], out.sh_n[i, c] = p[c], n[c], sh_n[c]
-        out.uv[i, 0], out.uv[i, 1] = u, v

@@ -1,0 +1,198 @@
+"""Hits of a tile as the per-hit kernels of AOVs read them, and the loops that write AOVs to images."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.jit.decorators import generic_inlined, inlined, jit
+from caster.kernels.protocol import Vec3, surface
+from caster.kernels.raster.tile import (
+    CACHE_LINE,
+    DX,
+    DY,
+    DZ,
+    OX,
+    OY,
+    OZ,
+    PRIM,
+    STRIDE,
+    UNCERTAIN,
+    WIDTH,
+    Box,
+    T,
+    lane,
+)
+
+
+class Hit(NamedTuple):
+    """The nearest hit of one ray. An AOV may read o, d, t, start, and those of the others that it lists in NEEDS."""
+
+    o: Vec3
+    d: Vec3
+    t: float  # in lengths of d
+    start: float  # depth counts from here, beyond o: 0 for rays of a film
+    position: Vec3  # world space
+    normal: Vec3  # geometric, of unit length
+    shading_normal: Vec3  # of unit length
+    uv: tuple[float, float]
+    albedo: Vec3  # diffuse reflectance
+    radiance: Vec3  # reflected towards the ray
+    shape_id: int
+    prim_id: int  # within the shape
+
+
+RAY_FIELDS = ("o", "d", "t", "start")
+NEEDED_FIELDS = tuple(name for name in Hit._fields if name not in RAY_FIELDS)
+"""What an AOV may list in NEEDS: it is computed for a render only if some AOV lists it."""
+
+# Fields of a surface buffer, like those of a tile; SIDES: whether both sides are lit, FLUX: what arrives from the light
+# at hand.
+P, N, SH_N, UV, ALBEDO, SIDES, FLUX, RADIANCE = (
+    lane(STRIDE * field) for field in (0, 3, 6, 9, 11, 14, 15, 18)
+)
+SURFACE_FIELDS = 21
+ONE, TWO = lane(STRIDE), lane(2 * STRIDE)
+
+
+class PrimitiveIds(NamedTuple):
+    """By the primitive's number in a tile (PRIM); without members where no AOV needs them."""
+
+    shape: np.ndarray  # int32
+    prim: np.ndarray  # int32, within the shape
+
+
+NO_IDS = PrimitiveIds(np.empty(0, np.int32), np.empty(0, np.int32))
+
+
+def new_surface_buffer() -> np.ndarray:
+    return np.zeros(SURFACE_FIELDS * STRIDE + CACHE_LINE // 8)
+
+
+@inlined
+def get(buffer: Any, at: Any) -> Vec3:
+    """Three fields of a pixel."""
+    return buffer[at], buffer[at + ONE], buffer[at + TWO]
+
+
+@inlined
+def put(buffer: Any, at: Any, v: Vec3) -> None:
+    buffer[at], buffer[at + ONE], buffer[at + TWO] = v[0], v[1], v[2]
+
+
+@inlined
+def ray_of(tile: Any, i: Any) -> tuple[Vec3, Vec3]:
+    """(o, d) of a pixel."""
+    return (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
+
+
+@jit
+def surfaces_in_tile(prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any, wants_uv: bool) -> None:
+    """P, N, SH_N and UV of the hits on one kind; its primitives are numbers[0] to numbers[1] in the tile."""
+    for y in range(box[3] - box[1]):
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
+            prim = int(tile[PRIM + i])
+            if numbers[0] <= prim < numbers[1]:
+                o, d = ray_of(tile, i)
+                p, n, sh_n, u, v = surface(prims, prim - numbers[0], o, d, tile[T + i], wants_uv)
+                put(buffer, P + i, p)
+                put(buffer, N + i, n)
+                put(buffer, SH_N + i, sh_n)
+                buffer[UV + i], buffer[UV + i + ONE] = u, v
+
+
+@inlined
+def load_hit(tile: Any, buffer: Any, ids: Any, start: float, i: Any) -> Hit:
+    """The hit of pixel i. What its AOV does not read costs nothing once compiled."""
+    o, d = ray_of(tile, i)
+    k = int(tile[PRIM + i])
+    return Hit(
+        o,
+        d,
+        tile[T + i],
+        start,
+        get(buffer, P + i),
+        get(buffer, N + i),
+        get(buffer, SH_N + i),
+        (buffer[UV + i], buffer[UV + i + ONE]),
+        get(buffer, ALBEDO + i),
+        get(buffer, RADIANCE + i),
+        int(ids.shape[k]) if len(ids.shape) > 0 else -1,
+        int(ids.prim[k]) if len(ids.prim) > 0 else -1,
+    )
+
+
+@generic_inlined
+def per_hit(aov: Any, hit: Any) -> Any:
+    """The value of an AOV at a hit: a number, or a tuple with one for each channel.
+
+    aov: what `caster.aovs.register` made for it; `aov.miss` is the value where nothing is hit.
+    """
+
+
+@inlined
+def store_value(image: Any, y: Any, x: Any, value: Any) -> None:
+    if image.ndim == 2:
+        image[y, x] = value
+    else:
+        for c in range(len(value)):
+            image[y, x, c] = value[c]
+
+
+@inlined
+def store_miss(image: Any, y: Any, x: Any, miss: Any) -> None:
+    if image.ndim == 2:
+        image[y, x] = miss
+    else:
+        for c in range(image.shape[2]):
+            image[y, x, c] = miss
+
+
+@jit
+def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, start: Any, image: Any) -> None:
+    """An AOV in the pixels of a box: its per-hit kernel where something is hit, its miss value elsewhere.
+
+    image: (h, w) or (h, w, c) of the whole window. start: (h, w), or without members for 0 everywhere.
+    """
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        first = lane((y - y0) * WIDTH)
+        for x in range(lane(x1 - x0)):
+            if tile[PRIM + first + x] >= 0.0:
+                begin = start[y, lane(x0) + x] if start.size > 0 else 0.0
+                hit = load_hit(tile, buffer, ids, begin, first + x)
+                store_value(image, y, lane(x0) + x, per_hit(aov, hit))
+            else:
+                store_miss(image, y, lane(x0) + x, aov.miss)
+
+
+@jit
+def fill_miss(aov: Any, box: Box, image: Any) -> None:
+    """The same where no ray of a box hits anything."""
+    for y in range(box[1], box[3]):
+        for x in range(box[0], box[2]):
+            store_miss(image, y, x, aov.miss)
+
+
+@jit
+def store_hits(tile: Any, box: Box, hit: Any, uncertain: Any) -> None:
+    """Whether each pixel of a box hits anything, and whether that has to be decided exactly.
+
+    uncertain: false everywhere before.
+    """
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        first, count = lane((y - y0) * WIDTH), lane(x1 - x0)
+        any_uncertain = 0.0
+        for x in range(count):
+            hit[y, lane(x0) + x] = tile[PRIM + first + x] >= 0.0
+            any_uncertain += tile[UNCERTAIN + first + x]
+        if any_uncertain > 0.0:
+            for x in range(count):
+                uncertain[y, lane(x0) + x] = tile[UNCERTAIN + first + x] != 0.0
+
+
+@inlined
+def length(v: Vec3) -> float:
+    """Euclidean."""
+    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
