@@ -1,48 +1,72 @@
-"""Commands under one name: `caster` and `mitsuba-ref` are made of it."""
+"""The command framework of `caster` and `mitsuba-ref`: a registry of commands, loaded when they are used."""
+
+from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
-from types import ModuleType
+from importlib import import_module
+from typing import NamedTuple
 
 from caster import __version__
-from caster.cli import exit_codes
+from caster.cli.exit_codes import exit_codes_help, run_command
 
-__all__ = ["main"]
+__all__ = [
+    "Command",
+    "build_parser",
+    "main",
+]
+
+
+class Command(NamedTuple):
+    """An entry of a registry. Its module defines `arguments(parser)` and `run(args) -> exit code` under these names."""
+
+    name: str  # as typed
+    help: str  # one line
+    module: str  # dotted
+    run: str = "run"
+    arguments: str = "add_arguments"
+
+    def load(self, parser: argparse.ArgumentParser) -> None:
+        """Import the module and add its arguments to the parser of the command."""
+        module = import_module(self.module)
+        getattr(module, self.arguments)(parser)
+        parser.set_defaults(run=getattr(module, self.run))
 
 
 def main(
-    name: str, about: str, commands: Sequence[ModuleType], codes: Sequence[int], argv: Sequence[str] | None
+    name: str, about: str, commands: Sequence[Command], codes: Sequence[int], argv: Sequence[str] | None
 ) -> int:
-    """Run one of the commands; its exit code. codes: those that --help explains."""
+    """Run one of the commands and return its exit code. codes: those that --help explains.
+
+    argv: the words after the program's name, default those of this process. Only the command's own module is imported.
+    """
 
     def run() -> int:
-        args = build_parser(name, about, commands, codes).parse_args(argv)
+        words = sys.argv[1:] if argv is None else list(argv)
+        chosen = next((word for word in words if not word.startswith("-")), "")
+        args = build_parser(name, about, commands, codes, (chosen,)).parse_args(words)
         return int(args.run(args))
 
-    return exit_codes.run_command(run)
+    return run_command(run)
 
 
 def build_parser(
-    name: str, about: str, commands: Sequence[ModuleType], codes: Sequence[int]
+    name: str,
+    about: str,
+    commands: Sequence[Command],
+    codes: Sequence[int],
+    loaded: Sequence[str] | None = None,
 ) -> argparse.ArgumentParser:
-    """What may be typed."""
-    epilog = exit_codes.exit_codes_help(*codes)
+    """The parser of a program. loaded: the commands whose arguments it needs, default all."""
+    epilog = exit_codes_help(*codes)
     top = argparse.ArgumentParser(name, description=about, epilog=epilog, allow_abbrev=False)
     top.add_argument("--version", action="version", version=f"{name} {__version__}")
     group = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in commands:
-        sub = group.add_parser(
-            command_name(command),
-            help=command.HELP,
-            description=command.HELP,
-            epilog=epilog,
-            allow_abbrev=False,
+        parser = group.add_parser(
+            command.name, help=command.help, description=command.help, epilog=epilog, allow_abbrev=False
         )
-        command.add_arguments(sub)
-        sub.set_defaults(run=command.run)
+        if loaded is None or command.name in loaded:
+            command.load(parser)
     return top
-
-
-def command_name(command: ModuleType) -> str:
-    """What is typed for it: its NAME, or that of its module."""
-    return str(getattr(command, "NAME", command.__name__.rpartition(".")[2]))

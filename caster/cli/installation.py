@@ -1,4 +1,4 @@
-"""What this machine has for the ray caster, and what each missing thing would add."""
+"""Packages found on this machine, and what each missing one would add."""
 
 import importlib
 import importlib.metadata
@@ -9,11 +9,20 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-__all__ = ["Finding", "Package", "exit_code", "find_package", "format_json", "report", "usable"]
+__all__ = [
+    "Finding",
+    "Package",
+    "exit_code",
+    "find_package",
+    "format_json",
+    "print_findings",
+    "report",
+    "usable",
+]
 
 
 class Package(NamedTuple):
-    """A Python package this project builds on."""
+    """A required or optional Python package."""
 
     distribution: str
     module: str
@@ -26,7 +35,7 @@ PACKAGES = (
     Package("numpy", "numpy", "2.0", "every array"),
     Package("numba", "numba", "0.61", "speed: compiled kernels, the same bits", needed=False),
     Package("OpenEXR", "OpenEXR", "3.4.9", "images in and out"),
-    Package("pillow", "PIL", "10.1", "pictures for people: previews, sheets, caster 6837", needed=False),
+    Package("pillow", "PIL", "10.1", "PNG and TGA images: previews, sheets, caster 6837", needed=False),
     Package("pydantic", "pydantic", "2.7", "scene descriptions and their checks"),
     Package("rich", "rich", "13.7", "progress bars and tables on a terminal"),
     Package("tree-sitter", "tree_sitter", "0.23", "line and column of an error in a scene file"),
@@ -36,7 +45,7 @@ PACKAGES = (
 
 
 class Finding(NamedTuple):
-    """One thing that was looked for. `detail` says which was found, or why it cannot be used."""
+    """The result of one look-up. detail: the version found, or why it cannot be used."""
 
     name: str
     found: bool
@@ -47,7 +56,7 @@ class Finding(NamedTuple):
 
 
 def report() -> list[Finding]:
-    """Look for everything the ray caster uses."""
+    """Findings on Python and on every package that the ray caster uses."""
     return [_python(), *(find_package(part) for part in PACKAGES)]
 
 
@@ -61,19 +70,25 @@ def exit_code(findings: Sequence[Finding]) -> int:
     return 0 if usable(findings) else 4
 
 
+def print_findings(findings: Sequence[Finding], as_json: bool) -> int:
+    """Print findings as a table or as JSON; the exit code they make."""
+    print(format_json(findings) if as_json else format_table(findings))
+    return exit_code(findings)
+
+
 def format_table(findings: Sequence[Finding]) -> str:
-    """The findings as a table, with a verdict in the last line."""
+    """The findings as a table, with a conclusion in the last line."""
     width = max(len(finding.name) for finding in findings)
     return "\n".join([*(_line(finding, width) for finding in findings), "", _verdict(findings)])
 
 
 def format_json(findings: Sequence[Finding]) -> str:
-    """The findings for a program: {"usable": bool, "findings": [{"name", "found", ...}, ...]}."""
+    """The findings as JSON: {"usable": bool, "findings": [{"name", "found", ...}, ...]}."""
     return json.dumps({"usable": usable(findings), "findings": [f._asdict() for f in findings]}, indent=2)
 
 
 def find_package(part: Package) -> Finding:
-    """Look for one package: installed, new enough, and importable."""
+    """Check one package: installed, new enough, and importable."""
     problem, detail = "", "not installed"
     try:
         detail = importlib.metadata.version(part.distribution)

@@ -1,4 +1,4 @@
-"""What the commands that read a scene share."""
+"""Arguments, scene selection and error prefixes shared by the commands of `caster` and `mitsuba-ref`."""
 
 from __future__ import annotations
 
@@ -14,13 +14,19 @@ from typing import TYPE_CHECKING
 from caster.description.errors import FileMissing, SceneError
 
 __all__ = [
+    "AOV_NAMES",
+    "DEFAULT_AOV_LIST",
+    "SCENE_FILE",
     "add_mesh_dirs",
     "add_pixel",
     "add_scene",
+    "check_exr_suffix",
+    "comma_separated",
     "display_names",
     "error_prefix",
     "load",
     "mesh_dir_options",
+    "positive_int",
     "scene_files",
 ]
 
@@ -28,11 +34,16 @@ if TYPE_CHECKING:
     from caster.scene.model import Scene
 
 SCENE_FILE = "a scene file, .toml or .json"
-SUFFIXES = (".toml", ".json")  # of the files of a folder that are scenes
+SUFFIXES = (".toml", ".json")  # of scene files, when a folder is given
+
+# Copies of the registry and of caster.rendering's default, as loading AOVs loads the kernels
+# (tests/unit/test_cli_help.py compares them).
+AOV_NAMES = "hit, depth, normal, shading_normal, position, uv, albedo, diffuse, shape_id, prim_id"
+DEFAULT_AOV_LIST = "hit,depth,normal,position,diffuse"
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
-    """SCENE, --mesh-dir and --size."""
+    """Add SCENE, --mesh-dir and --size."""
     parser.add_argument("scene", metavar="SCENE", help=SCENE_FILE)
     add_mesh_dirs(parser)
     parser.add_argument(
@@ -41,7 +52,7 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
 
 
 def add_mesh_dirs(parser: argparse.ArgumentParser) -> None:
-    """--mesh-dir, as often as one likes."""
+    """Add --mesh-dir, which may be repeated."""
     parser.add_argument(
         "--mesh-dir",
         action="append",
@@ -52,18 +63,41 @@ def add_mesh_dirs(parser: argparse.ArgumentParser) -> None:
 
 
 def mesh_dir_options(args: argparse.Namespace) -> tuple[str, ...]:
-    """The words of --mesh-dir, for a command that is to see the same scene."""
+    """The command-line words of --mesh-dir, for a command to be run on the same scene."""
     return tuple(word for folder in args.mesh_dir for word in ("--mesh-dir", folder))
 
 
+def add_threads(parser: argparse.ArgumentParser) -> None:
+    """Add --threads."""
+    parser.add_argument("--threads", type=positive_int, metavar="N", help="default: one for each core")
+
+
+def positive_int(text: str) -> int:
+    """Parse an integer >= 1, or raise argparse's error."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number >= 1, got '{text}'")
+    return int(text)
+
+
+def comma_separated(text: str | None) -> list[str]:
+    """The distinct words of "A,B,...", in order; none for None."""
+    return [] if text is None else list(dict.fromkeys(text.split(",")))
+
+
+def check_exr_suffix(output: str) -> None:
+    """Raise SceneError for an output name that other programs would not recognise as an EXR file."""
+    if Path(output).suffix.lower() != ".exr":
+        raise SceneError(f"-o {output}: expected a name that ends in .exr")
+
+
 def add_pixel(parser: argparse.ArgumentParser) -> None:
-    """X and Y."""
+    """Add X and Y."""
     parser.add_argument("x", metavar="X", type=int, help="column of the pixel, 0 at the left")
     parser.add_argument("y", metavar="Y", type=int, help="row of the pixel, 0 at the top")
 
 
 def load(args: argparse.Namespace) -> Scene:
-    """The scene that was asked for, at the size that was asked for."""
+    """Load the scene of the arguments of `add_scene`, at the film size of --size."""
     from caster.scene.files import load_scene
 
     scene = load_scene(args.scene, args.mesh_dir)
@@ -74,7 +108,7 @@ def load(args: argparse.Namespace) -> Scene:
 
 
 def scene_files(paths: Iterable[str]) -> list[str]:
-    """Scene files, as given or inside the folders given, sorted within each. Raises FileMissing, SceneError."""
+    """Expand folders into their scene files, sorted, without duplicates. Raises FileMissing, SceneError."""
     found: list[str] = []
     for path_text in paths:
         path = Path(path_text)
@@ -90,7 +124,7 @@ def scene_files(paths: Iterable[str]) -> list[str]:
 
 
 def check_utf8_name(file: str) -> None:
-    """Raises SceneError for a name that no text file can hold: verdicts and pages name their scenes."""
+    """Raise SceneError for a file name that is not UTF-8: reports could not contain it."""
     try:
         file.encode("utf-8")
     except UnicodeEncodeError:
@@ -98,7 +132,7 @@ def check_utf8_name(file: str) -> None:
 
 
 def display_names(files: Sequence[str]) -> list[str]:
-    """What to call each: its stem, or its whole path where another file has the same stem. No two are the same."""
+    """Distinct names for files: the stem, or the whole path if another file has the same stem."""
     stems = Counter(Path(file).stem for file in files)
     names: dict[str, None] = {}
     for file in files:
@@ -109,13 +143,13 @@ def display_names(files: Sequence[str]) -> list[str]:
 
 
 def path_as_name(file: str) -> str:
-    """A path that may be the name of a file."""
+    """A path with its separators replaced, usable as a file name."""
     return file.replace(os.sep, "-").lstrip(".-")
 
 
 @contextlib.contextmanager
 def error_prefix(*words: object) -> Iterator[None]:
-    """Let an error begin with the words it comes from: an option with its numbers, or a file."""
+    """Prefix a SceneError of the body with its origin: an option with its values, or a file."""
     try:
         yield
     except SceneError as error:

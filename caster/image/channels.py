@@ -1,20 +1,26 @@
-"""AOVs <-> the channels of an EXR file."""
+"""Conversion between AOVs and the channels of an EXR file, and the provenance stored with them."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
+from caster import __version__
 from caster.aovs import AOVS
 from caster.geometry.rejected import in_words
-from caster.image.exr import NO_ID
+from caster.image.exr import NO_ID, write_exr
 from caster.rendering.images import Aovs
 from caster.scene.model import Scene
 
-__all__ = ["aovs_to_channels", "channels_to_aovs", "provenance"]
+__all__ = [
+    "aovs_to_channels",
+    "channels_to_aovs",
+    "provenance",
+    "write_render",
+]
 
 
 def aovs_to_channels(aovs: Aovs) -> dict[str, np.ndarray]:
-    """Channel name -> (h, w) float32 or uint32. The mask A always comes along."""
+    """Channels of AOVs: name -> (h, w) float32 or uint32. The mask `A` is always among them."""
     channels = {"A": aovs.hit.astype(np.float32)}
     for aov in AOVS:
         if aov.NAME in aovs:
@@ -32,7 +38,7 @@ def _to_stored(plane: np.ndarray) -> np.ndarray:
 
 
 def channels_to_aovs(channels: Mapping[str, np.ndarray]) -> Aovs:
-    """The AOVs whose channels are all there, as `render` gives them; `hit` is channel A."""
+    """AOVs whose channels are all present, in the types of `caster.render`; `hit` is channel `A`."""
     images = {}
     for aov in AOVS:
         if all(channel in channels for channel in aov.CHANNELS):
@@ -48,7 +54,7 @@ def _from_stored(plane: np.ndarray) -> np.ndarray:
 
 
 def provenance(scene: Scene, version: str, path: str = "") -> dict[str, str]:
-    """What the file says about itself, under caster/. path: the scene file, as its user named it."""
+    """The attributes `caster/...` of an EXR file of a scene. path: the scene file, as given by the user."""
     named = {"caster/scene": path.encode(errors="replace").decode()} if path else {}
     if words := in_words(scene):
         named["caster/faces_never_hit"] = words
@@ -58,3 +64,10 @@ def provenance(scene: Scene, version: str, path: str = "") -> dict[str, str]:
         "caster/scene_json": scene.canonical_json(),
         "caster/depth": "distance from the eye along the ray, scene units; inf on a miss",
     }
+
+
+def write_render(output: str, scene: Scene, aovs: Aovs, path: str, more: Mapping[str, str] = {}) -> None:
+    """Write the AOVs of a scene as an EXR file with its provenance. path: the scene file; more: further attributes."""
+    film = (0, 0, scene.film.width, scene.film.height)
+    attributes = {**provenance(scene, __version__, path), **more}
+    write_exr(output, aovs_to_channels(aovs), attributes, data_window=scene.film.window, display_window=film)

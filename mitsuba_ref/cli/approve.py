@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.approval import Proposal
     from mitsuba_ref.runner.scene_runner import SceneEntry
 
-HELP = "render reference EXRs with Mitsuba, show what changed in them, and write them once that is approved"
 # Named here too, since loading what approves loads the kernels (tests/unit/test_cli_help.py compares).
 MODES = ("missing", "changed", "all")
 

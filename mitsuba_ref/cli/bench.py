@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from mitsuba_ref.bench.result import Run, SceneResult
     from mitsuba_ref.bench.run import BenchmarkRun
 
-HELP = "run time against error: ours beside Mitsuba and others, in processes that take turns"
 SIZE, ALTERNATIONS = 1024, 7
 
 

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.approval import ReferenceCheck
     from mitsuba_ref.runner.scene_runner import SceneEntry
 
-HELP = "compare our render with approved reference EXRs, without Mitsuba; stale or altered ones fail"
 Found = TypeVar("Found")
 
 

@@ -2,8 +2,6 @@
 
 import argparse
 
-HELP = "compare two EXR files; NaN, inf, another size or one missed pixel never pass"
-
 NUMBERS = {
     "depth_rtol": "of depth and position, instead of the derived bound",
     "normal_atol": "of normals, instead of the derived bound",

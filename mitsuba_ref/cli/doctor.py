@@ -2,14 +2,15 @@
 
 import argparse
 
-from caster.cli.commands import doctor as of_caster
+from caster.cli.installation import print_findings
 
-HELP = of_caster.HELP
-add_arguments = of_caster.add_json
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the findings; 4 when something needed is missing."""
     from mitsuba_ref.reference import installation
 
-    return of_caster.print_findings(installation.report(), args)
+    return print_findings(installation.report(), args.json)

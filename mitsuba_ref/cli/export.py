@@ -6,8 +6,6 @@ from pathlib import Path
 from caster.cli.exit_codes import OK
 from caster.cli.scene_arguments import add_scene, load
 
-HELP = "write a scene as Mitsuba XML with its meshes, for plain Mitsuba"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)

@@ -19,7 +19,6 @@ from caster.description.errors import SceneError, suggestion
 if TYPE_CHECKING:
     from mitsuba_ref.fuzz.campaign import Campaign, Plan
 
-HELP = "random scenes and rays that ask for trouble; each failure is shrunk to a minimal scene file and kept"
 
 DEFAULT_SECONDS = 60.0
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}

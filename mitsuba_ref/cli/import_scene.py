@@ -13,8 +13,6 @@ from caster.description.errors import SceneError
 if TYPE_CHECKING:
     from mitsuba_ref.importers.mitsuba_xml import ImportedScene
 
-NAME = "import"
-HELP = "make a scene file of Mitsuba XML or of a scene text of MIT 6.837, and list what was left out"
 FILM = (256, 256)  # of a text of the course, which says nothing of it
 
 

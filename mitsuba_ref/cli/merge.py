@@ -10,8 +10,6 @@ from pathlib import Path
 from caster.cli.exit_codes import DIFFERENCES, OK
 from mitsuba_ref.cli import output_options as ci
 
-HELP = "put the verdicts of all shards together; one that is missing fails"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument

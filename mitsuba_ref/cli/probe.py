@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence
     from mitsuba_ref.reference.messages import Crash
 
-HELP = "one pixel: what ours, Mitsuba, exact arithmetic and a candidate say, the bounds, and what may be hit"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)

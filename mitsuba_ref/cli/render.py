@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import argparse
 
-from caster.cli.commands.render import AOV_NAMES, DEFAULT_AOV_LIST, check_exr_suffix, write_render
 from caster.cli.exit_codes import DIFFERENCES, OK
-from caster.cli.scene_arguments import add_scene, load
+from caster.cli.scene_arguments import AOV_NAMES, DEFAULT_AOV_LIST, add_scene, check_exr_suffix, load
 from caster.description.errors import SceneError, suggestion
 
-HELP = "render a scene with Mitsuba to an EXR file, along the rays that our caster traces"
 KNOWN = AOV_NAMES.split(", ")
 
 
@@ -40,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
         check_variant(args.variant, "--variant")
     scene = load(args)
     from caster.image.atomic_files import check_writable
+    from caster.image.channels import write_render
     from mitsuba_ref.reference.messages import Crash
     from mitsuba_ref.reference.rendering import render_reference
 

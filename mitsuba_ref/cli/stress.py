@@ -18,10 +18,6 @@ if TYPE_CHECKING:
     from mitsuba_ref.stress.family import Family
     from mitsuba_ref.stress.sweeps import Sweep
 
-HELP = (
-    "numerical stability: errors and wrong hits, against exact answers, as one thing gets harder and harder"
-)
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from mitsuba_ref.runner.scene_runner import SceneEntry
     from mitsuba_ref.subjects.subject import Candidate
 
-HELP = "compare our caster with Mitsuba on scenes: every pixel gets a class, the exit code says pass or fail"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument

@@ -1,5 +1,6 @@
 """The command `caster` as a whole: its help, its small commands, and how it ends."""
 
+import argparse
 import io
 import json
 import os
@@ -16,14 +17,15 @@ import caster
 from caster.__main__ import main
 from caster.aovs import BY_NAME
 from caster.cli import exit_codes
-from caster.cli.application import command_name
-from caster.cli.commands import COMMANDS, render
+from caster.cli.commands import COMMANDS
+from caster.cli.scene_arguments import AOV_NAMES, DEFAULT_AOV_LIST
 from caster.description.errors import FileMissing, SceneError
 from caster.rendering.images import DEFAULT_AOVS
 from caster.scene.files import scene_schema
+from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = [command_name(command) for command in COMMANDS]
+NAMES = [command.name for command in COMMANDS]
 SLOW = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "numpy"}
 
 
@@ -73,8 +75,8 @@ def test_help_of_a_command_loads_nothing_slow(name):
 
 
 def test_help_names_every_aov_and_the_default(capsys):
-    assert render.AOV_NAMES.split(", ") == list(BY_NAME)
-    assert tuple(render.DEFAULT_AOV_LIST.split(",")) == DEFAULT_AOVS
+    assert AOV_NAMES.split(", ") == list(BY_NAME)
+    assert tuple(DEFAULT_AOV_LIST.split(",")) == DEFAULT_AOVS
 
 
 def test_version(capsys):
@@ -203,3 +205,24 @@ def test_an_interrupted_render_leaves_nothing_and_ends_with_130(tmp_path):
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (130, "interrupted\n")
     assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
+
+
+@pytest.mark.parametrize(("program", "name"), [("caster", "info"), ("mitsuba_ref", "compare")])
+def test_a_command_imports_no_other_command(program, name):
+    source = (
+        f"import sys; from {program}.__main__ import main; main(sys.argv[1:])\n"
+        f"found = [m for m in sys.modules if m in {{c.module for c in main.__globals__['COMMANDS']}}]\n"
+        "print('loaded', *found)"
+    )
+    out, err = python("-c", source, name, "--help").communicate()
+    from importlib import import_module
+
+    registry = import_module("caster.cli.commands" if program == "caster" else "mitsuba_ref.cli").COMMANDS
+    (module,) = (command.module for command in registry if command.name == name)
+    assert (out.splitlines()[-1], err) == (f"loaded {module}", "")
+
+
+@pytest.mark.parametrize("registry", [COMMANDS, JUDGE_COMMANDS])
+def test_every_entry_of_a_registry_can_be_loaded(registry):
+    for command in registry:
+        command.load(argparse.ArgumentParser())

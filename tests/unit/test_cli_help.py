@@ -3,7 +3,7 @@
 import re
 
 from caster.aovs import BY_NAME
-from caster.cli.commands import render
+from caster.cli.scene_arguments import AOV_NAMES, DEFAULT_AOV_LIST
 from caster.rendering.images import DEFAULT_AOVS
 from mitsuba_ref.cli import approve, candidate_options
 from mitsuba_ref.cli import render as reference_render
@@ -13,7 +13,7 @@ from mitsuba_ref.subjects import answer, subject
 
 
 def test_the_aovs_that_help_names_are_those_of_the_registry():
-    assert render.AOV_NAMES.split(", ") == list(BY_NAME)
+    assert AOV_NAMES.split(", ") == list(BY_NAME)
 
 
 def test_the_reference_gives_every_aov_there_is():
@@ -21,11 +21,11 @@ def test_the_reference_gives_every_aov_there_is():
 
 
 def test_both_renderers_write_the_same_channels_unless_told():
-    assert render.DEFAULT_AOV_LIST == reference_render.DEFAULT_AOV_LIST == ",".join(DEFAULT_AOVS)
+    assert DEFAULT_AOV_LIST == reference_render.DEFAULT_AOV_LIST == ",".join(DEFAULT_AOVS)
 
 
 def test_every_default_exists():
-    assert set(re.split(",", render.DEFAULT_AOV_LIST)) <= set(BY_NAME)
+    assert set(re.split(",", DEFAULT_AOV_LIST)) <= set(BY_NAME)
 
 
 def test_the_modes_of_approval_are_those_that_it_knows():

@@ -123,7 +123,7 @@ def test_the_text_shows_ray_hit_and_candidates(folder, capsys):
     assert said.startswith("pixel (7, 3) of s.toml, film 12 x 9\nray    o      0.3  0.4  5.0\n")
     assert f'hit    shapes[2] (cube "box"), prim {found.hit.prim_id}\n' in said
     assert repr(found.hit.t) in said and found.hit.t.hex() in said
-    assert "tried  14 primitives of 3 shapes, each shape alone: 0 missed\n" in said
+    assert "tested 14 primitives of 3 shapes, each shape alone: 0 missed\n" in said
     assert said.index('shapes[0] (sphere "ball"), prim 0') < said.index("shapes[1] (plane), prim 0")
 
 

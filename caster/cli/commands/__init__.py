@@ -1,22 +1,57 @@
-"""The registry of commands, in the order of `caster --help`. Each says how it is called and what it does.
+"""The commands of `caster`, in the order of `caster --help`.
 
-A command is a module with HELP (one line), `add_arguments(parser)` and `run(args)`, which gives an exit code; NAME,
-where it is called otherwise than its module.
-It imports what is slow to load inside `run`, so that `--help` answers at once.
+An entry names the module that implements the command (see caster/cli/application.py). The modules import what is slow
+to load inside `run`, so that `--help` is quick.
 """
 
-from types import ModuleType
+from caster.cli.application import Command
 
-from caster.cli.commands import check, course_6837, doctor, info, preview, probe, render, schema, sheet
+_HERE = "caster.cli.commands"
 
-COMMANDS: tuple[ModuleType, ...] = (
-    render,
-    probe,
-    check,
-    schema,
-    info,
-    preview,
-    sheet,
-    course_6837,
-    doctor,
+COMMANDS = (
+    Command("render", "render a scene to an EXR file", f"{_HERE}.render"),
+    Command(
+        "probe",
+        "one pixel: its ray, its hit and the intersections of each shape, in decimal and hex",
+        f"{_HERE}.probe",
+    ),
+    Command("check", "validate scene files: every error with file:line:col", f"{_HERE}.check"),
+    Command(
+        "schema",
+        "print the JSON Schema of scene files, for editors",
+        f"{_HERE}.check",
+        run="print_schema",
+        arguments="no_arguments",
+    ),
+    Command(
+        "info",
+        "describe an EXR file: channels, ranges, NaN, inf and hit counts, histograms, provenance",
+        f"{_HERE}.images",
+        run="info",
+        arguments="add_info_arguments",
+    ),
+    Command(
+        "preview",
+        "show AOVs or class maps of an EXR file as a PNG image",
+        f"{_HERE}.images",
+        run="preview",
+        arguments="add_preview_arguments",
+    ),
+    Command(
+        "sheet",
+        "render scene files as thumbnails on one labelled sheet",
+        f"{_HERE}.images",
+        run="sheet",
+        arguments="add_sheet_arguments",
+    ),
+    Command(
+        "6837",
+        "render a scene file of MIT 6.837, with that course's options and images (docs/classroom.md)",
+        f"{_HERE}.course_6837",
+    ),
+    Command(
+        "doctor",
+        "list the packages found on this machine, and what each missing one would add",
+        f"{_HERE}.doctor",
+    ),
 )

@@ -1,17 +1,13 @@
-"""`caster 6837`: scene files, options and pictures of the course MIT 6.837."""
+"""`caster 6837`: scene files, options and images of the course MIT 6.837."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-from caster.cli.commands.render import positive_int
 from caster.cli.exit_codes import OK
-from caster.cli.scene_arguments import add_mesh_dirs, error_prefix
+from caster.cli.scene_arguments import add_mesh_dirs, add_threads, error_prefix
 from caster.description.errors import SceneError
-
-NAME = "6837"
-HELP = "draw a scene file of MIT 6.837, with that course's options and pictures (docs/classroom.md)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,16 +24,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-normals", metavar="IMAGE", help="|x|, |y|, |z| of the normal as red, green, blue")
     add("-shade_back", action="store_true", help="light surfaces from behind, too, instead of black")
     add("-shadows", action="store_true", help="lights cast shadows")
-    add("--threads", type=positive_int, metavar="N", help="default: as many as there are cores")
+    add_threads(parser)
     add_mesh_dirs(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw, write, and say what was written and what was left out. Raises SceneError, FileMissing, OutputError."""
+    """Render and write the images; print what was written and what was left out.
+
+    Raises SceneError, FileMissing, OutputError.
+    """
     near, far = depth_range(args.depth)
-    pictures = {"-output": args.output, "-depth": args.depth and args.depth[2], "-normals": args.normals}
-    wanted = {option: path for option, path in pictures.items() if path is not None}
-    check(wanted)
+    paths = {"-output": args.output, "-depth": args.depth and args.depth[2], "-normals": args.normals}
+    wanted = {option: path for option, path in paths.items() if path is not None}
+    check_outputs(wanted)
     check_size(args.size)
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
@@ -50,24 +49,26 @@ def run(args: argparse.Namespace) -> int:
     for text in course.left_out:
         print(text, file=sys.stderr)
     with error_prefix(args.input), announce_compilation(type_names(course.scene)):
-        drawn = render_course(course, args.threads)
-    draws = {
-        "-output": lambda: to_bytes_truncated(drawn.color),
-        "-depth": lambda: depth_image(drawn, near, far),
-        "-normals": lambda: normal_image(drawn),
+        images = render_course(course, args.threads)
+    encoders = {
+        "-output": lambda: to_bytes_truncated(images.color),
+        "-depth": lambda: depth_image(images, near, far),
+        "-normals": lambda: normal_image(images),
     }
     for option, path in wanted.items():
-        write_image(path, draws[option]())
-    height, width = drawn.hit.shape
+        write_image(path, encoders[option]())
+    height, width = images.hit.shape
     found = (
-        f"t {drawn.t[drawn.hit].min():.6g} to {drawn.t[drawn.hit].max():.6g}" if drawn.hit.any() else "no hit"
+        f"t {images.t[images.hit].min():.6g} to {images.t[images.hit].max():.6g}"
+        if images.hit.any()
+        else "no hit"
     )
-    print(f"{', '.join(wanted.values())}: {width} x {height} pixels, {int(drawn.hit.sum())} hit, {found}")
+    print(f"{', '.join(wanted.values())}: {width} x {height} pixels, {int(images.hit.sum())} hit, {found}")
     return OK
 
 
 def depth_range(words: list[str] | None) -> tuple[float, float]:
-    """NEAR and FAR. Raises SceneError unless they are two different numbers."""
+    """Parse NEAR and FAR of -depth. Raises SceneError unless NEAR < FAR, both finite."""
     if words is None:
         return 0.0, 1.0
     try:
@@ -79,20 +80,20 @@ def depth_range(words: list[str] | None) -> tuple[float, float]:
     return near, far
 
 
-def check(wanted: dict[str, str]) -> None:
-    """Raise SceneError or OutputError now, and not after the work."""
+def check_outputs(wanted: dict[str, str]) -> None:
+    """Validate output names and folders before rendering. Raises SceneError, OutputError."""
     from caster.image.atomic_files import check_writable
     from caster.image.image_files import check_image_name
 
     if not wanted:
-        raise SceneError("nothing to draw: expected at least one of -output, -depth, -normals")
+        raise SceneError("nothing to render: expected at least one of -output, -depth, -normals")
     for option, path in wanted.items():
         check_image_name(option, path)
         check_writable(path)
 
 
 def check_size(size: tuple[int, int]) -> None:
-    """Raise SceneError for no film, in the words of the option, since a scene file of the course says nothing of it."""
+    """Raise SceneError for an invalid film size, naming the option: scene files of the course have no film."""
     from caster.scene.model import Film
 
     with error_prefix("-size", *size):

@@ -1,4 +1,4 @@
-"""`caster doctor`: what this machine has for the ray caster."""
+"""`caster doctor`: report installed packages, or compile kernels ahead of their first use."""
 
 from __future__ import annotations
 
@@ -9,51 +9,33 @@ from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import OK
 
-__all__ = ["HELP", "add_json", "print_findings"]
-
 if TYPE_CHECKING:
-    from caster.cli.installation import Finding
     from caster.rendering.warm_up import WarmUpCounts
     from caster.scene.model import Scene
 
-HELP = "say what was found on this machine, and what each missing thing would add"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_json(parser)
+    parser.add_argument("--json", action="store_true", help="as JSON")
     parser.add_argument(
         "--warm",
         nargs="*",
         metavar="SCENE",
-        help="compile now what `caster render` would compile when it first needs it, for these scene files; "
+        help="compile the kernels that `caster render` would compile at first use, for these scene files; "
         "without any, for all shapes and cameras, which takes minutes",
     )
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """--json, which the judge's doctor has, too."""
-    parser.add_argument("--json", action="store_true", help="as JSON")
-
-
 def run(args: argparse.Namespace) -> int:
-    """Print the findings, 4 when something needed is missing; or compile kernels. Raises SceneError, FileMissing."""
+    """Print the findings (4 if something needed is missing), or compile kernels. Raises SceneError, FileMissing."""
     if args.warm is not None:
         return warm(args.warm, args.json)
-    from caster.cli import installation
+    from caster.cli.installation import print_findings, report
 
-    return print_findings(installation.report(), args)
-
-
-def print_findings(findings: Sequence[Finding], args: argparse.Namespace) -> int:
-    """Print findings as asked; the exit code they make."""
-    from caster.cli import installation
-
-    print(installation.format_json(findings) if args.json else installation.format_table(findings))
-    return installation.exit_code(findings)
+    return print_findings(report(), args.json)
 
 
 def warm(paths: Sequence[str], as_json: bool) -> int:
-    """Compile what is not in the cache yet, and say how much that was."""
+    """Compile kernels that are not cached yet, and print how many."""
     from caster.cli.progress import CompileProgress, report_refused_cache
     from caster.jit.decorators import COMPILATION_LOG
     from caster.jit.kernel_cache import COMPILED

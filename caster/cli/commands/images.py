@@ -1,0 +1,124 @@
+"""`caster info`, `caster preview` and `caster sheet`: contents of EXR files, and images of AOVs for viewing."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from caster.cli.exit_codes import NOTHING_SELECTED, OK
+from caster.cli.scene_arguments import (
+    add_mesh_dirs,
+    add_threads,
+    comma_separated,
+    display_names,
+    error_prefix,
+    positive_int,
+    scene_files,
+)
+
+# ---- caster info ----
+
+
+def add_info_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE.exr", help="an EXR file; of a multi-part one, all parts")
+    parser.add_argument("--json", action="store_true", help="as JSON, with all of the provenance")
+
+
+def info(args: argparse.Namespace) -> int:
+    """Print the description of an EXR file. Raises FileMissing, UnreadableExr."""
+    from caster.image.exr_info import describe_exr, format_info
+
+    found = describe_exr(args.file)
+    as_json = args.json
+    print(
+        json.dumps(found, indent=2, allow_nan=False) if as_json else format_info(found, sys.stdout.encoding)
+    )
+    return OK
+
+
+# ---- caster preview ----
+
+
+def add_preview_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("file", metavar="FILE.exr", help="a file of `caster render`, or of verdicts or differences")
+    add(
+        "-o",
+        "--output",
+        metavar="IMAGE",
+        help=".png or .tga; default: the file's name with .png, in this folder",
+    )
+    add(
+        "--aov",
+        metavar="A,B,...",
+        help="which; several become a labelled strip; default: diffuse, else class, normal or depth",
+    )
+
+
+def preview(args: argparse.Namespace) -> int:
+    """Write the image, and its colour legend to standard error.
+
+    Raises FileMissing, UnreadableExr, SceneError, OutputError.
+    """
+    from caster.image.image_files import check_image_name
+    from caster.image.previews import exr_images, write_preview
+
+    output = args.output if args.output is not None else f"{Path(args.file).stem}.png"
+    check_image_name("-o", output)
+    images = exr_images(args.file, comma_separated(args.aov))
+    for line in write_preview(output, images, {"Source": Path(args.file).name}):
+        print(f"{output}: {line}", file=sys.stderr)
+    print(output)
+    return OK
+
+
+# ---- caster sheet ----
+
+
+def add_sheet_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("scenes", metavar="SCENE|DIR", nargs="+", help="scene files, or folders of them")
+    add("-o", "--output", metavar="PNG", default="sheet.png", help="default: sheet.png")
+    add(
+        "--aov", metavar="A", default="diffuse", help="default: diffuse, and normals of scenes without lights"
+    )
+    add(
+        "--side",
+        type=positive_int,
+        metavar="N",
+        default=160,
+        help="longer side of each, in pixels; default: 160",
+    )
+    add(
+        "--columns", type=positive_int, metavar="N", help="default: so many that the sheet is wider than high"
+    )
+    add_threads(parser)
+    add_mesh_dirs(parser)
+
+
+def sheet(args: argparse.Namespace) -> int:
+    """Render all scenes as thumbnails and write the sheet. Raises SceneError, FileMissing, OutputError."""
+    from caster.cli.progress import announce_compilation, type_names
+    from caster.image import previews
+    from caster.image.atomic_files import check_writable
+    from caster.image.image_files import check_image_name, write_image
+    from caster.rendering.images import check_names
+    from caster.scene.files import load_scene
+
+    check_image_name("-o", args.output)
+    check_names([args.aov])
+    check_writable(args.output)
+    files = scene_files(args.scenes)
+    if not files:
+        print(f"nothing selected: no scene file in {', '.join(args.scenes)}", file=sys.stderr)
+        return NOTHING_SELECTED
+    scenes = [load_scene(file, args.mesh_dir) for file in files]  # all errors before any rendering
+    images = []
+    for file, scene, name in zip(files, scenes, display_names(files), strict=True):
+        with error_prefix(file), announce_compilation(type_names(scene)):
+            images.append(previews.thumbnail(scene, name, args.side, args.aov, args.threads))
+    columns = args.columns or previews.sheet_columns(len(images))
+    about = {"Description": ", ".join(image.name for image in images)}
+    write_image(args.output, previews.sheet(images, columns), about)
+    print(f"{args.output}: {len(images)} scenes")
+    return OK
