@@ -1,11 +1,6 @@
 """The other end of worker.py: a contestant that may fail, die or hang, which is then its result."""
 
-import contextlib
 import json
-import os
-import select
-import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,10 +18,15 @@ from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import ExactAnswers, PreparedScene, Score, prepare_scene
 from mitsuba_ref.bench.work import SHADING, Work
 from mitsuba_ref.bench.worker import STATUS_READY
-from mitsuba_ref.reference.subprocess_runner import ANSI_ESCAPE, PACKAGE_PARENT
+from mitsuba_ref.reference.subprocess_runner import (
+    ProcessEnd,
+    ProcessEnded,
+    ResidentProcess,
+    exit_name,
+    import_path,
+)
 
 LAST_WORDS = 300  # characters kept of what a contestant said before it died
-EXIT_WAIT_S = 5.0  # seconds for a process that closed its pipe to be gone
 WORKER = (sys.executable, "-P", "-m", "mitsuba_ref.bench.worker")
 
 
@@ -40,70 +40,35 @@ class ContestantProcess:
     def __init__(
         self, work: Work, environment: Mapping[str, str] | None = None, command: Sequence[str] = WORKER
     ) -> None:
-        self.words_file = tempfile.TemporaryFile(mode="w+b")  # noqa: SIM115 - it lives as long as the process
-        self.replies, writing = os.pipe()
-        self.process = subprocess.Popen(
-            [*command, str(writing), work.to_json()],
-            stdin=subprocess.PIPE,
-            stdout=self.words_file,
-            stderr=subprocess.STDOUT,
-            pass_fds=(writing,),
-            env={**os.environ, **(environment or {}), "PYTHONPATH": str(PACKAGE_PARENT)},
-            cwd=tempfile.gettempdir(),
-            start_new_session=True,  # Ctrl-C is for this process, which then stops that one
-        )
-        os.close(writing)
+        settings = {**(environment or {}), "PYTHONPATH": import_path()}
+        self.process = ResidentProcess(command, [work.to_json()], settings)
 
     def ask(self, patience: float, **question: Any) -> dict[str, Any]:
-        """What comes of {"do": ...}, within so many seconds. Raises Gone; the process is then gone, too."""
-        assert self.process.stdin is not None
+        """The reply to {"do": ...}, within so many seconds. Raises ContestantEnded; the process is then gone, too."""
         try:
-            self.process.stdin.write((json.dumps(question) + "\n").encode())
-            self.process.stdin.flush()
-        except BrokenPipeError:
-            raise ContestantEnded(self._end()) from None
-        ready, _, _ = select.select([self.replies], [], [], patience)
-        if not ready:
-            self.close()
-            raise ContestantEnded(f"no answer within {patience:g} s")
-        line = os.read(self.replies, 65536).decode()
-        if not line:
-            raise ContestantEnded(self._end())
+            line = self.process.request(json.dumps(question), patience)
+        except ProcessEnded as ended:
+            raise ContestantEnded(_end_text(ended.end, patience)) from None
         try:
             reply: dict[str, Any] = json.loads(line)
         except ValueError:
             self.close()
-            raise ContestantEnded(f"answered in no way that was expected: {line[:LAST_WORDS]!r}") from None
+            raise ContestantEnded(f"unexpected reply: {line[:LAST_WORDS]!r}") from None
         if reply["status"] != STATUS_READY:
             self.close()
             raise ContestantEnded(reply["why"])
         return reply
 
-    def _end(self) -> str:
-        """How it ended: a signal or an exit code, and its last line."""
-        try:
-            code = self.process.wait(EXIT_WAIT_S)
-        except subprocess.TimeoutExpired:
-            code = -signal.SIGKILL
-        self.words_file.seek(0)
-        words = ANSI_ESCAPE.sub("", self.words_file.read().decode("utf-8", "replace")).strip().splitlines()
-        self.close()
-        end = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        return ": ".join(["died", end, *(words[-1:] or [])])[:LAST_WORDS]
-
     def close(self) -> None:
-        """Kill it and close all that led to it; again does nothing."""
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
-        if self.replies < 0:
-            return
-        assert self.process.stdin is not None
-        with contextlib.suppress(OSError):  # a question that it never read
-            self.process.stdin.close()
-        os.close(self.replies)
-        self.replies = -1
-        self.words_file.close()
+        """End it; a second call does nothing."""
+        self.process.close()
+
+
+def _end_text(end: ProcessEnd, patience: float) -> str:
+    """A signal or an exit code, and the last line of its output."""
+    if end.code is None:
+        return f"no answer within {patience:g} s"
+    return ": ".join(["died", exit_name(end.code), *end.output.splitlines()[-1:]])[:LAST_WORDS]
 
 
 # Contestants take turns: one cast each, round after round, each in a process of its own that stays.

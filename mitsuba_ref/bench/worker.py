@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mitsuba_ref.bench.work import CannotRun, Entry, Work
+from mitsuba_ref.reference.subprocess_runner import serve
 
 STATUS_READY, STATUS_CANNOT = "ready", "cannot"
 
@@ -24,16 +25,19 @@ def main(replies: int, work: Work) -> None:
     """Answer questions until stdin ends."""
     pin_to_processors(work.threads)
     entry: Entry | None = None
-    for line in sys.stdin:
+
+    def reply_to(line: str) -> str:
+        nonlocal entry
         asked = json.loads(line)
         try:
             if entry is None or asked["do"] == "build":
                 entry = None  # or there would be two at a time, and twice the memory
                 entry = new_entry(work)
-            reply = {"status": STATUS_READY} | respond(entry, asked)
+            return json.dumps({"status": STATUS_READY} | respond(entry, asked))
         except (CannotRun, ImportError) as reason:
-            reply = {"status": STATUS_CANNOT, "why": " ".join(str(reason).split())}
-        os.write(replies, (json.dumps(reply) + "\n").encode())
+            return json.dumps({"status": STATUS_CANNOT, "why": " ".join(str(reason).split())})
+
+    serve(reply_to, replies)
 
 
 def new_entry(work: Work) -> Entry:

@@ -179,14 +179,14 @@ def replay(args: argparse.Namespace) -> int:
     from mitsuba_ref.fuzz import report
     from mitsuba_ref.fuzz.campaign import recheck
     from mitsuba_ref.fuzz.cases import kept_files, read_kept
-    from mitsuba_ref.fuzz.resident import Resident
+    from mitsuba_ref.reference.session import ResidentSession
 
     files = kept_files(args.replay)
     if not files:
         print(f"nothing selected: no scene file in {args.replay}", file=sys.stderr)
         return NOTHING_SELECTED
     cases = [(str(file), read_kept(file)) for file in files]
-    with Resident() as resident:
+    with ResidentSession() as resident:
         lines = [
             (file, one.kind, [f"{f.kind}: {f.what}" for f in recheck(one, resident)]) for file, one in cases
         ]

@@ -24,8 +24,8 @@ from mitsuba_ref.fuzz.families import (
 )
 from mitsuba_ref.fuzz.findings import Finding, Tally, first_of_each_kind
 from mitsuba_ref.fuzz.mitsuba_checks import compare_with_mitsuba
-from mitsuba_ref.fuzz.resident import Resident
 from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Budget, smallest_case
+from mitsuba_ref.reference.session import ResidentSession
 
 TRACE_FILE = "unfinished.txt"
 
@@ -130,7 +130,7 @@ class Campaign:
 
     def run(self) -> Iterator[Outcome]:
         """Does one example after another; gives the outcome after each."""
-        with Resident() as resident, Trace(self.plan.folder) as trace:
+        with ResidentSession() as resident, Trace(self.plan.folder) as trace:
             for number in self.plan.numbers:
                 if time.monotonic() >= self.deadline:
                     break
@@ -140,7 +140,7 @@ class Campaign:
                 self.outcome.last, self.outcome.seconds = number, time.monotonic() - self.start
                 yield self.outcome
 
-    def _try(self, tried: Example, resident: Resident) -> None:
+    def _try(self, tried: Example, resident: ResidentSession) -> None:
         tally = Tally(examples=1)
         findings = look_at(tried, tally)
         if self._is_judged(tried):
@@ -156,7 +156,7 @@ class Campaign:
         every = self.plan.judge_every
         return every > 0 and tried.family.fits_float32 and tried.random(MITSUBA_STREAM).random() * every < 1.0
 
-    def _keep(self, tried: Example, finding: Finding, resident: Resident) -> None:
+    def _keep(self, tried: Example, finding: Finding, resident: ResidentSession) -> None:
         """Keep it as it is, then smaller: an interruption in between leaves the large one."""
         sort = [f for f in self.outcome.failures if (f.kind, f.family) == (finding.kind, tried.family.name)]
         if len(sort) >= self.plan.keep:
@@ -208,7 +208,7 @@ def case_of(data: dict[str, Any], ray: Shots | None) -> Case:
     return Case(data["film"], data["camera"], data["shape"], ray)
 
 
-def mitsuba_findings(case: Case, resident: Resident, tally: Tally) -> list[Finding]:
+def mitsuba_findings(case: Case, resident: ResidentSession, tally: Tally) -> list[Finding]:
     """What the judge finds wrong with a case."""
     try:
         scene = case.scene()
@@ -220,7 +220,7 @@ def mitsuba_findings(case: Case, resident: Resident, tally: Tally) -> list[Findi
         return [exception_finding(error)]
 
 
-def recheck(one: cases.KeptCase, resident: Resident) -> list[Finding]:
+def recheck(one: cases.KeptCase, resident: ResidentSession) -> list[Finding]:
     """What is wrong with a kept case today."""
     return (
         mitsuba_findings(one.case, resident, Tally()) if one.kind in MITSUBA_KINDS else findings_of(one.case)

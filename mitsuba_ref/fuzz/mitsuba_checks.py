@@ -3,14 +3,14 @@
 from caster.description.errors import SceneError
 from caster.scene.model import Scene
 from mitsuba_ref.fuzz.findings import Finding, Tally
-from mitsuba_ref.fuzz.resident import Resident
 from mitsuba_ref.judge.verdict import SceneVerdict
+from mitsuba_ref.reference.session import ResidentSession
 from mitsuba_ref.runner.validation import validate_scene
 
 MITSUBA_TIMEOUT_S = 60.0  # seconds; a scene of a few dozen pixels takes a hundredth of one
 
 
-def compare_with_mitsuba(scene: Scene, resident: Resident, tally: Tally) -> list[Finding]:
+def compare_with_mitsuba(scene: Scene, resident: ResidentSession, tally: Tally) -> list[Finding]:
     """What the judge says against it. Scenes that prove little pass: pictures of a few pixels may hit nothing."""
     try:
         verdict = validate_scene(scene, "fuzz", timeout=MITSUBA_TIMEOUT_S, send=resident.send)

@@ -1,17 +1,22 @@
-"""What Mitsuba is asked, what it answers, and how it died: on disk, between a process and its child.
+"""Requests to a Mitsuba process, its responses, and their exchange as files in a folder.
 
 Arrays go into .npz, everything else into .json; no pickle, so that a half-written file is an error, not code.
 """
 
 import json
 import os
+import sys
+import tempfile
 import zipfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+
+from mitsuba_ref.reference.subprocess_runner import ProcessEnd, exit_name, import_path, run
 
 RowLayout = dict[str, tuple[tuple[int, ...], type]]  # field -> shape of a row, dtype
 
@@ -144,6 +149,43 @@ class Crash:
         """The one line to show: the first that speaks of an error, or else the last."""
         lines = [line.strip() for line in self.words.splitlines() if line.strip()]
         return next((line for line in lines if "error" in line.lower()), "".join(lines[-1:]))
+
+
+# -P: a user's folder may hold a mitsuba.py, and `-m` would look there first.
+CHILD_COMMAND = (sys.executable, "-P", "-m", "mitsuba_ref.reference.session")
+
+
+def run_request(
+    request: TraceRequest,
+    timeout: float,
+    environment: Mapping[str, str] | None = None,
+    command: Sequence[str] = CHILD_COMMAND,
+) -> TraceResponse | Crash:
+    """Send one request to a process of its own, which is gone afterwards. environment: added to this process's."""
+    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as name:
+        folder = Path(name)
+        request.write(folder)
+        end = run(
+            [*command, name],
+            timeout,
+            cwd=folder,
+            environment={**(environment or {}), "PYTHONPATH": import_path()},
+        )
+        return response_in(folder, request, end) if end.code == 0 else crash_of(end, timeout)
+
+
+def response_in(folder: Path, request: TraceRequest, end: ProcessEnd) -> TraceResponse | Crash:
+    """The response that a process wrote which ended, or answered, without an error."""
+    try:
+        return TraceResponse.read(folder, len(request.o))
+    except ValueError as error:
+        return Crash("garbage", f"{end.output}\n{error}".strip(), exit_name(0), end.seconds)
+
+
+def crash_of(end: ProcessEnd, timeout: float) -> Crash:
+    """A process's end as a result."""
+    how = f"killed after {timeout:g} s" if end.code is None else exit_name(end.code)
+    return Crash(end.kind, end.output, how, end.seconds)
 
 
 def _check_rows(record: Any, count: int) -> None:

@@ -1,6 +1,8 @@
-"""Mitsuba in a child process: an abort, a hang or a refusal in there is a result here."""
+"""Mitsuba sessions: requests to child processes, in which an abort, a hang or a refusal is a result."""
 
 import sys
+import tempfile
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,19 +10,30 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.reference import subprocess_runner, variants
-from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference import messages, variants
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse, crash_of, response_in
+from mitsuba_ref.reference.subprocess_runner import (
+    ProcessEnd,
+    ProcessEnded,
+    ResidentProcess,
+    die_with_parent,
+    import_path,
+    serve,
+)
 
 DEFAULT_TIMEOUT = 300.0  # seconds; a scene of 256 x 256 pixels takes one to three
+START_SECONDS = 60.0  # allowed for importing Mitsuba, beside the time of the first scene
 
+SERVE = "--serve"  # of the child's command line: a resident one
+DONE, REFUSED = "done", "refused"  # its replies
 
-# A way to Mitsuba: (what is asked, seconds it may take) -> what came of it.
+# A way to Mitsuba: (request, timeout in seconds) -> response
 SendRequest = Callable[[TraceRequest, float], TraceResponse | Crash]
 
 
 def send_request(job: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
     """Ask Mitsuba about one scene; returns within `timeout` seconds, and leaves neither process nor file."""
-    return subprocess_runner.run_request(job, timeout, variants.environment_for(job.variant))
+    return messages.run_request(job, timeout, variants.environment_for(job.variant))
 
 
 def send_requests(
@@ -87,33 +100,73 @@ def split_response(answer: TraceResponse, counts: Sequence[int]) -> list[TraceRe
     return found
 
 
+class ResidentSession:
+    """One process of each variant that stays, for many small scenes: starting one takes ten times as long as a scene.
+
+    A process may die at any scene; then that scene's response is a Crash, and the next scene gets a new process.
+    Usable as a context.
+    """
+
+    def __init__(self) -> None:
+        self.processes: dict[str, ResidentProcess] = {}
+
+    def __enter__(self) -> "ResidentSession":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self.processes.values():
+            process.close()
+        self.processes = {}
+
+    def send(self, request: TraceRequest, timeout: float = 60.0) -> TraceResponse | Crash:
+        """The response to one request; a first one may take START_SECONDS more."""
+        process = self.processes.get(request.variant)
+        allowed = timeout
+        with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as name:
+            request.write(Path(name))
+            try:
+                if process is None or not process.alive:
+                    process, allowed = self._started(request.variant), timeout + START_SECONDS
+                begin = time.monotonic()
+                reply = process.request(name, allowed)
+            except ProcessEnded as ended:
+                return crash_of(ended.end, timeout)
+            end = ProcessEnd(0 if reply == DONE else 1, process.output, time.monotonic() - begin)
+            return response_in(Path(name), request, end) if reply == DONE else crash_of(end, timeout)
+
+    def _started(self, variant: str) -> ResidentProcess:
+        if variant in self.processes:
+            self.processes[variant].close()
+        environment = {**variants.environment_for(variant), "PYTHONPATH": import_path()}
+        process = ResidentProcess([*messages.CHILD_COMMAND, SERVE], environment=environment)
+        self.processes[variant] = process
+        return process
+
+
 def main(folder: Path) -> int:
-    """The child's side: read the job in `folder`, write the answer there. 1 where Mitsuba says no."""
-    _die_with_parent()
+    """The child's side of one request: read it in `folder`, write the response there. 1 where Mitsuba refuses it."""
     try:
         from mitsuba_ref.reference import (
-            mitsuba_process,  # here, so that asking needs no Mitsuba in this process
+            mitsuba_process,  # here, so that sending needs no Mitsuba in this process
         )
 
-        answer = merge_responses(
-            [mitsuba_process.trace_request(piece) for piece in TraceRequest.read(folder).per_scene()]
-        )
+        pieces = TraceRequest.read(folder).per_scene()
+        response = merge_responses([mitsuba_process.trace_request(piece) for piece in pieces])
     except (RuntimeError, ImportError) as refusal:
-        print(refusal, file=sys.stderr)
+        print(refusal, file=sys.stderr, flush=True)
         return 1
-    answer.write(folder)
+    response.write(folder)
     return 0
 
 
-def _die_with_parent() -> None:
-    """Linux kills this process with the one that asked, even if that one was killed itself."""
-    import ctypes
-    import signal
-
-    if sys.platform == "linux":
-        set_parent_death_signal = 1
-        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
+def serve_folders(replies: int) -> None:
+    """The child's side of a ResidentSession: answer folder after folder. replies: the pipe's descriptor."""
+    serve(lambda folder: REFUSED if main(Path(folder)) else DONE, replies)
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    if sys.argv[1] == SERVE:
+        serve_folders(int(sys.argv[2]))
+    else:
+        die_with_parent()
+        sys.exit(main(Path(sys.argv[1])))

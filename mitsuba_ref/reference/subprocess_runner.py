@@ -1,158 +1,332 @@
-"""One question to Mitsuba, in a process of its own that is gone afterwards, whatever happens."""
+"""Subprocess runner: child processes with a deadline, captured output and nothing left behind.
+
+Three ways to run a command share one start and one end:
+
+- `run`: one-shot. Returns a `ProcessEnd`; a crash, a signal or a missed deadline is a result, not an exception.
+- `ResidentProcess`: a child that stays and answers requests, one line each. Its end is raised as `ProcessEnded`.
+- `run_attached`: a child on this process's own terminal, which reports its result through a pipe.
+
+Each child leads a process group, which is killed when the run ends, so that nothing it started survives. Captured
+output goes to a file: a pipe that nobody empties would block the writer. On Linux, a child that calls `die_with_parent`
+is killed with its parent, even if the parent was killed itself.
+"""
 
 import contextlib
 import os
 import re
+import select
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
-from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-
-# -P: a user's folder may hold a mitsuba.py, and `-m` would look there first.
-CHILD_COMMAND = (sys.executable, "-P", "-m", "mitsuba_ref.reference.session")
-PACKAGE_PARENT = Path(__file__).resolve().parents[2]
-OUTPUT_HEAD_BYTES, OUTPUT_TAIL_BYTES = 1000, 3000  # bytes kept of what Mitsuba said
+OUTPUT_HEAD_BYTES, OUTPUT_TAIL_BYTES = 1000, 3000  # of captured output that are kept
+REAP_SECONDS = 5.0  # for a killed process, or one that closed its pipe, to be gone
 ANSI_ESCAPE = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
+PACKAGE_PARENT = Path(__file__).resolve().parents[2]  # the folder that the package lies in
 
-_running: set[int] = set()
+_running: set[int] = set()  # process groups
 _starting = threading.Lock()
-_stopped = threading.Event()  # nothing is started any more
+_starts_refused = threading.Event()
 
 
-class ProcessExit(NamedTuple):
-    code: int | None  # None: it took too long
-    words: str
+@dataclass(frozen=True)
+class ProcessEnd:
+    """How a process ended, and what it printed."""
+
+    code: int | None  # exit code, negative for a signal; None: killed at its deadline
+    output: str  # head and tail of stdout and stderr, without escape sequences
     seconds: float
 
-
-def run_request(
-    job: TraceRequest,
-    timeout: float,
-    settings: Mapping[str, str] | None = None,
-    command: Sequence[str] = CHILD_COMMAND,
-) -> TraceResponse | Crash:
-    """Give `command` a folder with the job, read its answer there. `settings`: its environment variables."""
-    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as name:
-        folder = Path(name)
-        job.write(folder)
-        end = _run([*command, name], folder, timeout, settings or {})
-        return _read(job, folder, end, timeout)
+    @property
+    def kind(self) -> str:
+        """timeout, abort, signal, error, or done for exit code 0."""
+        if self.code is None:
+            return "timeout"
+        if self.code < 0:
+            return "abort" if self.code == -signal.SIGABRT else "signal"
+        return "error" if self.code else "done"
 
 
-def kill_subprocesses() -> None:
-    """Kill every child that runs, and start no other until `allow_subprocesses`: for Ctrl-C while threads wait.
+class ProcessEnded(Exception):  # noqa: N818 - an event, not necessarily an error
+    """A resident process that answers no more; `end` says why."""
 
-    Who waits for a child, or wants one, gets a Crash.
-    """
-    with _starting:
-        _stopped.set()
-        for group in list(_running):
-            _kill(group)
+    def __init__(self, end: ProcessEnd) -> None:
+        super().__init__(end)
+        self.end = end
 
 
-def allow_subprocesses() -> None:
-    """Let children be started."""
-    _stopped.clear()
-
-
-@contextlib.contextmanager
-def killed_with_subprocesses(child: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Another program, in a session of its own, that `kill_subprocesses` is to end as well."""
-    with _starting:
-        _running.add(child.pid)
-        if _stopped.is_set():
-            _kill(child.pid)
-    try:
-        yield
-    finally:
-        _running.discard(child.pid)
-
-
-def _run(command: Sequence[str], folder: Path, timeout: float, settings: Mapping[str, str]) -> ProcessExit:
-    """Run it in a session of its own; its words go to a file, since a pipe that nobody empties is a hang."""
-    start = time.monotonic()
-    with (folder / "words").open("wb") as words:
-        with _starting:
-            if _stopped.is_set():
-                return ProcessExit(-signal.SIGKILL, "stopped before it began", 0.0)
-            child = subprocess.Popen(
-                command,
-                cwd=folder,
-                env={**os.environ, **settings, "PYTHONPATH": _search_path()},
-                stdin=subprocess.DEVNULL,
-                stdout=words,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
-            _running.add(child.pid)
-        code = _wait(child, timeout)
-    return ProcessExit(code, _words(folder / "words"), time.monotonic() - start)
-
-
-def _wait(child: subprocess.Popen[bytes], timeout: float) -> int | None:
-    try:
-        return child.wait(timeout)
-    except subprocess.TimeoutExpired:
-        return None
-    finally:  # also on Ctrl-C, and for what the child may have started itself
-        _kill(child.pid)
-        child.wait()
-        _running.discard(child.pid)
-
-
-def _kill(group: int) -> None:
-    with contextlib.suppress(ProcessLookupError, PermissionError):  # gone; macOS calls that a PermissionError
-        os.killpg(group, signal.SIGKILL)
-
-
-def _search_path() -> str:
-    """This package first, then what the user set; not the current folder, which an empty entry means, too."""
-    entries = os.environ.get("PYTHONPATH", "").split(os.pathsep)
-    here = Path.cwd()
-    kept = [entry for entry in map(os.path.abspath, filter(None, entries)) if Path(entry) != here]
-    return os.pathsep.join([str(PACKAGE_PARENT), *kept])
-
-
-def _words(path: Path) -> str:
-    """How it began and how it ended: LLVM names its error first and spells out a tree of code after it."""
-    with path.open("rb") as file:
-        words = file.read(OUTPUT_HEAD_BYTES)
-        left = path.stat().st_size - OUTPUT_HEAD_BYTES
-        if left > OUTPUT_TAIL_BYTES:
-            words += b"\n[...]\n"
-            file.seek(left - OUTPUT_TAIL_BYTES, os.SEEK_CUR)
-        words += file.read(OUTPUT_TAIL_BYTES)
-    return ANSI_ESCAPE.sub("", words.decode("utf-8", "replace")).strip()
-
-
-def _read(job: TraceRequest, folder: Path, end: ProcessExit, timeout: float) -> TraceResponse | Crash:
-    if end.code is None:
-        return Crash("timeout", end.words, f"killed after {timeout:g} s", end.seconds)
-    if end.code:
-        return Crash(_kind(end.code), end.words, _exit(end.code), end.seconds)
-    try:
-        return TraceResponse.read(folder, len(job.o))
-    except ValueError as error:
-        return Crash("garbage", f"{end.words}\n{error}".strip(), _exit(0), end.seconds)
-
-
-def _kind(code: int) -> str:
-    if code == -signal.SIGABRT:
-        return "abort"
-    return "signal" if code < 0 else "error"
-
-
-def _exit(code: int) -> str:
+def exit_name(code: int) -> str:
+    """'exit code 3', 'SIGSEGV', or 'signal 77' for a signal without a name."""
     if code >= 0:
         return f"exit code {code}"
     try:
         return signal.Signals(-code).name
     except ValueError:
         return f"signal {-code}"
+
+
+def kill_subprocesses() -> None:
+    """Kill every running child and refuse to start another until `allow_subprocesses`: for Ctrl-C amid threads.
+
+    Whoever waits for a child, or starts one, gets an end by SIGKILL.
+    """
+    with _starting:
+        _starts_refused.set()
+        for group in list(_running):
+            _kill_group(group)
+
+
+def allow_subprocesses() -> None:
+    """Undo the refusal of `kill_subprocesses`."""
+    _starts_refused.clear()
+
+
+def run(
+    command: Sequence[str],
+    timeout: float,
+    *,
+    cwd: str | Path | None = None,
+    environment: Mapping[str, str] | None = None,
+) -> ProcessEnd:
+    """Run a command to its end, or kill it after `timeout` seconds. environment: added to this process's own.
+
+    Raises OSError where the command cannot be started.
+    """
+    begin = time.monotonic()
+    with tempfile.TemporaryFile() as output:
+        try:
+            child = _start(command, output, stdin=subprocess.DEVNULL, cwd=cwd, environment=environment)
+        except ProcessEnded as refused:
+            return refused.end
+        code: int | None = None
+        try:
+            code = child.wait(timeout)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:  # also on Ctrl-C, and for what the child may have started itself
+            _kill_and_reap(child)
+        return ProcessEnd(code, captured(output), time.monotonic() - begin)
+
+
+class ResidentProcess:
+    """A child that answers requests line by line: requests on its stdin, replies on a pipe of its own.
+
+    The number of that pipe's descriptor follows the command, then `arguments`. `serve` is the child's side. Close it,
+    or use it as a context.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        arguments: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
+        self._replies, writing = os.pipe()
+        self._answered = False
+        try:
+            self.process = _start(
+                [*command, str(writing), *arguments],
+                self._output,
+                stdin=subprocess.PIPE,
+                cwd=tempfile.gettempdir(),
+                environment=environment,
+                pass_fds=(writing,),
+            )
+        except BaseException:
+            os.close(self._replies)
+            self._output.close()
+            raise
+        finally:
+            os.close(writing)
+
+    def __enter__(self) -> "ResidentProcess":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def alive(self) -> bool:
+        return self._replies >= 0 and self.process.poll() is None
+
+    @property
+    def output(self) -> str:
+        """What it printed since the reply before the last request."""
+        return captured(self._output)
+
+    def request(self, line: str, timeout: float) -> str:
+        """Send one line and return the line that answers it. Raises ProcessEnded; the process is then closed."""
+        begin = time.monotonic()
+        if self._answered:
+            os.lseek(self._output.fileno(), 0, os.SEEK_SET)  # the child writes at the same offset
+            os.ftruncate(self._output.fileno(), 0)
+        assert self.process.stdin is not None
+        try:
+            self.process.stdin.write(f"{line}\n".encode())
+            self.process.stdin.flush()
+        except BrokenPipeError:
+            raise ProcessEnded(self._ended(begin)) from None
+        reply = b""
+        while not reply.endswith(b"\n"):
+            left = max(begin + timeout - time.monotonic(), 0.0)
+            if not select.select([self._replies], [], [], left)[0]:
+                raise ProcessEnded(self._ended(begin, late=True))
+            received = os.read(self._replies, 65536)
+            if not received:
+                raise ProcessEnded(self._ended(begin))
+            reply += received
+        self._answered = True
+        return reply.decode().rstrip("\n")
+
+    def _ended(self, begin: float, *, late: bool = False) -> ProcessEnd:
+        """Close a process that did not answer: at its deadline at once, else after some seconds to end by itself."""
+        code: int | None = None
+        if not late:
+            try:
+                code = self.process.wait(REAP_SECONDS)
+            except subprocess.TimeoutExpired:
+                code = -signal.SIGKILL
+        _kill_and_reap(self.process)
+        end = ProcessEnd(code, self.output, time.monotonic() - begin)
+        self.close()
+        return end
+
+    def close(self) -> None:
+        """Kill it and close its pipes and files; a second call does nothing."""
+        if self._replies < 0:
+            return
+        _kill_and_reap(self.process)
+        assert self.process.stdin is not None
+        with contextlib.suppress(OSError):  # a request that was never read
+            self.process.stdin.close()
+        os.close(self._replies)
+        self._replies = -1
+        self._output.close()
+
+
+class AttachedEnd(NamedTuple):
+    """How an attached process ended: its exit code, None if it was killed after an interruption; and its report."""
+
+    code: int | None
+    report: bytes
+
+
+def run_attached(
+    command: Callable[[int], Sequence[str]], environment: Mapping[str, str], interrupt_seconds: float
+) -> AttachedEnd:
+    """Run a command on this process's stdin, stdout and stderr, and read what it reports through a pipe.
+
+    command: from the descriptor's number, to which the child may write. Ctrl-C and SIGTERM are passed on as SIGINT; a
+    child that runs on for `interrupt_seconds` after it is killed.
+    """
+    reading, writing = os.pipe()
+    child = subprocess.Popen(
+        command(writing),
+        env={**os.environ, **environment},
+        pass_fds=(writing,),
+        process_group=0,  # so that an interruption from the terminal comes by way of this process
+    )
+    os.close(writing)
+    try:
+        code = _wait_interruptibly(child, interrupt_seconds)
+    finally:
+        os.set_blocking(reading, False)  # what the child started may still hold the other end
+        with os.fdopen(reading, "rb") as pipe:
+            report = pipe.read() or b""
+    return AttachedEnd(code, report)
+
+
+def _wait_interruptibly(child: subprocess.Popen[bytes], interrupt_seconds: float) -> int | None:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        return child.wait()
+    except KeyboardInterrupt:
+        child.send_signal(signal.SIGINT)
+    try:
+        return child.wait(interrupt_seconds)
+    except (subprocess.TimeoutExpired, KeyboardInterrupt):
+        _kill_group(child.pid)
+        child.wait()
+        return None
+
+
+def serve(handle: Callable[[str], str], replies: int) -> None:
+    """The child's side of `ResidentProcess`: answer request lines until stdin ends. replies: the pipe's descriptor."""
+    die_with_parent()
+    for line in sys.stdin:
+        os.write(replies, f"{handle(line.rstrip(chr(10)))}\n".encode())
+
+
+def die_with_parent() -> None:
+    """Have Linux kill this process with the one that started it, even if that one is killed itself."""
+    if sys.platform == "linux":
+        import ctypes
+
+        set_parent_death_signal = 1
+        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
+
+
+def import_path() -> str:
+    """PYTHONPATH for children: this package, then the user's entries, but not the current folder (an empty entry)."""
+    entries = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    here = Path.cwd()
+    kept = [entry for entry in map(os.path.abspath, filter(None, entries)) if Path(entry) != here]
+    return os.pathsep.join([str(PACKAGE_PARENT), *kept])
+
+
+def captured(output: IO[bytes]) -> str:
+    """Head and tail of captured output: LLVM names its error first and prints a tree of code after it."""
+    descriptor = output.fileno()  # pread leaves the offset alone, which a child may share
+    size = os.fstat(descriptor).st_size
+    head = os.pread(descriptor, OUTPUT_HEAD_BYTES, 0)
+    tail = max(size - OUTPUT_TAIL_BYTES, len(head))
+    gap = b"\n[...]\n" if tail > len(head) else b""
+    content = head + gap + os.pread(descriptor, OUTPUT_TAIL_BYTES, tail)
+    return ANSI_ESCAPE.sub("", content.decode("utf-8", "replace")).strip()
+
+
+def _start(
+    command: Sequence[str],
+    output: IO[bytes],
+    *,
+    stdin: int,
+    cwd: str | Path | None,
+    environment: Mapping[str, str] | None,
+    pass_fds: Sequence[int] = (),
+) -> subprocess.Popen[bytes]:
+    """Start a command in a session of its own. Raises ProcessEnded while starts are refused, and OSError."""
+    with _starting:
+        if _starts_refused.is_set():
+            raise ProcessEnded(ProcessEnd(-signal.SIGKILL, "stopped before it began", 0.0))
+        child = subprocess.Popen(
+            command,
+            cwd=cwd,
+            env={**os.environ, **(environment or {})},
+            stdin=stdin,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            pass_fds=pass_fds,
+            start_new_session=True,  # Ctrl-C is for this process, which then ends that one
+        )
+        _running.add(child.pid)
+        return child
+
+
+def _kill_and_reap(child: subprocess.Popen[bytes]) -> None:
+    _kill_group(child.pid)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        child.wait(REAP_SECONDS)
+    _running.discard(child.pid)
+
+
+def _kill_group(group: int) -> None:
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # gone; macOS calls that a PermissionError
+        os.killpg(group, signal.SIGKILL)

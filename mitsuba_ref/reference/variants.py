@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from caster.description.errors import SceneError
-from mitsuba_ref.reference import subprocess_runner
+from mitsuba_ref.reference import messages
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 
 SMOKE_TEST_TIMEOUT_SECONDS = 60.0  # it takes one or two
@@ -54,7 +54,7 @@ def smoke_test(variant: str, settings: Mapping[str, str]) -> str:
         (folder / "scene.xml").write_text(SMOKE_TEST_XML)
         fresh = {**settings, "DRJIT_CACHE_DIR": name}  # a cached kernel would hide an abort
         return _response_problem(
-            subprocess_runner.run_request(
+            messages.run_request(
                 _smoke_request(folder / "scene.xml", variant), SMOKE_TEST_TIMEOUT_SECONDS, fresh
             )
         )

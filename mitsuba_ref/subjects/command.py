@@ -1,17 +1,11 @@
 """A candidate that is a program: it reads our scene and writes an EXR file."""
 
-import contextlib
-import os
 import shlex
 import shutil
-import signal
 import string
-import subprocess
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
@@ -20,7 +14,7 @@ from caster.image.exr import Exr, UnreadableExr, read_exr
 from mitsuba_ref.error_model.intersections import U
 from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.reference.rendering import export
-from mitsuba_ref.reference.subprocess_runner import killed_with_subprocesses
+from mitsuba_ref.reference.subprocess_runner import exit_name, run
 from mitsuba_ref.subjects.answer import FLOAT32, LAST_WORDS, Answer, NoAnswer, checked_answer, printable
 from mitsuba_ref.subjects.subject import CastRequest
 
@@ -97,27 +91,15 @@ class CommandSubject:
         return exported.write(question.folder)
 
     def _run(self, words: list[str]) -> None:
-        # A file, since a pipe would stay open as long as anything that the program leaves behind.
-        with tempfile.TemporaryFile() as said:
-            try:
-                child = subprocess.Popen(
-                    words,
-                    stdin=subprocess.DEVNULL,
-                    stdout=said,
-                    stderr=subprocess.STDOUT,
-                    start_new_session=True,
-                )
-            except OSError as error:
-                raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
-            try:
-                with killed_with_subprocesses(child):
-                    child.wait(self.seconds)
-            except subprocess.TimeoutExpired as late:
-                raise NoAnswer(f"killed after {self.seconds:g} s{_output_tail(_read(said))}") from late
-            finally:
-                _kill_process_group(child)
-            if child.returncode:
-                raise NoAnswer(f"{_exit_text(child.returncode)}{_output_tail(_read(said))}")
+        try:
+            end = run(words, self.seconds)
+        except OSError as error:
+            raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
+        if end.code is None:
+            raise NoAnswer(f"killed after {self.seconds:g} s{_output_tail(end.output)}")
+        if end.code:
+            how = "ended with" if end.code > 0 else "was ended by"
+            raise NoAnswer(f"the program {how} {exit_name(end.code)}{_output_tail(end.output)}")
 
     def _picture(self, path: Path, question: CastRequest) -> Exr:
         try:
@@ -184,28 +166,6 @@ def _mask(mask: np.ndarray, depth: np.ndarray, question: CastRequest) -> np.ndar
             f"{pixel_of(question.scene, i)}: A is {mask[i]:g}, depth {depth[i]:.9g}; a miss has A 0 and depth inf"
         )
     return covered
-
-
-def _kill_process_group(child: subprocess.Popen[bytes]) -> None:
-    """Kill it and what it started."""
-    with contextlib.suppress(ProcessLookupError, PermissionError):  # gone
-        os.killpg(child.pid, signal.SIGKILL)
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        child.wait(5.0)
-
-
-def _read(said: IO[bytes]) -> str:
-    said.seek(0)
-    return said.read().decode("utf-8", "replace")
-
-
-def _exit_text(code: int) -> str:
-    if code >= 0:
-        return f"the program ended with exit code {code}"
-    try:
-        return f"the program was ended by {signal.Signals(-code).name}"
-    except ValueError:
-        return f"the program was ended by signal {-code}"
 
 
 def _output_tail(words: str) -> str:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -13,6 +11,7 @@ from pathlib import Path
 from typing import NoReturn, TextIO
 
 from caster.cli.exit_codes import DIFFERENCES, INTERRUPTED, reopen_closed_streams
+from mitsuba_ref.reference.subprocess_runner import exit_name, run_attached
 
 SUPERVISED_VARIABLE = "MITSUBA_REF_SUPERVISED"  # in the environment of the one that is looked after
 INTERRUPT_GRACE_SECONDS = (
@@ -36,36 +35,25 @@ def run_supervised(words: Sequence[str]) -> int:
     """The exit code of the command line, run in a child; one that ends without a word has failed."""
     began = time.time()
     reopen_closed_streams()
-    receive, send = os.pipe()
-    child = subprocess.Popen(
-        [sys.executable, "-c", CHILD_SOURCE.format(path=sys.path, fd=send), *words],
-        env=os.environ | {SUPERVISED_VARIABLE: "1"},
-        pass_fds=(send,),
-        process_group=0,  # so that an interruption from the terminal comes by way of this process
+    end = run_attached(
+        lambda fd: [sys.executable, "-c", CHILD_SOURCE.format(path=sys.path, fd=fd), *words],
+        {SUPERVISED_VARIABLE: "1"},
+        INTERRUPT_GRACE_SECONDS,
     )
-    os.close(send)
-    try:
-        code = _code_of(child)
-    finally:
-        os.set_blocking(receive, False)  # what the candidate began may still hold the other end
-        with os.fdopen(receive, "rb") as pipe:
-            told = pipe.read()
-    if told or code == INTERRUPTED:
-        return int(told or code)
+    if end.code is None:
+        print("interrupted: the candidate did not end, and was killed", file=sys.stderr)
+        return int(end.report or INTERRUPTED)
+    if end.report or end.code == INTERRUPTED:
+        return int(end.report or end.code)
     for path in output_paths(words):  # of an earlier run: they would pass for this one's
         if path.is_file() and path.stat().st_mtime < began:
             path.unlink()
-    print(f"the candidate ended the process, {_exit_text(code)}: nothing is judged", file=sys.stderr)
+    print(f"the candidate ended the process, {_exit_text(end.code)}: nothing is judged", file=sys.stderr)
     return DIFFERENCES
 
 
 def _exit_text(code: int) -> str:
-    if code >= 0:
-        return f"exit {code}"
-    try:
-        return f"by {signal.Signals(-code).name}"
-    except ValueError:
-        return f"by signal {-code}"
+    return f"exit {code}" if code >= 0 else f"by {exit_name(code)}"
 
 
 def looked_after(fd: int) -> NoReturn:
@@ -90,22 +78,6 @@ def _result_stream() -> TextIO:
     kept = os.fdopen(os.dup(1), "w", 1 if out.isatty() else -1, encoding=out.encoding, errors=out.errors)
     os.dup2(2, 1)
     return kept
-
-
-def _code_of(child: subprocess.Popen[bytes]) -> int:
-    """Wait for it. An interruption is handed on; one that does not end after it is killed."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        return child.wait()
-    except KeyboardInterrupt:
-        child.send_signal(signal.SIGINT)
-    try:
-        return child.wait(INTERRUPT_GRACE_SECONDS)
-    except (subprocess.TimeoutExpired, KeyboardInterrupt):
-        os.killpg(child.pid, signal.SIGKILL)
-        child.wait()
-        print("interrupted: the candidate did not end, and was killed", file=sys.stderr)
-        return INTERRUPTED
 
 
 def output_paths(words: Sequence[str]) -> Iterator[Path]:

@@ -8,18 +8,17 @@ import pytest
 from edited_tree import PACKAGES, copy_tree
 
 from caster.scene.model import Scene
-from mitsuba_ref.fuzz.resident import Resident
 from mitsuba_ref.judge.classification import Judge, judge_of
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.session import SendRequest
+from mitsuba_ref.reference.session import ResidentSession, SendRequest
 from mitsuba_ref.runner.validation import validate_scene
 
 
 @pytest.fixture(scope="session")
 def send() -> Iterator[SendRequest]:
     """The way to Mitsuba, for tests that ask it about small scenes: to start it takes ten times as long."""
-    with Resident() as resident:
+    with ResidentSession() as resident:
         yield resident.send
 
 

@@ -60,10 +60,10 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
 
 def ask_once(memory: Path) -> None:
     """Answers of Mitsuba are kept in a folder, and taken from there where all that it would be given is the same."""
-    from mitsuba_ref.reference import subprocess_runner
+    from mitsuba_ref.reference import messages
     from mitsuba_ref.reference.messages import TraceResponse
 
-    put = subprocess_runner.run_request
+    put = messages.run_request
 
     def put_once(job: Any, timeout: float, settings: Any = None) -> Any:
         place = memory / everything_given(job, dict(settings or {}))
@@ -74,7 +74,7 @@ def ask_once(memory: Path) -> None:
             keep(answer, place)
         return answer
 
-    subprocess_runner.run_request = put_once
+    messages.run_request = put_once
 
 
 def everything_given(job: Any, settings: dict[str, str]) -> str:

@@ -21,10 +21,10 @@ from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.families import FAMILIES
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.fuzz.mitsuba_checks import compare_with_mitsuba
-from mitsuba_ref.fuzz.resident import Resident
 from mitsuba_ref.judge.classification import judge_of
 from mitsuba_ref.judge.verdict import CLASSES
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.session import ResidentSession
 from mitsuba_ref.runner.validation import validate_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -201,10 +201,10 @@ def test_where_compiled_code_died_is_told_by_the_next_run(fuzz, tmp_path):
 
 def test_mitsuba_stays_for_the_next_scene():
     tally = Tally()
-    with Resident() as resident:
+    with ResidentSession() as resident:
         scene = load_scene(SCENE).with_film(width=8, height=8)
         assert compare_with_mitsuba(scene, resident, tally) == []
-        (child,) = resident._children.values()
+        (child,) = resident.processes.values()
         pid = child.process.pid
         assert compare_with_mitsuba(scene, resident, tally) == []
         assert child.process.pid == pid and child.alive
@@ -226,36 +226,36 @@ def test_the_judge_asks_the_way_that_it_is_given():
 
 
 def test_a_crash_of_mitsuba_is_a_finding_and_the_next_scene_gets_a_new_child():
-    with Resident() as resident:
+    with ResidentSession() as resident:
         scene = load_scene(SCENE).with_film(width=8, height=8)
         compare_with_mitsuba(scene, resident, Tally())
-        (child,) = resident._children.values()
+        (child,) = resident.processes.values()
         child.process.send_signal(
             signal.SIGSTOP
         )  # so that it is there when it is asked, and dies of the question
-        usual = child.put
+        usual = child.request
 
         def dying(folder, timeout):
             child.process.send_signal(signal.SIGSEGV)
             child.process.send_signal(signal.SIGCONT)
             return usual(folder, timeout)
 
-        child.put = dying
+        child.request = dying
         (finding,) = compare_with_mitsuba(scene, resident, Tally())
         assert finding.kind == "crash" and "SIGSEGV" in finding.what
         assert compare_with_mitsuba(scene, resident, Tally()) == []
 
 
 def test_a_hang_of_mitsuba_is_a_finding():
-    with Resident() as resident:
+    with ResidentSession() as resident:
         scene = load_scene(SCENE).with_film(width=8, height=8)
         compare_with_mitsuba(scene, resident, Tally())
-        (child,) = resident._children.values()
+        (child,) = resident.processes.values()
         child.process.send_signal(signal.SIGSTOP)
         answers = []
 
         def impatient(job):
-            answers.append(Resident.send(resident, job, timeout=0.5))
+            answers.append(ResidentSession.send(resident, job, timeout=0.5))
             return answers[-1]
 
         resident.send = lambda job, timeout: impatient(job)
@@ -273,6 +273,6 @@ def test_a_pixel_that_the_judge_fails_is_a_finding(monkeypatch):
         return replace(verdict, checks=())
 
     monkeypatch.setattr(mitsuba_checks, "validate_scene", with_a_failure)
-    with Resident() as resident:
+    with ResidentSession() as resident:
         (finding,) = compare_with_mitsuba(load_scene(SCENE).with_film(width=8, height=8), resident, Tally())
     assert finding.kind == "judged" and finding.detail in CLASSES and finding.pixel is not None

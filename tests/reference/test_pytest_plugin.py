@@ -146,7 +146,7 @@ def crashing(monkeypatch):
         asked.append(job)
         return Crash("abort", "last words", "SIGABRT", 0.1)
 
-    monkeypatch.setattr("mitsuba_ref.reference.subprocess_runner.run_request", put)
+    monkeypatch.setattr("mitsuba_ref.reference.messages.run_request", put)
     monkeypatch.setattr(
         "mitsuba_ref.reference.rendering.variant_for", lambda has_quadrics: "scalar_rgb"
     )  # nor asked for this

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mitsuba_scenes import job, shape, write
 
-from mitsuba_ref.reference import session, subprocess_runner
+from mitsuba_ref.reference import messages, session
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.rendering import export
 from mitsuba_ref.reference.variants import SCALAR, usable_variants
@@ -99,8 +99,8 @@ def assert_same(found: TraceResponse, expected: TraceResponse) -> None:
 def test_scenes_asked_together_answer_as_they_do_alone(scenes, monkeypatch):
     alone = {i: session.send_request(scenes[i]) for i in (0, 2)}
     children = []
-    honest = subprocess_runner.run_request
-    monkeypatch.setattr(subprocess_runner, "run_request", lambda *args: children.append(1) or honest(*args))
+    honest = messages.run_request
+    monkeypatch.setattr(messages, "run_request", lambda *args: children.append(1) or honest(*args))
     together = session.send_requests(scenes)
     assert len(children) == 1 and len(together) == len(scenes)
     for i, expected in alone.items():

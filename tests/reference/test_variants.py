@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mitsuba_scenes import job, shape, write
 
-from mitsuba_ref.reference import session, subprocess_runner, variants
+from mitsuba_ref.reference import messages, session, variants
 from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.variants import (
     LIBLLVM_ENVIRONMENT_VARIABLE,
@@ -125,7 +125,7 @@ def test_each_trial_compiles_its_kernels_anew(monkeypatch):
         assert not list(folders[-1].glob("*.bin"))
         return Crash("error", "no", "exit code 1", 0.0)
 
-    monkeypatch.setattr(subprocess_runner, "run_request", put)
+    monkeypatch.setattr(messages, "run_request", put)
     assert variants.smoke_test("llvm_ad_rgb", {}) == "error (exit code 1) no"
     variants.smoke_test("llvm_ad_rgb", {})
     assert folders[0] != folders[1] and not folders[0].exists()
@@ -138,8 +138,8 @@ def test_a_wrong_answer_is_no_working_variant(monkeypatch, wrong):
         getattr(answer, wrong)[0] *= np.float32(1.001)
         return answer
 
-    real = subprocess_runner.run_request
-    monkeypatch.setattr(subprocess_runner, "run_request", put)
+    real = messages.run_request
+    monkeypatch.setattr(messages, "run_request", put)
     assert variants.smoke_test("scalar_rgb", {}).startswith("wrong answer")
 
 

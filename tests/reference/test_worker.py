@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from mitsuba_scenes import job, random_mesh, shape, write
 
-from mitsuba_ref.reference import session, subprocess_runner
+from mitsuba_ref.reference import messages, session, subprocess_runner
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -186,7 +186,7 @@ def test_the_child_goes_with_the_one_that_asked(ball, in_place_of_mitsuba, tmp_p
     try:
         wait_for(lambda: gone(pid))
     finally:  # where nobody was left to do it
-        subprocess_runner._kill(pid)
+        subprocess_runner._kill_group(pid)
     if how == signal.SIGINT:
         assert b"KeyboardInterrupt" in words
         assert list((tmp_path / "asked").iterdir()) == []
@@ -268,7 +268,7 @@ print("done")
 """
     xml = write(tmp_path, shape("sphere", "ball", 0))
     question = job(xml, "scalar_rgb", [[0, 0, 5], [0, 0, 5]], [[0, 0, -1], [0, 0, 1]])
-    found = subprocess_runner.run_request(question, 60, command=[sys.executable, "-c", program])
+    found = messages.run_request(question, 60, command=[sys.executable, "-c", program])
     assert isinstance(found, Crash), found
     assert (found.kind, found.exit) == ("garbage", "exit code 0"), found.words
     assert says in found.words and found.words.startswith("done")
