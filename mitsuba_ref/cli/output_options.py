@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -118,24 +117,3 @@ def close(args: argparse.Namespace) -> None:
         from mitsuba_ref.runner.resume import JOURNAL
 
         (Path(args.out) / JOURNAL).unlink(missing_ok=True)
-
-
-# Where the results of long work are to go.
-
-
-def check_report(json: str | None, folder: str | None) -> None:
-    """Raise OutputError now, and not after all the work; say what will be missing.
-
-    json: a file, or - for standard output.
-    """
-    from caster.image.atomic_files import check_folder, check_writable
-    from mitsuba_ref.stress.page import MissingPlots, check_available
-
-    if json and json != "-":
-        check_writable(json)
-    if folder:
-        check_folder(folder)
-        try:
-            check_available()
-        except MissingPlots as missing:
-            print(missing, file=sys.stderr)
