@@ -1,4 +1,6 @@
-"""The registry of cameras: what a scene file may say in `[camera] type`."""
+"""Registry of cameras, by the `type` of `[camera]` in scene files. `CAMERAS.register` adds one from elsewhere."""
+
+from typing import Any
 
 from caster.cameras.fisheye import Fisheye
 from caster.cameras.orthographic import Orthographic
@@ -6,7 +8,16 @@ from caster.cameras.panorama import Panorama
 from caster.cameras.parabolic import Parabolic
 from caster.cameras.pinhole import Pinhole
 from caster.cameras.ray import Ray
+from caster.description.registry import Registry
 
-__all__ = ["CAMERAS", "Fisheye", "Orthographic", "Panorama", "Parabolic", "Pinhole", "Ray"]
+__all__ = [
+    "CAMERAS",
+    "Fisheye",
+    "Orthographic",
+    "Panorama",
+    "Parabolic",
+    "Pinhole",
+    "Ray",
+]
 
-CAMERAS = (Pinhole, Orthographic, Fisheye, Panorama, Parabolic, Ray)
+CAMERAS: Registry[Any] = Registry(Pinhole, Orthographic, Fisheye, Panorama, Parabolic, Ray)

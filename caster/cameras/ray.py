@@ -1,7 +1,7 @@
 """One ray, for every pixel: no picture, but a single question asked to the bit, as reproducers need it."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -40,6 +40,7 @@ class Ray(Description):
 
     shares_origin: ClassVar[bool] = True
     look_at: ClassVar[None] = None
+    MINIMAL: ClassVar[Mapping[str, Any]] = {"origin": (0.0, 0.0, 9.0), "direction": (0.0, 0.0, -1.0)}
 
     @field_validator("origin", "direction", mode="wrap")
     @classmethod

@@ -1,6 +1,6 @@
 """What shapes, cameras and lights are described with: their bases, checked quantities, and errors."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
@@ -71,6 +71,8 @@ class Shape(Description):
     material: str = ""
     to_world: Transform = ()
 
+    MINIMAL: ClassVar[Mapping[str, Any]] = {}  # fields without which there is no instance
+
     @cached_property
     def matrix(self) -> transform.Matrix:
         """Object to world: 4x4 float64, read-only."""
@@ -92,7 +94,8 @@ class Camera(Description):
     direction: Annotated[UnitVec3 | None, Field(validate_default=True)] = None
     up: Annotated[Vec3, Field(validate_default=True)] = (0.0, 1.0, 0.0)
 
-    shares_origin: ClassVar[bool] = False  # True says that all rays start in one point, which saves work
+    shares_origin: ClassVar[bool] = False  # whether all rays start in one point, which saves work
+    MINIMAL: ClassVar[Mapping[str, Any]] = {"eye": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0)}
 
     @field_validator("look_at")
     @classmethod

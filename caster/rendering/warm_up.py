@@ -7,6 +7,7 @@ import numpy as np
 
 from caster.aovs import AOVS
 from caster.cameras import CAMERAS
+from caster.description.registry import type_name
 from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_ply
 from caster.geometry.packing import Packed, pack
@@ -79,28 +80,19 @@ def _warm_decisions(packed: Packed) -> None:
         precedes(hit, 0, hit, 1)
 
 
-# What a description needs to be one.
-MINIMAL_FIELDS: dict[str, dict[str, Any]] = {
-    "plane": {"offset": 0.0},
-    "triangle": {"vertices": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))},
-    "ray": {"origin": (0.0, 0.0, 9.0), "direction": (0.0, 0.0, -1.0)},
-}
-FILE_SHAPES = "mesh"  # triangles, as others are
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes
 WHITE = (1.0, 1.0, 1.0)
 LAMPS = (
     Point(position=(0.0, 0.0, 9.0), intensity=WHITE),
     Directional(direction=(0.0, 0.0, -1.0), irradiance=WHITE),
 )
-VIEW = {"eye": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0), "up": (0.0, 1.0, 0.0)}
 
 
 def warm_up_scenes() -> Iterator[tuple[str, Scene]]:
     """All kinds of primitives together, seen by each camera; and each alone, where such films are painted at once."""
     shapes = _shapes()
     for camera in CAMERAS:
-        kind = camera.model_fields["type"].default
-        looking = camera(**MINIMAL_FIELDS.get(kind, VIEW))
+        kind, looking = type_name(camera), camera(**camera.MINIMAL)
         yield kind, Scene(camera=looking, shapes=shapes, lights=LAMPS)
         if culling_for(looking.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))[0] == "raster":
             alone = {type(pack(Scene(camera=looking, shapes=[shape])).parts[0]): shape for shape in shapes}
@@ -112,8 +104,7 @@ def _shapes() -> list[Any]:
     """Each registered shape, as it is and stretched, often enough that its kind gets a tree."""
     found: list[Any] = []
     for shape in SHAPES:
-        kind = shape.model_fields["type"].default
-        if kind != FILE_SHAPES:
+        if not hasattr(shape, "load"):  # triangles from files are triangles as well
             for placed in ({}, {"to_world": [STRETCHED]}):
-                found += [shape(**MINIMAL_FIELDS.get(kind, {}), **placed)] * (LEAF_SIZE + 1)
+                found += [shape(**shape.MINIMAL, **placed)] * (LEAF_SIZE + 1)
     return found

@@ -10,15 +10,17 @@ from pydantic import ValidationError
 
 from caster.description.diagnostics import Diagnostic, Model, child_of, diagnostics_of, value_diagnostic
 from caster.description.errors import FileMissing, SceneError, show
+from caster.description.registry import type_name
 from caster.scene.model import Scene
 from caster.scene.text import SceneFormat, format_diagnostics, parse, read_text
 from caster.shapes import SHAPES
 
 __all__ = ["MeshFolders", "load_scene", "resolve_mesh_files"]
 
-FILE_SHAPES: dict[str, Any] = {
-    cls.model_fields["type"].default: cls for cls in SHAPES if hasattr(cls, "load")
-}
+
+def _mesh_shape(kind: Any) -> Any:
+    """The shape of that `type` if it reads a mesh file, else None."""
+    return next((cls for cls in SHAPES if type_name(cls) == kind and hasattr(cls, "load")), None)
 
 
 class MeshFolders(NamedTuple):
@@ -66,14 +68,15 @@ def _resolve_mesh_file(
     shape: Any, path: Any, data: Any, reach: MeshFolders, model: Model
 ) -> tuple[Any, list[Diagnostic], bool]:
     file, kind = child_of(shape, "file"), child_of(shape, "type")
-    if not isinstance(file, str) or not isinstance(kind, str) or kind not in FILE_SHAPES:
+    mesh_shape = _mesh_shape(kind)
+    if not isinstance(file, str) or mesh_shape is None:
         return shape, [], False
     where: Path | None = None
     try:
         where = reach.resolve(file)
         if where is None:
             return shape, [value_diagnostic(path, reach.refusal(file), data, model)], False
-        FILE_SHAPES[kind].model_construct(file=str(where)).load()
+        mesh_shape.model_construct(file=str(where)).load()
     except (SceneError, ValueError, OSError) as error:
         text = str(error).removeprefix(f"{where}: ").replace(str(where), file)
         return (

@@ -20,6 +20,7 @@ from caster.description.diagnostics import (
 from caster.description.errors import complain, show, suggestion
 from caster.description.fields import Camera, Name, Shape
 from caster.description.quantities import Description, PositiveNumber, row
+from caster.description.registry import load_plugins
 from caster.scene.export import canonical_json, fingerprint, to_toml
 from caster.scene.lights import LIGHTS, Light
 from caster.scene.materials import DEFAULT, Diffuse
@@ -255,3 +256,16 @@ class Scene(Description):
     def __getstate__(self) -> dict[Any, Any]:
         """What goes to another process: not what has been computed from the scene."""
         return super().__getstate__() | {"__pydantic_private__": {"_folder": self._folder, "_kept": {}}}
+
+
+def _accept_registered() -> None:
+    """Rebuild the model, so that scenes may hold what is registered now."""
+    fields: dict[str, Any] = Scene.model_fields
+    fields["camera"].annotation = Union[tuple(CAMERAS)]  # noqa: UP007 - a tuple has no |
+    fields["shapes"].annotation = tuple.__class_getitem__((one_of(SHAPES), ...))
+    Scene.model_rebuild(force=True)
+
+
+SHAPES.subscribe(_accept_registered)
+CAMERAS.subscribe(_accept_registered)
+load_plugins()

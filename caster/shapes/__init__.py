@@ -1,5 +1,7 @@
-"""The registry of shapes: what a scene file may say in `type`."""
+"""Registry of shapes, by the `type` of `[[shape]]` in scene files. `SHAPES.register` adds one from elsewhere."""
 
+from caster.description.fields import Shape
+from caster.description.registry import Registry
 from caster.shapes.cube import Cube
 from caster.shapes.cylinder import Cylinder
 from caster.shapes.disk import Disk
@@ -29,7 +31,7 @@ __all__ = [
     "Triangle",
 ]
 
-SHAPES = (
+SHAPES: Registry[Shape] = Registry(
     Sphere,
     Plane,
     Triangle,

@@ -1,7 +1,8 @@
 """An infinite plane."""
 
 import math
-from typing import Any, Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import model_validator
@@ -54,6 +55,7 @@ class Plane(Shape):
     """The plane through `point` across `normal`, or all p with normal . p = `offset` (normal made unit)."""
 
     type: Literal["plane"] = "plane"
+    MINIMAL: ClassVar[Mapping[str, Any]] = {"offset": 0.0}
     normal: UnitVec3 = (0.0, 0.0, 1.0)
     offset: Number | None = None
     point: Vec3 | None = None

@@ -1,11 +1,24 @@
 """A sphere; under a to_world that stretches it, an ellipsoid."""
 
 import math
+from fractions import Fraction
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from caster.description.fields import Positive, Shape, Vec3
+from caster.geometry.edge_distances import (
+    SCENE_UNITS,
+    UNIT_RADII,
+    EdgeDistance,
+    cross,
+    edge_distances,
+    exact,
+    exact_object_space_ray,
+    minus,
+    signed_distance,
+    square,
+)
 from caster.geometry.world_space import Rounding, affine_arrays, is_similarity, similarity_scale
 from caster.jit.decorators import implement, jit
 from caster.kernels.exact.intersections import exact_sphere, exact_unit_sphere, ray_in_object_space
@@ -244,3 +257,19 @@ def _hull_size_ellipsoid(prims: Any) -> int:
 def _hull_point_ellipsoid(prims: Any, k: int, j: int) -> Any:
     corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
     return add(row(prims.center, k), mat_vec(prims.to_world, k, corner))
+
+
+@edge_distances.register
+def _edge_distances(prims: Spheres, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
+    """The radius minus the distance of the centre from the ray."""
+    direction = exact(d)
+    away = square(cross(minus(exact(o), exact(prims.center[k])), direction)) / square(direction)
+    return (signed_distance("silhouette", Fraction(float(prims.radius[k])), away, SCENE_UNITS),)
+
+
+@edge_distances.register
+def _edge_distances_ellipsoid(
+    prims: Ellipsoids, k: int, o: np.ndarray, d: np.ndarray
+) -> tuple[EdgeDistance, ...]:
+    f, e = exact_object_space_ray(prims, k, o, d)
+    return (signed_distance("silhouette", Fraction(1), square(cross(f, e)) / square(e), UNIT_RADII),)

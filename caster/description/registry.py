@@ -1,0 +1,70 @@
+"""Registries of shapes and cameras, and plug-ins that add to them.
+
+A plug-in is a module that calls `caster.shapes.SHAPES.register`, `caster.cameras.CAMERAS.register` or
+`caster.aovs.register`. Programs import it; scenes also load every plug-in that an installed distribution names as an
+entry point of the group "caster.plugins".
+"""
+
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from typing import TypeVar
+
+from caster.description.quantities import Description
+
+__all__ = ["Registry", "load_plugins", "type_name"]
+
+PLUGIN_GROUP = "caster.plugins"
+
+Entry = TypeVar("Entry", bound=Description)
+
+
+def type_name(entry: type[Description]) -> str:
+    """The `type` by which scene files select a description."""
+    name: str = entry.model_fields["type"].default
+    return name
+
+
+class Registry(list[type[Entry]]):
+    """Classes of descriptions that scene files select by `type`, in the order of registration."""
+
+    def __init__(self, *entries: type[Entry]) -> None:
+        super().__init__()
+        self._subscribers: list[Callable[[], None]] = []
+        for entry in entries:
+            self.register(entry)
+
+    def register(self, entry: type[Entry]) -> type[Entry]:
+        """Add a class; also a decorator. Raises ValueError for a class without `type`, or one whose `type` is taken."""
+        field = entry.model_fields.get("type")
+        if field is None or not isinstance(field.default, str):
+            raise ValueError(
+                f"{entry.__name__}: needs a field `type: Literal[NAME] = NAME` that scene files select it by"
+            )
+        if field.default in map(type_name, self):
+            raise ValueError(f"{entry.__name__}: the type {field.default!r} is registered already")
+        self.append(entry)
+        self._notify()
+        return entry
+
+    def unregister(self, entry: type[Entry]) -> None:
+        """Remove a class."""
+        self.remove(entry)
+        self._notify()
+
+    def subscribe(self, callback: Callable[[], None]) -> None:
+        """Call `callback` after each change."""
+        self._subscribers.append(callback)
+
+    def _notify(self) -> None:
+        for callback in self._subscribers:
+            callback()
+
+
+def load_plugins(group: str = PLUGIN_GROUP) -> None:
+    """Import the modules of an entry-point group. Raises ImportError that names the plug-in."""
+    for plugin in sorted(entry_points(group=group), key=lambda each: each.name):
+        try:
+            plugin.load()
+        except Exception as error:
+            origin = f" of {plugin.dist.name}" if plugin.dist is not None else ""
+            raise ImportError(f"plug-in {plugin.name}{origin} ({plugin.value}): {error}") from error
