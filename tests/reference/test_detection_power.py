@@ -15,7 +15,8 @@ from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
 from caster.kernels.nearest import Rays
 from caster.rendering.hits import RayHits, trace_rays
-from caster.scene.files import Scene, load_scene
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from mitsuba_ref import validate
 from mitsuba_ref.error_model.bounds import PixelPairs
 from mitsuba_ref.error_model.intersections import K
