@@ -12,7 +12,7 @@ from caster.cli.exit_codes import OK
 from caster.cli.scene_arguments import add_pixel, add_scene, error_prefix, load
 
 if TYPE_CHECKING:
-    from caster.rendering.edge_distances import EdgeDistance
+    from caster.geometry.edge_distances import EdgeDistance
     from caster.rendering.pixel_probe import Candidate, PrimitiveResult, Probe
     from caster.scene.model import Scene
 
@@ -160,7 +160,7 @@ def _miss_text(tried: PrimitiveResult) -> str:
 
 def _distance_text(margin: EdgeDistance) -> str:
     """A signed edge distance, such as `edge 0-1 +0.0125`."""
-    from caster.rendering.edge_distances import EDGE_ON, UNIT_RADII
+    from caster.geometry.edge_distances import EDGE_ON, UNIT_RADII
 
     if margin.inside == 0.0:
         return f"{margin.of} 0, exactly on it" if margin.of != EDGE_ON else "the ray runs along it"
