@@ -1,4 +1,4 @@
-"""Colours that mean something: a scale of even steps for the eye, colours for numbers, the curve of a screen."""
+"""False-colour images of AOVs: colormaps, sRGB encoding, and the colour mapping of each kind of AOV."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -10,10 +10,10 @@ import numpy as np
 from caster.aovs import AOVS, BY_NAME
 from caster.description.errors import SceneError, suggestion
 
-ImageArray = np.ndarray[Any, np.dtype[Any]]
+Array = np.ndarray[Any, np.dtype[Any]]
 
-# OKLab by B. Ottosson (2020): perceived lightness and two opponent axes; equal distances look about equally far.
-# Its two matrices, as published: the cube roots of cone responses -> Lab is the inverse of the first.
+# OKLab by B. Ottosson (2020), a perceptually uniform space: lightness and two opponent axes. Its two matrices, as
+# published: the cube roots of cone responses (LMS) -> Lab is the inverse of the first.
 LMS_FROM_OKLAB = np.array(
     [
         [1.0, 0.3963377774, 0.2158037573],
@@ -29,29 +29,29 @@ LINEAR_SRGB_FROM_LMS = np.array(
     ]
 )
 
-COLORMAP_STEPS = 256  # of the scale: as many as a byte tells apart
-# (sqrt(5) - 1) / 2: its multiples fall evenly on a circle, far apart (Fibonacci hashing)
+COLORMAP_STEPS = 256  # entries of the colormap: the values of a byte
+# (sqrt(5) - 1) / 2: its multiples modulo 1 are evenly spread, and successive ones far apart (Fibonacci hashing)
 GOLDEN_RATIO_CONJUGATE = 0.6180339887498949
 
 
-def oklab_to_linear_srgb(lab: ImageArray) -> ImageArray:
-    """OKLab (..., 3) -> linear sRGB, which is outside 0..1 for what no screen shows."""
+def oklab_to_linear_srgb(lab: Array) -> Array:
+    """OKLab (..., 3) -> linear sRGB, outside 0..1 where the colour is out of gamut."""
     return (lab @ LMS_FROM_OKLAB.T) ** 3 @ LINEAR_SRGB_FROM_LMS.T
 
 
-def srgb_encoded(linear: ImageArray) -> ImageArray:
-    """Linear light -> what a screen is sent, both 0..1 (IEC 61966-2-1); what is beyond is cut off."""
+def srgb_encoded(linear: Array) -> Array:
+    """Linear light -> sRGB values, both 0..1, clipped (IEC 61966-2-1)."""
     x = np.clip(linear, 0.0, 1.0)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
 
 
-def to_bytes(values: ImageArray) -> ImageArray:
-    """0..1 -> 0..255, rounded; what is beyond is cut off."""
+def to_bytes(values: Array) -> Array:
+    """0..1 -> 0..255, clipped and rounded."""
     return np.round(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
 
 
-def colormap_path(t: ImageArray) -> ImageArray:
-    """OKLab colours from dark violet (t = 0) by blue and green to light yellow (t = 1), all of them on a screen."""
+def colormap_path(t: Array) -> Array:
+    """OKLab colours from dark violet (t = 0) over blue and green to light yellow (t = 1), all within the sRGB gamut."""
     lightness = 0.22 + 0.73 * t
     hue = 2.0 * math.pi * (0.83 - 0.53 * t)
     chroma = 0.085 + 0.11 * t - 0.05 * np.sin(math.pi * t)
@@ -59,8 +59,8 @@ def colormap_path(t: ImageArray) -> ImageArray:
 
 
 @cache
-def colormap() -> ImageArray:
-    """(STEPS, 3) bytes: neighbours look equally far from each other, and each is lighter than the one before."""
+def colormap() -> Array:
+    """The colormap, (COLORMAP_STEPS, 3) bytes: perceptually uniform, with increasing lightness."""
     t = np.linspace(0.0, 1.0, 16 * COLORMAP_STEPS)
     steps = np.linalg.norm(np.diff(colormap_path(t), axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
@@ -68,13 +68,13 @@ def colormap() -> ImageArray:
     return to_bytes(srgb_encoded(oklab_to_linear_srgb(colormap_path(even))))
 
 
-def colormap_lookup(values: ImageArray) -> ImageArray:
-    """0..1 -> colours of the scale, (..., 3) bytes; what is beyond is cut off."""
+def colormap_lookup(values: Array) -> Array:
+    """0..1, clipped -> colours of the colormap, (..., 3) bytes."""
     return colormap()[np.round((COLORMAP_STEPS - 1) * np.clip(values, 0.0, 1.0)).astype(int)]
 
 
-def label_colors(numbers: ImageArray) -> ImageArray:
-    """(..., 3) bytes: a colour for each whole number >= 0, the same in every picture; near numbers get far hues."""
+def label_colors(numbers: Array) -> Array:
+    """Categorical colours of integers >= 0, (..., 3) bytes: the same in every image; near numbers get distant hues."""
     n = numbers.astype(np.int64)
     hue = 2.0 * math.pi * ((n * GOLDEN_RATIO_CONJUGATE) % 1.0)
     lightness = np.array([0.72, 0.6, 0.84])[n // 5 % 3]
@@ -82,83 +82,80 @@ def label_colors(numbers: ImageArray) -> ImageArray:
     return to_bytes(srgb_encoded(oklab_to_linear_srgb(lab)))
 
 
-# An AOV as a picture: which colours it gets, and words on what they mean.
+# ---- AOVs ----
 
-
-Array = np.ndarray[Any, np.dtype[Any]]
-
-CHECKER_PIXELS = 8  # pixels: the side of a square behind misses
-CHECKER_GREYS = (58, 66)  # its two greys
+CHECKER_PIXELS = 8  # side of a square of the checkerboard behind misses
+CHECKER_GREYS = (58, 66)  # of the two kinds of squares
 NON_FINITE_COLOR = (255, 0, 255)
 
-# Where half of a picture is this many times as far as the nearest point, 1 / depth would leave it a few dark colours.
+# Median depth over least depth beyond which 1 / depth would leave half of the image a few dark colours.
 LOG_DEPTH_RATIO = 32.0
 
-# The brightest hundredth of what is lit does not decide how dark all the rest is.
+# White is this quantile of the lit pixels, so that highlights do not darken the rest.
 WHITE_QUANTILE = 0.99
 
 
 class LabelledImage(NamedTuple):
-    """pixels: (h, w, 3) bytes. words: what the colours mean, with the range in numbers."""
+    """An image for viewing. pixels: (h, w, 3) bytes; legend: the meaning of the colours, with ranges in numbers."""
 
     name: str
     pixels: Array
-    words: str
+    legend: str
 
 
 Colored = tuple[Array, str]
 Coloring = Callable[[Array, Array], Colored]
-"""(values, which of them to show (h, w) bool) -> ((h, w, 3) bytes, words). Of the others colours may be anything."""
+"""(values, (h, w) bool mask of pixels to show) -> ((h, w, 3) bytes, legend); colours outside the mask are arbitrary."""
 
 
 def aov_view(name: str, values: Array, hit: Array) -> LabelledImage:
-    """The picture of one AOV. hit: (h, w) bool, where there is something; the rest shows a checker.
+    """The image of one AOV. hit: (h, w) bool mask; misses show a checkerboard.
 
-    Values that are not finite where something is hit are magenta, and counted in the words. Raises SceneError for an
-    AOV that has no picture.
+    Non-finite values of hit pixels are magenta and counted in the legend. Raises SceneError for an AOV without a
+    colour mapping.
     """
     if name not in BY_NAME or BY_NAME[name].PREVIEW not in COLORINGS:
         known = [aov.NAME for aov in AOVS if aov.PREVIEW in COLORINGS]
-        raise SceneError(f"no picture of aov '{name}'{suggestion(name, known)} (known: {', '.join(known)})")
+        raise SceneError(f"no preview of aov '{name}'{suggestion(name, known)} (known: {', '.join(known)})")
     kind = BY_NAME[name].PREVIEW
     finite = _in_all_channels(np.isfinite(values))
     shown = (np.ones_like(hit) if kind == "mask" else hit) & finite
     if shown.any():
-        with np.errstate(all="ignore"):  # of what is not shown
-            pixels, words = COLORINGS[kind](values, shown)
+        with np.errstate(all="ignore"):  # in pixels outside the mask
+            pixels, legend = COLORINGS[kind](values, shown)
     else:
-        pixels, words = np.zeros((*hit.shape, 3), np.uint8), "nothing to show"
+        pixels, legend = np.zeros((*hit.shape, 3), np.uint8), "nothing to show"
     broken = hit & ~finite
     if broken.any():
-        words += f"; {non_finite_counts(values, broken)}: magenta"
+        legend += f"; {non_finite_counts(values, broken)}: magenta"
     pixels = np.where(shown[..., None], pixels, checkerboard(hit.shape))
     return LabelledImage(
-        name, np.where(broken[..., None], np.array(NON_FINITE_COLOR, np.uint8), pixels), words
+        name, np.where(broken[..., None], np.array(NON_FINITE_COLOR, np.uint8), pixels), legend
     )
 
 
 def non_finite_counts(values: Array, broken: Array) -> str:
-    """ "12 pixels NaN, 3 pixels infinite"."""
+    """Counts in words: "12 pixels NaN, 3 pixels infinite"."""
     nan = broken & ~_in_all_channels(~np.isnan(values))
     counts = {"NaN": int(nan.sum()), "infinite": int((broken & ~nan).sum())}
     return ", ".join(f"{n} pixel{'s' * (n != 1)} {what}" for what, n in counts.items() if n)
 
 
 def _in_all_channels(fine: Array) -> Array:
-    """(h, w) bool: fine in every channel."""
+    """Logical and over the channels, (h, w) bool."""
     return fine if fine.ndim == 2 else np.all(fine, axis=-1)
 
 
 def checkerboard(shape: tuple[int, ...]) -> Array:
-    """(h, w, 3) bytes."""
+    """A grey checkerboard, (h, w, 3) bytes."""
     y, x = np.indices(shape[:2]) // CHECKER_PIXELS
     return np.repeat(np.array(CHECKER_GREYS, np.uint8)[(x + y) % 2][..., None], 3, axis=-1)
 
 
 def _depth(values: Array, shown: Array) -> Colored:
-    """By 1 / depth, in which things near the eye and a plane up to the horizon both have colours of their own."""
-    seen = values[shown]
-    near, far, middle = float(seen.min()), float(seen.max()), float(np.median(seen))
+    """Mapping by 1 / depth, which resolves near objects as well as a plane up to the horizon; wide ranges by log."""
+    depths = values[shown]
+    near, far, middle = float(depths.min()), float(depths.max()), float(np.median(depths))
     t = np.where(shown, values, far)
     if not near > 0.0:
         how, closeness, farthest, nearest = "", -t, -far, -near
@@ -223,7 +220,7 @@ def _labels(values: Array, shown: Array) -> Colored:
     return label_colors(np.where(shown, values, 0)), f"a colour a number, {count} of them"
 
 
-# By what an AOV declares as its PREVIEW.
+# Colour mappings by the PREVIEW that an AOV declares.
 COLORINGS: Mapping[str, Coloring] = {
     "mask": _mask,
     "depth": _depth,
@@ -242,13 +239,15 @@ def class_map_view(
     colors: Mapping[int, tuple[int, int, int]],
     hit: Array,
 ) -> LabelledImage:
-    """A map of classes, (h, w) whole numbers, with the counts in words; without a colour of its own, one by number.
+    """The image of a class map, (h, w) integers, with counts in the legend.
 
-    hit: (h, w) bool, which pixels have one.
+    names, colors: by class; a class without a colour gets a categorical one. hit: (h, w) bool, pixels with a class.
     """
     pixels = label_colors(classes)
     for code, color in colors.items():
         pixels[classes == code] = color
     found, counts = np.unique(classes[hit], return_counts=True)
-    words = ", ".join(f"{names.get(int(code), str(code))} {n}" for code, n in zip(found, counts, strict=True))
-    return LabelledImage("class", np.where(hit[..., None], pixels, checkerboard(classes.shape)), words)
+    legend = ", ".join(
+        f"{names.get(int(code), str(code))} {n}" for code, n in zip(found, counts, strict=True)
+    )
+    return LabelledImage("class", np.where(hit[..., None], pixels, checkerboard(classes.shape)), legend)

@@ -1,4 +1,4 @@
-"""Named channels and provenance <-> OpenEXR. The only module that imports OpenEXR."""
+"""Reading and writing OpenEXR files of named channels and provenance. The only module that imports OpenEXR."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ __all__ = ["NO_ID", "Exr", "OutputError", "Part", "UnreadableExr", "Window", "re
 NO_ID = 0xFFFFFFFF
 """`id.shape` and `id.prim` of a pixel that hits nothing."""
 
-MAGIC = 20000630  # the first four bytes of every EXR file, little endian
-DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four
+MAGIC = 20000630  # first four bytes of an EXR file, little endian
+DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four bytes
 
 
 class Exr(NamedTuple):
@@ -69,7 +69,7 @@ def write_exr(
     Raises SceneError for what an EXR cannot hold (another shape, a finite value that float32 cannot),
     OutputError if the file cannot be written; an older file of that name is then still there, untouched.
     """
-    import OpenEXR  # here, so that `--help` need not load it
+    import OpenEXR  # deferred, so that `--help` does not load it
 
     height, width = common_shape(channels)
     window = checked_window("data_window", (0, 0, width, height) if data_window is None else data_window)
@@ -85,7 +85,7 @@ def write_exr(
         **header_attributes(provenance),
     }
     # The library stores the memory order of a strided array and puts its own objects into the dict it is
-    # given: it only ever gets fresh contiguous copies in a dict of ours.
+    # given: it is given fresh contiguous copies in a dict of its own.
     copies = {name: to_storable(name, channels[name], window) for name in sorted(channels)}
     with atomic_write(path) as part:
         OpenEXR.File(header, copies).write(str(part))
@@ -97,7 +97,7 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
     A channel of a part that names no layer (`Z`) is called after its part (`depth.Z`), but in a part `rgba`, `rgb`,
     `beauty`, `combined` or `main`. Of several resolutions, the finest is read.
     Raises FileMissing if there is no such file, UnreadableExr if it is not a whole, flat EXR, or if its parts are no
-    layers of one picture: of different sizes, or of several views.
+    layers of one image: of different sizes, or of several views.
     """
     path = Path(path)
     read = _decode_multi_part(path) if _is_multi_part(path) else [_decode(path)[0]]
@@ -139,7 +139,7 @@ def _exclusive(box: Any) -> Window:
 
 
 def _is_multi_part(path: Path) -> bool:
-    """Whether there are parts to be read. Raises FileMissing, and UnreadableExr for what is no flat EXR image."""
+    """Whether a file is a multi-part EXR. Raises FileMissing, and UnreadableExr for anything but a flat EXR image."""
     try:
         with path.open("rb") as file:
             start = file.read(8)
@@ -158,7 +158,7 @@ def _is_multi_part(path: Path) -> bool:
 
 
 def _decode_multi_part(path: Path) -> list[Any]:
-    """The library's parts of a multi-part file, all of them, once it is known that they make one picture."""
+    """Decode all parts of a multi-part file, after checking that they are layers of one image."""
     headers = [part.header for part in _decode(path, header_only=True)]
     check_parts(path, headers, _exclusive)
     read = _decode(path)
@@ -167,7 +167,7 @@ def _decode_multi_part(path: Path) -> list[Any]:
 
 
 def _decode(path: Path, *, header_only: bool = False) -> list[Any]:
-    """The library's parts. Raises UnreadableExr where there is none; one of many may be missing."""
+    """Decode the parts of a file. Raises UnreadableExr if there is none; the library may drop one of several."""
     import OpenEXR
 
     size = path.stat().st_size
@@ -187,7 +187,7 @@ def _pixels(path: Path, name: str, channel: Any, window: Window) -> np.ndarray:
     shape = np.shape(channel.pixels)
     if shape != (y1 - y0, x1 - x0):
         raise UnreadableExr(f"{path}: channel '{name}' has {shape} values for window {window}: subsampled")
-    return np.array(channel.pixels)  # a copy of ours: the library's own lives as long as its part
+    return np.array(channel.pixels)  # copied: the library's array lives only as long as its part
 
 
 _redirection_lock = threading.Lock()
@@ -195,7 +195,7 @@ _redirection_lock = threading.Lock()
 
 @contextlib.contextmanager
 def _library_output_suppressed() -> Iterator[None]:
-    """Keep the library's own words from the user: it prints to sys.stdout and to file descriptor 2."""
+    """Suppress messages that the library prints to sys.stdout and to file descriptor 2."""
     with _redirection_lock, contextlib.redirect_stdout(io.StringIO()), open(os.devnull, "wb") as nowhere:
         try:
             terminal = os.dup(2)

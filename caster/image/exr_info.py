@@ -1,4 +1,4 @@
-"""How values are spread, as counts and as one line of text."""
+"""Description of an EXR file: channels, ranges, histograms, counts of NaN, inf and hits, provenance."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ __all__ = ["hit_mask"]
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
-BINS = 24  # columns of a line that also holds ranges and counts
+BINS = 24  # columns of a histogram beside ranges and counts
 BLOCK_RAMP = " ▁▂▃▄▅▆▇█"
 ASCII_RAMP = " .:-=+*#@"
 
 
 def bin_counts(values: Array, bins: int = BINS) -> list[int]:
-    """How many of the values fall into each of `bins` equal parts of min..max; values: (n,), all finite.
+    """A histogram over `bins` equal parts of min..max. values: (n,), all finite.
 
-    Equal values are all in one part. Empty without values.
+    One bin if all values are equal, none without values.
     """
     if not values.size:
         return []
     low, high = float(values.min()), float(values.max())
     if not high > low:
         return [int(values.size)]
-    # by halves, since the whole span of float64 values may be beyond float64
+    # by halves, as max - min may overflow float64
     share = (0.5 * values - 0.5 * low) / (0.5 * high - 0.5 * low)
-    place = np.minimum((bins * share).astype(int), bins - 1)
-    return [int(count) for count in np.bincount(place, minlength=bins)]
+    bin_index = np.minimum((bins * share).astype(int), bins - 1)
+    return [int(count) for count in np.bincount(bin_index, minlength=bins)]
 
 
 def histogram_text(counts: Sequence[int], ramp: str = BLOCK_RAMP) -> str:
-    """A character for each count: blank for none, then by its share of the largest, the lowest for very few."""
+    """A character for each count: blank for 0, else by its share of the largest, at least the lowest."""
     most, steps = max(counts, default=0), len(ramp) - 1
     return "".join(ramp[0 if not count else max(1, round(steps * count / most))] for count in counts)
 
 
 def ramp_for(encoding: str | None) -> str:
-    """Blocks where the terminal's encoding has them."""
+    """The characters of a histogram: blocks if the encoding of the terminal has them, else ASCII."""
     try:
         BLOCK_RAMP.encode(encoding or "ascii")
     except (UnicodeEncodeError, LookupError):
@@ -51,8 +51,7 @@ def ramp_for(encoding: str | None) -> str:
     return BLOCK_RAMP
 
 
-# What `caster info FILE.exr` tells: channels, ranges, counts of NaN, inf and hits, provenance.
-
+# ---- description ----
 
 MAX_VALUE_CHARACTERS = 72  # characters of a provenance value on a terminal line; --json has all of them
 TYPES = {"float32": "float", "float16": "half", "uint32": "uint"}
@@ -60,10 +59,9 @@ TABLE_COLUMNS = ("channel", "type", "min", "max", "NaN", "+inf", "-inf", "no id"
 
 
 def hit_mask(channels: Mapping[str, np.ndarray]) -> tuple[np.ndarray | None, str]:
-    """Which pixels hit something, (h, w) bool, and the channel that says so.
+    """The hit mask, (h, w) bool, and the channel it is derived from; (None, "") if there is none.
 
-    The mask channel `A` is asked first, then the ids, and depth only where there is neither (another
-    renderer's sentinel is not ours). (None, "") if no channel tells.
+    By the mask channel `A`, else the ids, else depth (other renderers mark misses by other values).
     """
     if "A" in channels:
         return channels["A"] != 0, "A"
@@ -79,7 +77,7 @@ def describe_exr(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Everything `caster info` prints, ready for JSON (numbers are finite, None where there is none).
 
     Ranges and histograms are over finite values; for uint channels over the pixels that carry an id.
-    Pixels are (x, y) on the film. Warnings are what no image of ours holds.
+    Pixels are (x, y) on the film. Warnings list values that no image of this renderer contains.
     Raises FileMissing or UnreadableExr.
     """
     exr = read_exr(path)
@@ -102,7 +100,7 @@ def describe_exr(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def format_info(info: Mapping[str, Any], encoding: str | None = "utf-8") -> str:
-    """The text `caster info` prints, from the dict of describe_exr(). encoding: of the terminal."""
+    """Format the dict of describe_exr() for `caster info`. encoding: of the terminal."""
     return "\n".join(
         [
             f"{info['file']}  {info['width']} x {info['height']}, {info['bytes']} bytes",
@@ -147,7 +145,7 @@ def _first(mask: np.ndarray, window: Window) -> list[int] | None:
 def _warnings(
     channels: Mapping[str, np.ndarray], mask: np.ndarray | None, source: str, window: Window
 ) -> list[str]:
-    """NaN, infinities other than the depth of a miss, a mask that contradicts the depth."""
+    """Warnings on NaN, on infinities other than the depth of a miss, and on a mask that contradicts the depth."""
     found = []
     for name, values in channels.items():
         wide = values.astype(np.float64)
@@ -169,10 +167,10 @@ def _windows(info: Mapping[str, Any]) -> list[str]:
 
 
 def _parts(info: Mapping[str, Any]) -> list[str]:
-    """Of a multi-part file, which channels are of which part."""
+    """Parts of a multi-part file with their channels."""
     parts = [str(Part(part["name"], tuple(part["channels"]))) for part in info["parts"]]
     return (
-        [f"{len(parts)} parts as one picture:", *(f"  {_truncated(part)}" for part in parts)] if parts else []
+        [f"{len(parts)} parts as one image:", *(f"  {_truncated(part)}" for part in parts)] if parts else []
     )
 
 
@@ -217,7 +215,7 @@ def _provenance(provenance: Mapping[str, str]) -> list[str]:
 
 
 def _truncated(value: str) -> str:
-    # Text from a file: no control character of it may reach the terminal.
+    # Text from a file: its control characters must not reach the terminal.
     shown = "".join(c if c.isprintable() else " " for c in value[: MAX_VALUE_CHARACTERS + 1])
     return (
         shown

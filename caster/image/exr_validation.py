@@ -1,4 +1,8 @@
-"""What an EXR file can hold: channels of one shape, names and text of limited length, float32 or uint32."""
+"""Validation of EXR content: shapes, types and names of channels, attributes, and the parts of multi-part files.
+
+Blender, Nuke, Arnold and RenderMan write a part for each layer. A channel that names its layer (`ViewLayer.Depth.Z`)
+keeps its name; any other is prefixed by its part (`Z` of the part `depth` is `depth.Z`, of the part `Z` it is `Z`).
+"""
 
 import re
 from collections import Counter
@@ -13,18 +17,18 @@ from caster.description.errors import FileMissing, SceneError
 __all__ = ["PROVENANCE_PREFIX"]
 
 Window = tuple[int, int, int, int]
-"""x0, y0, x1, y1 in pixels of the full film; x1 and y1 are the first column and row outside."""
+"""x0, y0, x1, y1 in pixels of the full film; x1 and y1 are exclusive."""
 
 PROVENANCE_PREFIX = "caster/"
-MAX_NAME_BYTES = 255  # bytes; the library drops a longer attribute without a word
+MAX_NAME_BYTES = 255  # the library silently drops an attribute with a longer name
 
 
 class UnreadableExr(FileMissing):
-    """A file that is there but is not a whole, flat EXR picture."""
+    """A file that exists but is not a complete, flat EXR image."""
 
 
 def common_shape(channels: Mapping[str, np.ndarray]) -> tuple[int, int]:
-    """(height, width) of all channels. Raises SceneError for none, for another shape, for a name that cannot be."""
+    """The common (height, width) of channels. Raises SceneError for no channels, differing shapes, invalid names."""
     if not channels:
         raise SceneError("an EXR needs at least one channel, got none")
     first = next(iter(channels))
@@ -55,7 +59,7 @@ def _utf8(what: str, text: str) -> bytes:
 
 
 def checked_window(what: str, window: Window) -> Window:
-    """The window in whole numbers. Raises SceneError for one without a pixel."""
+    """A window as integers. Raises SceneError for an empty one."""
     x0, y0, x1, y1 = (int(edge) for edge in window)
     if x1 <= x0 or y1 <= y0:
         raise SceneError(f"{what}: expected x0 < x1 and y0 < y1, got ({x0}, {y0}, {x1}, {y1})")
@@ -63,7 +67,7 @@ def checked_window(what: str, window: Window) -> Window:
 
 
 def header_attributes(provenance: Mapping[str, str]) -> dict[str, str]:
-    """Header attributes under caster/. Raises SceneError for what is no text."""
+    """Header attributes under caster/ of provenance. Raises SceneError for values that are no text."""
     attributes: dict[str, str] = {}
     for key, value in sorted(provenance.items()):
         name = PROVENANCE_PREFIX + key.removeprefix(PROVENANCE_PREFIX)
@@ -94,33 +98,28 @@ def to_storable(name: str, values: np.ndarray, window: Window) -> np.ndarray:
     return narrow
 
 
-# The parts of a multi-part EXR file as one picture: what their channels are called, and what makes no picture.
-#
-# Blender, Nuke, Arnold and RenderMan write a part for each layer. A channel that names its layer (`ViewLayer.Depth.Z`)
-# keeps its name, any other is called after its part (`Z` of the part `depth` is `depth.Z`, that of the part
-# `Z` is `Z`).
+# ---- parts ----
 
-
-# Parts of these names hold the picture itself, whose channels are R G B A everywhere; the library and OpenImageIO
-# number parts that were given no name.
+# Parts of these names hold the beauty image with channels R G B A; unnamed parts are numbered by the library and by
+# OpenImageIO.
 MAIN_PART_NAME = re.compile(r"(.*\.)?(rgba?|beauty|combined|main|part ?\d+|subimage ?\d+)", re.IGNORECASE)
 
 
 class Part(NamedTuple):
-    """A part of a file by its name, and its channels as the whole picture calls them."""
+    """A part of a file: its name, and the names of its channels in the merged image."""
 
     name: str
     channels: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Such as `depth (Z)`: without its own name again before each channel."""
+        """Such as `depth (Z)`: channels without the prefix of the part."""
         return f"{self.name} ({', '.join(name.removeprefix(f'{self.name}.') for name in self.channels)})"
 
 
 def check_parts(path: Path, headers: Sequence[Mapping[str, Any]], window: Callable[[Any], Window]) -> None:
-    """Raise UnreadableExr for parts that are no layers of one flat picture, saying which.
+    """Raise UnreadableExr, naming the parts, unless they are layers of one flat image.
 
-    headers: of all parts; window: what the library's box is in our way of saying it.
+    headers: of all parts; window: converts the library's box to a Window.
     """
     deep = [_part_name(each) for each in headers if "deep" in str(each.get("type"))]
     if deep:
@@ -130,19 +129,19 @@ def check_parts(path: Path, headers: Sequence[Mapping[str, Any]], window: Callab
     views = dict.fromkeys(str(each["view"]) for each in headers if each.get("view"))
     if len(views) > 1:
         raise UnreadableExr(
-            f"{path}: pictures of {len(views)} views ({_quoted_list(views)}); write one of them"
+            f"{path}: images of {len(views)} views ({_quoted_list(views)}); write one of them"
         )
     windows = [window(each["dataWindow"]) for each in headers]
     if len(set(windows)) > 1:
         shown = [f"'{_part_name(each)}' shows {box}" for each, box in zip(headers, windows, strict=True)]
         raise UnreadableExr(
-            f"{path}: parts of different sizes, expected layers of one picture: pixels (x0, y0, x1, y1): part "
+            f"{path}: parts of different sizes, expected layers of one image: pixels (x0, y0, x1, y1): part "
             f"{', '.join(shown)}; write one of them, or all with the same data window"
         )
 
 
 def check_all_read(path: Path, headers: Sequence[Mapping[str, Any]], read: Sequence[str]) -> None:
-    """Raise UnreadableExr for parts that are in the file and were not decoded: the library drops these."""
+    """Raise UnreadableExr for parts of the file that the library dropped without decoding them."""
     left = [name for name in map(_part_name, headers) if name not in read]
     if left:
         raise UnreadableExr(
@@ -151,9 +150,9 @@ def check_all_read(path: Path, headers: Sequence[Mapping[str, Any]], read: Seque
 
 
 def merged_channel_names(path: Path, parts: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
-    """(part, channel) -> the name of the channel in the whole picture; parts: their channels.
+    """(part, channel) -> the name of the channel in the merged image. parts: channels by part.
 
-    Raises UnreadableExr where two would have one name.
+    Raises UnreadableExr where two channels would have the same name.
     """
     plain = {(part, channel): _merged_name(part, channel) for part, each in parts.items() for channel in each}
     times = Counter(plain.values())
@@ -173,10 +172,10 @@ def _merged_name(part: str, channel: str) -> str:
     return f"{part}.{channel}"
 
 
-def merged_provenance(path: Path, told: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """What the parts say together of where they are from. Raises UnreadableExr where they contradict each other."""
+def merged_provenance(path: Path, parts: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """The union of the provenance of all parts. Raises UnreadableExr where parts contradict each other."""
     whole: dict[str, str] = {}
-    for each in told:
+    for each in parts:
         for key, value in each.items():
             if whole.setdefault(key, value) != value:
                 raise UnreadableExr(

@@ -1,4 +1,4 @@
-"""Pixels and labels <-> picture files. The only module that imports Pillow."""
+"""Reading and writing PNG and TGA files, and text labels. The only module that imports Pillow."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ IMAGE_FORMATS = {".png": "PNG", ".tga": "TGA"}
 
 
 def check_image_name(option: str, path: str) -> None:
-    """Raise SceneError for a name that does not say which kind of picture it is."""
+    """Raise SceneError for a file name without the suffix of a supported format."""
     if Path(path).suffix.lower() not in IMAGE_FORMATS:
         raise SceneError(f"{option} {path}: expected a name that ends in {listed(IMAGE_FORMATS)}")
 
 
 def write_image(path: str, pixels: Array, about: Mapping[str, str] = {}) -> None:
-    """(h, w, 3) bytes as a .png or .tga file; the same pixels, the same bytes. about: texts kept in a PNG.
+    """Write (h, w, 3) bytes as a .png or .tga file, deterministically. about: text chunks of a PNG.
 
     Raises OutputError.
     """
@@ -37,7 +37,7 @@ def write_image(path: str, pixels: Array, about: Mapping[str, str] = {}) -> None
 
 
 def encode_image(pixels: Array, kind: str, about: Mapping[str, str] = {}) -> bytes:
-    """(h, w, 3) bytes as a file of one of the kinds of SUFFIXES."""
+    """Encode (h, w, 3) bytes in one of the formats of IMAGE_FORMATS."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
@@ -53,7 +53,7 @@ def encode_image(pixels: Array, kind: str, about: Mapping[str, str] = {}) -> byt
 
 
 def read_image(path: str) -> Array:
-    """(h, w, 3) bytes of a picture file."""
+    """Read an image file as (h, w, 3) bytes."""
     from PIL import Image
 
     with Image.open(path) as image:
@@ -61,7 +61,7 @@ def read_image(path: str) -> Array:
 
 
 def label_image(text: str, width: int, height: int) -> Array:
-    """(height, width, 3) bytes: a line of text in the middle, shortened where it is too long."""
+    """An image of one line of text, centred and shortened to fit, (height, width, 3) bytes."""
     from PIL import Image, ImageDraw
 
     font = _font(round(0.7 * height))
@@ -79,5 +79,5 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     from PIL import ImageFont
 
     font = ImageFont.load_default(size)
-    assert isinstance(font, ImageFont.FreeTypeFont)  # given a size, Pillow takes the font it brings along
+    assert isinstance(font, ImageFont.FreeTypeFont)  # with a size, Pillow returns its bundled TrueType font
     return font

@@ -1,4 +1,4 @@
-"""Several pictures as one: side by side, or in rows, each with its name below."""
+"""Previews of renders and EXR files, labelled strips and sheets, thumbnails of scenes."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -19,20 +19,20 @@ from caster.scene.model import Scene
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
-GAP_PIXELS = 4  # pixels of paper between pictures
-LABEL_PIXELS = 18  # pixels: height of a label
+GAP_PIXELS = 4  # between images of a sheet
+LABEL_PIXELS = 18  # height of a label
 
 
-def strip(pictures: Sequence[LabelledImage]) -> Array:
-    """One picture as it is; several side by side, labelled. (h, w, 3) bytes."""
-    return pictures[0].pixels if len(pictures) == 1 else sheet(pictures, len(pictures))
+def strip(images: Sequence[LabelledImage]) -> Array:
+    """Images side by side with labels, (h, w, 3) bytes; a single image unchanged."""
+    return images[0].pixels if len(images) == 1 else sheet(images, len(images))
 
 
-def sheet(pictures: Sequence[LabelledImage], columns: int) -> Array:
-    """Pictures in rows of so many, each in the middle of its cell, its name below it."""
-    height = max(each.pixels.shape[0] for each in pictures)
-    width = max(each.pixels.shape[1] for each in pictures)
-    cells = [_cell(each, height, width) for each in pictures]
+def sheet(images: Sequence[LabelledImage], columns: int) -> Array:
+    """A grid of images with the given number of columns, each centred in its cell above its name."""
+    height = max(each.pixels.shape[0] for each in images)
+    width = max(each.pixels.shape[1] for each in images)
+    cells = [_cell(each, height, width) for each in images]
     rows = [cells[i : i + columns] for i in range(0, len(cells), columns)]
     blank = blank_image(height + LABEL_PIXELS, width)
     rows[-1] += [blank] * (min(columns, len(cells)) - len(rows[-1]))
@@ -43,17 +43,17 @@ def blank_image(height: int, width: int) -> Array:
     return np.full((height, width, 3), BACKGROUND, np.uint8)
 
 
-def _cell(picture: LabelledImage, height: int, width: int) -> Array:
+def _cell(image: LabelledImage, height: int, width: int) -> Array:
     cell = blank_image(height + LABEL_PIXELS, width)
-    h, w, _ = picture.pixels.shape
+    h, w, _ = image.pixels.shape
     y, x = (height - h) // 2, (width - w) // 2
-    cell[y : y + h, x : x + w] = picture.pixels
-    cell[height:] = label_image(picture.name, width, LABEL_PIXELS)
+    cell[y : y + h, x : x + w] = image.pixels
+    cell[height:] = label_image(image.name, width, LABEL_PIXELS)
     return cell
 
 
 def _joined(parts: Sequence[Array], axis: int) -> Array:
-    """With gaps between them."""
+    """Concatenate images along an axis with gaps between them."""
     if len(parts) == 1:
         return parts[0]
     shape = list(parts[0].shape)
@@ -62,15 +62,19 @@ def _joined(parts: Sequence[Array], axis: int) -> Array:
     return np.concatenate([piece for part in parts for piece in (part, gap)][:-1], axis=axis)
 
 
-# Previews: pictures of some of the AOVs of a render, or of what an EXR file holds, in one file.
+# ---- previews ----
 
-
-CLASS_MAP = "class"  # beside the AOVs, what a file of verdicts or differences holds
-DEFAULT_PREVIEWS = ("diffuse", CLASS_MAP, "normal", "depth")  # what is shown, if nobody says what
+CLASS_MAP = "class"  # the layer of an EXR file of verdicts or differences
+DEFAULT_PREVIEWS = (
+    "diffuse",
+    CLASS_MAP,
+    "normal",
+    "depth",
+)  # the first of these that exists is shown by default
 
 
 def aov_images(aovs: Aovs, names: Sequence[str]) -> list[LabelledImage]:
-    """One for each name; without names, the one that tells most. Raises SceneError for one that is not there."""
+    """Images of AOVs of a render; without names, of a default one. Raises SceneError for an AOV not rendered."""
     return [
         aov_view(name, _image(aovs, name), aovs.hit)
         for name in names or _default_names(list(aovs) or ["hit"])
@@ -78,7 +82,7 @@ def aov_images(aovs: Aovs, names: Sequence[str]) -> list[LabelledImage]:
 
 
 def exr_images(path: str | PathLike[str], names: Sequence[str]) -> list[LabelledImage]:
-    """The same of an EXR file, which may also hold classes. Raises FileMissing, UnreadableExr, SceneError."""
+    """Images of AOVs and class maps of an EXR file. Raises FileMissing, UnreadableExr, SceneError."""
     exr = read_exr(path)
     shape = next(iter(exr.channels.values())).shape
     mask, _ = hit_mask(exr.channels)
@@ -98,11 +102,11 @@ def exr_images(path: str | PathLike[str], names: Sequence[str]) -> list[Labelled
     ]
 
 
-def write_preview(path: str, pictures: Sequence[LabelledImage], about: Mapping[str, str] = {}) -> list[str]:
-    """Write them as a strip; a line on each, which a PNG holds, too. Raises OutputError."""
-    lines = [f"{each.name}: {each.words}" for each in pictures]
+def write_preview(path: str, images: Sequence[LabelledImage], about: Mapping[str, str] = {}) -> list[str]:
+    """Write images as a strip; returns the legend lines, which a PNG also contains. Raises OutputError."""
+    lines = [f"{each.name}: {each.legend}" for each in images]
     write_image(
-        path, strip(pictures), {"Software": f"caster {__version__}", "Description": "\n".join(lines), **about}
+        path, strip(images), {"Software": f"caster {__version__}", "Description": "\n".join(lines), **about}
     )
     return lines
 
@@ -127,9 +131,12 @@ def _classes_in(exr: Exr) -> list[str]:
 
 
 def _classes(exr: Exr, hit: np.ndarray) -> LabelledImage:
-    """Names as in caster/classes ("0 agree, 1 tie"), colours as in caster/class_colors ("0 #102030, 1 #ffffff")."""
-    told = exr.provenance.get("caster/classes") or exr.provenance.get("caster/class", "")
-    names = {int(code): name for code, name in re.findall(r"(\d+) ([^,]+)", told)}
+    """The class map of a file, named by its attribute caster/classes ("0 agree, 1 tie").
+
+    Colours are those of caster/class_colors ("0 #102030, 1 #ffffff").
+    """
+    listed = exr.provenance.get("caster/classes") or exr.provenance.get("caster/class", "")
+    names = {int(code): name for code, name in re.findall(r"(\d+) ([^,]+)", listed)}
     colors = {
         int(code): (int(color[:2], 16), int(color[2:4], 16), int(color[4:], 16))
         for code, color in re.findall(r"(\d+) #([0-9a-f]{6})", exr.provenance.get("caster/class_colors", ""))
@@ -137,16 +144,15 @@ def _classes(exr: Exr, hit: np.ndarray) -> LabelledImage:
     return class_map_view(exr.channels["class.I"].astype(np.int64), names, colors, hit)
 
 
-# A small picture of each of many scenes.
+# ---- thumbnails ----
 
-
-UNLIT_AOV = "normal"  # what is shown of a scene without lights, which would be black
+UNLIT_AOV = "normal"  # shown instead of diffuse for a scene without lights
 
 
 def thumbnail(
     scene: Scene, name: str, side: int, aov: str = "diffuse", threads: int | None = None
 ) -> LabelledImage:
-    """The scene rendered so that its longer side is `side` pixels, or a whole part of that if it has fewer."""
+    """Render a scene at a longer side of `side` pixels; a smaller film is enlarged by an integer factor."""
     film = scene.film
     share = min(1.0, side / max(film.width, film.height))
     small = scene.with_film(
@@ -154,11 +160,11 @@ def thumbnail(
     )
     aov = aov if aov != "diffuse" or scene.lights else UNLIT_AOV
     aovs = render(small, (aov,), threads=threads)
-    picture = aov_view(aov, aovs[aov].astype(np.float64) if aov == "hit" else aovs[aov], aovs.hit)
-    times = max(1, side // max(picture.pixels.shape[:2]))
-    return LabelledImage(name, picture.pixels.repeat(times, axis=0).repeat(times, axis=1), picture.words)
+    image = aov_view(aov, aovs[aov].astype(np.float64) if aov == "hit" else aovs[aov], aovs.hit)
+    times = max(1, side // max(image.pixels.shape[:2]))
+    return LabelledImage(name, image.pixels.repeat(times, axis=0).repeat(times, axis=1), image.legend)
 
 
 def sheet_columns(count: int, ratio: float = 1.5) -> int:
-    """So many that a sheet of square cells is about `ratio` times as wide as high."""
+    """The number of columns for which a sheet of square cells is about `ratio` times as wide as high."""
     return max(1, round(float(np.sqrt(ratio * count))))

@@ -91,7 +91,7 @@ REFUSED = {
     "sizes": (
         {"rgba": of("A"), "depth": {"Z": np.zeros((2, 3), np.float32)}},
         {"depth": SMALL},
-        "parts of different sizes, expected layers of one picture: pixels (x0, y0, x1, y1): "
+        "parts of different sizes, expected layers of one image: pixels (x0, y0, x1, y1): "
         "part 'rgba' shows (0, 0, 7, 5), 'depth' shows (2, 1, 5, 3)",
     ),
     "deep": (
@@ -102,7 +102,7 @@ REFUSED = {
     "views": (
         {"rgba.left": of("A"), "rgba.right": of("A")},
         {"rgba.left": {"view": "left"}, "rgba.right": {"view": "right"}},
-        "pictures of 2 views ('left', 'right')",
+        "images of 2 views ('left', 'right')",
     ),
     "not decoded": (  # the library cannot read all that it writes, and leaves such parts out
         {"rgba": of("A"), "mip": of("Z")},

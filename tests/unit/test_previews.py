@@ -114,7 +114,7 @@ def test_every_aov_of_a_render_is_shown(folder):
         assert shown.pixels.shape == (16, 24, 3) and shown.pixels.dtype == np.uint8
         if name != "hit":
             assert (shown.pixels[~aovs.hit] == behind[~aovs.hit]).all(), name
-        assert "magenta" not in shown.words, name
+        assert "magenta" not in shown.legend, name
 
 
 def test_values_that_are_not_finite_are_magenta_and_counted():
@@ -122,12 +122,12 @@ def test_values_that_are_not_finite_are_magenta_and_counted():
     values[0, 1], values[1] = np.nan, np.inf
     hit[1, 2] = False
     shown = aov_view("depth", values, hit)
-    assert shown.words.endswith("; 1 pixel NaN, 2 pixels infinite: magenta")
+    assert shown.legend.endswith("; 1 pixel NaN, 2 pixels infinite: magenta")
     assert (shown.pixels == NON_FINITE_COLOR).all(axis=-1).tolist() == [
         [False, True, False],
         [True, True, False],
     ]
-    assert aov_view("normal", np.full((1, 1, 3), np.nan), np.ones((1, 1), bool)).words.startswith(
+    assert aov_view("normal", np.full((1, 1, 3), np.nan), np.ones((1, 1), bool)).legend.startswith(
         "nothing to show; 1 "
     )
 
@@ -154,7 +154,7 @@ def one_row(name, *values):
 )
 def test_depth_is_light_near_and_dark_far_and_says_its_range(depths, middle, says):
     shown = one_row("depth", *depths)
-    assert shown.words == says
+    assert shown.legend == says
     colors = colormap()
     assert shown.pixels[0].tolist() == [colors[i].tolist() for i in (255, round(255 * middle), 0)]
 
