@@ -2,64 +2,76 @@
 
 from caster.cli.application import Command
 
-_HERE = "mitsuba_ref.cli"
-
 COMMANDS = (
     Command(
         "validate",
         "compare our caster with Mitsuba on scenes: every pixel gets a class, the exit code says pass or fail",
-        f"{_HERE}.validate",
+        "mitsuba_ref.cli.validate",
     ),
-    Command("merge", "merge the verdicts of all shards; a missing one fails", f"{_HERE}.merge"),
+    Command(
+        "merge", "merge the verdicts of all shards of a run; a missing one fails", "mitsuba_ref.cli.merge"
+    ),
     Command(
         "render",
         "render a scene with Mitsuba to an EXR file, along the rays that our caster traces",
-        f"{_HERE}.render",
+        "mitsuba_ref.cli.render",
     ),
     Command(
         "approve",
-        "render reference EXRs with Mitsuba, show what changed in them, and write them once that is approved",
-        f"{_HERE}.approve",
+        "render reference EXRs with Mitsuba, show what changed in them, and write them once approved",
+        "mitsuba_ref.cli.approved_references",
+        run="run_approve",
+        arguments="add_approve_arguments",
     ),
     Command(
         "check",
         "compare our render with approved reference EXRs, without Mitsuba; stale or altered ones fail",
-        f"{_HERE}.check",
+        "mitsuba_ref.cli.approved_references",
+        run="run_check",
+        arguments="add_check_arguments",
     ),
-    Command("export", "write a scene as Mitsuba XML with its meshes, for plain Mitsuba", f"{_HERE}.export"),
+    Command(
+        "export",
+        "write a scene as Mitsuba XML with its meshes, for plain Mitsuba",
+        "mitsuba_ref.cli.scene_exchange",
+        run="run_export",
+        arguments="add_export_arguments",
+    ),
     Command(
         "import",
-        "make a scene file of Mitsuba XML or of a scene text of MIT 6.837, and list what was left out",
-        f"{_HERE}.import_scene",
+        "convert Mitsuba XML or a scene text of MIT 6.837 to a scene file, and list what was left out",
+        "mitsuba_ref.cli.scene_exchange",
+        run="run_import",
+        arguments="add_import_arguments",
     ),
     Command(
         "compare",
         "compare two EXR files; NaN, inf, another size or one missed pixel never pass",
-        f"{_HERE}.compare",
+        "mitsuba_ref.cli.compare",
     ),
     Command(
         "probe",
-        "one pixel: the answers of ours, Mitsuba, exact arithmetic and a candidate, their bounds, and possible hits",
-        f"{_HERE}.probe",
+        "one pixel: answers of our caster, Mitsuba, exact arithmetic and a candidate, with their bounds",
+        "mitsuba_ref.cli.probe",
     ),
     Command(
         "fuzz",
-        "adversarial random scenes and rays; each failure is shrunk to a minimal scene file and kept",
-        f"{_HERE}.fuzz",
+        "random and adversarial scenes and rays; each failure is shrunk to a minimal scene file and kept",
+        "mitsuba_ref.cli.fuzz",
     ),
     Command(
         "stress",
-        "numerical stability: errors and wrong hits against exact answers, as one parameter gets harder",
-        f"{_HERE}.stress",
+        "numerical stability: errors and wrong hits, against exact answers, along sweeps of growing difficulty",
+        "mitsuba_ref.cli.stress",
     ),
     Command(
         "bench",
-        "run time against error: ours, Mitsuba and others, in alternating processes",
-        f"{_HERE}.bench",
+        "run time against error: our caster beside Mitsuba and others, in alternating processes",
+        "mitsuba_ref.cli.bench",
     ),
     Command(
         "doctor",
-        "list what was found on this machine, and what each missing package would add",
-        f"{_HERE}.doctor",
+        "list what was found on this machine, and what each missing part would add",
+        "mitsuba_ref.cli.doctor",
     ),
 )

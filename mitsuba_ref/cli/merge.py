@@ -1,63 +1,49 @@
-"""`mitsuba-ref merge`: the shards of a run put together into one verdict."""
-
-from __future__ import annotations
+"""`mitsuba-ref merge`: the verdicts of all shards of a run as one verdict."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
 from caster.cli.exit_codes import DIFFERENCES, OK
-from mitsuba_ref.cli import output_options as ci
+from mitsuba_ref.cli.options import add_verdict_files, check_verdict_files, write_verdict_files
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add(
+    parser.add_argument(
         "verdicts",
         metavar="VERDICT.json|DIR",
         nargs="+",
         help="of each shard: --json's file, or --out's folder",
     )
-    add(
+    parser.add_argument(
         "--other-versions",
         action="store_true",
-        help="take shards together that were judged with different versions of Mitsuba, libLLVM or libraries, too",
+        help="merge also shards that were judged with different versions of Mitsuba, libLLVM or libraries",
     )
-    add("--json", metavar="FILE", help="write the whole verdict as JSON")
-    add("--junit", metavar="FILE", help="write it as JUnit XML")
-    ci.add_summary(parser)
+    add_verdict_files(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what fails and the summary; 0 all pass, 1 some do not or are missing, 3 not parts of one run."""
-    from caster.image.atomic_files import check_writable, write_text
-    from mitsuba_ref.report import terminal
-    from mitsuba_ref.report.junit import junit
-    from mitsuba_ref.report.markdown import append
+    """Print failures and the summary; 0 all pass, 1 some do not or are missing, 3 not parts of one run."""
+    from mitsuba_ref.report.terminal import failure_text, summary_text
+    from mitsuba_ref.report.text_table import print_lines
     from mitsuba_ref.runner.shards import merge_verdicts, other_versions
     from mitsuba_ref.runner.verdict_file import read_verdict
 
-    for path in filter(None, (args.json, args.junit, args.summary_md)):
-        check_writable(path)
+    check_verdict_files(args)
     places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]
     parts = [(place, read_verdict(place)) for place in places]
     verdict, missing = merge_verdicts(parts, any_versions=args.other_versions)
-    for words in other_versions(parts):
-        print(f"{words}: taken together, as asked", file=sys.stderr)
+    for difference in other_versions(parts):
+        print(f"{difference}: merged all the same, by --other-versions", file=sys.stderr)
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)
-    if args.json:
-        write_text(args.json, json.dumps(verdict.to_dict(), indent=1, allow_nan=False) + "\n")
-    if args.junit:
-        write_text(args.junit, junit(verdict))
-    if args.summary_md:
-        append(args.summary_md, verdict, seconds)
+    write_verdict_files(verdict, args, seconds)
     for scene in verdict.scenes:
         if not scene.ok:
-            print(f"{terminal.failure_text(scene)}\n")
+            print_lines(f"{failure_text(scene)}\n")
     for name in verdict.not_judged:
-        print(f"FAIL  {name}  not judged")
-    print(terminal.summary_text(verdict, seconds))
-    for words in missing:
-        print(f"{words}: expected the verdict of every shard", file=sys.stderr)
+        print_lines(f"FAIL  {name}  not judged")
+    print(summary_text(verdict, seconds))
+    for part in missing:
+        print(f"{part}: expected the verdict of every shard", file=sys.stderr)
     return OK if verdict.ok and not missing else DIFFERENCES

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import DIFFERENCES, OK
 from caster.cli.scene_arguments import add_pixel, add_scene, error_prefix, load
-from mitsuba_ref.cli import candidate_options
+from mitsuba_ref.cli.options import add_candidate, candidate_words, requested_candidate
 
 if TYPE_CHECKING:
     from caster.scene.model import Scene
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PNG",
         help="draw the pixel's surroundings: classes, edges in it, and beside its ray",
     )
-    candidate_options.add_arguments(parser, "one more witness: somebody's ray caster (docs/candidates.md)")
+    add_candidate(parser, "one more witness: another ray caster (docs/candidates.md)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         check_writable(path)
     if args.picture:
         check_can_draw()
-    candidate = candidate_options.asked(args)  # one that cannot be asked is said before any work
+    candidate = requested_candidate(args)  # its errors come before any work
     from mitsuba_ref.probe.pixel import probe_with_evidence
     from mitsuba_ref.probe.probe_text import as_text
 
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         found, probed = probe_with_evidence(scene, args.x, args.y, candidate)
     try:
         write_files(args, scene, found, probed)
-    finally:  # last, since who reads may go away after a line or two
+    finally:  # last, since a reader of the pipe may close it early
         print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, args.scene))
     return OK if found.ok else DIFFERENCES
 
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 def write_files(
     args: argparse.Namespace, scene: Scene, found: PixelVerdict, probed: Crash | ProbeEvidence
 ) -> None:
-    """Those that were asked for."""
+    """Write --save and --picture."""
     if args.save:
         save(args, probed, about_candidate(args, found))
     if args.picture:
@@ -68,22 +68,22 @@ def write_files(
 
 
 def about_candidate(args: argparse.Namespace, found: PixelVerdict) -> list[str]:
-    """Comment on what a candidate makes of the ray, in a file that is about ours and Mitsuba."""
+    """Comment lines on the candidate's answer, for a scene file about our caster and Mitsuba."""
     if found.candidate is None:
         return []
     from mitsuba_ref.subjects.answer import printable
 
     words = found.candidate.problem or found.candidate.why
-    told = f"{found.candidate.verdict}: {words}".splitlines()[0]
-    again = shlex.join(["mitsuba-ref", "probe", "THIS-FILE", "0", "0", *candidate_options.again(args)])
+    summary = f"{found.candidate.verdict}: {words}".splitlines()[0]
+    again = shlex.join(["mitsuba-ref", "probe", "THIS-FILE", "0", "0", *candidate_words(args)])
     return [
-        f"Candidate: {printable(told)}",
+        f"Candidate: {printable(summary)}",
         *(f"           {printable(line)}" for line in again.splitlines()),
     ]
 
 
 def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence[str]) -> None:
-    """Write the reproducer, and say on stderr whether it shows the same. more: lines of comment in it."""
+    """Write the reproducer, and report on stderr whether it shows the same. more: lines of comment in it."""
     from mitsuba_ref.reference.messages import Crash
     from mitsuba_ref.report.reproducers import write_reproducer
 
@@ -98,9 +98,9 @@ def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence
 
 
 def check_can_draw() -> None:
-    """Raise SceneError before any work where there is nothing to draw with."""
+    """Raise SceneError before any work where Matplotlib is missing."""
     from caster.description.errors import SceneError
-    from mitsuba_ref.probe.pixel_picture import MissingPlots, check_available
+    from mitsuba_ref.stress.page import MissingPlots, check_available
 
     try:
         check_available()
@@ -109,7 +109,7 @@ def check_can_draw() -> None:
 
 
 def draw(args: argparse.Namespace, scene: Scene, probed: Crash | ProbeEvidence) -> None:
-    """Write the picture."""
+    """Write the image of the pixel's surroundings."""
     from caster.image.atomic_files import write_bytes
     from mitsuba_ref.probe.pixel_picture import picture
     from mitsuba_ref.reference.messages import Crash

@@ -1,4 +1,4 @@
-"""`mitsuba-ref render`: a reference EXR, along our rays, in our channels."""
+"""`mitsuba-ref render`: a reference EXR by Mitsuba, along our rays, in our channels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask Mitsuba, write, say what was written; 1 when Mitsuba ends without an answer."""
+    """Render with Mitsuba and write the file; 1 when Mitsuba ends without an answer."""
     names = tuple(dict.fromkeys(args.aov.split(",")))
     for name in names:
         if name not in KNOWN:

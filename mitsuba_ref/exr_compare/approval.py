@@ -1,11 +1,13 @@
-"""One scene against its stored reference."""
+"""Comparison of a scene with its approved reference, and proposals of new references."""
 
-import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import TypeAdapter, computed_field
+from pydantic.dataclasses import dataclass
 
 from caster import __version__
 from caster.description.errors import FileMissing, SceneError
@@ -38,7 +40,6 @@ from mitsuba_ref.exr_compare.two_files import compare_exr
 from mitsuba_ref.judge.comparison import compare
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import shared_rays
-from mitsuba_ref.runner.scene_runner import SceneEntry
 from mitsuba_ref.subjects.ours import cast_ours
 
 COLORS = ("R", "G", "B")
@@ -46,8 +47,8 @@ COLORS = ("R", "G", "B")
 
 @dataclass(frozen=True)
 class ReferenceCheck:
-    """What came of it. refused: approving anew is the way out, of a reference that is missing, altered or stale, or
-    whose bits Mitsuba gives no more. missing: there is none that can be read, so nothing was checked."""
+    """Result of one scene. refused: the reference has to be approved again, since it is missing, altered or stale, or
+    Mitsuba no longer gives its bits. missing: there is none that can be read, so nothing was checked."""
 
     name: str
     reference: str
@@ -57,82 +58,110 @@ class ReferenceCheck:
     missing: bool = False
 
     def lines(self) -> Iterator[str]:
+        """For a terminal."""
         head, *rest = self.words
         yield f"{'PASS' if self.ok else 'FAIL'}  {self.name}  {head}"
         yield from (f"      {line}" for line in rest)
 
 
-def check_scene(entry: SceneEntry, args: argparse.Namespace, place: Path) -> ReferenceCheck:
-    """args: of `mitsuba-ref check`; place: a folder for files that nobody needs afterwards."""
-    path = Path(args.references) / f"{entry.name}.exr"
+@dataclass(frozen=True)
+class ReferenceChecks:
+    """Results of all scenes: the JSON of `mitsuba-ref check --json`."""
+
+    scenes: tuple[ReferenceCheck, ...]
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def ok(self) -> bool:
+        """Whether every scene passes."""
+        return all(scene.ok for scene in self.scenes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        record: dict[str, Any] = TypeAdapter(ReferenceChecks).dump_python(self, mode="json")
+        return record
+
+
+def check_scene(
+    scene: Scene,
+    name: str,
+    source: str,
+    path: Path,
+    scratch: Path,
+    variant: str | None,
+    fresh: bool,
+    max_pixels: int,
+) -> ReferenceCheck:
+    """Compare our render, or with `fresh` Mitsuba's, with the reference at path.
+
+    source: the scene's file; scratch: a folder for temporary files; variant: the required one, if any.
+    """
+
+    def failed(*words: str, refused: bool = False, missing: bool = False) -> ReferenceCheck:
+        return ReferenceCheck(name, str(path), False, words, refused=refused, missing=missing)
+
     try:
         before = load_reference(path)
-        check_matches_scene(before, entry.scene, args.variant)
+        check_matches_scene(before, scene, variant)
     except FileMissing as error:
-        words = str(error) if isinstance(error, UnreadableExr) else f"{path}: there is no reference"
-        told = (f"{words}; nothing was checked",)
-        return ReferenceCheck(entry.name, str(path), False, told, refused=True, missing=True)
+        text = str(error) if isinstance(error, UnreadableExr) else f"{path}: there is no reference"
+        return failed(f"{text}; nothing was checked", refused=True, missing=True)
     except UnusableReference as error:
-        return ReferenceCheck(entry.name, str(path), False, (f"{path}: {error}",), refused=True)
+        return failed(f"{path}: {error}", refused=True)
     try:
-        return _fresh(entry, path, before) if args.fresh else _ours(entry, path, before, args, place)
+        if fresh:
+            return _check_fresh(scene, name, source, path, before)
+        return _check_ours(scene, name, source, path, before, scratch, max_pixels)
     except SceneError as error:
-        return ReferenceCheck(entry.name, str(path), False, (str(error),))
+        return failed(str(error))
 
 
-def _ours(
-    entry: SceneEntry, path: Path, before: Reference, args: argparse.Namespace, place: Path
+def _check_ours(
+    scene: Scene, name: str, source: str, path: Path, before: Reference, scratch: Path, max_pixels: int
 ) -> ReferenceCheck:
-    """Within the bounds of `compare`, but for the pixels where, on approval, more than one answer was right."""
-    scene, ours = entry.scene, place / f"{entry.name}.exr"
+    """Within the bounds of `compare`, except at pixels where more than one answer was right on approval."""
+    ours = scratch / f"{name}.exr"
     film = (0, 0, scene.film.width, scene.film.height)
-    about = provenance(scene, __version__, entry.path)
-    left_out, hit = np.isin(before.channels[CLASS_CHANNEL], AMBIGUOUS_CLASSES), before.channels["A"] != 0.0
-    if hit.any() and not (hit & ~left_out).any():
+    about = provenance(scene, __version__, source)
+    ambiguous = np.isin(before.channels[CLASS_CHANNEL], AMBIGUOUS_CLASSES)
+    hit = before.channels["A"] != 0.0
+    if hit.any() and not (hit & ~ambiguous).any():
         why = f"nothing to compare: more than one answer is right at all {hit.sum()} pixels that are hit"
-        return ReferenceCheck(entry.name, str(path), False, (why,))
+        return ReferenceCheck(name, str(path), False, (why,))
     images, geometry, light = compare_with_reference(scene, before)
     shown = {CLASS_CHANNEL: before.channels[CLASS_CHANNEL]}
-    for name, plane in images.items():
-        passes = left_out | (light if name in COLORS else geometry)
-        shown[name] = np.where(passes, before.channels[name], to_stored_type(plane))
+    for channel, plane in images.items():
+        passes = ambiguous | (light if channel in COLORS else geometry)
+        shown[channel] = np.where(passes, before.channels[channel], to_stored_type(plane))
     write_exr(ours, shown, about, data_window=scene.film.window, display_window=film)
-    result = compare_exr(ours, path, Tolerances(max_pixels=args.max_pixels, ignore=(CLASS_CHANNEL,)))
-    words = [line.replace(str(ours), f"{entry.name} of ours") for line in result.messages]
-    head = words[0].removeprefix("PASS  ").removeprefix("FAIL  ")
-    head += (
-        f"; {left_out.sum()} pixels with more than one right answer not compared" if left_out.any() else ""
-    )
-    return ReferenceCheck(entry.name, str(path), result.ok, (head, *(line.strip() for line in words[1:])))
+    result = compare_exr(ours, path, Tolerances(max_pixels=max_pixels, ignore=(CLASS_CHANNEL,)))
+    head, *rest = (line.replace(str(ours), f"{name} of ours") for line in result.messages)
+    head = head.removeprefix("PASS  ").removeprefix("FAIL  ")
+    if ambiguous.any():
+        head += f"; {ambiguous.sum()} pixels with more than one right answer not compared"
+    return ReferenceCheck(name, str(path), result.ok, (head, *(line.strip() for line in rest)))
 
 
-def _fresh(entry: SceneEntry, path: Path, before: Reference) -> ReferenceCheck:
+def _check_fresh(scene: Scene, name: str, source: str, path: Path, before: Reference) -> ReferenceCheck:
     """To the bit, by the variant that rendered the stored one."""
     variant = before.about[VARIANT]
-    now = render_fresh(entry.scene, entry.path, variant=variant, command="")
+    now = render_fresh(scene, source, variant=variant, command="")
     if isinstance(now, Crash):
-        return ReferenceCheck(
-            entry.name, str(path), False, (f"Mitsuba ended without an answer ({now.exit}): {now.headline}",)
-        )
+        why = f"Mitsuba ended without an answer ({now.exit}): {now.headline}"
+        return ReferenceCheck(name, str(path), False, (why,))
     before, now = without_classes(before), without_classes(now)
     if comparable(before, now) and not channel_changes(before, now):
-        return ReferenceCheck(
-            entry.name, str(path), True, (f"a fresh render by {variant} has the same bits",)
-        )
-    return ReferenceCheck(
-        entry.name,
-        str(path),
-        False,
-        (f"a fresh render by {variant} has other bits", *describe_changes(before, now)),
-        refused=True,
-    )
+        same = f"a fresh render by {variant} has the same bits"
+        return ReferenceCheck(name, str(path), True, (same,))
+    words = (f"a fresh render by {variant} has other bits", *describe_changes(before, now))
+    return ReferenceCheck(name, str(path), False, words, refused=True)
 
 
 def compare_with_reference(
     scene: Scene, before: Reference
 ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
     """(our channels, along the rays and on the geometry that Mitsuba was given; (h, w) bool: the geometry of the pixel
-    is within the bounds that `validate` derives; (h, w) bool: its light is, too)."""
+    is within the bounds that `validate` derives; (h, w) bool: its lighting is, too)."""
     rays = shared_rays(scene)
     view, window = cast_ours(scene, rays), film_window(scene)
     ours = evaluate(view, AOVS, window)
@@ -152,7 +181,7 @@ def compare_with_reference(
 
 
 def lighting_agrees(scene: Scene, pixels: PixelPairs, hit: ShadingPoints) -> np.ndarray:
-    """(n,) bool: both values of diffuse are within what all lights may be off by, whether in shadow or not."""
+    """(n,) bool: both values of diffuse are within the error of all lights, whether in shadow or not."""
     rows = np.flatnonzero(pixels.both_hit)
     there = ShadingPoints(hit.p[rows], hit.d[rows], hit.shape[rows], hit.at.take(rows))
     ours, theirs = (values[rows] for values in pixels.pair("diffuse"))
@@ -166,21 +195,17 @@ def lighting_agrees(scene: Scene, pixels: PixelPairs, hit: ShadingPoints) -> np.
 
 
 def without_classes(found: Reference) -> Reference:
-    """Mitsuba's own channels: a class is as much of our doing."""
+    """Mitsuba's own channels: a class depends on our caster as well."""
     return replace(
         found, channels={name: plane for name, plane in found.channels.items() if name != CLASS_CHANNEL}
     )
 
 
-# Which references are to be written: missing ones, changed ones, or all.
-
-
 MISSING, CHANGED, ALL = MODES = ("missing", "changed", "all")
 
 
-@dataclass(frozen=True)
-class Proposal:
-    """One scene: what became of its reference, and what would be written."""
+class Proposal(NamedTuple):
+    """The state of a scene's reference, and the reference to write."""
 
     name: str
     path: Path
@@ -190,38 +215,43 @@ class Proposal:
     fresh: Reference | None = None
 
 
-def propose(entry: SceneEntry, folder: Path, mode: str, variant: str | None, command: str) -> Proposal:
-    """Render the scene unless nobody would write it, and hold it against what is stored."""
-    path = folder / f"{entry.name}.exr"
+def propose(
+    scene: Scene, name: str, source: str, folder: Path, mode: str, variant: str | None, command: str
+) -> Proposal:
+    """Render the scene unless nothing would be written, and compare with the stored reference.
+
+    source: the scene's file; command: the one that renders this reference again, recorded in it.
+    """
+    path = folder / f"{name}.exr"
     if mode == MISSING and path.exists():
-        return Proposal(entry.name, path, "kept", False, ("it is there; --update missing looks no further",))
-    fresh = render_fresh(entry.scene, entry.path, variant=variant, command=command)
+        return Proposal(name, path, "kept", False, ("it exists; --update missing compares nothing",))
+    fresh = render_fresh(scene, source, variant=variant, command=command)
     if isinstance(fresh, Crash):
-        words = f"Mitsuba ended without an answer ({fresh.exit}): {fresh.headline}"
-        return Proposal(entry.name, path, "failed", False, (words,))
+        why = f"Mitsuba ended without an answer ({fresh.exit}): {fresh.headline}"
+        return Proposal(name, path, "failed", False, (why,))
     if not path.exists():
         hit = int((fresh.channels["A"] != 0.0).sum())
         what = f"{hit} of {fresh.channels['A'].size} pixels hit, {len(fresh.channels)} channels"
-        return Proposal(entry.name, path, "missing", True, (what,), fresh)
+        return Proposal(name, path, "missing", True, (what,), fresh)
     try:
         before = load_reference(path)
     except (UnusableReference, UnreadableExr) as error:
-        return Proposal(entry.name, path, "damaged", True, (str(error),), fresh)
-    return _held_against(before, fresh, entry.name, path, mode)
+        return Proposal(name, path, "damaged", True, (str(error),), fresh)
+    return _compare_proposal(before, fresh, name, path, mode)
 
 
-def _held_against(before: Reference, fresh: Reference, name: str, path: Path, mode: str) -> Proposal:
+def _compare_proposal(before: Reference, fresh: Reference, name: str, path: Path, mode: str) -> Proposal:
     found = tuple(describe_changes(before, fresh))
     if before.about.get(SCENE_HASH) != fresh.about[SCENE_HASH]:
-        same = "the scene has changed, no pixel has" if not found else "the scene has changed"
-        return Proposal(name, path, "stale", True, (same, *found), fresh)
+        stale = "the scene has changed, no pixel has" if not found else "the scene has changed"
+        return Proposal(name, path, "stale", True, (stale, *found), fresh)
     if not comparable(before, fresh) or channel_changes(before, fresh):
         return Proposal(name, path, "changed", True, found, fresh)
     return Proposal(name, path, "same", mode == ALL and before.digest() != fresh.digest(), found, fresh)
 
 
 def unused_references(folder: Path, names: set[str]) -> list[str]:
-    """Files of the folder that are named after none of the scenes."""
+    """Names of files in the folder that belong to none of the scenes."""
     return (
         sorted(path.name for path in folder.glob("*.exr") if path.stem not in names)
         if folder.is_dir()

@@ -29,11 +29,7 @@ __all__ = ["Finding", "exit_code", "format", "format_json", "report", "usable"]
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
 MATPLOTLIB = Package(
-    "matplotlib",
-    "matplotlib",
-    "3.9",
-    "the plots of `probe --picture`, `make stress` and `make bench`",
-    needed=False,
+    "matplotlib", "matplotlib", "3.9", "the pictures of `stress --report` and `bench --report`", needed=False
 )
 PEER_PURPOSE = "somebody else to be timed by `bench --peers`"
 PEERS = (

@@ -1,16 +1,51 @@
-"""pytest --mitsuba-ref scenes/: every scene and check a test. Without the option nothing happens and nothing is loaded.
+"""pytest --mitsuba-ref scenes/: each check of each scene is a test. Without the option nothing is collected or loaded.
 
-Entry point `mitsuba-ref` of the group pytest11; what runs then is in mitsuba_ref/runner/pytest_scenes.py.
+Entry point `mitsuba-ref` of the group pytest11. Tests are collected without Mitsuba or Numba; the first test of a scene
+has it judged by mitsuba_ref/runner/scene_runner.py, and all show parts of that verdict.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import contextlib
+import hashlib
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
 
 if TYPE_CHECKING:
-    import pytest
+    from mitsuba_ref.judge.verdict import SceneVerdict
 
 OPTION = "--mitsuba-ref"
+PLUGIN = "mitsuba-ref-scenes"
+
+# Checks of a pixel, then those of a scene, by their names in a verdict. Stated here as well, since loading the judge
+# loads the kernels (tests/reference/test_pytest_plugin.py compares).
+PIXEL_CHECKS = (
+    "mask",
+    "shape_id",
+    "on_surface",
+    "depth",
+    "position",
+    "normal",
+    "shading_normal",
+    "diffuse",
+    "exact",
+)
+SCENE_CHECKS = ("placement", "geometry", "materials", "camera", "render", "culling", "sensor", "bias")
+VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and there is evidence
+SUFFIXES = (".toml", ".json")
+SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
+
+MARKERS = (
+    "xdist_group(name): of pytest-xdist, for --dist loadgroup",
+    "mitsuba_ref: a check of a scene, by --mitsuba-ref",
+)
+WORKER_INPUT_KEY = "mitsuba_ref_store"  # of the folder that xdist's controller shares with its workers
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -37,6 +72,182 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("mitsuba_ref"):
-        from mitsuba_ref.runner.pytest_scenes import ScenePlugin
+        config.pluginmanager.register(ScenePlugin(config), PLUGIN)
 
-        config.pluginmanager.register(ScenePlugin(config), "mitsuba-ref-scenes")
+
+class ScenePlugin:
+    """Hooks of pytest, and the verdicts: each scene is judged once, whichever xdist worker runs its tests."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        for line in MARKERS:
+            config.addinivalue_line("markers", line)
+        self.start = config.invocation_params.dir
+        self.size = film_size(config)
+        self.mesh_dirs = [str(path) for path in config.getini("mitsuba_ref_mesh_dirs")]
+        given = getattr(config, "workerinput", {}).get(WORKER_INPUT_KEY)
+        self.shared: Path | None = Path(given) if given else None  # of this run alone, for all its processes
+        self.owned: Path | None = None
+        self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
+        self.verdicts: dict[Path, SceneVerdict | str] = {}
+
+    def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+        if file_path.suffix.lower() not in SUFFIXES:
+            return None
+        if file_path.resolve() in self.named or is_scene(file_path):
+            collector: pytest.Collector = SceneFile.from_parent(parent, path=file_path)
+            return collector
+        return None
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_configure_node(self, node: Any) -> None:
+        """Hook of xdist: give its workers a shared folder."""
+        if self.owned is None:
+            self.owned = Path(tempfile.mkdtemp(prefix="mitsuba-ref-pytest-"))
+        node.workerinput[WORKER_INPUT_KEY] = str(self.owned)
+
+    def pytest_sessionfinish(self) -> None:
+        if self.owned is not None:
+            shutil.rmtree(self.owned, ignore_errors=True)
+
+    def pytest_report_header(self) -> str:
+        film = f"films of {self.size[0]} x {self.size[1]}" if self.size else "the scenes' own films"
+        return f"mitsuba-ref: {film}"
+
+    def verdict_of(self, path: Path) -> SceneVerdict | str:
+        """The verdict, or what is wrong with the scene file."""
+        if path not in self.verdicts:
+            judged = self._judge(path) if self.shared is None else self._judge_once(path, self.shared)
+            self.verdicts[path] = judged
+        return self.verdicts[path]
+
+    def _judge_once(self, path: Path, folder: Path) -> SceneVerdict | str:
+        """From the file that another process wrote; or judged and written while others wait."""
+        from caster.image.atomic_files import write_text
+        from mitsuba_ref.runner.verdict_file import scene_of
+
+        file = folder / hashlib.sha256(str(path).encode(errors="surrogateescape")).hexdigest()
+        with exclusive_lock(file.with_suffix(".lock")):
+            if file.exists():
+                record = json.loads(file.read_text(encoding="utf-8"))
+                return record if isinstance(record, str) else scene_of(record)
+            found = self._judge(path)
+            write_text(file, json.dumps(found if isinstance(found, str) else found.to_dict()))
+            return found
+
+    def _judge(self, path: Path) -> SceneVerdict | str:
+        from caster.description.errors import SceneError
+        from mitsuba_ref.runner import scene_runner
+
+        named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
+        try:
+            entry = scene_runner.load_entry(named, path.stem, size=self.size, mesh_dirs=self.mesh_dirs)
+            (verdict,) = scene_runner.run([entry], workers=1)
+        except SceneError as error:
+            return str(error)
+        return verdict
+
+
+@contextlib.contextmanager
+def exclusive_lock(path: Path) -> Iterator[None]:
+    """Held by one process at a time; on systems without such locks several may judge the same scene."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def film_size(config: pytest.Config) -> tuple[int, int] | None:
+    """By the option, or else the ini file. Raises pytest.UsageError."""
+    given = config.getoption("mitsuba_ref_size") or config.getini("mitsuba_ref_size")
+    if not given:
+        return None
+    try:
+        width, height = (int(number) for number in given)
+    except ValueError:
+        raise pytest.UsageError(f"mitsuba_ref_size: expected two whole numbers, W H, got {given}") from None
+    if width < 1 or height < 1:
+        raise pytest.UsageError(f"mitsuba_ref_size: expected numbers >= 1, got {width} {height}")
+    return width, height
+
+
+def is_scene(path: Path) -> bool:
+    """Whether a file looks like a scene: pyproject.toml and package.json may lie in the same folder."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    return any(mark in text for mark in SCENE_MARKERS)
+
+
+class CheckFailed(Exception):  # noqa: N818 - pytest shows its text alone
+    """A check of a scene failed; str() is what the terminal shows."""
+
+
+class SceneFile(pytest.File):
+    """One scene."""
+
+    def collect(self) -> Iterator[CheckItem]:
+        for name in (VERDICT, *PIXEL_CHECKS, *SCENE_CHECKS):
+            yield CheckItem.from_parent(self, name=name)
+
+
+class CheckItem(pytest.Item):
+    """One check of a scene."""
+
+    def __init__(self, **about: Any) -> None:
+        super().__init__(**about)
+        self.add_marker("mitsuba_ref")
+        # --dist loadgroup keeps the tests of a scene together
+        self.add_marker(pytest.mark.xdist_group(str(self.path)))
+
+    def runtest(self) -> None:
+        plugin = self.config.pluginmanager.get_plugin(PLUGIN)
+        assert isinstance(plugin, ScenePlugin)  # it collected this item
+        if text := check_problem(plugin.verdict_of(self.path), self.name):
+            raise CheckFailed(text)
+
+    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
+        """The text alone, and its first line in the summary; a traceback only for unexpected exceptions."""
+        if not isinstance(excinfo.value, CheckFailed):
+            return super().repr_failure(excinfo, style)
+        shown: Any = excinfo.getrepr(style="value")
+        if shown.reprcrash is not None:
+            # the line of pytest's summary, which is not cut where CI is set
+            shown.reprcrash.message = str(excinfo.value).partition("\n")[0]
+        return shown
+
+    def reportinfo(self) -> tuple[Path, None, str]:
+        return self.path, None, f"{self.path.stem}: {self.name}"
+
+
+def check_problem(found: SceneVerdict | str, check: str) -> str:
+    """Why a check of a scene fails, in the words of `validate`; "" where it passes.
+
+    found: the verdict, or why there is none.
+    """
+    if isinstance(found, str):
+        return found if check == VERDICT else no_verdict(found)
+    if found.problem and check != VERDICT:
+        return no_verdict(f"FAIL  {found.name}  {found.problem}")
+    from mitsuba_ref.report.terminal import check_failure, failure_text, pixel_failure
+
+    if check == VERDICT:
+        return "" if found.ok else failure_text(found)
+    if not found.has_evidence and not found.failing:
+        return no_verdict(failure_text(found))
+    if check in PIXEL_CHECKS:
+        return pixel_failure(found, check) if found.failing_by.get(check) else ""
+    return "\n".join(
+        check_failure(found, each) for each in found.checks if each.name == check and not each.ok
+    )
+
+
+def no_verdict(why: str) -> str:
+    """A check without a verdict fails; otherwise a run of `-k depth` would pass."""
+    return (
+        f"{why.splitlines()[0]}\nThere is no verdict, so nothing was checked; the test {VERDICT} says more."
+    )

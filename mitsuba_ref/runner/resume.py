@@ -38,6 +38,10 @@ class OutFolder:
         """
         remove(self.folder / VERDICT)
 
+    def remove_journal(self) -> None:
+        """Remove the journal, which verdict.json replaces once it is there."""
+        (self.folder / JOURNAL).unlink(missing_ok=True)
+
     def recorded(self, judge: JudgeScene) -> JudgeScene:
         """The same way to a verdict, which then says what was written for it: bytes and sha256 of each file."""
 

@@ -1,14 +1,19 @@
-"""Many scenes, several at a time; what is done is kept when somebody stops it."""
+"""Validation of many scenes, several at a time; verdicts that are done survive an interruption."""
 
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
+from caster.cli.progress import ProgressBar
+from caster.cli.scene_arguments import error_prefix
 from caster.description.errors import SceneError
+from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
@@ -16,10 +21,12 @@ from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.replay import with_replay
 from mitsuba_ref.runner.validation import validate_scene
 
+Result = TypeVar("Result")
+
 
 @dataclass(frozen=True)
 class SceneEntry:
-    """A scene that is about to be validated."""
+    """A scene to validate."""
 
     scene: Scene
     name: str
@@ -29,12 +36,55 @@ class SceneEntry:
 
 
 JudgeScene = Callable[[SceneEntry, Path | None], SceneVerdict]
-"""How to come to the verdict of a scene; the folder is where pictures of both sides go, if anywhere."""
+"""Judges one scene; the folder, if any, receives the images of subject and reference."""
+
+
+def load_entry(
+    path: str,
+    name: str,
+    *,
+    size: Sequence[int] | None = None,
+    mesh_dirs: Sequence[str] = (),
+    options: tuple[str, ...] = (),
+) -> SceneEntry:
+    """Read a scene file. size: width and height of the film instead of the scene's own; options: of its replay.
+
+    Raises SceneError, FileMissing.
+    """
+    scene = load_scene(path, mesh_dirs)
+    if size:
+        with error_prefix("--size", *size):
+            scene = scene.with_film(width=size[0], height=size[1])
+    mesh_options = tuple(word for folder in mesh_dirs for word in ("--mesh-dir", folder))
+    return SceneEntry(scene, name, path, resized=bool(size), options=(*mesh_options, *options))
 
 
 def default_workers() -> int:
     """Half the work of a scene is another process's, so one worker for each core."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def map_in_order(
+    work: Callable[[SceneEntry], Result], entries: Sequence[SceneEntry], workers: int | None = None
+) -> Generator[Result, None, None]:
+    """work(entry) for each, several at a time, in order; after an interruption no further one is started."""
+    stop = threading.Event()
+
+    def unless_stopped(entry: SceneEntry) -> Result | None:
+        return None if stop.is_set() else work(entry)
+
+    pool = ThreadPoolExecutor(workers or default_workers())
+    try:
+        for future in [pool.submit(unless_stopped, entry) for entry in entries]:
+            result = future.result()
+            assert result is not None  # only after a stop, and then no result is read
+            yield result
+    finally:
+        stop.set()
+        pool.shutdown(wait=False, cancel_futures=True)
+        subprocess_runner.kill_subprocesses()
+        pool.shutdown(wait=True)
+        subprocess_runner.allow_subprocesses()
 
 
 def run(
@@ -44,37 +94,24 @@ def run(
     folder: Path | None = None,
     judge: JudgeScene | None = None,
     record: Callable[[SceneVerdict], SceneVerdict] | None = None,
-) -> Iterator[SceneVerdict]:
-    """Verdicts in the order of the entries; at most maxfail that fail. folder: where pictures of both sides go.
+) -> Generator[SceneVerdict, None, None]:
+    """Verdicts in the order of the entries; at most maxfail that fail. folder: for images of subject and reference.
 
-    record: called by the worker with what the verdict rests on; gives it back without, so that memory stays small.
+    record: called by the worker with verdict and evidence; returns it without the evidence, to keep memory small.
     """
     judge = judge or partial(judge_entry, keep=record is not None)
-    stop = threading.Event()
 
-    def work(entry: SceneEntry) -> SceneVerdict | None:
-        if stop.is_set():
-            return None
+    def work(entry: SceneEntry) -> SceneVerdict:
         verdict = judge(entry, folder)
         return record(verdict) if record else verdict
 
-    pool = ThreadPoolExecutor(max(1, workers))
     failed = 0
-    try:
-        futures: list[Future[SceneVerdict | None]] = [pool.submit(work, entry) for entry in entries]
-        for future in futures:
-            verdict = future.result()
-            assert verdict is not None  # only after a stop, and then nobody asks
+    with closing(map_in_order(work, entries, workers)) as verdicts:
+        for verdict in verdicts:
             yield verdict
             failed += not verdict.ok
             if maxfail is not None and failed >= maxfail:
                 return
-    finally:
-        stop.set()
-        pool.shutdown(wait=False, cancel_futures=True)
-        subprocess_runner.kill_subprocesses()
-        pool.shutdown(wait=True)
-        subprocess_runner.allow_subprocesses()
 
 
 def judge_entry(
@@ -84,9 +121,9 @@ def judge_entry(
     validate: Callable[..., SceneVerdict] = validate_scene,
     keep: bool = False,
 ) -> SceneVerdict:
-    """The verdict of one scene; one that cannot be judged has a problem.
+    """The verdict of one scene; one that cannot be judged has its `problem` set.
 
-    validate: as validate_scene is called; keep: with what the verdict rests on.
+    validate: a function with the parameters of validate_scene; keep: with the evidence of the verdict.
     """
     try:
         verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep)
@@ -96,3 +133,19 @@ def judge_entry(
         verdict, resized=entry.resized, options=entry.options, made_of=scene_statistics(entry.scene)
     )
     return with_replay(found)
+
+
+def progress_bar(entries: Sequence[SceneEntry]) -> ProgressBar:
+    """A bar over all rays: scenes differ too much in size to count scenes."""
+    return ProgressBar("validating", sum(map(ray_count, entries)), "rays")
+
+
+def count_scene(bar: ProgressBar, entries: Sequence[SceneEntry], done: int) -> None:
+    """Advance the bar by scene number `done`, counted from 1."""
+    bar.add(ray_count(entries[done - 1]), f"{done} of {len(entries)} scenes")
+
+
+def ray_count(entry: SceneEntry) -> int:
+    """Rays of the film window."""
+    x0, y0, x1, y1 = entry.scene.film.window
+    return (x1 - x0) * (y1 - y0)

@@ -1,7 +1,8 @@
-"""verdict.json, read back: for reports of several runs together, and for what is kept of an earlier one."""
+"""Reading of verdict.json, to merge several runs and to reuse results of an earlier one."""
 
 import json
 import os
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,16 @@ from pydantic import TypeAdapter
 from caster.description.errors import FileMissing
 from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
 
-MALFORMED = (AttributeError, KeyError, TypeError, ValueError)  # what a record of another shape raises
+MALFORMED = (AttributeError, KeyError, TypeError, ValueError)  # exceptions of a record of another shape
+NOT_RECORDED = {"seen"}  # fields of a scene that no file has
 
 
 class UnreadableVerdict(FileMissing):
-    """A file that is there, but is no verdict of this version."""
+    """A file that exists, but is no verdict of this version."""
 
 
 def read_verdict(path: str | os.PathLike[str]) -> Verdict:
-    """What `validate --json` wrote. Raises FileMissing, or UnreadableVerdict with what is wrong with it."""
+    """The verdict that `validate --json` wrote. Raises FileMissing, or UnreadableVerdict with the reason."""
     try:
         record = json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -58,6 +60,9 @@ def scene_of(record: dict[str, Any]) -> SceneVerdict:
 
 
 def check_ok(record: dict[str, Any], scene: SceneVerdict) -> None:
-    """Raise ValueError where a record's own `ok` contradicts its numbers."""
+    """Raise ValueError where a record lacks a field, or its own `ok` contradicts its numbers."""
+    missing = {each.name for each in fields(SceneVerdict)} - NOT_RECORDED - record.keys()
+    if missing:
+        raise ValueError(f"{scene.name} lacks {', '.join(sorted(missing))}")
     if scene.ok != record["ok"]:
         raise ValueError(f"{scene.name} says ok: {record['ok']}, its numbers say {scene.ok}")

@@ -10,7 +10,7 @@ import pytest
 from mitsuba_ref.judge.checks import CHECKS
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.runner.pytest_scenes import PIXEL_CHECKS, SCENE_CHECKS, VERDICT
+from mitsuba_ref.runner.pytest_plugin import PIXEL_CHECKS, SCENE_CHECKS, VERDICT
 
 pytest_plugins = "pytester"
 
@@ -32,7 +32,7 @@ radius = 1.3
 STRICT = "[check.depth]\nratio = 1e-6\n"
 NAMES = (VERDICT, *PIXEL_CHECKS, *SCENE_CHECKS)
 HEAVY = ("numba", "mitsuba", "drjit", "caster.jit.decorators")
-PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene", "mitsuba_ref.runner.pytest_scenes")
+PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene", "mitsuba_ref.runner.scene_runner")
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """Shards: every scene in exactly one, alike every time, about as large; and put together, nothing may be missing."""
 
-import argparse
 import json
 import random
 from dataclasses import replace
@@ -10,10 +9,10 @@ from made_verdicts import scene as made
 
 import caster
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.cli.output_options import about
 from mitsuba_ref.judge.verdict import Finding, Verdict
 from mitsuba_ref.runner.scene_runner import SceneEntry
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard, version_in
+from mitsuba_ref.runner.validation_run import run_identity
 from mitsuba_ref.runner.verdict_file import read_verdict, verdict_of
 
 CAMERA = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
@@ -194,7 +193,9 @@ def test_shards_of_other_versions_are_put_together_only_if_asked(folder, capsys,
     code, _, err = merged(capsys, "1.json", "2.json")
     assert code == 3 and says in err and "--other-versions" in err and not (folder / "all.json").exists()
     code, out, err = merged(capsys, "1.json", "2.json", "--other-versions")
-    assert code == 0 and f"{says.strip()}: taken together, as asked" in err and "4 pass" in out
+    assert (
+        code == 0 and f"{says.strip()}: merged all the same, by --other-versions" in err and "4 pass" in out
+    )
     together = read_verdict("all.json").judged_with
     assert together == {
         what: " and ".join(dict.fromkeys((version, other.judged_with[what])))
@@ -216,7 +217,7 @@ def test_a_run_says_what_it_judged_with(monkeypatch):
     monkeypatch.setenv("MITSUBA_REF_VARIANT", "scalar_rgb")
     assert judged_with()["variant of triangles"] == "scalar_rgb" and judged_with()["libLLVM"] == "none"
     assert version_in("/usr/lib/llvm-19/lib/libLLVM.so.19.1") == "19.1"
-    assert about(argparse.Namespace(shard=None), [])["judged_with"] == judged_with()
+    assert run_identity([], None)["judged_with"] == judged_with()
 
 
 def test_a_file_that_is_no_verdict_is_told(folder, capsys):
@@ -255,10 +256,12 @@ def test_a_verdict_on_a_candidate_comes_back_from_json_as_it_was():
 
 
 def test_shards_of_other_scenes_of_the_same_names_are_of_different_runs(tmp_path):
-    args = argparse.Namespace(shard=Shard(1, 2))
+    part = Shard(1, 2)
     entries = [SceneEntry(caster.load_scene("scenes/one-sphere.toml"), "a", "a.toml")]
     other = [
         SceneEntry(caster.load_scene("scenes/one-sphere.toml").with_film(width=8, height=8), "a", "a.toml")
     ]
-    assert about(args, entries) == about(args, list(entries)) and about(args, entries)["selected"] == ("a",)
-    assert about(args, entries)["code"] != about(args, other)["code"]
+    assert run_identity(entries, part) == run_identity(list(entries), part) and run_identity(entries, part)[
+        "selected"
+    ] == ("a",)
+    assert run_identity(entries, part)["code"] != run_identity(other, part)["code"]

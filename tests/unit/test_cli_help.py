@@ -5,7 +5,7 @@ import re
 from caster.aovs import BY_NAME
 from caster.cli.scene_arguments import AOV_NAMES, DEFAULT_AOV_LIST
 from caster.rendering.images import DEFAULT_AOVS
-from mitsuba_ref.cli import approve, candidate_options
+from mitsuba_ref.cli import approved_references, options
 from mitsuba_ref.cli import render as reference_render
 from mitsuba_ref.exr_compare import approval
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
@@ -29,9 +29,9 @@ def test_every_default_exists():
 
 
 def test_the_modes_of_approval_are_those_that_it_knows():
-    assert approve.MODES == approval.MODES
+    assert approved_references.MODES == approval.MODES
 
 
 def test_a_candidate_gets_the_seconds_and_has_the_precisions_that_help_names():
-    assert candidate_options.SECONDS == subject.DEFAULT_SECONDS
-    assert tuple(answer.PRECISIONS) == candidate_options.PRECISIONS
+    assert options.CANDIDATE_SECONDS == subject.DEFAULT_SECONDS
+    assert tuple(answer.PRECISIONS) == options.PRECISIONS

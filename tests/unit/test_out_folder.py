@@ -55,13 +55,13 @@ def names(suffix=""):
     return sorted(path.name for path in Path("out").iterdir() if path.name.endswith(suffix))
 
 
-@pytest.mark.parametrize("resume", [(), ("--resume",)])
-def test_files_of_a_scene_that_is_renamed_or_gone_are_removed_and_counted(judged, capsys, resume):
+@pytest.mark.parametrize("words", [(), ("--resume",)])
+def test_files_of_a_scene_that_is_renamed_or_gone_are_removed_and_counted(judged, capsys, words):
     judged()
     Path("scenes/a.toml").rename("scenes/z.toml")
     Path("scenes/b.toml").unlink()
     capsys.readouterr()
-    assert judged(*resume) == 0
+    assert judged(*words) == 0
     assert f"out: removed 6 {REMOVED}" in capsys.readouterr().err
     assert names(".exr") == sorted(f"{name}.{which}.exr" for name in "cz" for which in IMAGES)
     assert judged() == 0 and "removed" not in capsys.readouterr().err  # once

@@ -25,8 +25,8 @@ from caster.cli.progress import (
 )
 from caster.rendering.images import render_film
 from mitsuba_ref.cli import stress
-from mitsuba_ref.runner import scene_progress
-from mitsuba_ref.runner.scene_runner import SceneEntry
+from mitsuba_ref.runner.scene_runner import SceneEntry, count_scene
+from mitsuba_ref.runner.scene_runner import progress_bar as scenes_bar
 
 SCENE = """
 [film]
@@ -324,10 +324,10 @@ def test_a_validation_counts_scenes_and_their_rays(tmp_path):
     (tmp_path / "s.toml").write_text(SCENE)
     small, large = (caster.load_scene(tmp_path / "s.toml").with_film(width=w, height=10) for w in (10, 30))
     entries = [SceneEntry(small, "a", "a.toml"), SceneEntry(large, "b", "b.toml")]
-    bar = scene_progress.bar_for(entries)
-    scene_progress.count(bar, entries, 1)
+    bar = scenes_bar(entries)
+    count_scene(bar, entries, 1)
     assert (bar.done, bar.total, bar.extra) == (100, 400, "1 of 2 scenes")
-    scene_progress.count(bar, entries, 2)
+    count_scene(bar, entries, 2)
     assert (bar.done, bar.extra) == (400, "2 of 2 scenes")
 
 

@@ -1,4 +1,4 @@
-"""`mitsuba-ref import`: Mitsuba XML or MIT 6.837 text -> a scene file of ours."""
+"""`mitsuba-ref export` and `mitsuba-ref import`: scenes to Mitsuba XML, and from it or from texts of MIT 6.837."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import OK
-from caster.cli.scene_arguments import add_mesh_dirs, error_prefix
+from caster.cli.scene_arguments import add_mesh_dirs, add_scene, error_prefix, load
 from caster.description.errors import SceneError
 
 if TYPE_CHECKING:
     from mitsuba_ref.importers.mitsuba_xml import ImportedScene
 
-FILM = (256, 256)  # of a text of the course, which says nothing of it
+COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_import_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("file", metavar="FILE", help="Mitsuba's .xml, or .txt of MIT 6.837")
     add("-o", "--output", metavar="SCENE.toml", required=True, help="the scene file to write")
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_mesh_dirs(parser)
 
 
-def run(args: argparse.Namespace) -> int:
+def run_import(args: argparse.Namespace) -> int:
     """Read, write, and list what was left out. Raises SceneError, FileMissing, OutputError."""
     from caster.image.atomic_files import check_writable, write_text
 
@@ -69,7 +69,7 @@ def from_course(args: argparse.Namespace) -> ImportedScene:
 
     if args.parameters:
         raise SceneError(f"-D {args.parameters[0]}: a text of MIT 6.837 has no parameters")
-    size = args.size or FILM
+    size = args.size or COURSE_FILM
     with error_prefix("--size", *size):
         Film(width=size[0], height=size[1])
     course = load_course_scene(args.file, *size, mesh_dirs=args.mesh_dir)
@@ -94,3 +94,23 @@ def folders_beyond(scene: object, folder: Path) -> set[str]:
     """Folders of meshes that a scene file in `folder` may not read by itself."""
     files = [Path(shape.file) for shape in getattr(scene, "shapes", ()) if hasattr(shape, "file")]
     return {str(file.parent) for file in files if not file.is_relative_to(folder)}
+
+
+def add_export_arguments(parser: argparse.ArgumentParser) -> None:
+    add_scene(parser)
+    parser.add_argument(
+        "-o", "--output", metavar="DIR", required=True, help="folder to write into; made if need be"
+    )
+
+
+def run_export(args: argparse.Namespace) -> int:
+    """Write the files and say which. Raises SceneError, FileMissing, OutputError."""
+    scene = load(args)
+    from mitsuba_ref.reference.rendering import export_scene
+
+    exported = export_scene(scene)
+    path = exported.write(Path(args.output))
+    print(f"{path}: {len(scene.shapes)} shapes, {len(exported.meshes)} mesh files")
+    for note in exported.notes:
+        print(f"note: {note}")
+    return OK

@@ -1,0 +1,200 @@
+"""`mitsuba-ref approve` and `mitsuba-ref check`: reference EXRs are written once approved, then compared with."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from caster.cli.exit_codes import DIFFERENCES, FILE, NOTHING_SELECTED, OK
+from caster.cli.scene_arguments import mesh_dir_options
+from mitsuba_ref.cli.options import add_selection, selected_entries
+
+if TYPE_CHECKING:
+    from mitsuba_ref.exr_compare.approval import Proposal, ReferenceCheck
+    from mitsuba_ref.runner.scene_runner import SceneEntry
+
+# Stated here as well, since loading the approval loads the kernels (tests/unit/test_cli_help.py compares).
+MODES = ("missing", "changed", "all")
+MAX_NAMES_IN_COMMAND = 4  # more are not listed in the command that approves them
+
+
+def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
+    add_references(parser)
+    parser.add_argument(
+        "--update",
+        choices=MODES,
+        default="changed",
+        help="missing: only where there is none; changed, the default: also those that have changed or are stale; "
+        "all: also those whose pixels are the same, but not the versions they name",
+    )
+    parser.add_argument(
+        "--yes", action="store_true", help="write without confirmation; required without a terminal"
+    )
+
+
+def add_check_arguments(parser: argparse.ArgumentParser) -> None:
+    add_references(parser)
+    add = parser.add_argument
+    add("--fresh", action="store_true", help="compare a fresh render of Mitsuba, to the bit, instead of ours")
+    may = "so many pixels of a scene may differ (never by NaN or inf)"
+    add("--max-pixels", type=int, default=0, metavar="N", help=may)
+    add("--json", action="store_true", help="as JSON")
+
+
+def add_references(parser: argparse.ArgumentParser) -> None:
+    """What both share: scenes, the folder of references, the variant."""
+    add_selection(parser)
+    add = parser.add_argument
+    references = "the folder of reference EXRs, NAME.exr for each scene"
+    add("--references", metavar="DIR", required=True, help=references)
+    add("--variant", metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
+
+
+def selection(args: argparse.Namespace) -> list[SceneEntry]:
+    """The selected scenes, loaded. Raises SceneError, also for an unknown variant."""
+    if args.variant:
+        from mitsuba_ref.reference.variants import VARIANT_NAMES, VariantError
+
+        if args.variant not in VARIANT_NAMES:
+            raise VariantError(f"--variant {args.variant!r}: expected {' or '.join(VARIANT_NAMES)}")
+    return selected_entries(args)
+
+
+# ---- approve ----
+
+
+def run_approve(args: argparse.Namespace) -> int:
+    """Show changes, confirm, write; 0 all is as approved, 1 not approved or Mitsuba failed, 5 nothing was selected."""
+    entries = selection(args)
+    if not entries:
+        return NOTHING_SELECTED
+    folder = Path(args.references)
+    from caster.image.atomic_files import check_folder
+    from mitsuba_ref.exr_compare.approval import propose, unused_references
+    from mitsuba_ref.runner.scene_runner import map_in_order
+
+    def proposal_of(entry: SceneEntry) -> Proposal:
+        command = approve_command(args, entry.path)
+        return propose(entry.scene, entry.name, entry.path, folder, args.update, args.variant, command)
+
+    out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
+    found = []
+    for proposal in map_in_order(proposal_of, entries, args.workers):
+        found.append(proposal)
+        print_proposal(proposal, out)
+    for name in unused_references(folder, {entry.name for entry in entries}) if not args.expression else ():
+        print(f"note     {name}: no scene of this selection has this name; it is left as it is")
+    wanted = [proposal for proposal in found if proposal.write]
+    failed = sum(proposal.status == "failed" for proposal in found)
+    print(f"\n{len(found)} scenes: {len(wanted)} references to write, {failed} without an answer of Mitsuba")
+    if wanted and not approved(args, len(wanted)):
+        return DIFFERENCES
+    check_folder(folder)
+    for proposal in wanted:
+        assert proposal.fresh is not None  # whatever is to be written was rendered
+        proposal.fresh.write(proposal.path)
+        print(f"wrote    {proposal.path}")
+    return DIFFERENCES if failed else OK
+
+
+def print_proposal(proposal: Proposal, out: TextIO) -> None:
+    mark = "->" if proposal.write else "  "
+    head, *rest = proposal.details or ("",)
+    print(f"{proposal.status:<8} {mark} {proposal.name}  {head}".rstrip(), file=out)
+    for line in rest:
+        print(f"            {line}", file=out)
+    out.flush()
+
+
+def approved(args: argparse.Namespace, count: int) -> bool:
+    """Whether --yes is given, or the user at the terminal confirms."""
+    if args.yes:
+        return True
+    if not (sys.stdin and sys.stdin.isatty()):
+        print(
+            "nothing was written: no terminal to confirm at; look at the changes above, then add --yes",
+            file=sys.stderr,
+        )
+        return False
+    print(f"write {count} references? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() in ("y", "yes"):
+        return True
+    print("nothing was written", file=sys.stderr)
+    return False
+
+
+def approve_command(args: argparse.Namespace, path: str) -> str:
+    """The command that renders this reference, without folders: every machine has to write the same bytes."""
+    size = f" --size {args.size[0]} {args.size[1]}" if args.size else ""
+    variant = f" --variant {args.variant}" if args.variant else ""
+    return f"mitsuba-ref approve {Path(path).name}{size}{variant}"
+
+
+# ---- check ----
+
+
+def run_check(args: argparse.Namespace) -> int:
+    """A row for each scene; 0 all pass, 1 some do not, 4 some have no reference that can be read, and no other fails,
+    5 nothing was selected."""
+    entries = selection(args)
+    if not entries:
+        return NOTHING_SELECTED
+    from mitsuba_ref.exr_compare.approval import ReferenceChecks, check_scene
+    from mitsuba_ref.report.text_table import print_lines
+    from mitsuba_ref.runner.scene_runner import map_in_order
+
+    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-check-") as scratch:
+
+        def check_of(entry: SceneEntry) -> ReferenceCheck:
+            path = Path(args.references) / f"{entry.name}.exr"
+            options = args.variant, args.fresh, args.max_pixels
+            return check_scene(entry.scene, entry.name, entry.path, path, Path(scratch), *options)
+
+        out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
+        found = []
+        for checked in map_in_order(check_of, entries, args.workers):
+            found.append(checked)
+            if not args.json:
+                print_lines("\n".join(checked.lines()), out)
+    failed = [checked for checked in found if not checked.ok]
+    if args.json:
+        print(json.dumps(ReferenceChecks(tuple(found)).to_dict(), indent=1))
+    else:
+        missing = sum(checked.missing for checked in failed)
+        counts = f"{len(found) - len(failed)} pass, {len(failed) - missing} fail"
+        unchecked = f", {missing} not checked: no reference that can be read" if missing else ""
+        print(f"\n{len(found)} scenes: {counts}{unchecked}")
+        for line in approval_hint(args, failed):
+            print(line)
+    return check_exit_code(failed)
+
+
+def check_exit_code(failed: Sequence[ReferenceCheck]) -> int:
+    """A difference takes precedence over a missing file; either is no pass."""
+    if not failed:
+        return OK
+    return FILE if all(checked.missing for checked in failed) else DIFFERENCES
+
+
+def approval_hint(args: argparse.Namespace, failed: Sequence[ReferenceCheck]) -> Iterator[str]:
+    """The command that shows the changes, and writes them once they are approved."""
+    words = ["mitsuba-ref", "approve", *args.scenes, "--references", args.references]
+    words += ["--size", *map(str, args.size)] if args.size else []
+    words += ["--variant", args.variant] if args.variant else []
+    words += mesh_dir_options(args)
+    names = [checked.name for checked in failed if checked.refused]
+    if names:
+        short = len(names) <= MAX_NAMES_IN_COMMAND and all(map(is_one_word, names))
+        words += ["-k", " or ".join(names)] if short else []
+        yield f"to look at the changes and approve them: {shlex.join(words)}"
+
+
+def is_one_word(name: str) -> bool:
+    """Whether -k reads a name as one word."""
+    return not any(c.isspace() or c in "()" for c in name) and name not in ("and", "or", "not")

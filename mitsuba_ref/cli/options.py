@@ -1,0 +1,190 @@
+"""Options that several commands share: selection of scenes, a candidate, report files."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from caster.cli.scene_arguments import add_mesh_dirs, display_names, scene_files
+from caster.description.errors import SceneError
+
+if TYPE_CHECKING:
+    from mitsuba_ref.judge.verdict import Verdict
+    from mitsuba_ref.runner.scene_runner import SceneEntry
+    from mitsuba_ref.subjects.subject import Candidate
+
+# Stated here as well, since loading the judge loads the kernels (tests/unit/test_cli_help.py compares).
+CANDIDATE_SECONDS = 300.0
+PRECISIONS = ("float32", "float64")
+
+
+def positive_int(text: str) -> int:
+    """A whole number >= 1. Raises argparse.ArgumentTypeError."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number >= 1, got '{text}'")
+    return int(text)
+
+
+def positive_seconds(text: str) -> float:
+    """A number > 0. Raises argparse.ArgumentTypeError."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a number of seconds > 0, got '{text}'")
+    return value
+
+
+# ---- scenes ----
+
+
+def add_selection(parser: argparse.ArgumentParser) -> None:
+    """Scenes, -k, -j, --size and --mesh-dir."""
+    add = parser.add_argument
+    add("scenes", metavar="SCENE|DIR", nargs="*", default=["scenes"], help="default: the folder scenes")
+    add("-k", metavar="EXPR", dest="expression", help="scenes whose name fits, such as 'mesh and not teapot'")
+    add("-j", metavar="N", dest="workers", type=positive_int, help="scenes at a time; default: one a core")
+    add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scenes' own")
+    add_mesh_dirs(parser)
+
+
+def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
+    """The selected scenes, loaded; where there is none, this is printed. Raises SceneError with every error."""
+    from mitsuba_ref.runner.scene_runner import load_entry
+    from mitsuba_ref.runner.scene_selection import matching
+
+    fits = matching(args.expression)
+    files = [file for file in scene_files(args.scenes) if fits(Path(file).stem)]
+    entries, errors = [], []
+    for file, name in zip(files, display_names(files), strict=True):
+        try:
+            again = candidate_words(args)
+            entries.append(load_entry(file, name, size=args.size, mesh_dirs=args.mesh_dir, options=again))
+        except SceneError as error:
+            errors.append(error)
+    if errors:
+        worst = min(errors, key=lambda error: error.exit_code)
+        raise type(worst)("\n".join(map(str, errors)))
+    if not entries:
+        fitting = f" that fits -k {args.expression!r}" if args.expression else ""
+        print(f"nothing selected: no scene file{fitting} in {', '.join(args.scenes)}", file=sys.stderr)
+    return entries
+
+
+# ---- a candidate ----
+
+
+def add_candidate(
+    parser: argparse.ArgumentParser,
+    title: str = "another ray caster, judged in place of ours (docs/candidates.md)",
+) -> None:
+    """--candidate, its precision and its time limit."""
+    group = parser.add_argument_group(title)
+    group.add_argument(
+        "--candidate",
+        metavar="X",
+        help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
+        "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height})",
+    )
+    group.add_argument(
+        "--candidate-precision",
+        metavar="P",
+        choices=PRECISIONS,
+        help="its arithmetic, from which its bounds follow; default: the type of what it returns",
+    )
+    group.add_argument(
+        "--candidate-timeout",
+        metavar="S",
+        type=positive_seconds,
+        default=CANDIDATE_SECONDS,
+        help=f"seconds that a command may take for one scene; default {CANDIDATE_SECONDS:g}",
+    )
+
+
+def requested_candidate(args: argparse.Namespace) -> Candidate | None:
+    """The candidate of --candidate; None: our caster is judged. Raises SceneError for one that cannot be used."""
+    if args.candidate is None:
+        alone = {
+            "--candidate-precision": args.candidate_precision is not None,
+            "--candidate-timeout": args.candidate_timeout != CANDIDATE_SECONDS,
+        }
+        for option in (option for option, given in alone.items() if given):
+            raise SceneError(f"{option}: expected --candidate X beside it, whose {option[12:]} it is")
+        return None
+    if getattr(args, "resume", False):
+        raise SceneError(
+            "--resume: not with --candidate, whose program may have changed since; judge all scenes, or use shards"
+        )
+    from mitsuba_ref.subjects.subject import parse_candidate
+
+    return parse_candidate(args.candidate, args.candidate_precision, args.candidate_timeout)
+
+
+def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
+    """These options as words of a command line, for a replay with the same candidate; () without one."""
+    if getattr(args, "candidate", None) is None:
+        return ()
+    words = ["--candidate", args.candidate]
+    if args.candidate_precision is not None:
+        words += ["--candidate-precision", args.candidate_precision]
+    if args.candidate_timeout != CANDIDATE_SECONDS:
+        words += ["--candidate-timeout", repr(args.candidate_timeout).removesuffix(".0")]
+    return tuple(words)
+
+
+# ---- files of results ----
+
+
+def add_verdict_files(parser: argparse.ArgumentParser) -> None:
+    """--json, --junit and --summary-md."""
+    add = parser.add_argument
+    add("--json", metavar="FILE", help="write the verdict as JSON")
+    add("--junit", metavar="FILE", help="write the verdict as JUnit XML")
+    help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
+    add("--summary-md", metavar="FILE", help=help_)
+
+
+def check_verdict_files(args: argparse.Namespace) -> None:
+    """Raise OutputError before any work where a file cannot be written."""
+    from caster.image.atomic_files import check_writable
+
+    for path in filter(None, (args.json, args.junit, args.summary_md)):
+        check_writable(path)
+
+
+def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
+    """Write --json, --junit and --summary-md. Raises OutputError."""
+    from caster.image.atomic_files import write_text
+    from mitsuba_ref.report.junit import junit
+    from mitsuba_ref.report.markdown import append
+
+    if args.json:
+        write_text(args.json, verdict_json(verdict))
+    if args.junit:
+        write_text(args.junit, junit(verdict))
+    if args.summary_md:
+        append(args.summary_md, verdict, seconds)
+
+
+def verdict_json(verdict: Verdict) -> str:
+    """The text of verdict.json."""
+    return json.dumps(verdict.to_dict(), indent=1, allow_nan=False) + "\n"
+
+
+def check_report(json: str | None, folder: str | None) -> None:
+    """Raise OutputError before any work; warn on stderr where plots cannot be drawn. json: a file, or - for stdout."""
+    from caster.image.atomic_files import check_folder, check_writable
+    from mitsuba_ref.stress.page import MissingPlots, check_available
+
+    if json and json != "-":
+        check_writable(json)
+    if folder:
+        check_folder(folder)
+        try:
+            check_available()
+        except MissingPlots as missing:
+            print(missing, file=sys.stderr)

@@ -1,0 +1,124 @@
+"""One run of `mitsuba-ref validate`: scenes of a shard, judged or resumed, with the files and pages that they leave."""
+
+import hashlib
+from collections.abc import Generator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.report.html.html_report import HtmlReport
+from mitsuba_ref.report.output_manifest import RemovedFiles
+from mitsuba_ref.runner import scene_runner
+from mitsuba_ref.runner.candidate_validation import validate_candidate
+from mitsuba_ref.runner.resume import OutFolder, ResumableResults, code_hash
+from mitsuba_ref.runner.scene_runner import JudgeScene, SceneEntry
+from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard
+from mitsuba_ref.subjects.subject import Candidate
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of a run beside its scenes."""
+
+    workers: int | None = None  # scenes at a time; None: one a core
+    maxfail: int | None = None  # scenes that fail, after which the run ends
+    out: Path | None = None  # folder of verdict.json, images and reproducers
+    html: str | None = None  # folder or file of the HTML report
+    resume: bool = False  # reuse what `out` holds of the same inputs
+    shard: Shard | None = None
+    whole_folders: bool = False  # every scene of the folders was selected: files of other scenes are obsolete
+
+
+class ValidationRun:
+    """Judges scenes one after the other; `verdict` and `finish` hold for those that are done so far."""
+
+    def __init__(
+        self, entries: Sequence[SceneEntry], options: RunOptions, candidate: Candidate | None = None
+    ) -> None:
+        """entries: the scenes of all shards; candidate: in place of our caster. Raises OutputError."""
+        self.every, self.options, self.candidate = entries, options, candidate
+        self.entries = scenes_of_shard(entries, options.shard) if options.shard else list(entries)
+        self.candidate_name = candidate.name if candidate else ""
+        self.done: list[SceneVerdict] = []
+        self.out = OutFolder(options.out) if options.out else None
+        self.html = HtmlReport(options.html, len(self.entries), self.candidate_name) if options.html else None
+
+    def verdicts(self) -> Generator[SceneVerdict, None, None]:
+        """Verdicts in the order of the scenes, each as soon as it and those before it are done."""
+        judge = self._judge()
+        if self.out:
+            self.out.begin()
+        workers = self.options.workers or scene_runner.default_workers()
+        record = self.html.keep if self.html else None
+        running = scene_runner.run(
+            self.entries, workers, self.options.maxfail, self.options.out, judge, record
+        )
+        with closing(running), closing(scene_runner.progress_bar(self.entries)) as bar:
+            for verdict in running:
+                self.done.append(verdict)
+                if self.html:
+                    self.html.add(verdict)
+                with bar.aside():
+                    yield verdict
+                scene_runner.count_scene(bar, self.entries, len(self.done))
+
+    def verdict(self) -> Verdict:
+        """Of all scenes that are done."""
+        names = tuple(entry.name for entry in self.entries)
+        identity = run_identity(self.every, self.options.shard)
+        return Verdict(
+            tuple(self.done), asked=len(names), names=names, on_trial=self.candidate_name, **identity
+        )
+
+    def remove_obsolete(self, verdict: Verdict) -> RemovedFiles:
+        """Remove files that earlier runs wrote into `out` and this one did not. Raises OutputError."""
+        names = tuple(entry.name for entry in self.every) if self.options.whole_folders else None
+        return self.out.sweep(verdict, names) if self.out else RemovedFiles()
+
+    def finish_report(self, verdict: Verdict) -> str:
+        """Write the HTML report of what is done; what was removed of earlier ones, as text. Raises OutputError."""
+        if self.html is None:
+            return ""
+        try:
+            self.html.write()
+            return self.html.sweep(verdict.not_judged).words(self.html.data)
+        finally:
+            self.html.close()
+
+    def _judge(self) -> JudgeScene:
+        keep = self.html is not None
+        if self.candidate is not None:
+            judge = candidate_judge(self.candidate, keep=keep)
+            return self.out.recorded(judge) if self.out else judge
+        judge = partial(scene_runner.judge_entry, keep=keep)
+        if self.out is None:
+            return judge
+        if self.html is None:
+            return ResumableResults(self.out, judge, resume=self.options.resume).judge
+        return ResumableResults(self.out, judge, resume=self.options.resume, has_page=self.html.holds).judge
+
+
+def candidate_judge(candidate: Candidate, *, keep: bool) -> JudgeScene:
+    """Judges a scene with a candidate in place of our caster. keep: with the evidence of the verdict."""
+    validate = partial(validate_candidate, candidate)
+
+    def judge(entry: SceneEntry, folder: Path | None) -> SceneVerdict:
+        found = scene_runner.judge_entry(entry, folder, validate=validate, keep=keep)
+        return replace(found, candidate=candidate.name)
+
+    return judge
+
+
+def run_identity(every: Sequence[SceneEntry], shard: Shard | None) -> dict[str, Any]:
+    """Fields of a Verdict that say which sources and versions judged. every: the scenes of all shards."""
+    if shard is None:
+        return {"code": code_hash(), "judged_with": judged_with()}
+    # The scenes are a part of the hash, so that shards of other scenes of the same names are not merged.
+    code = hashlib.sha256(code_hash().encode())
+    for entry in every:
+        code.update(f"\0{entry.name}\0{entry.scene.sha256()}".encode())
+    names = tuple(entry.name for entry in every)
+    return {"code": code.hexdigest(), "judged_with": judged_with(), "shard": str(shard), "selected": names}
