@@ -17,7 +17,7 @@ import numpy as np
 
 from caster.geometry.mesh import Mesh
 from caster.geometry.mesh_files import load_mesh
-from caster.geometry.procedural import heightfield
+from caster.shapes.heightfield import tessellate_heightfield
 
 
 def main() -> None:
@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=7)
     args = parser.parse_args()
     mi.set_variant("scalar_rgb")
-    mesh = heightfield(2.0, max(1, round((args.triangles / 2) ** 0.5)), 0.2, 8, 1)
+    mesh = tessellate_heightfield(2.0, max(1, round((args.triangles / 2) ** 0.5)), 0.2, 8, 1)
     with tempfile.TemporaryDirectory() as folder:
         print(f"{len(mesh.faces)} triangles     caster    Mitsuba   ratio")
         for name, write in (

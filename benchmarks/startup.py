@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from caster.geometry.procedural import heightfield
+from caster.shapes.heightfield import tessellate_heightfield
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIANTS = ("scalar_rgb", "llvm_ad_rgb")
@@ -93,7 +93,7 @@ def exported(scene: Path, folder: Path, size: int) -> Path:
 
 def mesh_scene(folder: Path) -> Path:
     """A landscape of 70 thousand triangles as a binary PLY file."""
-    mesh = heightfield(2.0, 187, 0.2, 8, 1)
+    mesh = tessellate_heightfield(2.0, 187, 0.2, 8, 1)
     head = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(mesh.vertices)}\nproperty float x\n"
         f"property float y\nproperty float z\nelement face {len(mesh.faces)}\n"

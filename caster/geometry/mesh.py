@@ -1,5 +1,6 @@
 """A triangle mesh: its arrays, the normals it gets when it brings none, and what makes one unusable."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -144,3 +145,15 @@ def triangle_fans(sizes: Indices) -> Indices:
     first = np.repeat(first_corner, triangles)
     nth = np.arange(len(first)) - np.repeat(first_triangle, triangles)
     return np.stack([first, first + nth + 1, first + nth + 2], axis=1)
+
+
+def check_integer(shape: str, name: str, value: int, low: int, high: float = math.inf) -> None:
+    """Refuse anything but a whole number from `low` to `high`; the upper limits keep meshes within memory."""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        limits = f">= {low}" if high == math.inf else f"from {low} to {high}"
+        raise SceneError(f"{shape}: {name} must be a whole number {limits}, got {value!r}")
+
+
+def check_length(shape: str, name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise SceneError(f"{shape}: {name} must be a length > 0, got {value!r}")

@@ -1,14 +1,57 @@
-"""A ball of triangles, nearly equal in size."""
+"""A tessellated sphere: an icosahedron whose faces are split in four repeatedly."""
 
+import math
 from typing import Annotated, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
-from caster.geometry.mesh import Mesh
-from caster.geometry.procedural import icosphere
+from caster.geometry.mesh import Floats, Ints, Mesh, check_integer, normalize_rows
 from caster.geometry.world_space import MeshShape
 
-__all__ = ["Icosphere"]
+__all__ = ["Icosphere", "tessellate_icosphere"]
+
+MAX_SUBDIVISIONS = 9  # 5,242,880 faces
+
+GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0
+
+# Three golden rectangles at right angles, and the faces between their corners.
+ACROSS_Z = [(-1, GOLDEN, 0), (1, GOLDEN, 0), (-1, -GOLDEN, 0), (1, -GOLDEN, 0)]
+ACROSS_X = [(0, -1, GOLDEN), (0, 1, GOLDEN), (0, -1, -GOLDEN), (0, 1, -GOLDEN)]
+ACROSS_Y = [(GOLDEN, 0, -1), (GOLDEN, 0, 1), (-GOLDEN, 0, -1), (-GOLDEN, 0, 1)]
+AROUND_0 = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11)]
+BESIDE_0 = [(1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8)]
+AROUND_3 = [(3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9)]
+BESIDE_3 = [(4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)]
+
+
+def tessellate_icosphere(subdivisions: int) -> Mesh:
+    """20 * 4^subdivisions faces on the unit sphere, with shared vertices; the normals are the positions.
+
+    subdivisions: 0 (an icosahedron) to 9. Raises SceneError otherwise.
+    """
+    check_integer("icosphere", "subdivisions", subdivisions, 0, MAX_SUBDIVISIONS)
+    vertices = normalize_rows(np.array(ACROSS_Z + ACROSS_X + ACROSS_Y))
+    faces = np.array(AROUND_0 + BESIDE_0 + AROUND_3 + BESIDE_3, np.int32)
+    for _ in range(subdivisions):
+        vertices, faces = _split(vertices, faces)
+    return Mesh(vertices, faces, vertices.copy())
+
+
+def _split(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
+    """Each face in four: the middle of an edge is one new vertex for both of its faces."""
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    edges, middle = np.unique(ends, axis=0, return_inverse=True)
+    middles = normalize_rows(vertices[edges[:, 0]] + vertices[edges[:, 1]])
+    return np.concatenate([vertices, middles]), _quarters(faces, len(vertices) + middle.reshape(-1, 3))
+
+
+def _quarters(faces: Ints, middles: NDArray[np.int64]) -> Ints:
+    a, b, c = faces.T
+    ab, bc, ca = middles.T
+    quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return np.stack([np.stack(q, axis=1) for q in quarters], axis=1).reshape(-1, 3).astype(np.int32)
 
 
 class Icosphere(MeshShape):
@@ -18,4 +61,4 @@ class Icosphere(MeshShape):
     subdivisions: Annotated[int, Field(ge=0, le=8)] = 3
 
     def mesh(self) -> Mesh:
-        return icosphere(self.subdivisions)
+        return tessellate_icosphere(self.subdivisions)

@@ -10,12 +10,13 @@ import numpy as np
 from caster.cameras import Fisheye, Orthographic, Pinhole
 from caster.description.errors import SceneError, suggestion
 from caster.geometry.packing import Triangles
-from caster.geometry.procedural import heightfield, torus
 from caster.image.atomic_files import write_bytes
 from caster.scene.lights import Ambient, Point
 from caster.scene.materials import Diffuse
 from caster.scene.model import Scene
 from caster.shapes import MeshFile, Sphere
+from caster.shapes.heightfield import tessellate_heightfield
+from caster.shapes.torus import tessellate_torus
 from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.xml_writer import ply_bytes
@@ -34,14 +35,14 @@ def write_mesh(folder: Path, name: str, vertices: np.ndarray, faces: np.ndarray,
 
 def torus_mesh(folder: Path, segments: int, sides: int, **more: str) -> MeshFile:
     """A closed torus of 2 * segments * sides triangles: silhouettes, and surface behind surface."""
-    mesh = torus(1.0, 0.4, segments, sides)
+    mesh = tessellate_torus(1.0, 0.4, segments, sides)
     return write_mesh(folder, "ring", mesh.vertices, mesh.faces, **more)
 
 
 def heightfield_mesh(folder: Path, triangles: int, **more: str) -> MeshFile:
     """About so many triangles of a hilly square of side 2."""
     resolution = max(1, round((triangles / 2) ** 0.5))
-    mesh = heightfield(2.0, resolution, 0.2, 8, 0)
+    mesh = tessellate_heightfield(2.0, resolution, 0.2, 8, 0)
     return write_mesh(folder, "hills", mesh.vertices, mesh.faces, **more)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from caster.geometry.procedural import icosphere
+from caster.shapes.icosphere import tessellate_icosphere
 
 MeshArrays = tuple[np.ndarray, np.ndarray]  # vertices (n, 3), faces (m, 3)
 
@@ -22,7 +22,7 @@ def octahedron() -> MeshArrays:
 
 
 def dented_icosphere() -> MeshArrays:
-    ball = icosphere(0)
+    ball = tessellate_icosphere(0)
     shares = np.random.default_rng(5).uniform(0.6, 1.0, (len(ball.vertices), 1))
     return ball.vertices * shares, ball.faces
 

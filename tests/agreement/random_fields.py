@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args, get_origin
 import numpy as np
 
 from caster.description.fields import Camera, Shape
-from caster.geometry.procedural import icosphere
+from caster.shapes.icosphere import tessellate_icosphere
 
 Rng = np.random.Generator
 Draw = Callable[[Rng, float], Any]  # the random numbers, and the size of the scene in scene units
@@ -58,7 +58,7 @@ def mesh_file() -> str:
     """A dented ball with irrational coordinates, as an OBJ file that goes away with this process."""
     folder = tempfile.mkdtemp(prefix="caster-agreement-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    mesh = icosphere(1)
+    mesh = tessellate_icosphere(1)
     dented = mesh.vertices * np.random.default_rng(5).uniform(0.6, 1.0, (len(mesh.vertices), 1))
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in dented.tolist()]
     lines += ["f {} {} {}".format(*face) for face in (mesh.faces + 1).tolist()]

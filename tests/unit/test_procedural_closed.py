@@ -8,16 +8,17 @@ import pytest
 
 from caster.description.errors import SceneError
 from caster.geometry.mesh import check_mesh
-from caster.geometry.procedural import icosphere, torus
+from caster.shapes.icosphere import tessellate_icosphere
+from caster.shapes.torus import tessellate_torus
 
 # A handful of roundings of u = 2^-53 each in a sine, a product and a sum.
 ROUNDING = 8 * 2.0**-53
 
 CLOSED = {
-    "icosahedron": (lambda: icosphere(0), 20),
-    "icosphere": (lambda: icosphere(3), 20 * 4**3),
-    "smallest torus": (lambda: torus(1.0, 0.5, 3, 3), 18),
-    "torus": (lambda: torus(2.0, 0.3, 24, 17), 2 * 24 * 17),
+    "icosahedron": (lambda: tessellate_icosphere(0), 20),
+    "icosphere": (lambda: tessellate_icosphere(3), 20 * 4**3),
+    "smallest torus": (lambda: tessellate_torus(1.0, 0.5, 3, 3), 18),
+    "torus": (lambda: tessellate_torus(2.0, 0.3, 24, 17), 2 * 24 * 17),
 }
 
 
@@ -67,26 +68,26 @@ def test_normals_have_unit_length(closed):
 
 @pytest.mark.parametrize("subdivisions", range(5))
 def test_icosphere_counts(subdivisions):
-    mesh = icosphere(subdivisions)
+    mesh = tessellate_icosphere(subdivisions)
     assert len(mesh.faces) == 20 * 4**subdivisions
     assert len(mesh.vertices) == 10 * 4**subdivisions + 2
 
 
 def test_icosphere_normals_are_its_positions():
-    mesh = icosphere(3)
+    mesh = tessellate_icosphere(3)
     assert np.array_equal(mesh.normals, mesh.vertices)
 
 
 def test_icosphere_comes_close_to_the_ball():
     """Splitting halves the edges, so a face is four times nearer to the sphere."""
-    missing = [4 / 3 * math.pi - signed_volume(icosphere(n)) for n in (2, 3, 4)]
+    missing = [4 / 3 * math.pi - signed_volume(tessellate_icosphere(n)) for n in (2, 3, 4)]
     assert missing[0] / missing[1] == pytest.approx(4, rel=0.05)
     assert missing[1] / missing[2] == pytest.approx(4, rel=0.05)
 
 
 def test_torus_vertices_and_normals_satisfy_its_equation():
     major, minor = 2.0, 0.3
-    mesh = torus(major, minor, 24, 17)
+    mesh = tessellate_torus(major, minor, 24, 17)
     x, y, z = mesh.vertices.T
     assert np.abs(np.hypot(np.hypot(x, y) - major, z) - minor).max() <= major * ROUNDING
     middle = mesh.vertices - minor * mesh.normals
@@ -95,13 +96,15 @@ def test_torus_vertices_and_normals_satisfy_its_equation():
 
 
 def test_torus_comes_close_to_its_volume():
-    assert signed_volume(torus(2.0, 0.3, 200, 100)) == pytest.approx(2 * math.pi**2 * 2.0 * 0.3**2, rel=2e-3)
+    assert signed_volume(tessellate_torus(2.0, 0.3, 200, 100)) == pytest.approx(
+        2 * math.pi**2 * 2.0 * 0.3**2, rel=2e-3
+    )
 
 
 @pytest.mark.parametrize("subdivisions", [-1, 10, 2.0, True])
 def test_icosphere_refuses_other_subdivisions(subdivisions):
     with pytest.raises(SceneError, match="icosphere: subdivisions must be a whole number from 0 to 9, got"):
-        icosphere(subdivisions)
+        tessellate_icosphere(subdivisions)
 
 
 @pytest.mark.parametrize(
@@ -117,4 +120,4 @@ def test_icosphere_refuses_other_subdivisions(subdivisions):
 )
 def test_torus_refuses_what_is_no_ring(parameters, words):
     with pytest.raises(SceneError, match=words):
-        torus(*parameters)
+        tessellate_torus(*parameters)

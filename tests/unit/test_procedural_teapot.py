@@ -8,8 +8,7 @@ import pytest
 
 from caster.description.errors import SceneError
 from caster.geometry.mesh import check_mesh, normalize_rows
-from caster.geometry.procedural import teapot
-from caster.geometry.procedural.teapot import PARTS, patches
+from caster.shapes.teapot import PARTS, patches, tessellate_teapot
 
 # Three roundings of u = 2^-53 for a weight and three for the sum, of numbers below 4.
 ROUNDING = 8 * 4 * 2.0**-53
@@ -60,7 +59,7 @@ def test_no_control_point_has_changed():
 
 @pytest.mark.parametrize("n", [2, 3, 7, 10])  # at n = 1 handle and spout are flat
 def test_faces_are_those_with_an_area(n):
-    mesh = teapot(n)
+    mesh = tessellate_teapot(n)
     check_mesh(mesh, "teapot")
     assert len(mesh.faces) == 64 * n * n - 8 * n
     assert (np.linalg.norm(face_normals(mesh), axis=1) > 0).all()
@@ -70,7 +69,7 @@ def test_faces_are_those_with_an_area(n):
 def test_vertices_lie_on_the_patches():
     """Against de Casteljau's construction, which shares no formula with the weights."""
     n = 6
-    vertices = teapot(n).vertices
+    vertices = tessellate_teapot(n).vertices
     for net in patches():
         for i in range(n + 1):
             for j in range(n + 1):
@@ -81,19 +80,19 @@ def test_vertices_lie_on_the_patches():
 @pytest.mark.parametrize("n", [3, 7, 10])
 def test_patches_of_a_part_are_joined_without_a_gap(n):
     """Open are the inner rim, the lid's edge and both ends of handle and spout: 4 or 2 patches around."""
-    _, uses = border_uses(teapot(n))
+    _, uses = border_uses(tessellate_teapot(n))
     assert uses.max() == 2
     assert np.count_nonzero(uses == 1) == n * (4 + 4 + 2 * 2 + 2 * 2)
 
 
 def test_the_left_half_mirrors_the_right_half_to_the_bit():
-    vertices = teapot(7).vertices
+    vertices = tessellate_teapot(7).vertices
     mirrored = vertices * (1, -1, 1) + 0.0
     assert set(map(tuple, vertices.tolist())) == set(map(tuple, mirrored.tolist()))
 
 
 def test_normals_have_unit_length_and_look_outwards():
-    mesh = teapot(16)
+    mesh = tessellate_teapot(16)
     assert np.abs(np.linalg.norm(mesh.normals, axis=1) - 1).max() <= ROUNDING
     flat = normalize_rows(face_normals(mesh))
     # at the lip of the spout, which curls within a cell, a face and its corners differ by up to 60 degrees
@@ -103,7 +102,7 @@ def test_normals_have_unit_length_and_look_outwards():
 def test_outwards_is_away_from_the_inside_of_each_part():
     """The pot's and the lid's axis is z; a point within handle and spout is between their rings."""
     nets = patches()
-    mesh = teapot(12)
+    mesh = tessellate_teapot(12)
     a = mesh.vertices[mesh.faces].mean(axis=1)
     n = face_normals(mesh)
     first = [0, *np.cumsum([2 * 12 * 12 - (12 if np.all(net[0] == net[0, 0]) else 0) for net in nets])]
@@ -116,7 +115,7 @@ def test_outwards_is_away_from_the_inside_of_each_part():
 
 @pytest.mark.parametrize(("tip", "normal"), [((0, 0, 3.15), (0, 0, 1)), ((0, 0, 0), (0, 0, -1))])
 def test_the_poles_are_one_vertex_with_the_axis_as_normal(tip, normal):
-    mesh = teapot(7)
+    mesh = tessellate_teapot(7)
     (k,) = np.flatnonzero((mesh.vertices == tip).all(axis=1))
     assert np.array_equal(mesh.normals[k], normal)
     near = mesh.faces[(mesh.faces == k).any(axis=1)]
@@ -125,7 +124,7 @@ def test_the_poles_are_one_vertex_with_the_axis_as_normal(tip, normal):
 
 def test_normals_are_those_of_the_surface():
     """Finite differences at the middle of each patch, which is a vertex when n is 2."""
-    mesh, h = teapot(2), 1e-6
+    mesh, h = tessellate_teapot(2), 1e-6
     for net in patches():
         p = de_casteljau(de_casteljau(net, 0.5), 0.5)
         du = de_casteljau(de_casteljau(net, 0.5 + h) - de_casteljau(net, 0.5 - h), 0.5)
@@ -140,4 +139,4 @@ def test_normals_are_those_of_the_surface():
 @pytest.mark.parametrize("subdivisions", [0, -3, 129, 4.0, True])
 def test_it_refuses_other_subdivisions(subdivisions):
     with pytest.raises(SceneError, match="teapot: subdivisions must be a whole number from 1 to 128, got"):
-        teapot(subdivisions)
+        tessellate_teapot(subdivisions)

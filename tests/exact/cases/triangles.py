@@ -10,7 +10,8 @@ from cases import whole
 from cases.case import Case, Maker, Question
 from cases.shapes import Aim, mesh_of, rays_at, shape_of, turn
 from caster import Heightfield, Icosphere, Triangle
-from caster.geometry.procedural import icosphere, torus
+from caster.shapes.icosphere import tessellate_icosphere
+from caster.shapes.torus import tessellate_torus
 
 SUBDIVISIONS = 4  # 5120 faces
 STEPS = 64  # of the grid in a radius, at least: four in an edge
@@ -22,7 +23,7 @@ def grid_ball(make: Maker, middle: Any) -> tuple[Any, np.ndarray, np.ndarray]:
 
     Its step leaves room for sums of a few corners, so that points of edges are exact.
     """
-    (m, n), ball = whole.whole_turn(make.rng), icosphere(SUBDIVISIONS)
+    (m, n), ball = whole.whole_turn(make.rng), tessellate_icosphere(SUBDIVISIONS)
     digits, room = (22, 18) if make.single else (50, 44)
     step = max(2.0 ** (np.ceil(np.log2(np.abs(middle).max() + 1.0)) - digits), 2.0**-room)
     radius = max(1.0, STEPS * step)
@@ -57,7 +58,7 @@ def closed_edges(make: Maker) -> Iterator[Question]:
         yield make.ask(
             f"rounded, at {middle[0]:g}", scene, o, first + share * (second - first), never=("miss",)
         )
-    ring = torus(1.0, 0.3, 24, 12)
+    ring = tessellate_torus(1.0, 0.3, 24, 12)
     m, n = whole.whole_turn(make.rng)
     vertices = np.rint(ring.vertices @ m.T / n * 2.0**18) / 2.0**18
     pairs = edges_of(ring.faces)[make.rng.integers(0, 3 * 24 * 12, make.count(60))]

@@ -13,7 +13,7 @@ import numpy as np
 
 from cases.shapes import mesh_of
 from caster import Cube, Cylinder, Disk, MeshFile, Plane, Rectangle, Sphere, Triangle
-from caster.geometry.procedural import icosphere
+from caster.shapes.icosphere import tessellate_icosphere
 
 Rng = np.random.Generator
 UNIT = 2.0**-5  # what "1" is
@@ -194,7 +194,7 @@ def plane(rng: Rng) -> Whole:
 def coarse_ball(rng: Rng, subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     """(vertices, faces) of a turned icosphere, its corners at multiples of 4 up to 2048."""
     m, n = whole_turn(rng)
-    mesh = icosphere(subdivisions)
+    mesh = tessellate_icosphere(subdivisions)
     return 4.0 * np.rint(500.0 / n * mesh.vertices @ m.T), mesh.faces
 
 
