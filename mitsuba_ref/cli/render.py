@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.output)
     rendered = render_reference(scene, names, variant=args.variant)
     if isinstance(rendered, Crash):
-        print(f"{args.scene}: Mitsuba ended without an answer ({rendered.exit}): {rendered.words}")
+        print(f"{args.scene}: {rendered.message}")
         return DIFFERENCES
     images, versions = rendered
     more = {f"caster/reference/{name}": version for name, version in versions.items()}

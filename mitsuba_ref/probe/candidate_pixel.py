@@ -140,7 +140,7 @@ def probe_candidate(
     rays = one_of(heard.rays, row)
     witness = _witness(here, heard, rays, pair)
     if isinstance(witness, Crash):
-        problem = f"Mitsuba ended without an answer ({witness.exit}): {witness.words}"
+        problem = witness.message
         return CandidatePixel(candidate.name, UNDECIDED, problem=problem)
     judge = CandidateJudge(here, heard.model, rays, witness, heard.answer.at(row))
     return _judged(candidate.name, judge, heard)

@@ -101,7 +101,7 @@ def probe_with_evidence(
     asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
     judge = judge_of(scene, whole=whole)
     if isinstance(judge, Crash):
-        problem = f"Mitsuba ended without an answer ({judge.exit}): {judge.words}"
+        problem = judge.message
         return PixelVerdict(
             x, y, UNDECIDED, _ray(shared_rays(scene)), {}, {}, {}, {}, {}, (), {}, problem
         ), judge

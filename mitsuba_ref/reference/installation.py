@@ -1,12 +1,11 @@
-"""What this machine has for the judge, and what each missing thing would add.
+"""Installation check of the judge: what this machine has, and what each missing part would add.
 
-Mitsuba is asked in a child process: a bad libLLVM aborts the process it is loaded into.
+Mitsuba is imported in a child process: a bad libLLVM aborts the process that loads it.
 """
 
 import importlib.metadata
 import json
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -22,6 +21,7 @@ from caster.cli.installation import (
     format_json,
     usable,
 )
+from mitsuba_ref.reference.subprocess_runner import exit_name
 
 __all__ = ["Finding", "exit_code", "format", "format_json", "report", "usable"]
 
@@ -31,7 +31,7 @@ INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, versi
 MATPLOTLIB = Package(
     "matplotlib", "matplotlib", "3.9", "the pictures of `stress --report` and `bench --report`", needed=False
 )
-PEER_PURPOSE = "somebody else to be timed by `bench --peers`"
+PEER_PURPOSE = "another ray caster for `bench --peers`"
 PEERS = (
     Package("open3d", "open3d", "0.19", PEER_PURPOSE, needed=False),
     Package("embreex", "embreex", "4.4", PEER_PURPOSE, needed=False),
@@ -49,12 +49,12 @@ print(json.dumps(describe_installation()))
 
 
 def report() -> list[Finding]:
-    """Look for everything the ray caster and the judge use."""
+    """Find everything that the ray caster and the judge use."""
     return [*caster_doctor.report(), *judge_findings()]
 
 
 def judge_findings(probe: Sequence[str] = (sys.executable, "-c", PROBE_SCRIPT)) -> list[Finding]:
-    """What the judge uses on top of the ray caster. `probe` describes Mitsuba, as PROBE does."""
+    """Find what the judge uses on top of the ray caster. probe: a command that prints what PROBE_SCRIPT prints."""
     versions = [_pinned(name) for name in PINNED]
     missing = [finding.name for finding in versions if not finding.found]
     answer, problem = ({}, f"needs {' and '.join(missing)} first") if missing else _run_probe(probe)
@@ -89,7 +89,7 @@ def _pinned(name: str) -> Finding:
 
 
 def _run_probe(probe: Sequence[str]) -> tuple[dict[str, Any], str]:
-    """The door's description of Mitsuba, or why there is none."""
+    """(description of Mitsuba, why there is none)"""
     try:
         child = subprocess.run(
             probe, capture_output=True, text=True, timeout=PROBE_TIMEOUT_SECONDS, check=True
@@ -101,18 +101,17 @@ def _run_probe(probe: Sequence[str]) -> tuple[dict[str, Any], str]:
     return _parse_description(child.stdout)
 
 
-def _parse_description(words: str) -> tuple[dict[str, Any], str]:
-    """The last line is the answer; Mitsuba may have printed warnings before it."""
-    last = "".join(words.splitlines()[-1:])
+def _parse_description(output: str) -> tuple[dict[str, Any], str]:
+    """Of the last line; Mitsuba may have printed warnings before it."""
+    last = "".join(output.splitlines()[-1:])
     try:
         return dict(json.loads(last)), ""
     except (ValueError, TypeError):
         return {}, f"the answer was not a description: {last!r}"
 
 
-def _exit_description(code: int, words: str) -> str:
-    end = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-    return ": ".join([f"importing Mitsuba ended with {end}", *words.strip().splitlines()[-1:]])
+def _exit_description(code: int, output: str) -> str:
+    return ": ".join([f"importing Mitsuba ended with {exit_name(code)}", *output.strip().splitlines()[-1:]])
 
 
 def _variants(answer: dict[str, Any], problem: str) -> Finding:
@@ -129,7 +128,7 @@ def _llvm(answer: dict[str, Any]) -> Finding:
 
 
 def _gpu() -> Finding:
-    """Asked for because people ask: the reference is a CPU's, so that every machine has the same one."""
+    """Reported, though unused: the reference runs on the CPU, so that every machine has the same one."""
     library = find_library("cuda")
     adds = "nothing yet: the reference uses the CPU"
     return Finding("GPU", library is not None, False, library or "no CUDA driver", adds)

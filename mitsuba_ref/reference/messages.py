@@ -32,7 +32,7 @@ UNREADABLE_FILE_ERRORS = (
 
 @dataclass(frozen=True, eq=False)
 class TraceRequest:
-    """Rays through one exported scene, bit for bit the float32 numbers given; d need not be unit length."""
+    """Rays through one exported scene, as float32 numbers to the bit; d need not be of unit length."""
 
     ROWS: ClassVar[RowLayout] = {"o": ((3,), np.float32), "d": ((3,), np.float32), "t_max": ((), np.float32)}
 
@@ -41,9 +41,9 @@ class TraceRequest:
     o: np.ndarray  # (n, 3) float32
     d: np.ndarray  # (n, 3) float32
     t_max: np.ndarray  # (n,) float32, lengths of d; inf is no limit
-    lights: bool = True  # whether light_rgb, light_visible and albedo are wanted
-    sensor: bool = False  # whether the rays of the scene's own sensor are wanted
-    strict: bool = True  # whether what Mitsuba warns of is refused
+    lights: bool = True  # whether to compute light_rgb, light_visible and albedo
+    sensor: bool = False  # whether to sample the rays of the scene's own sensor
+    strict: bool = True  # whether a warning of Mitsuba's is an error
     more: tuple[tuple[Path, int], ...] = ()  # further scenes, and the first of the rays that go through each
 
     def __post_init__(self) -> None:
@@ -74,7 +74,7 @@ class TraceRequest:
 
 @dataclass(frozen=True, eq=False)
 class TraceResponse:
-    """What Mitsuba found along each of n rays. On a miss: t inf, shape and prim -1, everything else 0."""
+    """Intersections of n rays by Mitsuba. On a miss: t inf, shape and prim -1, everything else 0."""
 
     ROWS: ClassVar[RowLayout] = {
         "t": ((), np.float32),
@@ -109,16 +109,16 @@ class TraceResponse:
 
     @classmethod
     def read(cls, folder: Path, rays: int) -> "TraceResponse":
-        """The answer about so many rays; ValueError where it is missing, cut short or of another shape."""
+        """The response to a request of so many rays. Raises ValueError where it is missing, cut short or malformed."""
         try:
-            answer = cls(**_read(cls, folder / "answer"))
+            response = cls(**_read(cls, folder / "answer"))
         except UNREADABLE_FILE_ERRORS as error:
             raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
-        answer.check(rays)
-        return answer
+        response.check(rays)
+        return response
 
     def check(self, rays: int) -> None:
-        """ValueError unless every array has the length, the dtype and the range it should have."""
+        """Raise ValueError unless every array has its length, dtype and range."""
         _check_rows(self, rays)
         lights = len(self.light_rgb)
         _check("light_rgb", self.light_rgb, (lights, rays, 3), np.float32)
@@ -137,18 +137,23 @@ class TraceResponse:
 
 @dataclass(frozen=True)
 class Crash:
-    """Mitsuba ended without an answer."""
+    """The end of a Mitsuba process without a response."""
 
-    kind: str  # abort, signal, timeout, error (it said no) or garbage (it ended well without a whole answer)
-    words: str  # the last ones of its stdout and stderr
-    exit: str
+    kind: str  # abort, signal, timeout, error (it refused) or garbage (exit code 0 without a whole response)
+    output: str  # head and tail of its stdout and stderr
+    exit: str  # an exit code, a signal, or that it was killed
     seconds: float
 
     @property
     def headline(self) -> str:
-        """The one line to show: the first that speaks of an error, or else the last."""
-        lines = [line.strip() for line in self.words.splitlines() if line.strip()]
+        """The one line to show: the first with "error" in it, or else the last."""
+        lines = [line.strip() for line in self.output.splitlines() if line.strip()]
         return next((line for line in lines if "error" in line.lower()), "".join(lines[-1:]))
+
+    @property
+    def message(self) -> str:
+        """All of it as the problem of a scene."""
+        return f"Mitsuba ended without an answer ({self.exit}): {self.output}".strip()
 
 
 # -P: a user's folder may hold a mitsuba.py, and `-m` would look there first.
@@ -200,7 +205,7 @@ def _check(name: str, array: Any, shape: tuple[int, ...], dtype: type) -> None:
 
 
 def _write(record: Any, path: Path) -> None:
-    """The .json comes last and at once: where it is, the rest is."""
+    """Arrays first, then the .json by an atomic rename: where it is, the rest is whole."""
     values = {field.name: getattr(record, field.name) for field in fields(record)}
     arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
     rest = {name: value for name, value in values.items() if name not in arrays}

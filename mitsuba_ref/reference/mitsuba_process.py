@@ -1,10 +1,13 @@
-"""The door to Mitsuba: the only module that imports it, and so the one it may take down with it.
+"""Calls of Mitsuba: the only module that imports it, loaded only in a child process, which Mitsuba may take down.
 
-Ask through worker.py, which opens it in a child process.
+Requests reach it through session.py. The scalar variant is called ray by ray from Python: slow, and float64 inside
+spheres and cylinders. The LLVM variant takes all rays at once, in float32 throughout.
 """
 
 import os
 import time
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +15,12 @@ import drjit
 import mitsuba
 import numpy as np
 
-from mitsuba_ref.reference import llvm_rays, scalar_rays, variants
+from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 
-VECTORISED = "llvm"
+LLVM_PREFIX = "llvm"  # of variants that are vectorised
+SCALAR_RAYS_PER_CHUNK = 16384  # whose hits are held at a time: a hit takes 500 bytes
+CENTER = (0.5, 0.5)  # of the aperture and of a light that is a point: no sample depends on it
 
 # Their type stubs know no variants.
 mi: Any = mitsuba
@@ -28,42 +33,43 @@ def describe_installation() -> dict[str, Any]:
     return {"variants": list(found.names), "libllvm": found.libllvm}
 
 
-def trace_request(job: TraceRequest) -> TraceResponse:
+def trace_request(request: TraceRequest) -> TraceResponse:
     """Load the scene and trace the rays, in this process.
 
-    Raises RuntimeError with Mitsuba's words where it refuses the scene, if the job is strict also where it would
+    Raises RuntimeError with Mitsuba's message where it refuses the scene, of a strict request also where it would
     only warn, and ImportError where it refuses the variant. Prints nothing.
     """
-    mi.set_variant(job.variant)
-    _set_log_level(job.strict)
+    mi.set_variant(request.variant)
+    _set_log_level(request.strict)
     start = time.perf_counter()
-    scene = mi.load_file(str(job.xml), optimize=False)  # optimising merges meshes and loses their ids
-    arrays: dict[str, Any] = _trace(scene, job) | _sensor_rays(scene, job)
+    scene = mi.load_file(str(request.xml), optimize=False)  # optimising merges meshes and loses their ids
+    arrays: dict[str, Any] = _trace(scene, request) | _sensor_rays(scene, request)
     seconds = time.perf_counter() - start
     names = [shape.id() for shape in scene.shapes()]
-    return TraceResponse(names=names, versions=_versions(job.variant), seconds=seconds, **arrays)
+    return TraceResponse(names=names, versions=_versions(request.variant), seconds=seconds, **arrays)
 
 
 def _set_log_level(strict: bool) -> None:
-    """Where strict, a warning is an error; and no log on stdout, where answers of commands go."""
+    """Where strict, a warning is an error; and no log on stdout, where results of commands go."""
     logger = mi.logger()
     logger.clear_appenders()
     logger.set_error_level(mi.LogLevel.Warn if strict else mi.LogLevel.Error)
 
 
-def _trace(scene: Any, job: TraceRequest) -> dict[str, Any]:
-    if job.variant.startswith(VECTORISED) and len(job.o):
-        return llvm_rays.trace(mi, dr, scene, job)
-    return scalar_rays.trace(mi, scene, job)  # no rays: empty arrays, whatever the variant
+def _trace(scene: Any, request: TraceRequest) -> dict[str, Any]:
+    """Every array of a TraceResponse but the sensor's."""
+    if request.variant.startswith(LLVM_PREFIX) and len(request.o):
+        return _trace_llvm(scene, request)
+    return _trace_scalar(scene, request)  # no rays: empty arrays, whatever the variant
 
 
-def _sensor_rays(scene: Any, job: TraceRequest) -> dict[str, Any]:
+def _sensor_rays(scene: Any, request: TraceRequest) -> dict[str, Any]:
     names = ("sensor_o", "sensor_d", "sensor_t_max")
-    if not job.sensor or not scene.sensors():
+    if not request.sensor or not scene.sensors():
         return dict.fromkeys(names)
     sensor = scene.sensors()[0]
-    rays = llvm_rays if job.variant.startswith(VECTORISED) else scalar_rays
-    return dict(zip(names, rays.sensor_rays(mi, sensor, *_pixel_centers(sensor.film())), strict=True))
+    sample = _llvm_sensor_rays if request.variant.startswith(LLVM_PREFIX) else _scalar_sensor_rays
+    return dict(zip(names, sample(sensor, *_pixel_centers(sensor.film())), strict=True))
 
 
 def _pixel_centers(film: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -90,11 +96,166 @@ def _versions(variant: str) -> dict[str, str]:
 
 
 def _libllvm(variant: str) -> str:
-    """The library that is really loaded, where the system says; or else the one that was asked for."""
-    if not variant.startswith(VECTORISED):
+    """The library that is loaded, where the system shows it; or else the one that was configured."""
+    if not variant.startswith(LLVM_PREFIX):
         return "none"
     try:
         maps = Path("/proc/self/maps").read_text()
     except OSError:
         return os.environ.get(variants.LIBLLVM_ENVIRONMENT_VARIABLE) or "none"
     return next((line.split()[-1] for line in maps.splitlines() if "libLLVM" in line), "none")
+
+
+# ---- the scalar variant
+
+
+def _trace_scalar(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
+    emitters = scene.emitters() if request.lights else []
+    found = _misses(len(request.o), len(emitters))
+    index = {shape: i for i, shape in enumerate(scene.shapes())}
+    for start in range(0, len(request.o), SCALAR_RAYS_PER_CHUNK):
+        rows, hits = _scalar_hits(scene, request, slice(start, start + SCALAR_RAYS_PER_CHUNK))
+        _store_scalar_surface(found, rows, hits, index)
+        if request.lights:
+            found["albedo"][rows] = _array_of((si.bsdf().eval_diffuse_reflectance(si) for si in hits), 3)
+        for k, emitter in enumerate(emitters):
+            found["light_rgb"][k, rows], found["light_visible"][k, rows] = _scalar_light(scene, emitter, hits)
+    return found
+
+
+def _misses(rays: int, lights: int) -> dict[str, np.ndarray]:
+    found: dict[str, np.ndarray] = {
+        name: np.zeros((rays, *row), dtype) for name, (row, dtype) in TraceResponse.ROWS.items()
+    }
+    found["t"][:] = np.inf
+    found["shape"][:] = found["prim"][:] = -1
+    found["light_rgb"] = np.zeros((lights, rays, 3), np.float32)
+    found["light_visible"] = np.zeros((lights, rays), np.bool_)
+    return found
+
+
+def _scalar_hits(scene: Any, request: TraceRequest, chunk: slice) -> tuple[list[int], list[Any]]:
+    """Rows of the rays of one chunk that hit, and their surface interactions."""
+    rows, hits = [], []
+    ray, intersect = mi.Ray3f, scene.ray_intersect
+    numbers = (array[chunk].tolist() for array in (request.o, request.d, request.t_max))
+    for i, (o, d, t_max) in enumerate(zip(*numbers, strict=True), chunk.start):
+        si = intersect(ray(o, d, t_max, 0.0, []))
+        if si.is_valid():
+            rows.append(i)
+            hits.append(si)
+    return rows, hits
+
+
+def _store_scalar_surface(
+    found: dict[str, np.ndarray], rows: list[int], hits: list[Any], index: dict[Any, int]
+) -> None:
+    found["t"][rows] = [si.t for si in hits]
+    found["n"][rows] = _array_of((si.n for si in hits), 3)
+    found["sh_n"][rows] = _array_of((si.sh_frame.n for si in hits), 3)
+    found["p"][rows] = _array_of((si.p for si in hits), 3)
+    found["uv"][rows] = _array_of((si.uv for si in hits), 2)
+    found["shape"][rows] = [index[si.instance or si.shape] for si in hits]
+    found["prim"][rows] = [si.prim_index for si in hits]
+
+
+def _scalar_light(scene: Any, emitter: Any, hits: list[Any]) -> tuple[np.ndarray, list[bool]]:
+    """The terms that Mitsuba's `direct` integrator adds up, with its shadow test kept apart."""
+    context, sample = mi.BSDFContext(), mi.Point2f(CENTER)
+    directions = [emitter.sample_direction(si, sample) for si in hits]
+    pairs = zip(hits, directions, strict=True)
+    visible = [not scene.ray_test(si.spawn_ray_to(ds.p)) for si, (ds, _) in pairs]
+    return _array_of(_reflected(context, hits, directions), 3), visible
+
+
+def _reflected(context: Any, hits: list[Any], directions: list[Any]) -> Iterator[Any]:
+    for si, (ds, weight) in zip(hits, directions, strict=True):
+        yield weight * si.bsdf().eval(context, si, si.to_local(ds.d))
+
+
+def _scalar_sensor_rays(sensor: Any, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
+    """o, d, t_max through points of the film, which are in [0, 1]^2 across the crop window."""
+    aperture, point = mi.Point2f(CENTER), mi.Point2f
+    pairs = zip(x.tolist(), y.tolist(), strict=True)
+    rays = [sensor.sample_ray(0.0, 0.5, point(*pair), aperture)[0] for pair in pairs]
+    t_max = np.array([ray.maxt for ray in rays], np.float32)
+    return _array_of((ray.o for ray in rays), 3), _array_of((ray.d for ray in rays), 3), t_max
+
+
+def _array_of(vectors: Iterable[Any], width: int) -> np.ndarray:
+    """Vectors of Mitsuba's float32 numbers as an array; converting one by one takes twenty times as long."""
+    return np.fromiter(chain.from_iterable(vectors), np.float32).reshape(-1, width)
+
+
+# ---- the LLVM variant
+
+
+def _trace_llvm(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
+    count = len(request.o)
+    o, d = (_to_drjit(array) for array in (request.o, request.d))
+    ray = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d), mi.Float(request.t_max), mi.Float(0.0), mi.Color0f())
+    si = scene.ray_intersect(ray, int(mi.RayFlags.All), True)  # coherent: a hint that changes no bit
+    hit = si.is_valid()
+    albedo = si.bsdf().eval_diffuse_reflectance(si, hit) if request.lights else mi.Color3f(0.0)
+    lights = [
+        _llvm_light(scene, emitter, si, hit) for emitter in (scene.emitters() if request.lights else [])
+    ]
+    dr.eval(si, hit, albedo, lights)
+    return _llvm_surface(scene, si, hit, count) | _llvm_lighting(albedo, lights, hit, count)
+
+
+def _llvm_light(scene: Any, emitter: Any, si: Any, hit: Any) -> tuple[Any, Any]:
+    """The terms that Mitsuba's `direct` integrator adds up, with its shadow test kept apart."""
+    ds, weight = emitter.sample_direction(si, mi.Point2f(CENTER), hit)
+    rgb = weight * si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), hit)
+    return rgb, hit & ~scene.ray_test(si.spawn_ray_to(ds.p), hit)
+
+
+def _llvm_surface(scene: Any, si: Any, hit: Any, count: int) -> dict[str, np.ndarray]:
+    vectors = {"n": si.n, "sh_n": si.sh_frame.n, "p": si.p, "uv": si.uv}
+    prim = dr.select(hit, mi.Int32(si.prim_index), -1)
+    return {
+        "t": _column(si.t, count),
+        "shape": _llvm_shapes(scene, si, count),
+        "prim": _column(prim, count, np.int32),
+    } | {name: _columns(dr.select(hit, vector, 0.0), count) for name, vector in vectors.items()}
+
+
+def _llvm_shapes(scene: Any, si: Any, count: int) -> np.ndarray:
+    """Indices into scene.shapes(). Dr.Jit numbers shapes in an order of its own, from 1; 0 is no shape."""
+    shape, instance = (dr.reinterpret_array(mi.UInt32, pointer) for pointer in (si.shape, si.instance))
+    numbers = _column(dr.select(instance != 0, instance, shape), count, np.uint32)
+    known = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
+    index = np.full(max(numbers.max(initial=0), known.max(initial=0)) + 1, -1, np.int32)
+    index[known] = np.arange(len(known))
+    index[0] = -1
+    return index[numbers]
+
+
+def _llvm_lighting(albedo: Any, lights: list[tuple[Any, Any]], hit: Any, count: int) -> dict[str, np.ndarray]:
+    rgb = [_columns(dr.select(hit, light, 0.0), count) for light, _ in lights]
+    visible = [_column(lit, count, np.bool_) for _, lit in lights]
+    return {
+        "albedo": _columns(dr.select(hit, albedo, 0.0), count),
+        "light_rgb": np.array(rgb, np.float32).reshape(len(lights), count, 3),
+        "light_visible": np.array(visible, np.bool_).reshape(len(lights), count),
+    }
+
+
+def _llvm_sensor_rays(sensor: Any, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
+    """o, d, t_max through points of the film, which are in [0, 1]^2 across the crop window."""
+    ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(mi.Float(x), mi.Float(y)), mi.Point2f(CENTER))
+    return _columns(ray.o, len(x)), _columns(ray.d, len(x)), _column(ray.maxt, len(x))
+
+
+def _to_drjit(rows: np.ndarray) -> list[Any]:
+    return [mi.Float(np.ascontiguousarray(column)) for column in rows.T]
+
+
+def _column(values: Any, count: int, dtype: type = np.float32) -> np.ndarray:
+    """One number for each ray; Dr.Jit keeps a single one where all are the same."""
+    return np.broadcast_to(values.numpy().astype(dtype, copy=False), (count,)).copy()
+
+
+def _columns(vector: Any, count: int) -> np.ndarray:
+    return np.stack([_column(component, count) for component in vector], axis=1)

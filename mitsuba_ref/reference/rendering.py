@@ -1,4 +1,4 @@
-"""A scene as Mitsuba loads it: every shape by its reference, the camera by its own."""
+"""Export of scenes to Mitsuba, tracing of shared rays by it, and its images under the names of the caster's AOVs."""
 
 import tempfile
 from collections.abc import Sequence
@@ -30,24 +30,24 @@ from mitsuba_ref.reference.xml_writer import SceneExport, ShapeWriter, scene_doc
 
 REFERENCE_OF_CAMERA = {reference.describes: reference for reference in REFERENCES}
 
-# Where a sensor's clip planes go when the scene has none, in units of how far the scene reaches.
+# Clip planes of a sensor whose camera has none, in units of how far the scene reaches.
 NEAR_PER_REACH, FAR_PER_REACH = 2.0**-20, 2.0**10
 
 
 def camera_reference(camera: Camera) -> CameraReference:
-    """Raises MissingReferenceError with what to write, where a camera has no reference yet."""
+    """The entry of a camera. Raises MissingReferenceError, which says what to write."""
     if type(camera) not in REFERENCE_OF_CAMERA:
         raise MissingReferenceError(missing_reference(type(camera).__name__, "cameras"))
     return REFERENCE_OF_CAMERA[type(camera)]
 
 
 def export_scene(scene: Scene) -> SceneExport:
-    """Scene -> XML and meshes, for plain Mitsuba."""
+    """XML and meshes of a scene, for use with plain Mitsuba."""
     return export(scene, model_of(scene, pack(scene, as_float32), shared_rays(scene)))
 
 
 def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExport:
-    """The same, of geometry that is packed already. robust: Embree's mode that keeps meshes closed."""
+    """XML and meshes of packed geometry. robust: Embree's mode that keeps meshes closed."""
     out = ShapeWriter(scene)
     shapes = []
     for name, shape, part in zip(shape_ids(scene), scene.shapes, model.parts, strict=True):
@@ -66,17 +66,14 @@ def shape_ids(scene: Scene) -> list[str]:
 
 
 def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
-    """Clip planes that cut nothing off: by the farthest corner of what has an end, and the eye."""
+    """Clip planes that cut nothing off: by the farthest corner of bounded primitives, and the eye."""
     corners = np.abs(np.concatenate(model.boxes))
     ends = corners[np.isfinite(corners)]
     reach = float(max(ends.max(initial=0.0), np.abs(scene.camera.eye).max(), 1e-3))
     return ClipRange(NEAR_PER_REACH * reach, FAR_PER_REACH * reach)
 
 
-# What Mitsuba sees along our rays, in the type and under the names of our own pictures.
-
-
-# What the reference can tell, of all that the caster can.
+# AOVs that the reference can give.
 REFERENCE_AOVS = (
     "hit",
     "depth",
@@ -93,18 +90,18 @@ REFERENCE_AOVS = (
 
 @dataclass(frozen=True)
 class ReferenceResult:
-    """Mitsuba's answer about a scene. Arrays are float64, one row a ray."""
+    """Mitsuba's response in the scene's terms. Arrays are float64, one row a ray."""
 
     answer: TraceResponse
     t: np.ndarray  # (n,) lengths of d, inf on a miss
     shape_id: np.ndarray  # (n,) int32 index of the scene's shape, -1 on a miss
-    unshadowed: np.ndarray  # (lights, n, 3) what each light would give without shadows
+    unshadowed: np.ndarray  # (lights, n, 3) radiance from each light, without shadows
     visible: np.ndarray  # (lights, n) bool
     ambient: np.ndarray  # (n, 3)
 
     @property
     def hit(self) -> np.ndarray:
-        """(n,) bool. A NaN counts as a hit: Mitsuba says so, and it has to be noticed."""
+        """(n,) bool. A NaN counts as a hit: Mitsuba reports one, and it has to be noticed."""
         return ~np.isposinf(self.t)
 
     @property
@@ -119,7 +116,7 @@ def needs_lights(aovs: Sequence[str]) -> bool:
 
 
 def variant_of(scene: Scene) -> str:
-    """The variant to ask about this scene."""
+    """The variant that traces this scene."""
     return variant_for(any(reference_of(shape).analytic for shape in scene.shapes))
 
 
@@ -133,7 +130,7 @@ def trace_reference(
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
 ) -> ReferenceResult | Crash:
-    """Ask Mitsuba about these rays, by `ask`. A crash of it is an answer, too."""
+    """Trace these rays by Mitsuba, in a process that `send` reaches. A crash is a result, too."""
     with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as folder:
         xml = export(scene, model).write(Path(folder))
         job = TraceRequest(
@@ -144,7 +141,7 @@ def trace_reference(
 
 
 def reference_result(scene: Scene, answer: TraceResponse) -> ReferenceResult:
-    """The answer in the scene's own terms."""
+    """A response in the terms of its scene."""
     place = {name: index for index, name in enumerate(shape_ids(scene))}
     table = np.array([*(place.get(name, -1) for name in answer.names), -1], np.int32)
     radiance = np.zeros(3)
@@ -165,7 +162,7 @@ def reference_result(scene: Scene, answer: TraceResponse) -> ReferenceResult:
 def aovs_of(
     witness: ReferenceResult, rays: SharedRays, shape: tuple[int, int], names: Sequence[str] = REFERENCE_AOVS
 ) -> Aovs:
-    """The witness as pictures of (height, width), misses as the caster writes them."""
+    """Images (height, width) of a result, misses as the caster writes them."""
     answer, hit = witness.answer, witness.hit
     length = np.linalg.norm(rays.d.astype(np.float64), axis=1)
     flat = {
@@ -191,9 +188,6 @@ def aovs_of(
     return Aovs(images, hit.reshape(shape))
 
 
-# Mitsuba's pictures of a scene, without anything to compare them with.
-
-
 def render_reference(
     scene: Scene,
     aovs: Sequence[str] = REFERENCE_AOVS,
@@ -201,7 +195,7 @@ def render_reference(
     variant: str | None = None,
     timeout: float = DEFAULT_TIMEOUT,
 ) -> tuple[Aovs, dict[str, str]] | Crash:
-    """(images as `caster.render` gives them, versions), or how Mitsuba ended."""
+    """Render a scene by Mitsuba: (images as `caster.render` gives them, versions), or how Mitsuba ended."""
     rays = shared_rays(scene)
     model = model_of(scene, pack(scene, as_float32), rays)
     witness = trace_reference(scene, model, rays, variant=variant, lights=needs_lights(aovs), timeout=timeout)

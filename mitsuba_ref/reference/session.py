@@ -31,72 +31,74 @@ DONE, REFUSED = "done", "refused"  # its replies
 SendRequest = Callable[[TraceRequest, float], TraceResponse | Crash]
 
 
-def send_request(job: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
-    """Ask Mitsuba about one scene; returns within `timeout` seconds, and leaves neither process nor file."""
-    return messages.run_request(job, timeout, variants.environment_for(job.variant))
+def send_request(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
+    """Trace rays through one scene; returns within `timeout` seconds, and leaves neither process nor file."""
+    return messages.run_request(request, timeout, variants.environment_for(request.variant))
 
 
 def send_requests(
-    jobs: Sequence[TraceRequest], timeout: float = DEFAULT_TIMEOUT
+    requests: Sequence[TraceRequest], timeout: float = DEFAULT_TIMEOUT
 ) -> list[TraceResponse | Crash]:
-    """Ask about several scenes in one child; only what ends without an answer is asked again, by halves.
+    """Trace rays through several scenes in one child; what ends without a response is sent again, by halves.
 
-    jobs: of one variant, without lights and sensor. `seconds` of each answer are those of the whole child.
+    requests: of one variant, without lights and sensor. `seconds` of each response are those of the whole child.
     """
-    if len(jobs) == 1:
-        return [send_request(jobs[0], timeout)]
-    answer = send_request(merge_requests(jobs), timeout)
-    if isinstance(answer, TraceResponse):
-        return split_response(answer, [len(job.o) for job in jobs])
-    half = len(jobs) // 2
-    return [*send_requests(jobs[:half], timeout), *send_requests(jobs[half:], timeout)]
+    if len(requests) == 1:
+        return [send_request(requests[0], timeout)]
+    response = send_request(merge_requests(requests), timeout)
+    if isinstance(response, TraceResponse):
+        return split_response(response, [len(request.o) for request in requests])
+    half = len(requests) // 2
+    return [*send_requests(requests[:half], timeout), *send_requests(requests[half:], timeout)]
 
 
-def merge_requests(jobs: Sequence[TraceRequest]) -> TraceRequest:
-    """One job of several."""
-    firsts = np.cumsum([len(job.o) for job in jobs]).tolist()
-    more = tuple((job.xml, first) for job, first in zip(jobs[1:], firsts, strict=False))
+def merge_requests(requests: Sequence[TraceRequest]) -> TraceRequest:
+    """One request of several."""
+    firsts = np.cumsum([len(request.o) for request in requests]).tolist()
+    more = tuple((request.xml, first) for request, first in zip(requests[1:], firsts, strict=False))
     rays: dict[str, Any] = {
-        name: np.concatenate([getattr(job, name) for job in jobs]) for name in TraceRequest.ROWS
+        name: np.concatenate([getattr(request, name) for request in requests]) for name in TraceRequest.ROWS
     }
-    return replace(jobs[0], more=more, **rays)
+    return replace(requests[0], more=more, **rays)
 
 
-def merge_responses(answers: Sequence[TraceResponse]) -> TraceResponse:
-    """One answer of several; with more than one, names begin with the number of the scene."""
-    first, *rest = answers
+def merge_responses(responses: Sequence[TraceResponse]) -> TraceResponse:
+    """One response of several; with more than one, names begin with the number of the scene."""
+    first, *rest = responses
     if not rest:
         return first
     rows: dict[str, Any] = {
-        name: np.concatenate([getattr(answer, name) for answer in answers]) for name in TraceResponse.ROWS
+        name: np.concatenate([getattr(response, name) for response in responses])
+        for name in TraceResponse.ROWS
     }
-    starts = np.cumsum([0, *(len(answer.names) for answer in answers)])
-    owner = np.repeat(np.arange(len(answers)), [len(answer.t) for answer in answers])
+    starts = np.cumsum([0, *(len(response.names) for response in responses)])
+    owner = np.repeat(np.arange(len(responses)), [len(response.t) for response in responses])
     rows["shape"] = np.where(rows["shape"] < 0, -1, rows["shape"] + starts[owner]).astype(np.int32)
-    names = [f"{i}:{name}" for i, answer in enumerate(answers) for name in answer.names]
+    names = [f"{i}:{name}" for i, response in enumerate(responses) for name in response.names]
     lit: dict[str, Any] = {
-        name: np.concatenate([getattr(answer, name) for answer in answers], axis=1) for name in LIGHT_ARRAYS
+        name: np.concatenate([getattr(response, name) for response in responses], axis=1)
+        for name in LIGHT_ARRAYS
     }
-    seconds = sum(answer.seconds for answer in answers)
+    seconds = sum(response.seconds for response in responses)
     return replace(first, names=names, seconds=seconds, **rows, **lit)
 
 
 LIGHT_ARRAYS = ("light_rgb", "light_visible")  # (lights, n, ...): their second axis counts the rays
 
 
-def split_response(answer: TraceResponse, counts: Sequence[int]) -> list[TraceResponse | Crash]:
-    """`joined`, undone: the answers about so many rays each."""
+def split_response(response: TraceResponse, counts: Sequence[int]) -> list[TraceResponse | Crash]:
+    """The inverse of `merge_responses`: responses to so many rays each."""
     found: list[TraceResponse | Crash] = []
-    scene_of = np.array([int(name.partition(":")[0]) for name in answer.names], int)
+    scene_of = np.array([int(name.partition(":")[0]) for name in response.names], int)
     for i, stop in enumerate(np.cumsum(counts).tolist()):
         rows = slice(stop - counts[i], stop)
         own = np.flatnonzero(scene_of == i)
-        arrays: dict[str, Any] = {name: getattr(answer, name)[rows] for name in TraceResponse.ROWS}
+        arrays: dict[str, Any] = {name: getattr(response, name)[rows] for name in TraceResponse.ROWS}
         first = own[0] if len(own) else 0
         arrays["shape"] = np.where(arrays["shape"] < 0, -1, arrays["shape"] - first).astype(np.int32)
-        names = [answer.names[j].partition(":")[2] for j in own]
-        lit: dict[str, Any] = {name: getattr(answer, name)[:, rows] for name in LIGHT_ARRAYS}
-        found.append(replace(answer, names=names, **arrays, **lit))
+        names = [response.names[j].partition(":")[2] for j in own]
+        lit: dict[str, Any] = {name: getattr(response, name)[:, rows] for name in LIGHT_ARRAYS}
+        found.append(replace(response, names=names, **arrays, **lit))
     return found
 
 
@@ -160,7 +162,7 @@ def main(folder: Path) -> int:
 
 
 def serve_folders(replies: int) -> None:
-    """The child's side of a ResidentSession: answer folder after folder. replies: the pipe's descriptor."""
+    """The child's side of a ResidentSession: response folder after folder. replies: the pipe's descriptor."""
     serve(lambda folder: REFUSED if main(Path(folder)) else DONE, replies)
 
 

@@ -31,7 +31,7 @@ REAP_SECONDS = 5.0  # for a killed process, or one that closed its pipe, to be g
 ANSI_ESCAPE = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]  # the folder that the package lies in
 
-_running: set[int] = set()  # process groups
+_running: set[int] = set()  # process groups of one-shot runs
 _starting = threading.Lock()
 _starts_refused = threading.Event()
 
@@ -73,9 +73,9 @@ def exit_name(code: int) -> str:
 
 
 def kill_subprocesses() -> None:
-    """Kill every running child and refuse to start another until `allow_subprocesses`: for Ctrl-C amid threads.
+    """Kill every one-shot child and refuse to start another until `allow_subprocesses`: for Ctrl-C amid threads.
 
-    Whoever waits for a child, or starts one, gets an end by SIGKILL.
+    Whoever waits for such a child, or starts any, gets an end by SIGKILL. Residents are closed by their owners.
     """
     with _starting:
         _starts_refused.set()
@@ -139,6 +139,7 @@ class ResidentProcess:
                 cwd=tempfile.gettempdir(),
                 environment=environment,
                 pass_fds=(writing,),
+                one_shot=False,
             )
         except BaseException:
             os.close(self._replies)
@@ -301,6 +302,7 @@ def _start(
     cwd: str | Path | None,
     environment: Mapping[str, str] | None,
     pass_fds: Sequence[int] = (),
+    one_shot: bool = True,
 ) -> subprocess.Popen[bytes]:
     """Start a command in a session of its own. Raises ProcessEnded while starts are refused, and OSError."""
     with _starting:
@@ -316,7 +318,8 @@ def _start(
             pass_fds=pass_fds,
             start_new_session=True,  # Ctrl-C is for this process, which then ends that one
         )
-        _running.add(child.pid)
+        if one_shot:
+            _running.add(child.pid)
         return child
 
 

@@ -1,4 +1,4 @@
-"""One small scene through one variant of Mitsuba: does it give the right answer here, or any?"""
+"""Mitsuba's variants: which of them work on this machine, found by tracing a small scene in a child process."""
 
 import glob
 import hashlib
@@ -47,7 +47,7 @@ SMOKE_TEST_XML = """<scene version="3.0.0">
 
 
 def smoke_test(variant: str, settings: Mapping[str, str]) -> str:
-    """'' if the variant gives the right answer under these environment variables, else what happened."""
+    """Trace a small scene by one variant: '' if the result is right, else what happened. settings: environment."""
     with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as name:
         folder = Path(name)
         (folder / "square.ply").write_text(SMOKE_TEST_PLY)
@@ -66,18 +66,17 @@ def _smoke_request(xml: Path, variant: str) -> TraceRequest:
     return TraceRequest(xml, variant, o, d, np.full(2, np.inf, np.float32))
 
 
-def _response_problem(answer: TraceResponse | Crash) -> str:
-    if isinstance(answer, Crash):
-        return f"{answer.kind} ({answer.exit}) {answer.headline}".strip()
-    right = answer.t.tolist() == [8.0, np.inf] and np.allclose(answer.sh_n, [[0, 0, 1], [0, 0, 0]], atol=1e-6)
-    return "" if right else f"wrong answer: t {answer.t.tolist()}, normals {answer.sh_n.tolist()}"
-
-
-# Which of Mitsuba's variants work on this machine, found by trying them in a child process.
+def _response_problem(response: TraceResponse | Crash) -> str:
+    if isinstance(response, Crash):
+        return f"{response.kind} ({response.exit}) {response.headline}".strip()
+    right = response.t.tolist() == [8.0, np.inf] and np.allclose(
+        response.sh_n, [[0, 0, 1], [0, 0, 0]], atol=1e-6
+    )
+    return "" if right else f"wrong answer: t {response.t.tolist()}, normals {response.sh_n.tolist()}"
 
 
 SCALAR, LLVM = VARIANT_NAMES = ("scalar_rgb", "llvm_ad_rgb")
-VARIANT_ENVIRONMENT_VARIABLE = "MITSUBA_REF_VARIANT"  # environment variable: use this one for every scene
+VARIANT_ENVIRONMENT_VARIABLE = "MITSUBA_REF_VARIANT"  # use this one for every scene
 LIBLLVM_ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"  # environment variable of Dr.Jit
 
 SOURCES = (Path(__file__),)
@@ -97,12 +96,12 @@ LIBLLVM_PATTERNS = (
 
 
 class VariantError(SceneError):
-    """The variant that was chosen does not exist or does not work here."""
+    """A chosen variant that does not exist or does not work here."""
 
 
 @dataclass(frozen=True)
 class Variants:
-    """What works here. `libllvm`: the library that the LLVM variant works with; `why`: why others do not."""
+    """Which variants work. libllvm: the library that the LLVM variant works with; why: why others do not."""
 
     scalar: bool
     llvm: bool
@@ -120,7 +119,7 @@ _usable_by_key: dict[str, Variants] = {}
 
 
 def usable_variants() -> Variants:
-    """What works on this machine; tried once, then remembered in the user's cache folder."""
+    """The variants that work on this machine; tried once, then kept in the user's cache folder."""
     candidates = list(_candidates())
     key = _cache_key(candidates)
     if key not in _usable_by_key:
@@ -129,7 +128,7 @@ def usable_variants() -> Variants:
 
 
 def variant_for(has_quadrics: bool) -> str:
-    """The variant to ask about a scene: with spheres, cylinders or disks the scalar one, float64 inside.
+    """The variant for a scene: with spheres, cylinders or disks the scalar one, which is float64 inside.
 
     Raises VariantError where MITSUBA_REF_VARIANT chooses one that does not exist or does not work here.
     """
@@ -155,7 +154,7 @@ def check_variant(chosen: str, option: str) -> str:
 
 
 def _candidates() -> Iterator[str]:
-    """Paths to try: only the user's own, if there is one; else every libLLVM, the newest first."""
+    """Paths of libLLVM to try: only the user's own, if there is one; else every one, the newest first."""
     if os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE):
         return iter([os.environ[LIBLLVM_ENVIRONMENT_VARIABLE]])
     own = filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
@@ -165,7 +164,7 @@ def _candidates() -> Iterator[str]:
 
 
 def _is_library(path: str) -> bool:
-    """Whether it is the whole of LLVM, and not a part or a fork of it."""
+    """Whether a file is all of LLVM, not a part or a fork of it."""
     name = re.fullmatch(r"libLLVM([-.][\d.]+)?\.(so|dylib)[\d.]*", Path(path).name)
     return name is not None and os.path.isfile(path)
 
@@ -175,7 +174,7 @@ def _version(path: str) -> tuple[list[int], str]:
 
 
 def _cache_key(candidates: list[str]) -> str:
-    """Everything that the outcome depends on."""
+    """A hash of everything that the outcome depends on."""
     parts = [*(file.read_text(encoding="utf-8") for file in SOURCES), platform.node(), platform.machine()]
     parts += [os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE, ""), _installed("mitsuba"), _installed("drjit")]
     for path in candidates:
@@ -199,7 +198,7 @@ def _file_stamp(path: str) -> list[str]:
 
 
 def _try_variants(candidates: list[str], key: str) -> Variants:
-    """Try scalar, then LLVM with one library after the other. A time-out is not remembered."""
+    """Try scalar, then LLVM with one library after the other. A time-out is not cached."""
     scalar = smoke_test(SCALAR, {})
     problems = [f"{SCALAR}: {scalar}"] if scalar else []
     library = None
@@ -223,7 +222,7 @@ def _cache_file(key: str) -> Path:
 
 
 def _load_cached(key: str) -> Variants | None:
-    """What was found last time; None where that is not known, or cannot be read."""
+    """The cached outcome; None where there is none that can be read."""
     try:
         values: dict[str, Any] = json.loads(_cache_file(key).read_text(encoding="utf-8"))
         found = Variants(**values)

@@ -65,7 +65,7 @@ def validate_candidate(
     scene, model, rays, answer = heard.scene, heard.model, heard.rays, heard.answer
     witness = trace_reference(scene, model, rays, lights=False, timeout=timeout, send=send)
     if isinstance(witness, Crash):
-        return ended(f"Mitsuba ended without an answer ({witness.exit}): {witness.words}".strip())
+        return ended(witness.message)
     judge = CandidateJudge(scene, model, rays, witness, answer)
     judgement = judge.judge()
     if folder:

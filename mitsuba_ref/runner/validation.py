@@ -79,7 +79,7 @@ def validate_scene(
     judge = judge_of(scene, timeout=timeout, send=send)
     size, pixels = (scene.film.width, scene.film.height), film_window(scene)
     if isinstance(judge, Crash):
-        problem = f"Mitsuba ended without an answer ({judge.exit}): {judge.words}".strip()
+        problem = judge.message
         seconds = time.perf_counter() - start
         count = pixels.width * pixels.height
         return SceneVerdict(name, path, count, checks=checks, problem=problem, seconds=seconds, size=size)

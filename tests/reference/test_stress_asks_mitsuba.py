@@ -112,7 +112,7 @@ def test_a_scene_that_is_refused_takes_no_other_with_it(scenes, tmp_path):
     broken = write(tmp_path, '<shape type="no-such-shape"/>', "broken.xml")
     found = session.send_requests([job(broken, SCALAR, scenes[2].o, scenes[2].d, lights=False), *scenes[:2]])
     assert [type(each) for each in found] == [Crash, TraceResponse, TraceResponse]
-    assert "no-such-shape" in found[0].words
+    assert "no-such-shape" in found[0].output
     assert [len(each.t) for each in found[1:]] == [10, 20] and found[2].names == ["ball-0", "ball-1"]
 
 

@@ -104,7 +104,7 @@ def test_without_libllvm_there_is_the_scalar_variant(tmp_path, monkeypatch, miss
     answer = session.send_request(job(xml, variant_for(False), [[0, 0, 3]], [[0, 0, -1]]), 60)
     assert isinstance(answer, TraceResponse) and answer.t.tolist() == [3.0]
     refused = session.send_request(job(xml, "llvm_ad_rgb", [[0, 0, 3]], [[0, 0, -1]]), 60)
-    assert isinstance(refused, Crash) and refused.kind == "error" and "LLVM" in refused.words
+    assert isinstance(refused, Crash) and refused.kind == "error" and "LLVM" in refused.output
 
 
 @pytest.mark.skipif(not OLD_LLVM.exists(), reason=f"{OLD_LLVM} is not installed")

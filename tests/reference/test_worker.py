@@ -87,7 +87,7 @@ def test_a_scene_is_answered(ball):
 def test_an_abort_is_a_result_with_its_words(ball, in_place_of_mitsuba):
     in_place_of_mitsuba("import os; print('\\x1b[31mLLVM ERROR: Cannot\\x1b[0m', flush=True); os.abort()")
     found = crash(ball)
-    assert (found.kind, found.exit, found.words) == ("abort", "SIGABRT", "LLVM ERROR: Cannot")
+    assert (found.kind, found.exit, found.output) == ("abort", "SIGABRT", "LLVM ERROR: Cannot")
 
 
 @pytest.mark.skipif(not OLD_LLVM.exists(), reason=f"{OLD_LLVM} is not installed; the planted abort stands in")
@@ -102,7 +102,7 @@ def test_a_real_abort_in_an_old_libllvm_is_a_result(tmp_path, monkeypatch):
         return
     assert isinstance(found, Crash), "it was to abort"
     assert (found.kind, found.exit) == ("abort", "SIGABRT")
-    assert "fminimum" in found.headline and len(found.words) <= 4200
+    assert "fminimum" in found.headline and len(found.output) <= 4200
 
 
 def test_a_worker_killed_in_the_middle_of_its_rays_is_a_result(tmp_path):
@@ -139,7 +139,7 @@ def test_a_hang_ends_in_time_and_leaves_no_process(ball, in_place_of_mitsuba, tm
     assert (found.kind, found.exit) == ("timeout", "killed after 2 s")
     assert time.monotonic() - start < 5
     wait_for(lambda: gone(int((tmp_path / "pid").read_text())))
-    wait_for(lambda: gone(int(found.words.removeprefix("grandchild "))))
+    wait_for(lambda: gone(int(found.output.removeprefix("grandchild "))))
 
 
 def test_whoever_waits_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsuba, tmp_path):
@@ -157,7 +157,7 @@ def test_whoever_waits_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsu
             thread.join(10)
         assert [answer.exit for answer in found] == ["SIGKILL", "SIGKILL"]
         late = session.send_request(ball, 60)
-        assert isinstance(late, Crash) and "before it began" in late.words
+        assert isinstance(late, Crash) and "before it began" in late.output
     finally:
         subprocess_runner.allow_subprocesses()
 
@@ -204,7 +204,7 @@ def test_the_child_goes_with_the_one_that_asked(ball, in_place_of_mitsuba, tmp_p
 def test_a_scene_that_mitsuba_refuses_gets_its_words(tmp_path, content, says):
     found = crash(job(write(tmp_path, content), "scalar_rgb", [[0, 0, 5]], [[0, 0, -1]]))
     assert (found.kind, found.exit) == ("error", "exit code 1")
-    assert says in found.words and "Traceback" not in found.words
+    assert says in found.output and "Traceback" not in found.output
 
 
 def test_a_warning_is_an_error(tmp_path):
@@ -216,11 +216,11 @@ def test_a_warning_is_an_error(tmp_path):
 def test_a_missing_file_and_an_unknown_variant_are_refused(tmp_path, ball):
     assert (
         "file does not exist"
-        in crash(job(tmp_path / "nope.xml", "scalar_rgb", [[0, 0, 5]], [[0, 0, -1]])).words
+        in crash(job(tmp_path / "nope.xml", "scalar_rgb", [[0, 0, 5]], [[0, 0, -1]])).output
     )
     assert (
         "unsupported variant"
-        in crash(TraceRequest(ball.xml, "scalar_rgbx", ball.o, ball.d, ball.t_max)).words
+        in crash(TraceRequest(ball.xml, "scalar_rgbx", ball.o, ball.d, ball.t_max)).output
     )
 
 
@@ -270,22 +270,22 @@ print("done")
     question = job(xml, "scalar_rgb", [[0, 0, 5], [0, 0, 5]], [[0, 0, -1], [0, 0, 1]])
     found = messages.run_request(question, 60, command=[sys.executable, "-c", program])
     assert isinstance(found, Crash), found
-    assert (found.kind, found.exit) == ("garbage", "exit code 0"), found.words
-    assert says in found.words and found.words.startswith("done")
+    assert (found.kind, found.exit) == ("garbage", "exit code 0"), found.output
+    assert says in found.output and found.output.startswith("done")
 
 
 def test_a_child_with_a_bug_is_an_error_with_its_traceback(ball, in_place_of_mitsuba):
     in_place_of_mitsuba("1 / 0")
     found = crash(ball)
     assert (found.kind, found.exit) == ("error", "exit code 1")
-    assert found.words.splitlines()[-1] == "ZeroDivisionError: division by zero"
+    assert found.output.splitlines()[-1] == "ZeroDivisionError: division by zero"
 
 
 def test_a_flood_of_words_is_kept_at_both_ends(ball, in_place_of_mitsuba):
     in_place_of_mitsuba("print('Error: the first'); print('x' * 10**6); raise SystemExit('the last')")
     found = crash(ball)
-    assert found.words.startswith("Error: the first") and found.words.endswith("the last")
-    assert len(found.words) < 5000 and found.headline == "Error: the first"
+    assert found.output.startswith("Error: the first") and found.output.endswith("the last")
+    assert len(found.output) < 5000 and found.headline == "Error: the first"
 
 
 @pytest.mark.parametrize("path", [None, "", ".", os.pathsep])
