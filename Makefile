@@ -37,8 +37,9 @@ nightly: $(INSTALLED) faults ## what make test has no time for: all faults, 200,
 	@$(BIN)/mitsuba-ref fuzz --rays 200000
 	@$(BIN)/mitsuba-ref stress watertight --rays 1000000
 
-lint: $(INSTALLED) ## style and types: ruff, mypy
+lint: $(INSTALLED) ## style, format and types: ruff, mypy
 	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
 stress: $(INSTALLED) ## sweeps of numerical stability: writes docs/stress.md and its pictures, in a few minutes

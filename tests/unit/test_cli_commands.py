@@ -192,10 +192,10 @@ def test_an_interrupted_render_leaves_nothing_and_ends_with_130(tmp_path):
         'direction = [0, 0, 1]\n[[shape]]\ntype = "teapot"\n'
     )
     source = (
-        "import sys, caster.rendering.tiles as f; from caster.__main__ import main\n"
+        "import sys, caster.rendering.images as f; from caster.__main__ import main\n"
         "shoot = f.generate_camera_rays\n"
-        "def told(*a):\n    print('begun', flush=True)\n    return shoot(*a)\n"
-        "f.generate_camera_rays = told\n"
+        "def announced(*a):\n    print('begun', flush=True)\n    return shoot(*a)\n"
+        "f.generate_camera_rays = announced\n"
         "sys.exit(main(['render', 's.toml', '--threads', '1']))"
     )
     process = python("-c", source, cwd=tmp_path)
