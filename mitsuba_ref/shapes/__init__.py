@@ -3,6 +3,7 @@
 from typing import Any
 
 from caster.description.fields import Shape
+from caster.description.registry import load_plugins
 from mitsuba_ref.shapes import cylinder, disk, plane, sphere, triangle_meshes
 from mitsuba_ref.shapes.shape_reference import PrimitiveReference, ShapeReference
 
@@ -43,3 +44,4 @@ for _reference in (
     triangle_meshes.TEAPOT,
 ):
     register(_reference)
+load_plugins("mitsuba_ref.plugins")

@@ -34,8 +34,17 @@ def edit(tree: Path, file: str, old: str, new: str) -> None:
 
 def run(tree: Path, *argv: str, module: str = "mitsuba_ref") -> subprocess.CompletedProcess[str]:
     """A command of the copy, without the compiler: a kernel that changed would have to be compiled anew."""
+    return _run(str(tree), *argv, module=module)
+
+
+def run_with(plugins: Path, *argv: str, module: str = "mitsuba_ref") -> subprocess.CompletedProcess[str]:
+    """A command of this tree, with the distributions that are installed in the folder `plugins`."""
+    return _run(os.pathsep.join([str(plugins), str(ROOT)]), *argv, module=module)
+
+
+def _run(path: str, *argv: str, module: str) -> subprocess.CompletedProcess[str]:
     words = [sys.executable, "-P", "-m", module, *argv]
-    environment = {**os.environ, "PYTHONPATH": str(tree), "CASTER_JIT": "0"}
+    environment = {**os.environ, "PYTHONPATH": path, "CASTER_JIT": "0"}
     return subprocess.run(
         words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
     )

@@ -1,16 +1,12 @@
-"""A new shape is a file and its place in a registry on each side, as docs/adding-a-shape.md has it, and no more.
+"""A shape outside of the tree is a file on each side, as docs/adding-a-shape.md shows them, and no more.
 
-Its code is taken from there, so the page is right as long as this passes.
+The code is taken from that page, so the page is right as long as this passes.
 """
 
-import os
 import re
-import shutil
-import subprocess
-import sys
 
 import pytest
-from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
+from edited_tree import ROOT, edit, run_with
 
 SENTENCE = (
     "Tetrahedron has no reference: write mitsuba_ref/shapes/tetrahedron.py and add its line to "
@@ -50,78 +46,52 @@ def as_documented(path: str) -> str:
     return code
 
 
-def add(tree, path):
-    (tree / path).write_text(as_documented(path), encoding="utf-8")
-
-
 @pytest.fixture
-def tree(tmp_path):
-    """Both packages and the test that demands references, with the shape on the caster's side alone."""
-    copy_tree(tmp_path)
-    (tmp_path / "tests/unit").mkdir(parents=True)
-    shutil.copy(ROOT / "tests/unit/test_registries.py", tmp_path / "tests/unit")
+def plugin(tmp_path):
+    """A folder with an installed distribution: the shape on the caster's side alone, and two scenes."""
     for flat in ("true", "false"):
         (tmp_path / f"flat-{flat}.toml").write_text(SCENE.format(flat=flat), encoding="utf-8")
-    add(tmp_path, "caster/shapes/tetrahedron.py")
-    registry, line = "caster/shapes/__init__.py", "from caster.shapes.torus import Torus\n"
-    edit(tmp_path, registry, line, f"from caster.shapes.tetrahedron import Tetrahedron\n{line}")
-    edit(tmp_path, registry, "    Teapot,\n)", "    Teapot,\n    Tetrahedron,\n)")
+    (tmp_path / "tetrahedron.py").write_text(as_documented("tetrahedron.py"), encoding="utf-8")
+    about = tmp_path / "tetrahedron-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: tetrahedron\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[caster.plugins]\ntetrahedron = tetrahedron\n")
     return tmp_path
 
 
-def add_reference(tree):
-    add(tree, "mitsuba_ref/shapes/tetrahedron.py")
-    registry = "mitsuba_ref/shapes/__init__.py"
-    edit(tree, registry, "    torus,\n    triangle,\n)", "    tetrahedron,\n    torus,\n    triangle,\n)")
-    edit(tree, registry, "    teapot.REFERENCE,\n", "    teapot.REFERENCE,\n    tetrahedron.REFERENCE,\n")
+def add_reference(plugin):
+    code = as_documented("tetrahedron_reference.py")
+    (plugin / "tetrahedron_reference.py").write_text(code, encoding="utf-8")
+    with (plugin / "tetrahedron-1.0.dist-info/entry_points.txt").open("a") as file:
+        file.write("\n[mitsuba_ref.plugins]\ntetrahedron = tetrahedron_reference\n")
 
 
-def registries(tree):
-    """The outcome of the registry test on the edited tree."""
-    words = [
-        sys.executable,
-        "-P",
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        "tests/unit/test_registries.py",
-    ]
-    environment = {**os.environ, "PYTHONPATH": str(tree), "CASTER_JIT": "0"}
-    return subprocess.run(words, cwd=tree, env=environment, capture_output=True, text=True, timeout=DEADLINE)
-
-
-def test_a_shape_without_reference_renders_but_is_refused_by_the_registry_test_and_by_validate(tree):
-    scene = str(tree / "flat-true.toml")
-    assert run(tree, "render", scene, "-o", str(tree / "out.exr"), module="caster").returncode == 0
-    demanded = registries(tree)
-    assert demanded.returncode == 1 and SENTENCE in demanded.stdout, demanded.stdout
-    assert "test_every_shape_has_exactly_one_reference" in demanded.stdout
-    found = run(tree, "validate", scene)
+def test_a_shape_without_reference_renders_but_is_refused_by_validate(plugin):
+    scene = str(plugin / "flat-true.toml")
+    rendered = run_with(plugin, "render", scene, "-o", str(plugin / "out.exr"), module="caster")
+    assert (rendered.returncode, rendered.stderr) == (0, "")
+    found = run_with(plugin, "validate", scene)
     assert (found.returncode, found.stderr) == (1, "")
     assert f"FAIL  flat-true  cannot be judged: {SENTENCE}\n" in found.stdout
     for command in (
-        ["render", scene, "-o", str(tree / "ref.exr")],
-        ["export", scene, "-o", str(tree / "xml")],
+        ["render", scene, "-o", str(plugin / "ref.exr")],
+        ["export", scene, "-o", str(plugin / "xml")],
     ):
-        refused = run(tree, *command)
+        refused = run_with(plugin, *command)
         assert (refused.returncode, refused.stdout) == (2, "") and refused.stderr.strip().endswith(SENTENCE)
 
 
-def test_with_its_reference_the_registry_test_passes_and_so_does_its_scene(tree):
-    add_reference(tree)
-    demanded = registries(tree)
-    assert demanded.returncode == 0, demanded.stdout
-    found = run(tree, "validate", str(tree / "flat-true.toml"), str(tree / "flat-false.toml"))
+def test_with_its_reference_its_scenes_pass(plugin):
+    add_reference(plugin)
+    found = run_with(plugin, "validate", str(plugin / "flat-true.toml"), str(plugin / "flat-false.toml"))
     assert (found.returncode, found.stderr) == (0, ""), found.stdout
     assert found.stdout.count("PASS  ") == 2
 
 
-def test_a_mistake_in_the_new_shape_is_found(tree):
-    add_reference(tree)
-    edit(tree, "caster/shapes/tetrahedron.py", "MeshShape):", "MeshShape):\n    def pack(self, rounded):\n"
+def test_a_mistake_in_the_new_shape_is_found(plugin):
+    add_reference(plugin)
+    edit(plugin, "tetrahedron.py", "MeshShape):", "MeshShape):\n    def pack(self, rounded):\n"
          "        from caster.geometry.world_space import transform_mesh\n\n"
          "        return transform_mesh(self.mesh(), 1.001 * self.matrix, rounded, self.face_normals)\n")  # fmt: skip
-    found = run(tree, "validate", str(tree / "flat-true.toml"))
+    found = run_with(plugin, "validate", str(plugin / "flat-true.toml"))
     assert found.returncode == 1 and "FAIL  flat-true  geometry: " in found.stdout
