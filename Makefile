@@ -43,11 +43,14 @@ lint: $(INSTALLED) ## style, format and types: ruff, mypy
 	@$(BIN)/mypy
 
 stress: $(INSTALLED) ## sweeps of numerical stability: writes docs/stress.md and its pictures, in a few minutes
-	@$(BIN)/mitsuba-ref stress --report docs $(ARGS)
+	@mkdir -p build
+	@$(BIN)/mitsuba-ref stress --json build/stress.json $(ARGS); code=$$?; \
+	  $(BIN)/python benchmarks/stress_page.py build/stress.json docs && exit $$code
 
 bench: $(INSTALLED) ## run time against error: writes docs/performance.md and its pictures; ARGS=--peers asks others, too
 	@mkdir -p docs/performance
-	@$(BIN)/mitsuba-ref bench --report docs --json docs/performance/run.json $(ARGS)
+	@$(BIN)/mitsuba-ref bench --sweeps --json docs/performance/run.json $(ARGS)
+	@$(BIN)/python benchmarks/performance_page.py docs/performance/run.json docs
 
 docs: $(INSTALLED) ## pages and pictures that are made from sources: API, an edge case, every shape, the sheet of scenes
 	@$(BIN)/python docs/api.py

@@ -24,7 +24,7 @@ from turns import DEPTH, HERE, SCENES, NoAnswer, seconds, worker
 
 TURNS = 9
 LIMIT = 1.25  # medians of 9 ratios on a busy machine stay within some 10 % of each other
-CULLINGS = ("screen", "bvh")
+CULLINGS = ("raster", "bvh")
 OK, SLOWER, USAGE, INTERNAL = 0, 1, 2, 70
 
 Pairs = Sequence[tuple[float, float]]  # seconds before and here, turn by turn

@@ -23,11 +23,13 @@ SCENES = (
 SIZE = 512  # pixels a side
 
 WORKER = """
-import json, sys, time
+import importlib.util, json, sys, time
 import caster
 assert caster.__file__.startswith(sys.argv[1]), caster.__file__
 for line in sys.stdin:
     path, size, culling, aovs = json.loads(line)
+    if culling == "raster" and not importlib.util.find_spec("caster.rendering"):
+        culling = "screen"  # its name in older revisions
     scene = caster.load_scene(path).with_film(width=size, height=size)
     def render():
         caster.render(scene, aovs, culling=culling, threads=1)

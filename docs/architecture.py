@@ -53,6 +53,7 @@ FLOW = {
     "mitsuba_ref.exr_compare": "two EXR files",
     "mitsuba_ref.runner": "many scenes, shards, pytest",
     "mitsuba_ref.fuzz": "random scenes",
+    "mitsuba_ref.experiment": "what stress and bench share",
     "mitsuba_ref.stress": "hard numerics, in steps",
     "mitsuba_ref.bench": "speed",
     "mitsuba_ref.importers": "Mitsuba XML to scenes",

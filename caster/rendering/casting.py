@@ -39,14 +39,14 @@ from caster.rendering.threads import parallel_for
 
 __all__ = ["Culling", "find_nearest"]
 
-Culling = Literal["everything", "screen", "bvh"]
+Culling = Literal["brute-force", "raster", "bvh"]
 
 
 def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None) -> Nearest:
     """The nearest hit of any rays."""
     count = len(rays.t_min)
     nearest, doubt = no_hits(count), np.zeros(count, bool)
-    if culling == "everything":
+    if culling == "brute-force":
         for kind in packed.kinds:
             parallel_for(
                 _brute_force_caster(NearestMode(kind.ids), kind, rays, UncertainHits(*nearest, doubt)),

@@ -66,11 +66,11 @@ def _primitives(rendered: RenderResult) -> list[dict[str, Any]]:
 
 
 def _way(kind: Kind, culling: str) -> str:
-    if culling == "everything":
+    if culling == "brute-force":
         return "tried by every ray"
     if not kind.bounded:
         return "tried by every ray, since they have no bounds"
-    if culling == "screen":
+    if culling == "raster":
         return "tried in the pixels around their pictures"
     return f"a tree of {len(bvh_of(kind).links)} nodes" if uses_bvh(kind) else "too few for a tree"
 

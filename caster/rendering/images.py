@@ -113,7 +113,7 @@ def render_film(
     """The same as `render`, with an account of it. on_progress: called with the number of pixels just done."""
     check_names(aovs)
     window, planned = film_window(scene), plan(scene, aovs, culling)
-    if planned.culling != "everything":
+    if planned.culling != "brute-force":
         arrays = packed(scene)
         film = FilmRenderer(scene, arrays, window, planned, aovs, threads, dtype, on_progress)
         counts = film.render()
@@ -152,7 +152,7 @@ class FilmRenderer:
     def render(self) -> FilmCounts:
         """All pixels; those that float64 leaves open once more, exactly."""
         kinds = None
-        if self.plan.culling == "screen":
+        if self.plan.culling == "raster":
             kinds = bin_kinds(self.packed, self.camera, self.window, self.reach, self.threads)
         if kinds and len(kinds) == 1 and (aovs := self._without_surface()) is not None:
             self._render_at_once(kinds[0], *aovs)
@@ -284,7 +284,7 @@ def trace_film(
     packed, rays = pack(scene, rounded), camera_rays(scene, threads)
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     culling = culling or culling_for(camera)[0]
-    if culling == "screen":
+    if culling == "raster":
         nearest = find_nearest_on_film(
             packed, rays, camera, film_window(scene), scene.camera.shares_origin, threads
         )

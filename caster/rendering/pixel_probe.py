@@ -202,7 +202,7 @@ def pixel_size(scene: Scene, x: int, y: int, t: float) -> float | None:
 
 def _each_alone(packed: Packed, rays: Rays) -> Iterator[Candidate]:
     for shape_id, part in enumerate(packed.parts):
-        nearest = find_nearest(_only(part, packed, shape_id), rays, "everything", threads=1)
+        nearest = find_nearest(_only(part, packed, shape_id), rays, "brute-force", threads=1)
         if nearest.prim[0] >= 0:
             yield Candidate(float(nearest.t[0]), shape_id, int(nearest.prim[0]))
 

@@ -52,11 +52,11 @@ def culling_for(camera: Any) -> tuple[Culling, str]:
     """(culling, reason) for a packed camera's own rays."""
     if implements(project, type(camera)) and not implements(distortion_bound, type(camera)):
         return (
-            "screen",
+            "raster",
             "the camera keeps straight lines straight, so each primitive stays in its picture's box",
         )
     if implements(project_bounding_sphere, type(camera)):
-        return "screen", "each primitive stays in the picture of a ball around it"
+        return "raster", "each primitive stays in the picture of a ball around it"
     return "bvh", "the camera has no picture of a primitive, so rays go through a tree of boxes"
 
 

@@ -64,7 +64,7 @@ def _warm_one(scene: Scene) -> None:
     small = scene.with_film(width=WARM_UP_FILM_SIDE, height=WARM_UP_FILM_SIDE, crop=None)
     planned = culling_for(small.camera.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))[0]
     for culling in get_args(Culling):
-        if culling != "screen" or planned == "screen":
+        if culling != "raster" or planned == "raster":
             for aovs in WARM_UP_AOV_SETS:
                 render_film(small, aovs, threads=1, culling=culling)
     _warm_decisions(pack(small))
@@ -94,7 +94,7 @@ def warm_up_scenes() -> Iterator[tuple[str, Scene]]:
     for camera in CAMERAS:
         kind, looking = type_name(camera), camera(**camera.MINIMAL)
         yield kind, Scene(camera=looking, shapes=shapes, lights=LAMPS)
-        if culling_for(looking.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))[0] == "screen":
+        if culling_for(looking.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))[0] == "raster":
             alone = {type(pack(Scene(camera=looking, shapes=[shape])).parts[0]): shape for shape in shapes}
             for prims, shape in alone.items():
                 yield f"{kind}, {prims.__name__.lower()}", Scene(camera=looking, shapes=[shape])

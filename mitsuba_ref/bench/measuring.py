@@ -13,11 +13,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from mitsuba_ref.bench.contestants import Contestant
-from mitsuba_ref.bench.result import Row, SceneResult
+from mitsuba_ref.bench.result import Row, SceneResult, Score
 from mitsuba_ref.bench.scenes import BenchScene
-from mitsuba_ref.bench.scoring import ExactAnswers, PreparedScene, Score, prepare_scene
+from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.bench.work import SHADING, Work
 from mitsuba_ref.bench.worker import STATUS_READY
+from mitsuba_ref.experiment.exact_hits import PreparedScene
 from mitsuba_ref.reference.subprocess_runner import (
     ProcessEnd,
     ProcessEnded,
@@ -216,7 +217,7 @@ def time_scene(
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="mitsuba-ref-bench-") as name:
         say("making the scene")
-        ready = prepare_scene(scene, Path(name), settings.size)
+        ready = write_scene(scene, Path(name), settings.size)
         lanes = [Lane(contestant, settings) for contestant in contestants]
         try:
             for lane in lanes:

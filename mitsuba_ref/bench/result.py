@@ -1,16 +1,31 @@
-"""What came of a run: rows of numbers, their medians and ratios, and the way to JSON and back."""
+"""Results of a benchmark run: times of each row, their medians and ratios."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from math import log
 from statistics import median
 from typing import Any
 
-from mitsuba_ref.bench.scoring import Score
+from pydantic import SerializerFunctionWrapHandler, computed_field, model_serializer
+from pydantic.dataclasses import dataclass
+
 from mitsuba_ref.bench.work import FILM
 
-JSON_FORMAT = 1  # of the JSON
+JSON_FORMAT = 1  # goes up when a key changes its meaning or goes away
 REFERENCE_ROW = "ours"  # the row that all ratios are to
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of t on sampled rays of the film, and on as many rays aimed at edges."""
+
+    rays: int
+    ulps: float | None  # largest |t - exact t| in float32 ulps of the exact t; None: nothing to compare
+    bounds: float | None  # largest error in units of the bound of its ray
+    masks: int  # rays that hit where there is exactly nothing, or miss where there is something
+    beyond: int  # hits whose t is beyond its bound, or not a number: another surface, or none
+    edge_rays: int
+    edge_masks: int
+    edge_beyond: int
 
 
 @dataclass(frozen=True)
@@ -32,11 +47,13 @@ class Row:
     def ran(self) -> bool:
         return bool(self.seconds)
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def ns(self) -> float | None:
         """Nanoseconds a ray, the median of all alternations."""
         return 1e9 * median(self.seconds) / self.rays if self.ran else None
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def mrays(self) -> float | None:
         """Million rays a second."""
@@ -55,12 +72,21 @@ def ratio(row: Row, to: Row) -> float | None:
 
 @dataclass(frozen=True)
 class SceneResult:
+    """All rows of one scene."""
+
     name: str
     title: str
     asks: str
     primitives: int
     rows: tuple[Row, ...]
     seconds: float = 0.0  # that all of it took
+
+    @model_serializer(mode="wrap")
+    def _with_ratios(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data: dict[str, Any] = plain(self)
+        for row in data["rows"]:
+            row["ratio"] = self.ratio(row["key"])
+        return data
 
     def row(self, key: str) -> Row | None:
         return next((row for row in self.rows if row.key == key), None)
@@ -87,10 +113,12 @@ class Series:
     build: tuple[float, ...] = ()
     why: str = ""
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def slope(self) -> float | None:
         return fitted_slope(self.x, self.seconds)
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def end_slope(self) -> float | None:
         """Between the last two: what does not grow counts least there."""
@@ -115,7 +143,8 @@ class Run:
     asked: tuple[str, ...]
     scenes: tuple[SceneResult, ...] = ()
     sweeps: tuple[Sweep, ...] = ()
-    bytes_of_pixel: int = 0  # of the images of depth and normal that ours gives
+    bytes_of_pixel: int = 0  # of our images of depth and normal
+    format: int = JSON_FORMAT
 
     def scene(self, name: str) -> SceneResult | None:
         return next((scene for scene in self.scenes if scene.name == name), None)
@@ -133,40 +162,3 @@ def fitted_slope(x: Sequence[float], y: Sequence[float]) -> float | None:
     mean_x, mean_y = (sum(column) / len(pairs) for column in zip(*pairs, strict=True))
     above = sum((a - mean_x) * (b - mean_y) for a, b in pairs)
     return above / sum((a - mean_x) ** 2 for a, _ in pairs)
-
-
-def as_json(run: Run) -> dict[str, Any]:
-    """The run, and beside the numbers of each row what follows from them."""
-    data = asdict(run)
-    for scene, told in zip(run.scenes, data["scenes"], strict=True):
-        for row, words in zip(scene.rows, told["rows"], strict=True):
-            words |= {"ns": row.ns, "mrays": row.mrays, "ratio": scene.ratio(row.key)}
-    for sweep, told in zip(run.sweeps, data["sweeps"], strict=True):
-        for series, words in zip(sweep.series, told["series"], strict=True):
-            words |= {"slope": series.slope, "end_slope": series.end_slope}
-    return {"format": JSON_FORMAT} | data
-
-
-def from_json(data: Mapping[str, Any]) -> Run:
-    """The run that `as_json` told."""
-    scenes = tuple(
-        SceneResult(**(scene | {"rows": tuple(_row(row) for row in scene["rows"])}))
-        for scene in data["scenes"]
-    )
-    sweeps = tuple(
-        Sweep(sweep["name"], sweep["quantity"], tuple(_series(one) for one in sweep["series"]))
-        for sweep in data["sweeps"]
-    )
-    rest = {name: data[name] for name in ("settings", "machine", "bytes_of_pixel")}
-    return Run(asked=tuple(data["asked"]), scenes=scenes, sweeps=sweeps, **rest)
-
-
-def _row(data: Mapping[str, Any]) -> Row:
-    kept = {name: value for name, value in data.items() if name not in ("ns", "mrays", "ratio")}
-    score = kept["score"]
-    return Row(**(kept | {"seconds": tuple(kept["seconds"]), "score": Score(**score) if score else None}))
-
-
-def _series(data: Mapping[str, Any]) -> Series:
-    kept = {name: value for name, value in data.items() if name not in ("slope", "end_slope")}
-    return Series(**(kept | {name: tuple(kept[name]) for name in ("x", "seconds", "build")}))

@@ -1,6 +1,5 @@
 """What a run was made on, and with."""
 
-import importlib.metadata
 import os
 import platform
 import subprocess
@@ -19,8 +18,8 @@ from mitsuba_ref.bench.entries.ours import BYTES
 from mitsuba_ref.bench.measuring import Progress, Settings, Start, start_process, time_scene
 from mitsuba_ref.bench.result import Run, SceneResult, Series, Sweep
 from mitsuba_ref.bench.scenes import BenchScene
+from mitsuba_ref.experiment.result_file import libllvm, versions
 from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
-from mitsuba_ref.reference.variants import usable_variants
 
 PACKAGES = ("numpy", "numba", "mitsuba", "drjit", "open3d", "trimesh", "embreex")
 
@@ -37,9 +36,7 @@ def machine_properties() -> dict[str, str]:
         "caster": __version__,
         "revision": revision(),
     }
-    found |= {name: version(name) for name in PACKAGES}
-    library = usable_variants().libllvm
-    return found | {"libLLVM": Path(library).name if library else "none"}
+    return found | versions(*PACKAGES) | {"libLLVM": libllvm()}
 
 
 def processor() -> str:
@@ -54,13 +51,6 @@ def memory() -> str:
 def load() -> str:
     """What the machine did in the last minute, in processors."""
     return f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
-
-
-def version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "none"
 
 
 def revision() -> str:

@@ -1,6 +1,6 @@
 """The meshes of the benchmark: triangles of float32 numbers, so that everybody is given the very same ones."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from caster.cameras import Fisheye, Orthographic, Pinhole
-from caster.description.errors import SceneError, suggestion
 from caster.geometry.packing import Triangles
 from caster.image.atomic_files import write_bytes
 from caster.scene.lights import Ambient, Point
@@ -20,7 +19,6 @@ from caster.shapes.torus import tessellate_torus
 from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.xml_writer import ply_bytes
-from mitsuba_ref.runner.scene_selection import matching
 
 
 def write_mesh(folder: Path, name: str, vertices: np.ndarray, faces: np.ndarray, **more: str) -> MeshFile:
@@ -245,19 +243,3 @@ SCENES = (
     BenchScene("lit-mesh", "shading the mesh of 70,224 triangles by one point light", lit_ring, SHADING),
     BenchScene("lit-spheres", "shading 200 spheres by one point light", lit_spheres, SHADING),
 )
-
-
-# Which scenes a run is about.
-
-
-def select_scenes(words: Sequence[str], expression: str | None = None) -> list[BenchScene]:
-    """Scenes by name, all without words, that fit the expression; in the order of the registry.
-
-    Raises SceneError for a name that is none.
-    """
-    known = [scene.name for scene in SCENES]
-    for word in words:
-        if word not in known:
-            raise SceneError(f"scene '{word}': unknown{suggestion(word, known)} (known: {', '.join(known)})")
-    fits = matching(expression)
-    return [scene for scene in SCENES if (not words or scene.name in words) and fits(scene.name)]

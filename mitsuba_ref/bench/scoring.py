@@ -1,56 +1,40 @@
-"""A scene of the benchmark on disk, in every form that some contestant reads."""
+"""Errors of contestants: scenes on disk in every form that some contestant reads, and exact answers to judge t by."""
 
 import pickle
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from caster.geometry.packing import Packed, Triangles, pack, primitive_count
-from caster.geometry.world_space import as_float32
-from caster.scene.model import Scene
+from caster.geometry.packing import Triangles, primitive_count
+from mitsuba_ref.bench.result import Score
 from mitsuba_ref.bench.scenes import BenchScene, rays_of, unit
 from mitsuba_ref.bench.work import ANY, DEFAULT, MESH_FILE, RAYS_FILE, ROBUST, SCENE_FILE, SHADING, SHADOW_END
-from mitsuba_ref.error_model.bounds import reference_bounds
-from mitsuba_ref.error_model.scene_model import SceneModel, model_of
-from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
-from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.experiment.exact_hits import ExactHits, PreparedScene, prepare_scene
+from mitsuba_ref.experiment.result_file import largest
 from mitsuba_ref.reference.rendering import export
 
+Rng = np.random.Generator
+RayArrays = tuple[np.ndarray, np.ndarray]
 
-@dataclass(frozen=True)
-class PreparedScene:
-    """What is known of it here."""
-
-    scene: Scene
-    packed: Packed
-    model: SceneModel
-    o: np.ndarray  # (n, 3) float32
-    d: np.ndarray  # (n, 3) float32
-
-    @property
-    def primitives(self) -> int:
-        return int(self.packed.first[-1])
+EXACT_RAYS_PER_SORT = 2000  # rays of the film, and as many aimed at edges
+EDGE_CANDIDATES = 8  # points tried for each that is kept: of a closed mesh, half of all faces look away
 
 
-def prepare_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
-    """Write everything. size: of the film, or the square root of how many rays there are."""
+def write_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
+    """Write the scene in every form. size: pixels a side, or the square root of the number of rays."""
     made = scene.make(folder).with_film(width=size, height=size)
-    packed = pack(made, as_float32)
-    o, d = rays_of(scene, made)
-    rays = SharedRays(o, d, np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
-    model = model_of(made, packed, rays)
+    ready = prepare_scene(made, *rays_of(scene, made))
     (folder / SCENE_FILE).write_bytes(pickle.dumps(made))
     if scene.asks != SHADING:
         for name in (ROBUST, DEFAULT):
-            export(made, model, robust=name == ROBUST).write(folder / name)
-        np.savez(folder / RAYS_FILE, o=o, d=d)
-    if all(isinstance(part, Triangles) for part in packed.parts):
-        vertices, faces = merged_triangles(packed.parts)
+            export(made, ready.model, robust=name == ROBUST).write(folder / name)
+        np.savez(folder / RAYS_FILE, o=ready.o, d=ready.d)
+    if all(isinstance(part, Triangles) for part in ready.packed.parts):
+        vertices, faces = merged_triangles(ready.packed.parts)
         np.savez(folder / MESH_FILE, vertices=vertices, faces=faces)
-    return PreparedScene(made, packed, model, o, d)
+    return ready
 
 
 def merged_triangles(parts: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -59,15 +43,6 @@ def merged_triangles(parts: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     faces = [part.faces + start for part, start in zip(parts, first, strict=False)]
     vertices = np.concatenate([part.vertices for part in parts])
     return vertices.astype(np.float32), np.concatenate(faces).astype(np.int32)
-
-
-# Rays of float32 numbers that are aimed at edges and at silhouettes, from where the picture's rays start.
-
-
-Rng = np.random.Generator
-RayArrays = tuple[np.ndarray, np.ndarray]
-
-EDGE_CANDIDATES = 8  # points tried for each that is kept: of a closed mesh, half of all faces look away
 
 
 def at_edges(rng: Rng, ready: PreparedScene, rows: np.ndarray) -> RayArrays:
@@ -130,97 +105,49 @@ def points_on_silhouettes(rng: Rng, part: Any, o: np.ndarray, d: np.ndarray | No
     return places
 
 
-# Who is how wrong: t against exact arithmetic, on rays of the picture and on rays aimed at edges.
-
-
-EXACT_RAYS_PER_SORT = 2000  # rays of each sort
-
-
-@dataclass(frozen=True)
-class Score:
-    """Over the sample of rays of the picture, and over those aimed at edges."""
-
-    rays: int
-    ulps: (
-        float | None
-    )  # largest |t - exact t| in float32 units in the last place of the exact t; None: nothing to compare
-    bounds: float | None  # largest in units of the bound of its ray
-    masks: int  # rays that hit where there is exactly nothing, or miss where there is something
-    beyond: int  # hits whose t is beyond its bound, or not a number: another surface, or none
-    edge_rays: int
-    edge_masks: int
-    edge_beyond: int
-
-
 class ExactAnswers:
-    """Rays and the exact answers about them."""
+    """Rays of the film and rays aimed at edges, with their exact answers."""
 
     def __init__(self, ready: PreparedScene, asks: str, seed: int, sample: int = EXACT_RAYS_PER_SORT) -> None:
         rng = np.random.default_rng([seed, 7])
         some = np.sort(rng.choice(len(ready.o), min(sample, len(ready.o)), replace=False))
         edges = at_edges(rng, ready, some)
-        self.pictured = len(some)
-        self.o, self.d = (
-            np.concatenate(pair) for pair in zip((ready.o[some], ready.d[some]), edges, strict=True)
-        )
+        self.film_rays = len(some)
+        pairs = zip((ready.o[some], ready.d[some]), edges, strict=True)
+        self.o, self.d = (np.concatenate(pair) for pair in pairs)
         self.any = asks == ANY
-        o, d = (a.astype(np.float64) for a in (self.o, self.d))
-        end = SHADOW_END if self.any else np.inf
-        self.answers = tuple(Oracle(ready.packed).first_hits(o, d, t_max=end))
-        self.hit = np.array([answer.hit for answer in self.answers], bool)
-        self.t = np.array([np.inf if answer.t is None else float(answer.t) for answer in self.answers])
-        self.own, self.float32 = bounds(ready, self.answers, self.t, o, d)
+        self.exact = ExactHits(ready, self.o, self.d, SHADOW_END if self.any else np.inf)
+
+    @property
+    def hit(self) -> np.ndarray:
+        return self.exact.hit
+
+    @property
+    def t(self) -> np.ndarray:
+        """(n,) to the nearest float64, inf on a miss."""
+        return self.exact.t
 
     def score(self, t: np.ndarray, *, ours: bool) -> Score:
-        """t: (n,) what somebody says about all rays, inf on a miss, NaN counts as a hit."""
-        said = ~np.isposinf(t)
-        wrong = said != self.hit
-        both = np.flatnonzero(said & self.hit) if not self.any else np.zeros(0, int)
-        off = np.array([_off(self.answers[i], float(t[i])) for i in both.tolist()])
-        allowed = (self.own if ours else self.float32)[both]
+        """t: (n,) of a contestant along all rays, inf on a miss; a NaN counts as a hit."""
+        hit = ~np.isposinf(t)
+        wrong = hit != self.hit
+        both = np.flatnonzero(hit & self.hit) if not self.any else np.zeros(0, int)
+        errors = self.exact.errors(both, t[both])
+        allowed = (self.exact.float64 if ours else self.exact.float32)[both]
         beyond = np.zeros(len(t), bool)
-        beyond[both] = ~(off <= allowed)
-        pictured = both < self.pictured
+        beyond[both] = ~(errors <= allowed)
+        on_film = both < self.film_rays
         with np.errstate(divide="ignore", invalid="ignore"):
-            of_bound = np.where(off > 0.0, off / allowed, 0.0)[pictured]
-        ulps = (off / np.spacing(np.abs(self.t[both]).astype(np.float32)).astype(np.float64))[pictured]
-        here, there = slice(0, self.pictured), slice(self.pictured, None)
+            of_bound = np.where(errors > 0.0, errors / allowed, 0.0)[on_film]
+        ulps = (errors / np.spacing(np.abs(self.t[both]).astype(np.float32)).astype(np.float64))[on_film]
+        film, edges = slice(0, self.film_rays), slice(self.film_rays, None)
         return Score(
-            rays=self.pictured,
+            rays=self.film_rays,
             ulps=largest(ulps),
             bounds=largest(of_bound),
-            masks=int(wrong[here].sum()),
-            beyond=int(beyond[here].sum()),
-            edge_rays=len(t) - self.pictured,
-            edge_masks=int(wrong[there].sum()),
-            edge_beyond=int(beyond[there].sum()),
+            masks=int(wrong[film].sum()),
+            beyond=int(beyond[film].sum()),
+            edge_rays=len(t) - self.film_rays,
+            edge_masks=int(wrong[edges].sum()),
+            edge_beyond=int(beyond[edges].sum()),
         )
-
-
-class TBounds(NamedTuple):
-    own: np.ndarray  # (n,) of a float64 caster
-    float32: np.ndarray  # (n,)
-
-
-def bounds(
-    ready: PreparedScene, answers: tuple[ExactAnswer, ...], t: np.ndarray, o: np.ndarray, d: np.ndarray
-) -> TBounds:
-    """How far t may be off at each ray, at the most generous of those that are exactly nearest; inf: no bound."""
-    ray = np.repeat(np.arange(len(answers)), [len(answer.ties) for answer in answers])
-    prim = np.array([tie.prim for answer in answers for tie in answer.ties], int)
-    found = reference_bounds(ready.model, prim, o[ray], d[ray], t[ray])
-    out = TBounds(np.zeros(len(answers)), np.zeros(len(answers)))
-    for widest, meeting in zip(out, (found.own, found.at), strict=True):
-        np.maximum.at(widest, ray, np.where(np.isnan(meeting.t_error), np.inf, meeting.t_error))
-    return out
-
-
-def _off(answer: ExactAnswer, t: float) -> float:
-    """|t - exact|, rounded once; NaN for a NaN."""
-    return float("nan") if answer.t is None or np.isnan(t) else answer.t.off(t)
-
-
-def largest(values: np.ndarray) -> float | None:
-    """The largest that is a number; None where there is none."""
-    finite = values[np.isfinite(values)]
-    return float(finite.max()) if len(finite) else None

@@ -6,7 +6,6 @@ import argparse
 import itertools
 import json
 import re
-import signal
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.cli.progress import StatusLine
 from caster.description.errors import SceneError, suggestion
+from mitsuba_ref.cli import experiment_options as options
 
 if TYPE_CHECKING:
     from mitsuba_ref.fuzz.campaign import Campaign, Plan
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--seed",
         metavar="S",
-        type=whole,
+        type=options.whole,
         default=0,
         help="example i of seed S is always the same; default: 0",
     )
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--keep",
         metavar="N",
-        type=whole,
+        type=options.whole,
         default=3,
         help="findings of one kind in one family that are made small and kept; all are counted; default: 3",
     )
@@ -59,12 +59,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--judge-every",
         metavar="N",
-        type=whole,
+        type=options.whole,
         default=16,
         help="about one scene in N is compared with Mitsuba, too; 0: none; default: 16",
     )
     add("--replay", metavar="FILE|DIR", help="look at kept scenes again, and at nothing else")
-    add("--rays", metavar="N", type=whole, help="the long run: N rays a shape against exact arithmetic alone")
+    add(
+        "--rays",
+        metavar="N",
+        type=options.whole,
+        help="the long run: N rays a shape against exact arithmetic alone",
+    )
     add(
         "--shape",
         metavar="TYPE",
@@ -80,12 +85,6 @@ def seconds(text: str) -> float:
     if match is None or match[2] not in UNITS:
         raise argparse.ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, got '{text}'")
     return float(match[1]) * UNITS[match[2]]
-
-
-def whole(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"expected a whole number >= 0, got '{text}'")
-    return int(text)
 
 
 def numbers(text: str) -> range:
@@ -104,17 +103,9 @@ def run(args: argparse.Namespace) -> int:
         return replay(args)
     if args.shape and args.rays is None:
         raise SceneError("--shape goes with --rays; families of random scenes are chosen by --family")
-    check_outputs(args)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a cancelled job tidies up as after Ctrl-C
+    options.check_json(args)
+    options.terminate_as_interrupt()
     return long_run(args) if args.rays is not None else search(args)
-
-
-def check_outputs(args: argparse.Namespace) -> None:
-    """Raise OutputError now, and not after all the work."""
-    from caster.image.atomic_files import check_writable
-
-    if args.json:
-        check_writable(args.json)
 
 
 def search(args: argparse.Namespace) -> int:

@@ -173,18 +173,3 @@ def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: flo
 def verdict_json(verdict: Verdict) -> str:
     """The text of verdict.json."""
     return json.dumps(verdict.to_dict(), indent=1, allow_nan=False) + "\n"
-
-
-def check_report(json: str | None, folder: str | None) -> None:
-    """Raise OutputError before any work; warn on stderr where plots cannot be drawn. json: a file, or - for stdout."""
-    from caster.image.atomic_files import check_folder, check_writable
-    from mitsuba_ref.stress.page import MissingPlots, check_available
-
-    if json and json != "-":
-        check_writable(json)
-    if folder:
-        check_folder(folder)
-        try:
-            check_available()
-        except MissingPlots as missing:
-            print(missing, file=sys.stderr)

@@ -100,7 +100,7 @@ def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence
 def check_can_draw() -> None:
     """Raise SceneError before any work where Matplotlib is missing."""
     from caster.description.errors import SceneError
-    from mitsuba_ref.stress.page import MissingPlots, check_available
+    from mitsuba_ref.probe.pixel_picture import MissingPlots, check_available
 
     try:
         check_available()

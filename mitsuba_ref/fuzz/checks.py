@@ -174,7 +174,7 @@ def check_rays(subject: PreparedScene, shots: Shots, tally: Tally, rng: Rng | No
     rows, public = cast_publicly(subject.scene, subject.packed, shots)
     findings = [
         *_culling_differences(
-            shots, ours, cast_by_culling(subject.packed, shots, "everything"), "everything"
+            shots, ours, cast_by_culling(subject.packed, shots, "brute-force"), "brute-force"
         ),
         *_culling_differences(
             shots.taken(rows), NearestHits(ours.t[rows], ours.prim[rows]), public, "caster.cast"
@@ -271,7 +271,7 @@ def cullings_for(subject: PreparedScene) -> tuple[Culling, ...]:
     """Those that the scene's camera allows."""
     film = subject.scene.film
     planned = culling_for(subject.scene.camera.pack(film.width, film.height))[0]
-    return ("everything", "bvh", "screen") if planned == "screen" else ("everything", "bvh")
+    return ("brute-force", "bvh", "raster") if planned == "raster" else ("brute-force", "bvh")
 
 
 def check_image(subject: PreparedScene, tally: Tally) -> list[Finding]:
@@ -280,7 +280,7 @@ def check_image(subject: PreparedScene, tally: Tally) -> list[Finding]:
         culling: render(subject.scene, IMAGE_AOVS, culling=culling, threads=1)
         for culling in cullings_for(subject)
     }
-    obvious = pictures["everything"]
+    obvious = pictures["brute-force"]
     findings = [f for name in pictures for f in _image_differences(subject, obvious, pictures[name], name)]
     return findings + _adjudicate_image(subject, obvious, tally)
 

@@ -20,7 +20,6 @@ from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 from mitsuba_ref.report.class_colors import in_hex
-from mitsuba_ref.stress.page import check_available
 
 AROUND = 3  # pixels on each side whose classes are shown
 INSIDE = 81  # rays across a pixel, odd, so that one of them is the pixel's own
@@ -31,6 +30,18 @@ SURFACES = ("#8cc8ec", "#f0c060", "#6fc7a8", "#dfb0c8", "#f5ee9a", "#7aa6c9", "#
 NOTHING = "#ffffff"
 
 Extent = tuple[float, float, float, float]  # left, right, bottom, top
+
+
+class MissingPlots(ImportError):  # noqa: N818 - what is missing is the subject
+    """Matplotlib is not installed; str() says what to install."""
+
+
+def check_available() -> None:
+    """Raise MissingPlots unless Matplotlib is installed."""
+    try:
+        import matplotlib  # noqa: F401 - whether it is there
+    except ImportError as error:
+        raise MissingPlots("plots need matplotlib: pip install 'ray-reference[plots]'") from error
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,11 @@ __all__ = ["Finding", "exit_code", "format", "format_json", "report", "usable"]
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
 MATPLOTLIB = Package(
-    "matplotlib", "matplotlib", "3.9", "the pictures of `stress --report` and `bench --report`", needed=False
+    "matplotlib",
+    "matplotlib",
+    "3.9",
+    "the plots of `probe --picture`, `make stress` and `make bench`",
+    needed=False,
 )
 PEER_PURPOSE = "another ray caster for `bench --peers`"
 PEERS = (

@@ -1,85 +1,76 @@
-"""A sweep for the terminal, and the same table in Markdown."""
+"""A sweep as a table: its cells, and the text for a terminal."""
 
 from collections.abc import Iterator
 
+from mitsuba_ref.experiment.tables import NOTHING, aligned
 from mitsuba_ref.stress.score import Score
-from mitsuba_ref.stress.sweeps import Outcome, Sweep
+from mitsuba_ref.stress.sweeps import SettingResult, SweepResult
 from mitsuba_ref.stress.witnesses import SCREEN, WITNESSES, Absent, Witness
 
-NOTHING = "-"
 
-
-def as_text(sweep: Sweep) -> str:
-    """Head, one row a setting, who breaks down where, and what of ours fails."""
-    family = sweep.family
-    rows = [columns(sweep), *cells(sweep)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+def as_text(sweep: SweepResult) -> str:
+    """Head, one row a setting, the breakdowns of each witness, and the failures of ours."""
     mark = "PASS" if sweep.ok else "FAIL"
-    head = (
-        f"{mark}  {family.name}: {family.title}; {family.error}, wrong hits or misses   {sweep.seconds:.1f} s"
-    )
-    return "\n".join([head, *lines, *footnotes(sweep), *(f"FAIL  {line}" for line in sweep.problems)])
+    head = f"{mark}  {sweep.name}: {sweep.title}; {sweep.error}, wrong hits or misses   {sweep.seconds:.1f} s"
+    problems = (f"FAIL  {line}" for line in sweep.problems)
+    return "\n".join([head, *aligned(rows(sweep)), *footnotes(sweep), *problems])
 
 
-def shown_witnesses(sweep: Sweep) -> list[Witness]:
-    """The witnesses that have a column: the screen only where it was asked."""
+def shown_witnesses(sweep: SweepResult) -> list[Witness]:
+    """The witnesses that have a column: rasterization only where rays share an eye."""
     absent = sweep.absence(SCREEN.key)
     return [witness for witness in WITNESSES if witness is not SCREEN or absent is None]
 
 
-def columns(sweep: Sweep) -> list[str]:
+def rows(sweep: SweepResult) -> list[list[str]]:
+    """The head and one row a setting."""
     names = [name for witness in shown_witnesses(sweep) for name in (witness.key, "wrong")]
-    return [sweep.family.quantity, "rays", "hits", "ties", "bound 64", "bound 32", *names]
+    head = [sweep.quantity, "rays", "hits", "ties", "bound 64", "bound 32", *names]
+    return [head, *(_row(sweep, setting) for setting in sweep.settings)]
 
 
-def cells(sweep: Sweep) -> Iterator[list[str]]:
-    for outcome in sweep.outcomes:
-        bounds = [number(outcome.bound.float64), number(outcome.bound.float32)]
-        counts = [f"{outcome.x:.4g}", str(outcome.rays), str(outcome.hits), str(outcome.ties)]
-        said = [cell for witness in shown_witnesses(sweep) for cell in of_score(outcome, witness.key)]
-        yield [*counts, *bounds, *said]
+def _row(sweep: SweepResult, setting: SettingResult) -> list[str]:
+    counts = [f"{setting.x:.4g}", str(setting.rays), str(setting.exact.hits), str(setting.exact.ties)]
+    bounds = [_number(setting.bound.float64), _number(setting.bound.float32)]
+    scores = (setting.witnesses[witness.key] for witness in shown_witnesses(sweep))
+    return [*counts, *bounds, *(cell for score in scores for cell in _score_cells(score))]
 
 
-def of_score(outcome: Outcome, key: str) -> list[str]:
+def _score_cells(score: Score | Absent) -> list[str]:
     """Largest error, with a ! beyond its bound; wrong masks, and wrong primitives behind a +."""
-    score = outcome.scores[key]
     if isinstance(score, Absent):
         return [score.status, NOTHING]
     wrong = str(score.wrong_masks) + (f"+{score.wrong_primitives}" if score.wrong_primitives else "")
-    return [number(score.error) + ("!" if score.beyond else ""), wrong]
+    return [_number(score.error) + ("!" if score.beyond else ""), wrong]
 
 
-def number(value: float | None) -> str:
+def _number(value: float | None) -> str:
     return NOTHING if value is None else f"{value:.1e}" if value else "0"
 
 
-def footnotes(sweep: Sweep) -> Iterator[str]:
-    """Where each witness first breaks down; why one is not there."""
-    places = [f"{witness.key} {breakdown(sweep, witness.key)}" for witness in shown_witnesses(sweep)]
-    yield f"breaks down at: {', '.join(places)}"
-    if any(outcome.closed for outcome in sweep.outcomes):
+def footnotes(sweep: SweepResult) -> Iterator[str]:
+    """Where each witness first breaks down; why one is absent."""
+    found = [f"{witness.key} {breakdown(sweep, witness.key)}" for witness in shown_witnesses(sweep)]
+    yield f"breaks down at: {', '.join(found)}"
+    if not sweep.misses:
         yield leaks(sweep)
     for witness in shown_witnesses(sweep):
-        absent = sweep.absence(witness.key)
-        if absent:
+        if absent := sweep.absence(witness.key):
             yield f"{witness.title}: {absent.status}: {absent.why}"
 
 
-def breakdown(sweep: Sweep, key: str) -> str:
-    absent = sweep.absence(key)
-    if absent:
+def breakdown(sweep: SweepResult, key: str) -> str:
+    if absent := sweep.absence(key):
         return absent.status
-    places = sweep.breakdowns(key)
-    return " and ".join(f"{x:.4g}" for x in places) if places else "never"
+    return " and ".join(f"{x:.4g}" for x in sweep.breakdowns[key]) or "never"
 
 
-def leaks(sweep: Sweep) -> str:
-    """Rays that got out of a closed mesh, all settings together."""
+def leaks(sweep: SweepResult) -> str:
+    """Rays that leave a closed mesh, all settings together."""
     found = []
     for witness in shown_witnesses(sweep):
-        scores = [outcome.scores[witness.key] for outcome in sweep.outcomes]
+        scores = [setting.witnesses[witness.key] for setting in sweep.settings]
         out = sum(score.false_misses for score in scores if isinstance(score, Score))
         absent = sweep.absence(witness.key)
         found.append(f"{witness.key} {absent.status if absent else out}")
-    return f"leaks of {sum(outcome.rays for outcome in sweep.outcomes)} rays: {', '.join(found)}"
+    return f"leaks of {sum(setting.rays for setting in sweep.settings)} rays: {', '.join(found)}"

@@ -1,28 +1,27 @@
-"""Who is asked: our caster, through its tree and through the screen, and three configurations of Mitsuba."""
+"""Witnesses of a sweep: our caster by BVH and by rasterization, and three configurations of Mitsuba."""
 
+import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
-from caster.geometry.packing import Packed, pack
-from caster.geometry.world_space import as_float32
+from caster.geometry.packing import Packed
 from caster.rendering.hits import cast
 from caster.rendering.images import camera_rays, film_window
 from caster.rendering.rasterization import find_nearest_on_film
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.experiment.exact_hits import PreparedScene, prepare_scene
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import export, shape_ids
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, send_requests
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
 from mitsuba_ref.stress.family import Setting
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Witness:
     """A line of the plots. variant "": ours."""
 
@@ -57,32 +56,29 @@ class Observation(NamedTuple):
         return ~np.isposinf(self.t)
 
 
-class Absent(NamedTuple):
-    """A witness that says nothing, and why."""
+@dataclass(frozen=True)
+class Absent:
+    """A witness without an observation, and the reason."""
 
-    status: str  # "missing", "crash" or "not asked"
+    status: Literal["missing", "crash", "not asked"]
     why: str
 
 
-class PreparedSetting(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class PreparedSetting(PreparedScene):
     """A setting with its geometry packed, as float32 numbers."""
 
     setting: Setting
-    packed: Packed
-    model: SceneModel
 
 
 def prepare_setting(setting: Setting) -> PreparedSetting:
-    packed = pack(setting.scene, as_float32)
-    count = len(setting.o)
-    rays = SharedRays(setting.o, setting.d, np.full(count, np.inf, np.float32), np.zeros(count))
-    return PreparedSetting(setting, packed, model_of(setting.scene, packed, rays))
+    return PreparedSetting(**vars(prepare_scene(setting.scene, setting.o, setting.d)), setting=setting)
 
 
 def cast_by_bvh(ready: PreparedSetting) -> Observation:
     """The public cast, on the packed float32 geometry."""
-    ready.setting.scene.kept["packed"] = ready.packed
-    hits = cast(ready.setting.scene, ready.setting.o, ready.setting.d)
+    ready.scene.kept["packed"] = ready.packed
+    hits = cast(ready.scene, ready.o, ready.d)
     return Observation(hits.t, scene_prim_ids(ready.packed, hits.shape_id, hits.prim_id))
 
 
@@ -141,8 +137,8 @@ def grouped(jobs: Sequence[TraceRequest]) -> list[list[TraceRequest]]:
 
 
 def _job(witness: Witness, ready: PreparedSetting, folder: Path) -> TraceRequest:
-    xml = export(ready.setting.scene, ready.model, robust=witness.robust).write(folder)
-    o, d = ready.setting.o, ready.setting.d
+    xml = export(ready.scene, ready.model, robust=witness.robust).write(folder)
+    o, d = ready.o, ready.d
     endless = np.full(len(o), np.inf, np.float32)
     # Mitsuba warns of far milder things than these scenes, and takes a very large or small sphere for a stretched one.
     return TraceRequest(xml, witness.variant, o, d, endless, lights=False, strict=False)
@@ -151,7 +147,7 @@ def _job(witness: Witness, ready: PreparedSetting, folder: Path) -> TraceRequest
 def _observation(ready: PreparedSetting, answer: TraceResponse | Crash) -> Observation | Absent:
     if isinstance(answer, Crash):
         return Absent("crash", f"{answer.kind} ({answer.exit}) {answer.headline}".strip())
-    place = {name: index for index, name in enumerate(shape_ids(ready.setting.scene))}
+    place = {name: index for index, name in enumerate(shape_ids(ready.scene))}
     shapes = np.array([*(place.get(name, -1) for name in answer.names), -1])
     return Observation(
         answer.t.astype(np.float64), scene_prim_ids(ready.packed, shapes[answer.shape], answer.prim)

@@ -23,7 +23,7 @@ def count_hits_where_tree_agrees(scene: Scene, o: np.ndarray, d: np.ndarray, wha
     hits = cast(scene, o, d)
     sooner = {"blocked": occluded(scene, o, d), "normal": hits.normal}
     assert_same_bits({"blocked": hits.shape_id >= 0, "normal": hits.surface.n}, sooner, what)
-    slow = find_nearest(packed(scene), validated_rays(o, d, 0.0, np.inf), "everything")
+    slow = find_nearest(packed(scene), validated_rays(o, d, 0.0, np.inf), "brute-force")
     fast = {"t": hits.t, "prim": hits.view.nearest.prim}
     assert_same_bits({"t": slow.t, "prim": slow.prim}, fast, what)
     assert np.isfinite(hits.t).sum() == (hits.prim_id >= 0).sum(), f"{what}: a hit without a finite t"
@@ -70,7 +70,7 @@ def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():
         packed = slivers(rng, 60)
         for family, (o, d) in hard_rays(packed, rng, 100).items():
             rays = validated_rays(o, d, 0.0, np.inf)
-            slow, fast = find_nearest(packed, rays, "everything"), find_nearest(packed, rays, "bvh")
+            slow, fast = find_nearest(packed, rays, "brute-force"), find_nearest(packed, rays, "bvh")
             assert_same_bits(slow._asdict(), fast._asdict(), family)
             hits += int((slow.prim >= 0).sum())
     assert hits >= 1000

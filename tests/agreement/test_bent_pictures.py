@@ -16,9 +16,9 @@ FILM = {"width": 128, "height": 128}
 
 def assert_cullings_agree(camera: Any, shapes: list[dict[str, Any]], film: dict[str, int] = FILM) -> None:
     scene = Scene(film=film, camera=camera, shapes=shapes)
-    every = render(scene, ("depth", "normal"), culling="everything")
+    every = render(scene, ("depth", "normal"), culling="brute-force")
     assert every.hit.any()
-    assert_same_bits(every, render(scene, ("depth", "normal"), culling="screen"), "screen")
+    assert_same_bits(every, render(scene, ("depth", "normal"), culling="raster"), "raster")
 
 
 @pytest.mark.parametrize("camera", BENDING)

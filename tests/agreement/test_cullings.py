@@ -21,12 +21,12 @@ FARTHEST = 1e3  # how many of its sizes a scene stands away from the origin, at 
 def cullings_for(scene: Scene) -> tuple[str, ...]:
     """What is to agree with `everything`: the tree always, the screen where the camera can project."""
     packed = scene.camera.pack(scene.film.width, scene.film.height)
-    return ("screen", "bvh") if implements(project_bounding_sphere, type(packed)) else ("bvh",)
+    return ("raster", "bvh") if implements(project_bounding_sphere, type(packed)) else ("bvh",)
 
 
 def count_hits_where_cullings_agree(scene: Scene) -> tuple[int, int]:
     """(hits, rays); fails where a culling changes a bit of any AOV."""
-    expected = render(scene, tuple(BY_NAME), culling="everything")
+    expected = render(scene, tuple(BY_NAME), culling="brute-force")
     for culling in cullings_for(scene):
         assert_same_bits(expected, render(scene, tuple(BY_NAME), culling=culling), culling)
     return int(expected.hit.sum()), expected.hit.size
@@ -64,7 +64,7 @@ def test_a_crop_is_that_part_of_the_whole_picture_in_every_culling(camera):
     x0, y0, x1, y1 = crop = (11, 5, 30, 21)
     whole = render(scene, tuple(BY_NAME))
     part = scene.with_film(crop=crop)
-    for culling in ("everything", *cullings_for(scene)):
+    for culling in ("brute-force", *cullings_for(scene)):
         expected = {aov: image[y0:y1, x0:x1] for aov, image in whole.items()}
         assert_same_bits(expected, render(part, tuple(BY_NAME), culling=culling), f"crop, {culling}")
     assert part.film.window == crop and whole.hit[y0:y1, x0:x1].sum() >= 50
@@ -73,8 +73,8 @@ def test_a_crop_is_that_part_of_the_whole_picture_in_every_culling(camera):
 def test_the_screen_is_compared_for_some_cameras_and_not_for_others():
     rng = np.random.default_rng(3)
     compared = {name(cls): cullings_for(random_scene(rng, SHAPES[:1], cls, count=1)) for cls in VIEWS}
-    assert compared["pinhole"] == compared["orthographic"] == ("screen", "bvh")
-    assert compared["panorama"] == ("screen", "bvh")
+    assert compared["pinhole"] == compared["orthographic"] == ("raster", "bvh")
+    assert compared["panorama"] == ("raster", "bvh")
 
 
 @pytest.mark.parametrize("camera", [Pinhole, Orthographic], ids=name)
@@ -89,8 +89,8 @@ def test_sizes_that_have_no_squares_change_nothing(size, camera):
         looking = camera(eye=(0.0, 0.0, 5.0 * size), look_at=(0.0, 0.0, 0.0), **across)
         for shapes in ([ball, far], [ball, far, cube]):
             scene = Scene(film={"width": 24, "height": 18}, camera=looking, shapes=shapes)
-            every = render(scene, ("depth", "normal"), culling="everything")
-            assert_same_bits(every, render(scene, ("depth", "normal"), culling="screen"), "at once")
+            every = render(scene, ("depth", "normal"), culling="brute-force")
+            assert_same_bits(every, render(scene, ("depth", "normal"), culling="raster"), "at once")
             hits, _ = count_hits_where_cullings_agree(scene)
             assert hits >= 20
 
@@ -118,6 +118,6 @@ FILM = {"width": 32, "height": 24}
 def test_triangles_between_pixel_centres_are_dropped_and_no_others(shape, camera):
     scene = Scene(film=FILM, camera=camera, shapes=[shape])
     assert count_hits_where_cullings_agree(scene)[0] >= 200
-    rendered = render_film(scene, ("depth",), culling="screen")
+    rendered = render_film(scene, ("depth",), culling="raster")
     tried, there = rendered.counts.on_film[0], len(rendered.packed.kinds[0].ids)
     assert FILM["width"] < tried < 0.8 * there, f"{tried} of {there} triangles are tried"

@@ -28,7 +28,7 @@ MARGIN = 16.0 * 2.0**-53
 
 def compare(packed: Packed, o: np.ndarray, d: np.ndarray) -> tuple[int, int, float, int]:
     """(hits, misses, largest error of t in ulps times the condition, rays too close to an edge to tell)."""
-    ours = find_nearest(packed, validated_rays(o, d, 0.0, np.inf), "everything")
+    ours = find_nearest(packed, validated_rays(o, d, 0.0, np.inf), "brute-force")
     hits, misses, worst, close = 0, 0, 0.0, 0
     for i in range(len(o)):
         each = answers(packed.kinds[0].prims, o[i], d[i])

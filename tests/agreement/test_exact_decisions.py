@@ -161,7 +161,7 @@ def test_t_is_known_where_squares_of_short_directions_and_small_balls_underflow(
     o = np.array([[-1.3 * 2.0**-284, 0.3 * 2.0**-285, 0.0]])
     rays = validated_rays(o, np.array([[1.2 * 2.0**-250, 0.0, 0.0]]), 0.0, np.inf)
     exact = as_float(exact_hit(packed(scene).kinds[0].prims, 0, rays, 0))
-    for culling in ("everything", "bvh"):
+    for culling in ("brute-force", "bvh"):
         assert np.isclose(find_nearest(packed(scene), rays, culling).t[0], exact, rtol=1e-14, atol=0)
 
 
@@ -170,7 +170,7 @@ def test_a_corner_nearer_than_the_inverse_of_the_largest_number_is_in_the_pictur
     eye = Pinhole(eye=(0, 0, 0), look_at=(0, 0, 1), up=(0, 1, 0), fov=90)
     scene = Scene(camera=eye, film=Film(width=32, height=32), shapes=[Triangle(vertices=corners)])
     seen = [
-        (trace_film(scene, culling=culling).nearest.prim >= 0).sum() for culling in ("screen", "everything")
+        (trace_film(scene, culling=culling).nearest.prim >= 0).sum() for culling in ("raster", "brute-force")
     ]
     assert seen[0] == seen[1] > 50
 

@@ -29,7 +29,7 @@ def count_hits_where_threads_agree(scene: Scene, culling: str | None = None) -> 
 @pytest.mark.parametrize("camera", VIEWS, ids=name)
 def test_threads_never_change_a_bit(camera):
     rng = np.random.default_rng([20, VIEWS.index(camera)])
-    for culling in (None, "bvh", "everything"):
+    for culling in (None, "bvh", "brute-force"):
         scene = random_scene(rng, SHAPES, camera, count=2)
         assert count_hits_where_threads_agree(scene, culling) >= 100
 

@@ -4,13 +4,14 @@ from typing import NamedTuple
 
 KERNELS = "caster/kernels"
 TREE, ROOTS, TRIANGLES, NEAREST = (
-    f"{KERNELS}/{name}.py" for name in ("bvh", "roots", "triangles", "nearest")
+    f"{KERNELS}/{name}.py" for name in ("bvh/traversal", "math/quadric_roots", "triangles", "nearest")
 )
 SCREEN, INTEGERS, BOXES, BUNDLE = (
-    f"{KERNELS}/{name}.py" for name in ("screen", "integers", "tree", "bundle")
+    f"{KERNELS}/{name}.py" for name in ("raster/tile_casting", "exact/integers", "bvh/build", "bvh/packet")
 )
-PLANAR, QUADRIC, EXACT_ROOT = (f"{KERNELS}/exact_{name}.py" for name in ("planar", "quadric", "root"))
-SPANS, LANES, VECTORS = f"{KERNELS}/spans.py", f"{KERNELS}/lanes.py", f"{KERNELS}/compiling/vectors.py"
+PLANAR = QUADRIC = f"{KERNELS}/exact/intersections.py"
+EXACT_ROOT, SPANS = f"{KERNELS}/exact/surds.py", f"{KERNELS}/raster/screen_bounds.py"
+LANES, VECTORS = "caster/jit/simd.py", "caster/jit/vector_intrinsics.py"
 CASTING, HITS, PLACING = (
     "caster/rendering/casting.py",
     "caster/rendering/hits.py",
@@ -66,21 +67,21 @@ FAULTS = (
         "surfaces",
         4,
         "phantom t prim",
-        (EXACT_ROOT, "    if order(x, number(t_min)) <= 0:\n        return False\n", ""),
+        (EXACT_ROOT, "    if compare(x, surd_of_float(t_min)) <= 0:\n        return False\n", ""),
     ),
     fault(
         "t_min included",
         "surfaces",
         4,
         "phantom t prim",
-        (EXACT_ROOT, "order(x, number(t_min)) <= 0", "order(x, number(t_min)) < 0"),
+        (EXACT_ROOT, "compare(x, surd_of_float(t_min)) <= 0", "compare(x, surd_of_float(t_min)) < 0"),
     ),
     fault(
         "t_max excluded",
         "any",
         4,
         "missed prim",
-        (EXACT_ROOT, "or order(x, number(t_max)) <= 0", "or order(x, number(t_max)) < 0"),
+        (EXACT_ROOT, "or compare(x, surd_of_float(t_max)) <= 0", "or compare(x, surd_of_float(t_max)) < 0"),
     ),
     fault(
         "strict pruning of unpadded boxes",
@@ -219,7 +220,11 @@ FAULTS = (
         "planes",
         4,
         "missed prim",
-        (PLANE, "answer(steep, all_products_zero(n, d), t, off)", "answer(steep, not steep, t, off)"),
+        (
+            PLANE,
+            "filter_result(steep, all_products_zero(n, d), t, off)",
+            "filter_result(steep, not steep, t, off)",
+        ),
     ),
     fault(
         "the last bit of a number lost in the exact arithmetic",

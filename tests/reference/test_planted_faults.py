@@ -250,7 +250,7 @@ FAULTS = (
         "normal",
         SPHERE,
         "n = normalize(transposed_mat_vec(prims.to_object, k, q))",
-        "n = normalize(turned(prims.to_world, k, q))",
+        "n = normalize(mat_vec(prims.to_world, k, q))",
     ),
     Fault(
         "position from the ray's length alone",

@@ -11,18 +11,19 @@ from mitsuba_ref.reference import messages, session
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.rendering import export
 from mitsuba_ref.reference.variants import SCALAR, usable_variants
-from mitsuba_ref.stress import FAMILIES, sweeps, witnesses
+from mitsuba_ref.stress import sweeps, witnesses
 from mitsuba_ref.stress.family import Setting
+from mitsuba_ref.stress.registry import FAMILIES
 from mitsuba_ref.stress.score import Score
 from mitsuba_ref.stress.surfaces import WATERTIGHT_EDGES
-from mitsuba_ref.stress.sweeps import Outcome, Sweep
+from mitsuba_ref.stress.sweeps import SettingResult, SweepResult
 from mitsuba_ref.stress.witnesses import Witness
 
 RAYS = 16
 ROBUST, PLAIN = (Witness(str(robust), "", SCALAR, robust=robust) for robust in (True, False))
 
 
-def easiest() -> dict[str, Outcome]:
+def easiest() -> dict[str, SettingResult]:
     """All families at once, where they are easiest, by all witnesses."""
     settings = [
         setting for family in FAMILIES for setting in family.settings(0, RAYS) if setting.x == family.easiest
@@ -39,9 +40,10 @@ def test_everybody_agrees_where_a_family_is_easiest():
     found = easiest()
     assert len(found) == len(FAMILIES) >= 22
     for family in FAMILIES:
-        assert Sweep(family, (found[family.name],)).ok, Sweep(family, (found[family.name],)).problems
+        sweep = SweepResult.of(family, [found[family.name]])
+        assert sweep.ok, sweep.problems
         for key in asked:
-            score = found[family.name].scores[key]
+            score = found[family.name].witnesses[key]
             assert isinstance(score, Score), (family.name, score)
             assert score.compared >= RAYS // 4, (family.name, key)
             if key != "llvm":  # which leaks at edges

@@ -90,7 +90,7 @@ def test_an_added_aov_is_rendered_each_way(added, camera):
     a_scene = scene(camera)
     expected = in_plain_python(a_scene, added)
     assert (expected != ADDED[added].MISS).any() and (expected == ADDED[added].MISS).any()
-    for culling in (None, "bvh", "everything"):
+    for culling in (None, "bvh", "brute-force"):
         image = caster.render(a_scene, (added,), culling=culling)[added]
         assert np.array_equal(image.reshape(expected.shape), expected), culling
     hits = trace_film(a_scene)

@@ -9,30 +9,35 @@ from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
+import jsonschema
 import numpy as np
+import performance_page
+import performance_plots
+import performance_targets
 import pytest
 
 import mitsuba_ref.bench.entries
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32, as_given
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.bench import measuring, page, run, scenes, table
+from mitsuba_ref.bench import measuring, run, scenes, table
 from mitsuba_ref.bench.contestants import BY_KEY, CONTESTANTS, Contestant, contestants_for
 from mitsuba_ref.bench.measuring import ContestantEnded, ContestantProcess, Settings, time_scene
 from mitsuba_ref.bench.result import (
     Row,
     Run,
     SceneResult,
+    Score,
     Series,
     Sweep,
-    as_json,
     fitted_slope,
-    from_json,
     ratio,
 )
-from mitsuba_ref.bench.scoring import ExactAnswers, Score, prepare_scene
+from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING, Work
 from mitsuba_ref.bench.worker import peak_memory
+from mitsuba_ref.experiment import tables
+from mitsuba_ref.experiment.result_file import as_json, read_result, schema, write_result
 
 SCENES = {scene.name: scene for scene in scenes.SCENES}
 
@@ -95,7 +100,7 @@ def truth(tmp_path_factory) -> ExactAnswers:
 
 def truth_of(name: str, folder: Path) -> ExactAnswers:
     scene = SCENES[name]
-    return ExactAnswers(prepare_scene(scene, folder, 16), scene.asks, 0, sample=80)
+    return ExactAnswers(write_scene(scene, folder, 16), scene.asks, 0, sample=80)
 
 
 def test_the_exact_answer_is_not_wrong(truth):
@@ -117,15 +122,15 @@ def test_one_unit_in_the_last_place_is_one_unit(truth):
 
 def test_whoever_misses_an_edge_is_seen(truth):
     t = truth.t.copy()
-    t[truth.pictured + int(np.argmax(truth.hit[truth.pictured :]))] = np.inf
+    t[truth.film_rays + int(np.argmax(truth.hit[truth.film_rays :]))] = np.inf
     score = truth.score(t, ours=True)
     assert (score.masks, score.edge_masks) == (0, 1)
 
 
 def test_whoever_hits_nothing_is_seen(tmp_path):
     truth = truth_of("one-sphere", tmp_path)
-    t = np.where(np.isinf(truth.t) & (np.arange(len(truth.t)) < truth.pictured), 1.0, truth.t)
-    assert truth.score(t, ours=True).masks == int((~truth.hit[: truth.pictured]).sum()) > 0
+    t = np.where(np.isinf(truth.t) & (np.arange(len(truth.t)) < truth.film_rays), 1.0, truth.t)
+    assert truth.score(t, ours=True).masks == int((~truth.hit[: truth.film_rays]).sum()) > 0
 
 
 def test_a_nan_is_no_hit_and_no_miss(truth):
@@ -137,7 +142,7 @@ def test_a_nan_is_no_hit_and_no_miss(truth):
 
 def test_another_surface_is_seen(truth):
     t = truth.t.copy()
-    t[truth.pictured + 3] *= 1.5
+    t[truth.film_rays + 3] *= 1.5
     assert truth.score(t, ours=False).edge_beyond == 1
 
 
@@ -151,12 +156,12 @@ def test_shadow_rays_have_masks_alone(tmp_path):
 @pytest.mark.parametrize("name", ["cornell-box", "one-sphere"])
 def test_edges_and_silhouettes_are_aimed_at(name, tmp_path):
     """A hundred-thousandth of the way beside, no more; rays of the picture are elsewhere."""
-    ready = prepare_scene(SCENES[name], tmp_path, 16)
+    ready = write_scene(SCENES[name], tmp_path, 16)
     truth = ExactAnswers(ready, FILM, 0, sample=40)
     o, d = truth.o.astype(np.float64), truth.d.astype(np.float64)
     beside = np.array([distance_beside(ready.packed.parts[0], *line) for line in zip(o, d, strict=True)])
-    assert (beside[truth.pictured :] < 1e-5).all()
-    assert np.median(beside[: truth.pictured]) > 1e-3
+    assert (beside[truth.film_rays :] < 1e-5).all()
+    assert np.median(beside[: truth.film_rays]) > 1e-3
 
 
 def distance_beside(part, o, d) -> float:
@@ -299,7 +304,7 @@ def test_every_contestant_has_an_entry_that_can_do_all_that_is_asked():
         (found,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name)
         methods = {node.name for node in found.body if isinstance(node, ast.FunctionDef)}
         assert {"build", "take_rays", "cast", "answer"} <= methods, contestant.key
-        assert contestant.key in page.STYLE or contestant.asks == (SHADING,), contestant.key
+        assert contestant.key in performance_plots.STYLE or contestant.asks == (SHADING,), contestant.key
 
 
 def test_what_the_contract_names_is_there():
@@ -365,9 +370,12 @@ FIXED = Run(
 )
 
 
-def test_json_brings_the_run_back_and_what_follows_from_it():
-    data = json.loads(json.dumps(as_json(FIXED), allow_nan=False))
-    assert from_json(data) == FIXED
+def test_json_brings_the_run_back_and_what_follows_from_it(tmp_path):
+    file = tmp_path / "run.json"
+    write_result(FIXED, str(file))
+    data = json.loads(file.read_text())
+    assert read_result(Run, str(file), "mitsuba-ref bench") == FIXED and data == as_json(FIXED)
+    jsonschema.validate(data, schema(Run))
     told = {one["key"]: one for one in data["scenes"][0]["rows"]}
     assert told["aov-robust"]["ratio"] == pytest.approx(6.0) and told["ours"]["ns"] == pytest.approx(10.0)
     assert told["open3d"]["ratio"] is None
@@ -378,7 +386,7 @@ def test_json_brings_the_run_back_and_what_follows_from_it():
 
 
 def test_targets_are_reached_missed_or_not_measured():
-    found = list(page.outcomes(FIXED))
+    found = list(performance_targets.outcomes(FIXED))
     marks = {it.what: it.ok for it in found}
     assert marks["Mitsuba LLVM, robust, AOV integrator: each scene"] is True  # 6 >= 5
     assert marks["Mitsuba LLVM, robust, AOV integrator: geometric mean"] is False  # 6 < 7
@@ -393,14 +401,14 @@ def test_the_worst_scene_counts_and_the_mean_is_geometric():
     """1 and 4 times as fast are twice as fast, and not two and a half."""
     four = SceneResult("a", "", FILM, 1, (row("ours", (1.0,)), row("aov-robust", (4.0,))))
     one = SceneResult("b", "", FILM, 1, (row("ours", (1.0,)), row("aov-robust", (1.0,))))
-    worst, mean, *_ = page.outcomes(replace(FIXED, scenes=(four, one)))
+    worst, mean, *_ = performance_targets.outcomes(replace(FIXED, scenes=(four, one)))
     assert (worst.reached, worst.where) == (1.0, "b")
     assert mean.reached == pytest.approx(math.sqrt(4.0))
 
 
 def test_the_front_is_of_those_nobody_beats_in_both():
     """The third is slower than the second and no more right, the last slower and worse."""
-    assert page.front([(9.0, 1.0), (1.0, 5.0), (3.0, 5.0), (2.0, 3.0), (10.0, 4.0)]) == [
+    assert performance_plots.front([(9.0, 1.0), (1.0, 5.0), (3.0, 5.0), (2.0, 3.0), (10.0, 4.0)]) == [
         (1, 5),
         (2, 3),
         (9, 1),
@@ -408,9 +416,9 @@ def test_the_front_is_of_those_nobody_beats_in_both():
 
 
 def test_the_page_says_all_of_it(tmp_path):
-    (tmp_path / page.NOTES).write_text("## What bounds it\n\nWords by hand.\n")
-    page.write_report(FIXED, tmp_path)
-    text = (tmp_path / page.PAGE).read_text()
+    (tmp_path / performance_page.NOTES).write_text("## What bounds it\n\nWords by hand.\n")
+    performance_page.write_report(FIXED, tmp_path)
+    text = (tmp_path / performance_page.PAGE).read_text()
     assert "medians of 3 alternations, fewer than the 7" in text
     assert "Words by hand." in text and "an abacus" in text and "Not timed: one-sphere." in text
     assert "| Open3D | died: SIGSEGV |" in text
@@ -424,24 +432,22 @@ def test_the_page_says_all_of_it(tmp_path):
     assert "| mesh-70k | 16.00 | 1.60 | 10.0 | 10.0 % |" in text  # 16 bytes in 1 ns are 16 GB/s
     assert "mesh-70k 2.00" in text  # what `coherent` is worth
     assert all(len(line) <= 120 or line.startswith(("|", "!", "<!--")) for line in text.splitlines())
-    drawn = {path.stem for path in (tmp_path / page.IMAGE_FOLDER).iterdir()}
+    drawn = {path.stem for path in (tmp_path / performance_page.IMAGE_FOLDER).iterdir()}
     assert drawn == {"pareto", "triangles", "copying"}
     assert all(f"performance/{name}.png" in text for name in drawn)
 
 
-def test_without_matplotlib_there_is_the_page_alone(tmp_path, monkeypatch):
-    """Written twice: what was said by hand stays, and nothing is there twice."""
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    (tmp_path / page.NOTES).write_text("Words by hand.\n")
-    page.write_report(FIXED, tmp_path)
-    text = (tmp_path / page.PAGE).read_text()
-    assert "![" not in text and text.count("Words by hand.") == 1
-    page.write_report(FIXED, tmp_path)
-    assert (tmp_path / page.PAGE).read_text() == text
+def test_words_by_hand_stay_and_are_there_once(tmp_path):
+    (tmp_path / performance_page.NOTES).write_text("Words by hand.\n")
+    texts = []
+    for _ in range(2):
+        performance_page.write_report(FIXED, tmp_path)
+        texts.append((tmp_path / performance_page.PAGE).read_text())
+    assert texts[0] == texts[1] and texts[0].count("Words by hand.") == 1
 
 
 def test_small_numbers_are_not_rounded_away():
-    assert [table.number(x, 2) for x in (None, 0.0, 1.234, 0.00123)] == ["-", "0.00", "1.23", "1.2e-03"]
+    assert [tables.number(x, 2) for x in (None, 0.0, 1.234, 0.00123)] == ["-", "0.00", "1.23", "1.2e-03"]
 
 
 # --- the command
@@ -469,14 +475,12 @@ def test_scenes_are_listed(capsys):
     ]  # fmt: skip
 
 
-def test_a_run_is_told_again(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    (tmp_path / "run.json").write_text(json.dumps(as_json(FIXED)))
-    assert main(["bench", "--from", str(tmp_path / "run.json"), "--report", str(tmp_path)]) == 0
+def test_the_tables_of_an_earlier_run_are_printed_again(tmp_path, capsys):
+    write_result(FIXED, str(tmp_path / "run.json"))
+    assert main(["bench", "--from", str(tmp_path / "run.json")]) == 0
     out = capsys.readouterr().out
     assert "mesh-70k: a closed mesh (70,224 primitives)" in out
     assert "2 of 3 scenes, 8 rows, 1 without numbers; medians of 3 alternations" in out
-    assert (tmp_path / "performance.md").exists()
     assert main(["bench", "--from", str(tmp_path / "missing.json")]) == 4
     (tmp_path / "other.json").write_text("{}")
     assert main(["bench", "--from", str(tmp_path / "other.json")]) == 2

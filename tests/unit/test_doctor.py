@@ -47,7 +47,7 @@ def test_matplotlib_is_looked_for_with_the_projects_least_version_and_is_not_nee
     assert f"{judge_doctor.MATPLOTLIB.distribution}>={judge_doctor.MATPLOTLIB.least}" == least
     finding = next(each for each in judge_doctor.report() if each.name == "matplotlib")
     assert finding.found and not finding.needed and finding.detail == importlib.metadata.version("matplotlib")
-    assert "stress --report" in finding.adds
+    assert "probe --picture" in finding.adds
 
 
 def test_a_judge_without_matplotlib_is_usable_and_says_what_it_would_add(monkeypatch):
@@ -59,7 +59,7 @@ def test_a_judge_without_matplotlib_is_usable_and_says_what_it_would_add(monkeyp
         not finding.found and finding.detail == "not installed" and finding.way_out.startswith("pip install")
     )
     assert judge_doctor.exit_code([finding]) == 0
-    assert "would add the pictures" in installation.format_table([finding])
+    assert "would add the plots" in installation.format_table([finding])
 
 
 def test_this_environment_is_usable():

@@ -106,7 +106,7 @@ def test_a_bit_between_two_pictures_is_found(subject, monkeypatch):
 
     def off_by_a_bit(scene, names, *, culling, threads):
         images = usual(scene, names, culling=culling, threads=threads)
-        if culling == "screen":
+        if culling == "raster":
             images["position"][1, 2, 0] = np.nextafter(images["position"][1, 2, 0], 9.0)
         return images
 

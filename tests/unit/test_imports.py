@@ -58,7 +58,6 @@ KNOWN_UPWARD = frozenset(
         ("mitsuba_ref.judge", "mitsuba_ref.report"),
         ("mitsuba_ref.oracle", "mitsuba_ref.shapes"),
         ("mitsuba_ref.probe", "mitsuba_ref.report"),
-        ("mitsuba_ref.probe", "mitsuba_ref.stress"),
         ("mitsuba_ref.reference", "mitsuba_ref.cameras"),
         ("mitsuba_ref.subjects", "mitsuba_ref.judge"),
     }

@@ -38,7 +38,7 @@ def told(a_scene, *aovs, **how):
 @pytest.mark.parametrize("camera", [Fisheye, Panorama, Parabolic])
 def test_cameras_that_bend_lines_grow_no_tree_either(camera):
     what = told(scene(camera), "depth", "normal")
-    assert what["culling"]["name"] == "screen" and what["trees"]["grown"] == 0
+    assert what["culling"]["name"] == "raster" and what["trees"]["grown"] == 0
     assert "picture of a ball" in what["culling"]["reason"]
 
 
@@ -178,7 +178,7 @@ def test_kernels_of_absent_shapes_and_of_what_is_not_asked_for_are_not_loaded(tm
 
 
 def test_without_culling_nothing_is_counted():
-    what = told(scene(shapes=[Plane(offset=-2), Sphere()]), "depth", culling="everything")
+    what = told(scene(shapes=[Plane(offset=-2), Sphere()]), "depth", culling="brute-force")
     assert what["decided_exactly"] is None and what["shadow_rays"]["cast"] is None
     assert {kind["way"] for kind in what["primitives"]} == {"tried by every ray"}
 

@@ -55,7 +55,7 @@ def test_it_sees_what_cast_sees():
     o, d = (0.3, 0.1, 2.0), (-0.02, 0.01, -0.5)
     scene = Scene(film=Film(width=2, height=2), camera=Ray(origin=o, direction=d), shapes=balls)
     hits = cast(scene, [o], [d])
-    for culling in (None, "bvh", "everything"):
+    for culling in (None, "bvh", "brute-force"):
         aovs = render(scene, ("depth", "position", "shape_id"), culling=culling)
         assert aovs.hit.all() and (aovs["shape_id"] == hits.shape_id[0]).all()
         assert (aovs["depth"] == hits.t[0] * np.linalg.norm(d)).all()

@@ -6,16 +6,22 @@ import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from dataclasses import replace
 
+import jsonschema
 import numpy as np
 import pytest
+import stress_page
+import stress_plots
 
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.experiment import result_file
+from mitsuba_ref.experiment.result_file import as_json, read_result, schema, write_result
+from mitsuba_ref.experiment.selection import select
 from mitsuba_ref.reference.variants import Variants
-from mitsuba_ref.stress import FAMILIES, page, score, sweeps, table, witnesses
+from mitsuba_ref.stress import score, sweeps, table, witnesses
+from mitsuba_ref.stress.registry import FAMILIES
 from mitsuba_ref.stress.score import Scorer
-from mitsuba_ref.stress.selection import select_families
 from mitsuba_ref.stress.surfaces import check_closed
-from mitsuba_ref.stress.sweeps import Sweep, as_json
+from mitsuba_ref.stress.sweeps import StressRun, SweepResult
 from mitsuba_ref.stress.witnesses import Absent, Observation
 
 RAYS = 25
@@ -47,10 +53,10 @@ def no_mitsuba(monkeypatch):
     """A machine where no variant works: the sweeps go on with ours and exact arithmetic."""
     nothing = Variants(False, False, None, "planted: nothing works")
     monkeypatch.setattr(witnesses, "usable_variants", lambda: nothing)
-    monkeypatch.setattr(sweeps, "usable_variants", lambda: nothing)
+    monkeypatch.setattr(result_file, "usable_variants", lambda: nothing)
 
 
-def run(name: str, *places: int) -> Sweep:
+def run(name: str, *places: int) -> SweepResult:
     """A family, or some of its settings."""
     family = BY_NAME[name]
     values = tuple(family.values[i] for i in places) or family.values
@@ -61,7 +67,7 @@ def shortened(monkeypatch, name: str, *places: int) -> None:
     """Let a family have some of its settings only."""
     family = BY_NAME[name]
     short = replace(family, values=tuple(family.values[i] for i in places))
-    monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", (short,))
+    monkeypatch.setattr("mitsuba_ref.stress.registry.FAMILIES", (short,))
 
 
 @pytest.mark.parametrize("word", STRESSED)
@@ -82,14 +88,17 @@ def test_a_family_spans_decades_in_order(name):
 def test_ours_is_exact_in_every_setting_and_every_setting_shows_something(name):
     sweep = run(name)
     assert sweep.ok, sweep.problems
-    assert len(sweep.outcomes) == len(BY_NAME[name].values)
-    for outcome in sweep.outcomes:
-        ours = outcome.scores["ours"]
-        assert outcome.rays >= 16 and outcome.asked == outcome.rays == outcome.hits + outcome.misses
-        assert ours.compared == outcome.hits >= outcome.rays // 8
-        assert outcome.misses >= (outcome.rays // 10 if BY_NAME[name].misses else 0)
+    assert len(sweep.settings) == len(BY_NAME[name].values)
+    for outcome in sweep.settings:
+        ours = outcome.witnesses["ours"]
+        exact = outcome.exact
+        assert outcome.rays >= 16 and exact.asked == outcome.rays == exact.hits + exact.misses
+        assert ours.compared == exact.hits >= outcome.rays // 8
+        assert exact.misses >= (outcome.rays // 10 if BY_NAME[name].misses else 0)
         assert outcome.bound.float64 > 0.0 and ours.worst <= 1.0
-        assert all(outcome.scores[key] == Absent("missing", "planted: nothing works") for key in REFERENCES)
+        assert all(
+            outcome.witnesses[key] == Absent("missing", "planted: nothing works") for key in REFERENCES
+        )
 
 
 def test_the_screen_is_asked_where_rays_share_an_eye():
@@ -183,7 +192,9 @@ def test_rays_that_show_nothing_fail_the_run(monkeypatch, capsys):
         sight = witnesses.cast_by_bvh(witnesses.prepare_setting(setting))
         return replace(setting, o=setting.o[sight.hit], d=setting.d[sight.hit])
 
-    monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", (replace(family, make=only_hits, values=(1e-2,)),))
+    monkeypatch.setattr(
+        "mitsuba_ref.stress.registry.FAMILIES", (replace(family, make=only_hits, values=(1e-2,)),)
+    )
     assert main(["stress"]) == 1
     assert "exact arithmetic has no misses" in capsys.readouterr().out
 
@@ -249,13 +260,14 @@ def test_the_first_breakdown_is_looked_for_on_both_sides_of_the_easiest_setting(
     outcomes = [
         replace(
             outcome,
-            scores=outcome.scores | {"ours": replace(outcome.scores["ours"], false_hits=wrong.get(i, 0))},
+            witnesses=outcome.witnesses
+            | {"ours": replace(outcome.witnesses["ours"], false_hits=wrong.get(i, 0))},
         )
-        for i, outcome in enumerate(sweep.outcomes)
+        for i, outcome in enumerate(sweep.settings)
     ]
-    broken = Sweep(sweep.family, tuple(outcomes))
-    x = sweep.family.values
-    assert sweep.breakdowns("ours") == [] and broken.breakdowns("ours") == [x[2], x[15]]
+    broken = replace(sweep, settings=tuple(outcomes))
+    x = BY_NAME["scale-sphere"].values
+    assert sweep.breakdowns["ours"] == [] and broken.breakdowns["ours"] == [x[2], x[15]]
     assert "ours 1e-20 and 1e+18" in table.as_text(broken) and not broken.ok
 
 
@@ -271,7 +283,8 @@ def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
     assert set(first) == {"format", "seed", "versions", "asked", "ok", "families"} and first["format"] == 1
     (family,) = first["families"]
     assert set(family) == {
-        *("name", "title", "quantity", "error", "ok", "problems", "seconds", "breakdowns", "settings"),
+        *("name", "title", "quantity", "error", "easiest", "misses"),
+        *("ok", "problems", "seconds", "breakdowns", "settings"),
     }
     setting = family["settings"][0]
     assert set(setting) == {"x", "rays", "exact", "bound", "witnesses"}
@@ -291,16 +304,16 @@ def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
 def test_what_is_missing_is_said_in_table_picture_and_json():
     sweep = run("tangency", 0, -1)
     assert "Mitsuba LLVM, robust: missing: planted: nothing works" in table.as_text(sweep)
-    assert b"Mitsuba LLVM, robust: missing" in page.as_svg(sweep)
-    text = json.dumps(as_json([sweep], ["tangency"], 0, {}))
-    assert text.count('"status": "missing"') == 3 * len(sweep.outcomes)
+    assert b"Mitsuba LLVM, robust: missing" in stress_plots.as_svg(sweep)
+    text = json.dumps(as_json(StressRun(0, {}, ("tangency",), (sweep,))))
+    assert text.count('"status": "missing"') == 3 * len(sweep.settings)
 
 
 def test_leaks_are_added_up(monkeypatch):
     honest = witnesses.cast_by_bvh
     monkeypatch.setattr(witnesses, "cast_by_bvh", lambda ready: without_a_primitive(honest(ready)))
     sweep = run("watertight-vertices", 0, 1)
-    lost = sum(outcome.scores["ours"].false_misses for outcome in sweep.outcomes)
+    lost = sum(outcome.witnesses["ours"].false_misses for outcome in sweep.settings)
     assert lost > 0 and f"leaks of {2 * RAYS} rays: ours {lost}, screen 0, scalar missing" in table.as_text(
         sweep
     )
@@ -309,12 +322,12 @@ def test_leaks_are_added_up(monkeypatch):
 @pytest.mark.parametrize("name", ["watertight-edges", "coincident-triangles", "scale-mesh"])
 def test_a_picture_is_well_formed_small_and_the_same_again(name):
     sweep = run(name, 0, 1, -1)
-    picture = page.as_svg(sweep)
+    picture = stress_plots.as_svg(sweep)
     words = " ".join(ElementTree.fromstring(picture).itertext())
-    assert picture == page.as_svg(sweep) and len(picture) < 90_000
+    assert picture == stress_plots.as_svg(sweep) and len(picture) < 90_000
     for word in (
-        sweep.family.quantity,
-        sweep.family.error,
+        sweep.quantity,
+        sweep.error,
         "ours, by the tree",
         "predicted bound of float32",
     ):
@@ -322,36 +335,36 @@ def test_a_picture_is_well_formed_small_and_the_same_again(name):
     assert ("ours, by the screen" in words) == name.startswith("watertight")
 
 
-def test_the_report_is_a_page_with_its_pictures(tmp_path, monkeypatch):
+def test_the_page_is_made_from_the_json_of_a_run(tmp_path, monkeypatch):
     shortened(monkeypatch, "tangency", -2, -1)
-    assert main(["stress", "--report", str(tmp_path), "--rays", str(RAYS)]) == 0
+    file = tmp_path / "run.json"
+    assert main(["stress", "--json", str(file), "--rays", str(RAYS)]) == 0
+    monkeypatch.setattr(sys, "argv", ["stress_page.py", str(file), str(tmp_path)])
+    stress_page.main()
     page = " ".join((tmp_path / "stress.md").read_text().split())
     assert "In 1 sweeps, 2 settings and 50 rays, of which exact arithmetic looked at 50" in page
     assert "**0 wrong hits or misses, 0 wrong primitives and 0 errors" in page
     assert "(stress/tangency.svg)" in page and (tmp_path / "stress/tangency.svg").is_file()
 
 
-def test_without_matplotlib_there_are_tables_and_a_word_what_to_install(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    shortened(monkeypatch, "tangency", -1)
-    options = ["--report", str(tmp_path), "--json", str(tmp_path / "out.json"), "--rays", str(RAYS)]
-    assert main(["stress", *options]) == 0
-    shown = capsys.readouterr()
-    assert "pip install 'ray-reference[plots]'" in shown.err and shown.out.startswith("PASS  tangency")
-    assert json.loads((tmp_path / "out.json").read_text())["ok"]
-    assert "tangency.svg" not in (tmp_path / "stress.md").read_text()
+def test_json_brings_the_run_back_and_satisfies_its_schema(tmp_path):
+    run_ = StressRun(0, {"numpy": "2"}, ("tangency", "axis"), (run("tangency", 0), run("axis", -1)))
+    file = str(tmp_path / "run.json")
+    write_result(run_, file)
+    assert read_result(StressRun, file, "mitsuba-ref stress") == run_
+    jsonschema.validate(as_json(run_), schema(StressRun))
 
 
 # --- the command
 
 
 def test_a_part_of_the_name_selects_all_that_begin_with_it():
-    assert [family.name for family in select_families(FAMILIES, ["watertight"], None)] == NAMES[10:12]
-    assert [family.name for family in select_families(FAMILIES, ["axis", "scale-mesh"], None)] == [
+    assert [family.name for family in select(FAMILIES, "family", ["watertight"], None)] == NAMES[10:12]
+    assert [family.name for family in select(FAMILIES, "family", ["axis", "scale-mesh"], None)] == [
         "scale-mesh",
         "axis",
     ]
-    assert [family.name for family in select_families(FAMILIES, [], "shadow and not mesh")] == [
+    assert [family.name for family in select(FAMILIES, "family", [], "shadow and not mesh")] == [
         "shadow-sphere"
     ]
 
@@ -360,7 +373,7 @@ def test_a_part_of_the_name_selects_all_that_begin_with_it():
     ("options", "code", "says"),
     [
         (["watertigth"], 2, "did you mean 'watertight'?"),
-        (["-k", "nothing-like-it"], 5, "no family fits"),
+        (["-k", "nothing-like-it"], 5, "no family matches"),
         (["-k", "and"], 2, "a part of a name is missing"),
         (["--rays", "0"], 2, "expected a whole number >= 1"),
         (["--seed", "-1"], 2, "expected a whole number >= 0"),

@@ -31,7 +31,7 @@ def test_every_kind_of_primitive_and_every_camera_is_warmed():
 def little(monkeypatch):
     """One AOV by one culling: the rest is as much again, many times."""
     monkeypatch.setattr(warm_up, "WARM_UP_AOV_SETS", (("depth",),))
-    monkeypatch.setattr(warm_up, "get_args", lambda culling: ("screen",))
+    monkeypatch.setattr(warm_up, "get_args", lambda culling: ("raster",))
     monkeypatch.setattr(warm_up, "_warm_decisions", lambda packed: None)
     monkeypatch.setattr(decorators.COMPILATION_LOG, "compiling", decorators.COMPILATION_LOG.compiling)
 

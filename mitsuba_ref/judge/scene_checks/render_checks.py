@@ -161,7 +161,7 @@ def check_culling(scene: Scene) -> SceneCheck:
     planned, tree = render(scene, names), evaluate(judged, names, film_window(scene))
     differs = np.any([bits_differ(planned, tree, name) for name in names], axis=0)
     rows = _sampled_rays(len(rays.o), int(judged.packed.first[-1]))
-    obvious = find_nearest(judged.packed, type(rays)(*(a[rows] for a in rays)), "everything")
+    obvious = find_nearest(judged.packed, type(rays)(*(a[rows] for a in rays)), "brute-force")
     found = judged.nearest
     differs[rows] |= (obvious.t != found.t[rows]) | (obvious.prim != found.prim[rows])
     shares = {"bits": np.where(differs, np.inf, 0.0)}

@@ -53,7 +53,7 @@ def trees() -> int:
         ):
             rays = scaled_rays(question)
             tree, every = (
-                find_nearest(question.scene.kept["packed"], rays, how) for how in ("bvh", "everything")
+                find_nearest(question.scene.kept["packed"], rays, how) for how in ("bvh", "brute-force")
             )
             assert tree.t.tobytes() == every.t.tobytes() and (tree.prim == every.prim).all(), question.name
             count += len(question.o)

@@ -1,0 +1,66 @@
+"""Options, progress and output that `fuzz`, `stress` and `bench` have in common."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from typing import TextIO
+
+from caster.cli.progress import StatusLine
+
+
+def whole(text: str) -> int:
+    """A whole number >= 0, or an error in argparse's way."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"expected a whole number >= 0, got '{text}'")
+    return int(text)
+
+
+def add_selection(parser: argparse.ArgumentParser, what: str, words: str) -> None:
+    """The items by name, -k and --list. what: "family" or "scene"."""
+    plural = {"family": "families", "scene": "scenes"}[what]
+    add = parser.add_argument
+    add(plural, metavar=what.upper(), nargs="*", help=words)
+    example = "'scale and not mesh'" if what == "family" else "'mesh and not lit'"
+    add("-k", metavar="EXPR", dest="expression", help=f"{plural} whose name matches, such as {example}")
+    add("--list", action="store_true", help=f"list the {plural} and stop")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--json",
+        metavar="FILE",
+        help="write the result as JSON; - is standard output, which then holds nothing else",
+    )
+
+
+def check_json(args: argparse.Namespace) -> None:
+    """Raise OutputError now, and not after all the work."""
+    from caster.image.atomic_files import check_writable
+
+    if args.json and args.json != "-":
+        check_writable(args.json)
+
+
+def terminate_as_interrupt() -> None:
+    """Let SIGTERM end the work as Ctrl-C does, so that a cancelled job keeps what is done."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+def table_stream(args: argparse.Namespace) -> TextIO:
+    """Where tables go: not to standard output if that takes the JSON."""
+    return sys.stderr if args.json == "-" else sys.stdout
+
+
+class Progress:
+    """One line on a terminal's stderr, overwritten by each call; nothing elsewhere."""
+
+    def __init__(self, what: str) -> None:
+        self.what, self.line = what, StatusLine()
+
+    def __call__(self, words: str) -> None:
+        self.line.show(f"{self.what}: {words}")
+
+    def clear(self) -> None:
+        self.line.erase()
