@@ -1,4 +1,4 @@
-"""The command `mitsuba-ref`: what it can do is in mitsuba_ref/commands."""
+"""The command `mitsuba-ref`; its commands are listed in mitsuba_ref/cli."""
 
 import sys
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ CODES = tuple(code for code in exit_codes.MEANINGS if code != exit_codes.PIPE_CL
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; its exit code. argv: its words; without them, those of this process, which may need a guard."""
+    """Run one command; its exit code. argv: default those of this process, which may need a supervisor."""
     if argv is None and supervisor.needs_supervision(sys.argv[1:]):
         return supervisor.run_supervised(sys.argv[1:])
     return application.main("mitsuba-ref", ABOUT, COMMANDS, CODES, argv)

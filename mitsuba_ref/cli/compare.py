@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--allow-empty", action="store_true", help="two images that hit nothing pass")
     add("--json", action="store_true", help="as JSON")
     group = parser.add_argument_group(
-        "files of other programs, where their numbers do not tell (docs/candidates.md)"
+        "files of other programs, where their numbers do not decide (docs/candidates.md)"
     )
     add = group.add_argument
     add(
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="of the near plane, along the view axis, if depth counts from there",
     )
-    add("--scene", metavar="SCENE", help="the scene whose camera took the pictures")
+    add("--scene", metavar="SCENE", help="the scene whose camera rendered the images")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -77,13 +77,13 @@ def from_course(args: argparse.Namespace) -> ImportedScene:
     where = f"{args.file}:1:1: left out: "
     moved = f"rays from infinitely far: the window stands {back:g} farther back, and depths count from there"
     color = " ".join(f"{c:g}" for c in course.background)
-    told = [f"{where}the background color {color}: ours is black"] if any(course.background) else []
-    told += [where + moved] if back else []
-    return ImportedScene(scene, (*course.left_out, *told))
+    notes = [f"{where}the background color {color}: ours is black"] if any(course.background) else []
+    notes += [where + moved] if back else []
+    return ImportedScene(scene, (*course.left_out, *notes))
 
 
 def parameters(words: list[str]) -> dict[str, str]:
-    """NAME -> VALUE. Raises SceneError for what is no such pair."""
+    """NAME -> VALUE of -D. Raises SceneError for a word that is no such pair."""
     for word in words:
         if "=" not in word:
             raise SceneError(f"-D {word}: expected NAME=VALUE")
@@ -104,7 +104,7 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_export(args: argparse.Namespace) -> int:
-    """Write the files and say which. Raises SceneError, FileMissing, OutputError."""
+    """Write the files and print their names. Raises SceneError, FileMissing, OutputError."""
     scene = load(args)
     from mitsuba_ref.reference.rendering import export_scene
 

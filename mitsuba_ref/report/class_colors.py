@@ -1,6 +1,6 @@
-"""The colour of each class of a pixel, wherever classes are drawn, and its name, as files of classes carry them.
+"""Colours of the classes of pixels, in images and as attributes of EXR files.
 
-The report's page has the same, and one more for what is unlisted (report/html/page/colors.js, which a test compares).
+The report's page has the same, and one more for unlisted cases (report/html/page/colors.js, which a test compares).
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ def in_hex(name: str) -> str:
 
 
 def attributes(names: Sequence[str] = CLASSES) -> dict[str, str]:
-    """What an EXR file with the channel class.I says of its codes. names: what the classes are called there."""
+    """EXR attributes that define the codes of a channel class.I. names: of the classes in that file."""
     return {
         "caster/classes": ", ".join(f"{code} {name}" for code, name in enumerate(names)),
         "caster/class_colors": ", ".join(f"{code} {in_hex(name)}" for code, name in enumerate(CLASSES)),

@@ -1,4 +1,4 @@
-"""A verdict as JUnit XML, which continuous integration servers read."""
+"""A verdict as JUnit XML, for continuous integration servers."""
 
 from pathlib import PurePath
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -11,8 +11,8 @@ NAME = "mitsuba-ref validate"
 
 
 def junit(verdict: Verdict) -> str:
-    """A test case for each scene; a failing one holds what the terminal says of it. No answer at all is an error, and
-    so is a scene that was asked for and not judged.
+    """A test case for each scene; a failing one holds its text of the terminal. A missing answer is an error, and so
+    is a scene that was requested and not judged.
     """
     failed = [scene for scene in verdict.scenes if not scene.ok]
     errors = sum(bool(scene.problem) for scene in failed) + len(verdict.not_judged)
@@ -35,7 +35,7 @@ def junit(verdict: Verdict) -> str:
         add_case(suite, scene)
     for name in verdict.not_judged:
         case = SubElement(suite, "testcase", classname="scenes", name=printable(name), time="0.000")
-        words = f"{name}: not judged: the run ended before"
+        words = f"{name}: not judged: the run ended earlier"
         SubElement(case, "error", message=printable(words), type="not_judged").text = printable(words)
     indent(top)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(top, encoding="unicode") + "\n"

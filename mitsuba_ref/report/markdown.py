@@ -1,4 +1,4 @@
-"""A verdict as Markdown, for the summary page of a step on GitHub and the like."""
+"""A verdict as Markdown, for the summary page of a CI step."""
 
 import html
 import math
@@ -11,22 +11,20 @@ from caster.image.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
 from mitsuba_ref.report.failure_groups import group_lines
 from mitsuba_ref.report.replay import replay
-from mitsuba_ref.report.terminal import HEADS, candidate_lines, failure_text, worst_words
+from mitsuba_ref.report.terminal import CLASS_TITLES, candidate_lines, failure_text, worst_words
 
 # GitHub drops the whole summary of a step that is larger: https://docs.github.com/actions, "step isolation and limits".
-SUMMARY_LIMIT_BYTES = 1024 * 1024  # bytes
+SUMMARY_LIMIT_BYTES = 1024 * 1024
 
-RESERVED_BYTES = 2048  # bytes, of it, for the sentences that say what was left out and the tags that close
+RESERVED_BYTES = 2048  # of it, for the list of omissions and the closing tags
 
-PLAIN = re.compile(
-    r"[A-Za-z0-9 .,:/()=+-]"
-)  # what Markdown never reads as anything but itself, within a line
+PLAIN = re.compile(r"[A-Za-z0-9 .,:/()=+-]")  # characters without a meaning in Markdown, within a line
 
 
 def append(
     path: str | os.PathLike[str], verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES
 ) -> None:
-    """Add the summary to the end of a file, as GitHub asks of $GITHUB_STEP_SUMMARY; the file grows to `limit` at most.
+    """Append the summary to a file such as $GITHUB_STEP_SUMMARY, which grows to `limit` bytes at most.
 
     Raises OutputError.
     """
@@ -73,13 +71,13 @@ def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES)
 
 
 class _ByteBudget:
-    """Bytes that are left."""
+    """A number of bytes to spend."""
 
     def __init__(self, left: int) -> None:
         self.left = left
 
     def take(self, texts: Iterable[str]) -> list[str]:
-        """As many of the texts as there is room for, in order."""
+        """The first texts that fit."""
         taken = []
         for text in texts:
             if utf8_size(text) > self.left:
@@ -117,7 +115,7 @@ def _table_head(verdict: Verdict, *last: str) -> str:
     names = [
         "scene",
         "hit",
-        *(" ".join(filter(None, HEADS[name])).replace("- ", "") for name in CLASSES),
+        *(CLASS_TITLES[name].replace("-\n", "").replace("\n", " ") for name in CLASSES),
         *last,
     ]
     aligned = ["---", *["---:"] * (1 + len(CLASSES)), *["---"] * len(last)]
@@ -150,16 +148,16 @@ def _far(worst: Failure) -> str:
 
 
 def _first_line(scene: SceneVerdict) -> str:
-    """What fails, without the words FAIL and the scene's name before it."""
+    """The first line of the failure, without FAIL and the scene's name."""
     line = failure_text(scene).partition("\n")[0]
     return line.removeprefix(f"FAIL  {scene.name}  ")[:200]
 
 
-SCENE_TEXT_LIMIT_BYTES = 16384  # bytes of one scene's text: Mitsuba's last words may be long
+SCENE_TEXT_LIMIT_BYTES = 16384  # of one scene: the output of Mitsuba may be long
 
 
 def _failing_text(scene: SceneVerdict) -> str:
-    """What the terminal says of it, folded; within <pre> only HTML's own characters mean anything."""
+    """The terminal's text, folded; within <pre> only HTML's own characters need escapes."""
     words = html.escape(
         "".join(c if c in "\n\t" or c.isprintable() else "\ufffd" for c in failure_text(scene))
     )
@@ -172,5 +170,5 @@ def one_line(text: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text on one line that Markdown and HTML show as it is: everything that may mean something as a number."""
+    """Text on one line that Markdown and HTML show unchanged: special characters as numeric references."""
     return "".join(c if PLAIN.match(c) else f"&#{ord(c)};" for c in one_line(text))

@@ -1,4 +1,4 @@
-"""What runs have written into a folder, by a list of our own there: files of earlier runs can go, others never do."""
+"""Manifest of the files that runs wrote into a folder: files of earlier runs can be removed, others never are."""
 
 import hashlib
 import json
@@ -19,14 +19,14 @@ MANIFEST = (
 
 @dataclass(frozen=True)
 class FileDigest:
-    """What a file was when it was written."""
+    """Size and hash of a file as it was written."""
 
     bytes: int
     sha256: str
 
     @classmethod
     def of(cls, path: Path) -> "FileDigest | None":
-        """None where there is no file that can be read."""
+        """Of a file; None if it cannot be read."""
         try:
             with path.open("rb") as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -35,7 +35,7 @@ class FileDigest:
             return None
 
     def fits(self, path: Path) -> bool:
-        """Whether the file is there, to the bit."""
+        """Whether the file exists with the same bytes."""
         try:
             return path.stat().st_size == self.bytes and FileDigest.of(path) == self
         except OSError:
@@ -46,44 +46,46 @@ class FileDigest:
 
 
 class ManifestEntry(NamedTuple):
-    """A line of the list. run: which one wrote it; told: what else is to be remembered of the file."""
+    """A line of the manifest. run: id of the run that wrote the file; labels: further facts about it."""
 
     scene: str
     digest: FileDigest
     run: str
-    told: dict[str, str]
+    labels: dict[str, str]
 
 
 @dataclass(frozen=True)
 class RemovedFiles:
-    """What became of the files of earlier runs: names."""
+    """Names of files of earlier runs that were removed, or left."""
 
     removed: tuple[str, ...] = ()
-    altered: tuple[str, ...] = ()  # not what was written, so they stay
+    altered: tuple[str, ...] = ()  # changed since they were written, so they stay
 
     def words(self, folder: Path) -> str:
-        """On one line, "" if there is nothing to tell."""
-        told = []
+        """On one line; "" if there are none."""
+        parts = []
         if self.removed:
             files = "file" if len(self.removed) == 1 else "files"
-            told.append(f"removed {len(self.removed)} {files} that an earlier run wrote and this one did not")
+            parts.append(
+                f"removed {len(self.removed)} {files} that an earlier run wrote and this one did not"
+            )
         if self.altered:
-            told.append(f"left {len(self.altered)} that somebody altered since: {', '.join(self.altered)}")
-        return f"{folder}: {'; '.join(told)}" if told else ""
+            parts.append(f"left {len(self.altered)} that were altered since: {', '.join(self.altered)}")
+        return f"{folder}: {'; '.join(parts)}" if parts else ""
 
 
 class OutputManifest:
-    """The list of one folder. `add` may be called from several threads."""
+    """The manifest of one folder. `add` may be called from several threads."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.list = folder, folder / MANIFEST
         self.lock, self.run = threading.Lock(), secrets.token_hex(8)
         self.now: dict[str, FileDigest] = {}
         self.earlier = self._known()
-        write_text(self.list, "".join(self._lines(self.earlier)))  # a line cut short would spoil the next
+        write_text(self.list, "".join(self._lines(self.earlier)))  # a truncated line would spoil the next
 
-    def add(self, scene: str, files: Iterable[str], **told: str) -> dict[str, FileDigest]:
-        """These of the scene are as they shall be; what is not there is left out. told: to be remembered of them.
+    def add(self, scene: str, files: Iterable[str], **labels: str) -> dict[str, FileDigest]:
+        """Record files of a scene; missing ones are left out. labels: further facts about them.
 
         Raises OutputError.
         """
@@ -92,7 +94,7 @@ class OutputManifest:
             with self.lock, self.list.open("a", encoding="utf-8") as out:
                 out.writelines(
                     self._lines(
-                        {file: ManifestEntry(scene, each, self.run, told) for file, each in found.items()}
+                        {file: ManifestEntry(scene, each, self.run, labels) for file, each in found.items()}
                     )
                 )
                 self.now |= found
@@ -100,22 +102,22 @@ class OutputManifest:
             raise OutputError(f"{self.list}: cannot write: {error.strerror or error}") from error
         return found
 
-    def as_told(self, file: str, **told: str) -> ManifestEntry | None:
-        """What an earlier run wrote and told these things of, if it is still there to the bit."""
+    def unchanged(self, file: str, **labels: str) -> ManifestEntry | None:
+        """The entry of a file of an earlier run with these labels, if the file still has the same bytes."""
         known = self.earlier.get(file)
         if (
             known is None
-            or not told.items() <= known.told.items()
+            or not labels.items() <= known.labels.items()
             or not known.digest.fits(self.folder / file)
         ):
             return None
         return known
 
     def sweep(self, spared: Callable[[str], bool] = lambda scene: False) -> RemovedFiles:
-        """Remove what runs before this one wrote and this one did not, but for the scenes that are spared.
+        """Remove what earlier runs wrote and this one did not, except for spared scenes.
 
-        A file that is not listed, or is no longer what was written, is somebody else's; what another run lists
-        meanwhile is that run's. Raises OutputError.
+        Files that are not listed, or were altered, are left alone; what a concurrent run lists
+        belongs to that run. Raises OutputError.
         """
         known, removed, altered = self._known(), [], []
         for file, line in sorted(known.items()):
@@ -133,28 +135,28 @@ class OutputManifest:
         return RemovedFiles(tuple(removed), tuple(altered))
 
     def _known(self) -> dict[str, ManifestEntry]:
-        """By the names of files. Lines that do not read, or lead out of the folder, count for nothing."""
+        """File name -> entry. Malformed lines, and names outside the folder, are ignored."""
         found = {}
         with suppress(OSError, ValueError):
             for line in self.list.read_text(encoding="utf-8").splitlines():
                 with suppress(ValueError, KeyError, TypeError):
-                    told = json.loads(line)
-                    file = str(told["file"])
+                    record = json.loads(line)
+                    file = str(record["file"])
                     if file == Path(file).name:
-                        digest = FileDigest(int(told["bytes"]), str(told["sha256"]))
-                        more = str(told["run"]), dict(told.get("told", {}))
-                        found[file] = ManifestEntry(str(told["scene"]), digest, *more)
+                        digest = FileDigest(int(record["bytes"]), str(record["sha256"]))
+                        more = str(record["run"]), dict(record.get("labels", {}))
+                        found[file] = ManifestEntry(str(record["scene"]), digest, *more)
         return found
 
     @staticmethod
     def _lines(files: dict[str, ManifestEntry]) -> Iterator[str]:
-        for file, (scene, digest, run, told) in files.items():
+        for file, (scene, digest, run, labels) in files.items():
             line = {"file": file, "scene": scene, **digest.to_dict(), "run": run}
-            yield json.dumps(line | ({"told": told} if told else {})) + "\n"
+            yield json.dumps(line | ({"labels": labels} if labels else {})) + "\n"
 
 
 def remove(path: Path) -> None:
-    """A file that an earlier run wrote, if it is there. Raises OutputError."""
+    """Remove a file of an earlier run, if it exists. Raises OutputError."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:

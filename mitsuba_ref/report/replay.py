@@ -1,4 +1,4 @@
-"""The command that shows a verdict again, with the options that it takes."""
+"""Replay commands: they show a scene or a pixel again, with the options of the run."""
 
 import shlex
 from collections.abc import Iterator
@@ -35,13 +35,13 @@ def replay_around(scene: SceneVerdict) -> tuple[str, str]:
 
 
 def repeated_options(scene: SceneVerdict) -> str:
-    """The options that any command has to repeat to see the same."""
+    """Options that a command has to repeat to see the same."""
     size = ["--size", *map(str, scene.size)] if scene.resized else []
     return "".join(f" {shlex.quote(word)}" for word in (*size, *scene.options, *_named_candidate(scene)))
 
 
 def _named_candidate(scene: SceneVerdict) -> Iterator[str]:
-    """A candidate that Python was given, not the command line; of a function, the name alone is known."""
+    """A candidate given in Python, not on the command line; of a function, only the name is known."""
     if not scene.candidate or "--candidate" in scene.options:
         return
     as_typed = ":" in scene.candidate or "{" in scene.candidate

@@ -1,4 +1,4 @@
-"""A verdict for the terminal: one row a scene, and where to look where one fails."""
+"""Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
 from collections.abc import Iterator
 from urllib.parse import quote
@@ -23,54 +23,49 @@ from mitsuba_ref.judge.verdict import (
 )
 from mitsuba_ref.report.failure_groups import group_lines, simplest_failing
 from mitsuba_ref.report.replay import replay
+from mitsuba_ref.report.text_table import Column, format_table
 
-WORDS_SHOWN = 12  # lines of what Mitsuba said when it ended without an answer
+MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer
 
-# The heads of the columns, in two lines; 100 characters hold a row whose scene has a name of 26.
-HEADS = {
-    AGREE: ("", "agree"),
-    EXPLAINED: ("", "expl."),
-    TIE: ("", "tie"),
-    REFERENCE_WRONG: ("ref.", "wrong"),
-    OUT_OF_DOMAIN: ("out", "dom."),
-    WRONG: ("", "wrong"),
-    UNDECIDED: ("unde-", "cided"),
+# Titles of the columns of classes, in two lines; 100 characters hold a row whose scene has a name of 26.
+CLASS_TITLES = {
+    AGREE: "agree",
+    EXPLAINED: "expl.",
+    TIE: "tie",
+    REFERENCE_WRONG: "ref.\nwrong",
+    OUT_OF_DOMAIN: "out\ndom.",
+    WRONG: "wrong",
+    UNDECIDED: "unde-\ncided",
 }
 
 
+def table_columns(width: int) -> tuple[Column, ...]:
+    """Columns of the table of scenes. width: of the longest scene name."""
+    classes = (Column(CLASS_TITLES[name], "right", 6 if name == AGREE else 5) for name in CLASSES)
+    mark, scene, hit = Column("", width=5), Column("scene", width=width), Column("hit", "right", 6)
+    return mark, scene, hit, *classes, *(Column(title, "right", 5) for title in ("exact", "worst", "s"))
+
+
 def table_head(width: int) -> str:
-    """The names of the columns, in two lines; width: of the longest scene name."""
-    lines = []
-    for line, (hit, asked, worst, seconds) in enumerate(
-        (("", "exact", "", ""), ("hit", "asked", "worst", "s"))
-    ):
-        classes = "".join(f" {HEADS[name][line]:>{column_width(name)}}" for name in CLASSES)
-        scene = "scene" if line else ""
-        lines.append(f"      {scene:<{width}} {hit:>6}{classes} {asked:>5} {worst:>5} {seconds:>5}".rstrip())
-    return "\n".join(lines)
+    """Titles of the columns, in two lines. width: of the longest scene name."""
+    return format_table(table_columns(width), [], gap=1)
 
 
 def table_row(scene: SceneVerdict, width: int) -> str:
-    """PASS or FAIL, how many hit pixels in which class, how many exact arithmetic was asked about, the share of its
-    bound that the check uses which came nearest to it, seconds, or that the row is kept from an earlier run."""
-    mark = "PASS" if scene.ok else "FAIL"
-    classes = "".join(f" {scene.counts[name]:>{column_width(name)}}" for name in CLASSES)
+    """PASS or FAIL, hit pixels by class, how many were adjudicated by exact arithmetic, the largest share of a bound
+    among agreeing pixels, and seconds, or that the result is kept from an earlier run."""
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
-    left = f"{mark}  {scene.name:<{width}} {scene.hit_pixels:>6}{classes}"
-    seconds = f"{'kept':>5}" if scene.kept else f"{scene.seconds:5.1f}"
-    return f"{left} {scene.adjudicated:>5} {worst:>5} {seconds}"
+    counts = (scene.hit_pixels, *(scene.counts[name] for name in CLASSES), scene.adjudicated)
+    seconds = "kept" if scene.kept else f"{scene.seconds:.1f}"
+    cells = "PASS" if scene.ok else "FAIL", scene.name, *map(str, counts), worst, seconds
+    return format_table(table_columns(width), [cells], header=False, gap=1)
 
 
 def worst_words(scene: SceneVerdict) -> str:
-    """Which check came nearest to its bound among the pixels that agree, and how near."""
+    """The check with the largest share of its bound among agreeing pixels, as text."""
     check, ratio = scene.worst
     return f"{check} {ratio:.2f} of its bound" if check and scene.counts[AGREE] else "-"
-
-
-def column_width(name: str) -> int:
-    """Characters of the column of a class."""
-    return 6 if name == AGREE else max(5, *map(len, HEADS[name]))
 
 
 def failure_text(scene: SceneVerdict, report: str = "") -> str:
@@ -100,7 +95,7 @@ def _failure_lines(scene: SceneVerdict, report: str) -> Iterator[str]:
 
 
 def check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
-    """What is said of a check that is made once a scene, and fails."""
+    """Text of a scene check that fails."""
     return "\n".join(
         [
             f"FAIL  {scene.name}  {check.name}: {check.ratio:.3g}x its bound; {check.what}",
@@ -110,7 +105,7 @@ def check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
 
 
 def pixel_failure(scene: SceneVerdict, check: str) -> str:
-    """What is said of the pixels that fail one check."""
+    """Text of the pixels that fail one check."""
     worst = scene.worst_by[check]
     head = (
         f"FAIL  {scene.name}  {check}: {scene.failing_by[check]} of {scene.hit_pixels} hit pixels, "
@@ -130,7 +125,7 @@ def _witness_lines(scene: SceneVerdict, worst: Failure, report: str = "") -> Ite
 
 
 def _failing(scene: SceneVerdict) -> str:
-    """How many pixels of which class fail."""
+    """Failing pixels by class, as text."""
     counts = {
         WRONG: scene.counts[WRONG],
         "undecided": scene.counts[UNDECIDED],
@@ -146,7 +141,7 @@ def _lack_of_evidence(scene: SceneVerdict) -> str:
     if wrong > scene.evidence:
         return (
             f"too little evidence: the reference is wrong at {wrong} pixels and right at {scene.evidence}, so it "
-            f"says nothing about {'the candidate' if scene.candidate else 'ours'} here"
+            f"is no evidence about {'the candidate' if scene.candidate else 'ours'} here"
         )
     return f"too little evidence: {scene.evidence} pixels agree or tie, {scene.excused} are only excused"
 
@@ -154,18 +149,18 @@ def _lack_of_evidence(scene: SceneVerdict) -> str:
 def _problem_lines(scene: SceneVerdict) -> Iterator[str]:
     first, *rest = scene.problem.splitlines()
     yield f"FAIL  {scene.name}  {first}"
-    yield from (f"      {line}" for line in rest[:WORDS_SHOWN])
+    yield from (f"      {line}" for line in rest[:MAX_PROBLEM_LINES])
     if scene.candidate:
         yield f"      replay:    {replay(scene)}"
 
 
 def link(report: str, scene: SceneVerdict, pixel: tuple[int, int]) -> str:
-    """A pixel in the HTML report, for the address line of a browser."""
+    """Address of a pixel in the HTML report."""
     return f"{report}#s={quote(scene.name)}&x={pixel[0]}&y={pixel[1]}"
 
 
 def summary_text(verdict: Verdict, seconds: float) -> str:
-    """All scenes in a few lines."""
+    """Summary of all scenes in a few lines."""
     passed = sum(scene.ok for scene in verdict.scenes)
     counts = verdict.counts
     total = sum(counts.values()) or 1
@@ -179,7 +174,7 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         f"hit pixels: {', '.join(shares[:3])},",
         f"            {', '.join(shares[3:5])},",
         f"            {', '.join(shares[5:])}",
-        f"exact:      {verdict.adjudicated} pixels were decided by exact arithmetic, "
+        f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, "
         f"in {sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept):.1f} s",
         *candidate_lines(verdict),
         *_error_lines(verdict),
@@ -194,7 +189,7 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
 
 
 def _first_look(verdict: Verdict) -> Iterator[str]:
-    """Of several that fail: what they share, the simplest, and the command for its worst pixel."""
+    """Of several failing scenes: what they have in common, the simplest, and the command for its worst pixel."""
     yield from group_lines(verdict.scenes)
     first = simplest_failing(verdict.scenes)
     if first is not None:
@@ -203,7 +198,7 @@ def _first_look(verdict: Verdict) -> Iterator[str]:
 
 
 def candidate_lines(verdict: Verdict) -> Iterator[str]:
-    """Who was judged, by which arithmetic's bounds, and what was not judged: missing evidence is said."""
+    """The candidate, the precision of its bounds, and the quantities that it does not give."""
     if not verdict.candidate:
         return
     precisions = sorted({scene.precision for scene in verdict.scenes} - {""})
@@ -217,7 +212,7 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
 
 
 def _error_lines(verdict: Verdict) -> Iterator[str]:
-    """How much of its bound t needed at most, of the K roundings that are allowed, and which scene leans most."""
+    """The largest error of t in roundings, of the K that are allowed, and the largest bias."""
     found = [(scene.name, scene.statistics) for scene in verdict.scenes if scene.statistics is not None]
     if any(errors.pixels for _, errors in found):
         name, largest = max(found, key=lambda item: item[1].k_t.largest)
@@ -229,12 +224,12 @@ def _error_lines(verdict: Verdict) -> Iterator[str]:
 
 
 def _case_lines(verdict: Verdict) -> Iterator[str]:
-    """Where the reference is wrong, and how; what is not listed comes first."""
+    """Pixels where the reference is wrong, by known defect; unlisted ones first."""
     for case, count in sorted(verdict.cases.items(), key=lambda item: item[0] != UNLISTED):
         if case == UNLISTED:
             yield (
                 f"UNLISTED:   {count} pixels where the reference is wrong in no known way: a new defect of Mitsuba, "
-                "or of what it was handed"
+                "or of the scene it was given"
             )
         else:
             yield f"ref. wrong: {count} pixels of case {case}, {defect_name(int(case))}"
@@ -249,7 +244,7 @@ def _stored_lines(verdict: Verdict) -> Iterator[str]:
 
 
 def _kept_lines(verdict: Verdict) -> Iterator[str]:
-    """A result of an earlier run is never shown as one of this run."""
+    """How many results are of an earlier run, and the shard."""
     kept = sum(scene.kept for scene in verdict.scenes)
     if kept:
         yield (
@@ -270,6 +265,6 @@ def _not_run(verdict: Verdict) -> str:
 
 
 def percent_text(count: int, total: int) -> str:
-    """A percentage that says 100 only when it is all."""
+    """A percentage; 100 only for all."""
     percent = 100.0 * count / total
     return f"{percent:.4f} %" if 0 < count < total else f"{percent:.0f} %"

@@ -1,4 +1,4 @@
-"""The folder of --out: what a run writes there is recorded with its verdicts, what earlier runs left there goes."""
+"""The folder of --out, and results of earlier runs in it: recorded while a run lasts, reused by --resume."""
 
 import hashlib
 import importlib.metadata
@@ -26,15 +26,15 @@ VERDICT = "verdict.json"
 
 
 class OutFolder:
-    """Which files of the folder are of this run. Raises OutputError where nothing can be written."""
+    """Files of this run in a folder. Raises OutputError where it cannot be written."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.written = folder, OutputManifest(folder)
 
     def begin(self) -> None:
-        """The verdict of an earlier run goes, since its files are about to; --resume has read it.
+        """Remove the verdict of an earlier run, whose files will be replaced; --resume has read it.
 
-        A run that is killed leaves none, and not one that looks like its own. Raises OutputError.
+        A run that is killed leaves no verdict rather than that of another run. Raises OutputError.
         """
         remove(self.folder / VERDICT)
 
@@ -43,7 +43,7 @@ class OutFolder:
         (self.folder / JOURNAL).unlink(missing_ok=True)
 
     def recorded(self, judge: JudgeScene) -> JudgeScene:
-        """The same way to a verdict, which then says what was written for it: bytes and sha256 of each file."""
+        """The same judge; its verdicts then list the files written for them, with size and SHA-256."""
 
         def work(entry: SceneEntry, folder: Path | None) -> SceneVerdict:
             return self.record(judge(entry, folder))
@@ -51,21 +51,21 @@ class OutFolder:
         return work
 
     def record(self, verdict: SceneVerdict) -> SceneVerdict:
-        """The verdict with the files that are there for it."""
+        """The verdict with its files in the folder."""
         found = self.written.add(verdict.name, files_of(verdict))
         return replace(
             verdict, files={file: FileRecord(digest.bytes, digest.sha256) for file, digest in found.items()}
         )
 
     def has_files(self, verdict: SceneVerdict) -> bool:
-        """Whether all that was written for a verdict is there to the bit; a verdict that does not say so has not."""
+        """Whether every file of a verdict is listed in it, and exists with the same bytes."""
         known = {file: FileDigest(record.bytes, record.sha256) for file, record in verdict.files.items()}
         return all(file in known and known[file].fits(self.folder / file) for file in files_of(verdict))
 
     def sweep(self, verdict: Verdict, selected: Collection[str] | None) -> RemovedFiles:
-        """Remove what earlier runs left. Spared: scenes that are not judged yet, and those of the other shards.
+        """Remove files of earlier runs. Spared: scenes that are not judged yet, and those of other shards.
 
-        selected: names of the scenes of all shards; None for a run of some scenes, which says nothing of others.
+        selected: names of the scenes of all shards; None for a run of single scenes, which leaves others alone.
         """
         judged = {scene.name for scene in verdict.scenes}
         return self.written.sweep(
@@ -74,18 +74,15 @@ class OutFolder:
 
 
 def files_of(verdict: SceneVerdict) -> tuple[str, ...]:
-    """Names of the files that a verdict comes with; none if there was no comparison."""
+    """Names of the files of a verdict; none if there was no comparison."""
     if verdict.problem:
         return ()
-    pictures = ("candidate" if verdict.candidate and which == "ours" else which for which in IMAGES)
-    return (*(f"{verdict.name}.{which}.exr" for which in pictures), *verdict.reproducers)
-
-
-# What an earlier run of the same inputs found: kept while it runs, taken over by --resume, judged anew otherwise.
+    images = ("candidate" if verdict.candidate and which == "ours" else which for which in IMAGES)
+    return (*(f"{verdict.name}.{which}.exr" for which in images), *verdict.reproducers)
 
 
 PACKAGES = ("caster", "mitsuba_ref")
-LIBRARIES = (
+VERDICT_LIBRARIES = (
     "numpy",
     "numba",
     "llvmlite",
@@ -93,7 +90,7 @@ LIBRARIES = (
     "drjit",
     "OpenEXR",
     "pydantic",
-)  # that a verdict may depend on
+)  # that verdicts depend on
 JOURNAL = "judged.jsonl"  # a line for each scene that is done, while a run lasts; then verdict.json has them
 
 
@@ -101,18 +98,18 @@ JOURNAL = "judged.jsonl"  # a line for each scene that is done, while a run last
 def code_hash() -> str:
     """A hash of every source file of both packages."""
     root = Path(__file__).resolve().parents[2]
-    told = hashlib.sha256()
+    digest = hashlib.sha256()
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
-            told.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return told.hexdigest()
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
 
 
 @cache
 def environment() -> dict[str, str]:
-    """Versions of what computes, and the machine."""
+    """Versions of the libraries, and the machine."""
     found = {"python": platform.python_version(), "machine": platform.machine(), "code": code_hash()}
-    for name in LIBRARIES:
+    for name in VERDICT_LIBRARIES:
         with suppress(importlib.metadata.PackageNotFoundError):
             found[name] = importlib.metadata.version(name)
     return found
@@ -121,7 +118,7 @@ def environment() -> dict[str, str]:
 def inputs_hash(entry: SceneEntry) -> str:
     """A hash of all that the verdict of a scene depends on: scene and mesh bytes, code, versions, variant, options.
 
-    Nothing for a scene that has no variant: it cannot be judged, so nothing of it is kept.
+    "" for a scene without a variant: it cannot be judged, so its result is not reused.
     """
     try:
         variant = variant_of(entry.scene)
@@ -147,7 +144,7 @@ def journal_line(verdict: SceneVerdict) -> str:
 
 
 class ResumableResults:
-    """Results in one folder. resume: take over what is there, if its inputs are the same."""
+    """Results in one folder. resume: reuse those with the same inputs."""
 
     def __init__(
         self,
@@ -157,7 +154,7 @@ class ResumableResults:
         resume: bool,
         has_page: Callable[[SceneVerdict], bool] = lambda verdict: True,
     ) -> None:
-        """has_page: whether the report that was asked for has what a verdict rests on."""
+        """has_page: whether the requested HTML report holds the record of a verdict."""
         self.has_page = has_page
         self.out, self.folder, self.journal = out, out.folder, out.folder / JOURNAL
         self.judge_anew = out.recorded(judge)
@@ -168,7 +165,7 @@ class ResumableResults:
         write_text(self.journal, "".join(map(journal_line, self.known.values())))
 
     def judge(self, entry: SceneEntry, folder: Path | None) -> SceneVerdict:
-        """What is known of the same inputs, marked as kept; or else judged, and kept for later."""
+        """The known result of the same inputs, marked as kept; otherwise judged, and recorded in the journal."""
         inputs = inputs_hash(entry)
         known = self.known.get(entry.name)
         if (
@@ -192,7 +189,7 @@ class ResumableResults:
             raise OutputError(f"{self.journal}: cannot write: {error.strerror or error}") from error
 
     def _read(self) -> Iterator[tuple[str, SceneVerdict]]:
-        """Of the last whole run, and then of the one that was interrupted. What does not read is judged anew."""
+        """Results of the last complete run, then of an interrupted one. Malformed records are ignored."""
         for record in (*self._of_the_verdict(), *self._of_the_journal()):
             try:
                 scene = scene_of(record)
@@ -208,7 +205,7 @@ class ResumableResults:
             return []
 
     def _of_the_journal(self) -> list[dict[str, Any]]:
-        """A line that was cut short is of a scene that was not done."""
+        """Records of the journal; a truncated line belongs to a scene that was not finished."""
         found = []
         try:
             lines = self.journal.read_text(encoding="utf-8").splitlines()

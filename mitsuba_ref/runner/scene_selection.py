@@ -1,4 +1,4 @@
-"""Which scenes a run is about: an expression over their names. Files and folders: caster.cli.scene_arguments."""
+"""Selection of scenes by an expression over their names; files and folders: caster/cli/scene_arguments.py."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -11,9 +11,9 @@ Predicate = Callable[[str], bool]
 
 
 def matching(expression: str | None) -> Predicate:
-    """Whether a name satisfies an expression of parts of names, `and`, `or`, `not` and parentheses.
+    """A predicate on names by an expression of parts of names, `and`, `or`, `not` and parentheses.
 
-    Raises SceneError for an expression that does not read.
+    Raises SceneError for a malformed expression.
     """
     if expression is None:
         return lambda name: True

@@ -1,4 +1,4 @@
-"""What a verdict hangs on beside sources and scenes: Mitsuba, its variant and libLLVM, libraries, the machine."""
+"""A run in several shards: scenes of each, the versions that judged them, and the merged verdict."""
 
 import argparse
 import heapq
@@ -18,21 +18,21 @@ from mitsuba_ref.reference import variants
 from mitsuba_ref.runner.scene_runner import SceneEntry
 
 # Python, OpenEXR and pydantic read and write; these compute.
-LIBRARIES = ("mitsuba", "drjit", "numpy", "numba", "llvmlite")
+COMPUTING_LIBRARIES = ("mitsuba", "drjit", "numpy", "numba", "llvmlite")
 RECORDED_PER_SCENE = (
     "mitsuba",
     "drjit",
-)  # what each answer of Mitsuba says of itself; the variant may be another by scene
+)  # versions in each answer of Mitsuba; variants differ between scenes
 NONE = "none"
 
 
 def judged_with() -> dict[str, str]:
-    """Of the run that is going on. Raises VariantError."""
+    """Versions, variants and machine of this run. Raises VariantError."""
     flat, quadrics = (variants.variant_for(has_quadrics=each) for each in (False, True))
     library = variants.usable_variants().libllvm if variants.LLVM in (flat, quadrics) else None
     return {
         "machine": platform.machine(),
-        **{name: _installed(name) for name in LIBRARIES},
+        **{name: _installed(name) for name in COMPUTING_LIBRARIES},
         "variant of triangles": flat,
         "variant of quadrics": quadrics,
         "libLLVM": version_in(library or NONE),
@@ -47,12 +47,12 @@ def _installed(name: str) -> str:
 
 
 def version_in(library: str) -> str:
-    """libLLVM's, by the name of its file: folders differ between systems. 19.1 of /usr/lib/libLLVM.so.19.1."""
+    """Version of libLLVM by the name of its file, since folders differ between systems: "19.1" of libLLVM.so.19.1."""
     return ".".join(re.findall(r"\d+", Path(library).name)) or library
 
 
 def other_versions(parts: Sequence[tuple[str, Verdict]]) -> list[str]:
-    """What parts were judged with that others were not, a sentence each; parts: (where it is from, verdict)."""
+    """Differences between the versions of parts, a sentence each; parts: (file, verdict)."""
     known: dict[str, tuple[str, str]] = {}
     found: dict[str, None] = {}
     for place, part in parts:
@@ -73,14 +73,11 @@ def _recorded_versions(part: Verdict) -> Iterator[tuple[str, str]]:
 
 
 def combined_versions(parts: Sequence[Verdict]) -> dict[str, str]:
-    """What all of them were judged with; several of a kind beside each other."""
+    """`judged_with` of all parts; different versions joined by "and"."""
     kinds = dict.fromkeys(what for part in parts for what in part.judged_with)
     return {
         what: " and ".join(dict.fromkeys(part.judged_with.get(what, "?") for part in parts)) for what in kinds
     }
-
-
-# A run in several parts: which scenes are whose, and what all parts say together.
 
 
 class Shard(NamedTuple):
@@ -104,8 +101,8 @@ def parse_shard(text: str) -> Shard:
 def scenes_of_shard(entries: Sequence[SceneEntry], shard: Shard) -> list[SceneEntry]:
     """The entries of one shard, in their order. Each entry is in exactly one of the shards.
 
-    The largest first, each to the shard with the fewest pixels so far: none has more than 4/3 of the least that is
-    possible (Graham 1969). It depends on nothing but names and film sizes.
+    The largest first, each to the shard with the fewest pixels so far: none has more than 4/3 of the optimum
+    (Graham 1969). It depends only on names and film sizes.
     """
     pixels = [film_window(entry.scene).width * film_window(entry.scene).height for entry in entries]
     order = sorted(range(len(entries)), key=lambda i: (-pixels[i], entries[i].name, i))
@@ -119,7 +116,7 @@ def scenes_of_shard(entries: Sequence[SceneEntry], shard: Shard) -> list[SceneEn
     return [entry for i, entry in enumerate(entries) if i in mine]
 
 
-class DifferentRuns(SceneError):  # noqa: N818 - what they are, not what somebody did
+class DifferentRuns(SceneError):  # noqa: N818 - names a state
     """Verdicts that are not parts of one run."""
 
     exit_code = NOT_COMPARABLE
@@ -128,22 +125,22 @@ class DifferentRuns(SceneError):  # noqa: N818 - what they are, not what somebod
 def merge_verdicts(
     parts: Sequence[tuple[str, Verdict]], *, any_versions: bool = False
 ) -> tuple[Verdict, list[str]]:
-    """(one verdict of all, what is missing in words); parts: (where it is from, verdict).
+    """(one verdict of all, missing shards as text); parts: (file, verdict).
 
     any_versions: parts that were judged with other versions are parts of one run, too. A scene of a shard that is
     missing counts as not judged. Raises DifferentRuns for parts of different runs.
     """
     first_place, first = parts[0]
-    seen: dict[int, str] = {}
+    files: dict[int, str] = {}
     for place, part in parts:
         shard = shard_in(part, place, len(parts))
         if shard.parts != shard_in(first, first_place, len(parts)).parts or part.selected != first.selected:
             raise DifferentRuns(
                 f"{place}: expected a shard of the same run as {first_place}, got one of another"
             )
-        if shard.part in seen:
-            raise DifferentRuns(f"{place}: shard {shard} once more; it is in {seen[shard.part]}")
-        seen[shard.part] = place
+        if shard.part in files:
+            raise DifferentRuns(f"{place}: shard {shard} once more; it is in {files[shard.part]}")
+        files[shard.part] = place
     check_same_subject_and_film(
         parts
     )  # films and candidates first: they are a part of the code's hash, which cannot say so
@@ -167,7 +164,7 @@ def merge_verdicts(
     judged_with = combined_versions([part for _, part in parts])
     whole = replace(first, shard="", selected=(), asked=len(names), names=names, judged_with=judged_with)
     whole = replace(whole, scenes=tuple(scenes[name] for name in names if name in scenes))
-    missing = [f"shard {number}/{count} is missing" for number in range(1, count + 1) if number not in seen]
+    missing = [f"shard {number}/{count} is missing" for number in range(1, count + 1) if number not in files]
     return whole, missing
 
 
@@ -175,9 +172,9 @@ def check_same_subject_and_film(parts: Sequence[tuple[str, Verdict]]) -> None:
     """Raise DifferentRuns unless all scenes were judged with the same candidate, and with the same --size or none."""
     judged = [(place, f"judged {part.candidate or 'ours'}") for place, part in parts]  # or was about to
     films = [(place, f"has films of {film_of(scene)}") for place, part in parts for scene in part.scenes]
-    for told in (judged, films):
-        for place, mine in told:
-            first_place, others = told[0]
+    for claims in (judged, films):
+        for place, mine in claims:
+            first_place, others = claims[0]
             if mine != others:
                 raise DifferentRuns(f"{place}: it {mine}, and {first_place} {others}")
 
@@ -187,7 +184,7 @@ def film_of(scene: SceneVerdict) -> str:
 
 
 def shard_in(part: Verdict, place: str, parts: int) -> Shard:
-    """Which one it is; a run that was not divided is 1/1."""
+    """The shard of a verdict; a run that was not divided is 1/1."""
     if not part.shard:
         if parts > 1:
             raise DifferentRuns(f"{place}: expected a shard, got a run that was not divided")

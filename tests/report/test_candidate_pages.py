@@ -110,8 +110,8 @@ PAINTED = """() => {
 def test_no_answer_is_words_and_what_is_not_kept_is_no_number(visit, report):
     """A scene that passes is rounded in one file, without the shares of its checks."""
     page = visit(report, "#s=silent").page
-    assert "there is no answer to judge" in page.inner_text("#told")
-    assert "expected two arrays (t, n)" in page.inner_text("#told")
+    assert "the candidate gave no answer" in page.inner_text("#message")
+    assert "expected two arrays (t, n)" in page.inner_text("#message")
     page.evaluate("location.hash = '#s=outside&x=12&y=10&a=shape_id'")
     page.wait_for_selector("#pixel section >> text=Not given")
     assert "checks" not in page.inner_text("#pixel dl") and "inf" not in page.inner_text("#pixel")

@@ -98,7 +98,7 @@ def test_without_scripts_it_is_a_table(visit, report):
 
 def test_a_scene_without_an_answer_has_its_words(visit, folder):
     page = visit(folder, "#s=crashed").page
-    assert "no pictures" in page.inner_text("#told") and "<b>words</b>" in page.inner_text("#told")
+    assert "no images" in page.inner_text("#message") and "<b>words</b>" in page.inner_text("#message")
 
 
 # ---- pixels ----
@@ -164,7 +164,7 @@ def test_nan_and_infinity_are_words_and_colours_of_their_own(visit, folder):
     page = visit(folder, at(planted.NAN, a="normal")).page
     ready(page)
     text = section(page, "normal").inner_text()
-    assert "NaN, not a number" in text and "NaN on one side: no difference can be told" in text
+    assert "NaN, not a number" in text and "NaN on one side: the difference is undefined" in text
     assert "no bound holds" in text
     assert "NaN, not a number 1" in page.inner_text(".pane.reference .legend")
     assert "NaN, not a number 1" in page.inner_text(".pane.difference .legend")
@@ -245,7 +245,7 @@ def test_keys_and_what_is_remembered(visit, folder):
     page.keyboard.press("k")
     assert page.inner_text("#scene-name") == BAD
     page.keyboard.press("?")
-    assert "hold: the reference in the place of ours" in page.inner_text("#help")
+    assert "hold: the reference in place of ours" in page.inner_text("#help")
     page.keyboard.press("Escape")
     page.keyboard.press("t")
     assert page.get_attribute("html", "data-theme") == "dark"
@@ -259,7 +259,7 @@ def test_the_command_to_replay_is_copied(visit, folder, browser):
     opened = visit(folder, at(planted.NAN), permissions=["clipboard-read", "clipboard-write"])
     ready(opened.page)
     opened.page.keyboard.press("c")
-    opened.page.wait_for_selector("#said >> text=copied")
+    opened.page.wait_for_selector("#status-line >> text=copied")
     words = f"mitsuba-ref probe 'scenes/{BAD}.toml' 8 12"
     assert opened.page.evaluate("navigator.clipboard.readText()") == words
     assert opened.page.inner_text(".replay code") == words
@@ -294,11 +294,11 @@ def test_a_file_that_is_gone_is_named(visit, verdicts, tmp_path):
     index = Verdict((verdicts["good"],)).write_html(tmp_path)
     (tmp_path / "data/good.js").unlink()
     opened = visit(index, "#s=good")
-    opened.page.wait_for_selector("#told >> text=data/good.js is not there")
+    opened.page.wait_for_selector("#message >> text=data/good.js is not there")
     assert opened.errors
     opened.errors.clear()  # the browser's own words about the file
 
 
 def test_a_verdict_without_pictures_is_a_row(visit, tmp_path):
     page = visit(Verdict((SceneVerdict("bare", "b.toml"),)).write_html(tmp_path), "#s=bare").page
-    assert "No pictures of this scene were kept." in page.inner_text("#told")
+    assert "No images of this scene were stored." in page.inner_text("#message")

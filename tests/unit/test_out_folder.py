@@ -76,7 +76,7 @@ def test_files_that_this_tool_did_not_write_or_that_were_altered_stay(judged, ca
     Path("scenes/a.toml").unlink()
     assert judged() == 0
     told = capsys.readouterr().err
-    assert f"removed 2 {REMOVED}; left 1 that somebody altered since: a.ours.exr" in told
+    assert f"removed 2 {REMOVED}; left 1 that were altered since: a.ours.exr" in told
     assert {"a.mine.exr", "notes.txt", "a.ours.exr"} < set(names()) and "a.verdict.exr" not in names()
 
 

@@ -1,4 +1,4 @@
-"""A report as it comes to be: scene by scene, as a folder or as one file."""
+"""The HTML report, written scene by scene, as a folder or as one file."""
 
 import tempfile
 import threading
@@ -16,18 +16,18 @@ from mitsuba_ref.report.html.page_writer import as_json, index_row, page
 from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, scene_record
 from mitsuba_ref.report.output_manifest import ManifestEntry, OutputManifest, RemovedFiles
 
-# One file: what a browser opens within two seconds on a small machine, and mail and CI servers take.
+# One file: opens within two seconds on a small machine, and is accepted by mail and CI servers.
 ONE_FILE_LIMIT_BYTES = 25_000_000
 
-# Pixels of a scene up to which everything is written to the bit: 80 MB, and up to which as float32: as much again.
+# Pixels of a scene up to which everything is written to the bit (80 MB), and up to which as float32 (as much again).
 # Beyond, browsers run out of memory.
 MAX_PIXELS_EXACT = 1 << 20
 MAX_PIXELS_WITH_IMAGES = 1 << 22
-SECONDS_BETWEEN = 2.0  # writings of the list while a run goes on
+SECONDS_BETWEEN_WRITES = 2.0  # of the list, during a run
 
 
 class WrittenScene(NamedTuple):
-    """What was written of a scene."""
+    """Files and sizes of one scene's record."""
 
     file: str  # in the folder data; "" for nothing
     thumbnail: str
@@ -38,18 +38,18 @@ NOTHING_WRITTEN = WrittenScene("", "", {})
 
 
 def refuse_page_of_others(index: Path) -> None:
-    """Raises OutputError for a file that is there and is no report."""
+    """Raise OutputError for an existing file that is no report."""
     if index.is_file() and b"<title>ray-reference" not in index.read_bytes()[:4096]:
-        raise OutputError(f"{index}: is there already, and is no report of validate; choose another folder")
+        raise OutputError(f"{index}: exists, and is no report of validate; choose another folder")
 
 
 class HtmlReport:
-    """Where verdicts become pages. `keep` may be called from several threads, the others from one."""
+    """Writes verdicts as pages. `keep` may be called from several threads, the other methods from one."""
 
-    def __init__(self, path: str | Path, asked: int, candidate: str = "") -> None:
-        """path: a folder, or a file if it ends in .html. candidate: who is judged in the place of ours, where that is
-        known before any verdict says so. Raises OutputError where nothing can be written."""
-        self.path, self.asked = Path(path).absolute(), asked
+    def __init__(self, path: str | Path, requested: int, candidate: str = "") -> None:
+        """path: a folder, or a file if it ends in .html. candidate: judged in place of our caster, where that is
+        known before the first verdict. Raises OutputError where nothing can be written."""
+        self.path, self.requested = Path(path).absolute(), requested
         self.one_file = self.path.suffix.lower() == ".html"
         self.candidate = candidate
         self.rows: list[dict[str, Any]] = []
@@ -58,8 +58,8 @@ class HtmlReport:
         self._written = float("-inf")
         if self.one_file:
             check_writable(self.path)
-            self._aside = tempfile.TemporaryDirectory(prefix="mitsuba-ref-report-")
-            self.data = Path(self._aside.name)
+            self._temporary = tempfile.TemporaryDirectory(prefix="mitsuba-ref-report-")
+            self.data = Path(self._temporary.name)
         else:
             refuse_page_of_others(self.path / "index.html")
             self.data = check_folder(check_folder(self.path) / "data")
@@ -71,7 +71,7 @@ class HtmlReport:
         return self.path if self.one_file else self.path / "index.html"
 
     def holds(self, verdict: SceneVerdict) -> bool:
-        """Whether what a verdict of the same inputs rests on was written here before; one file holds nothing."""
+        """Whether the record of a verdict of the same inputs is in the folder; never in one file."""
         return (
             verdict.pixels > MAX_PIXELS_WITH_IMAGES or self.one_file or self._of_earlier(verdict) is not None
         )
@@ -79,16 +79,16 @@ class HtmlReport:
     def _of_earlier(self, verdict: SceneVerdict) -> ManifestEntry | None:
         if self.one_file or not verdict.inputs:
             return None
-        return self._data.as_told(file_of(verdict), inputs=verdict.inputs)
+        return self._data.unchanged(file_of(verdict), inputs=verdict.inputs)
 
     def keep(self, verdict: SceneVerdict) -> SceneVerdict:
         """Write down what a verdict rests on, and give it back without. Raises OutputError."""
         before = self._of_earlier(verdict) if verdict.kept else None
         if before is not None:
-            self._data.add(verdict.name, [file_of(verdict)], **before.told)
+            self._data.add(verdict.name, [file_of(verdict)], **before.labels)
             with self._lock:
                 self._kept[verdict.name] = WrittenScene(
-                    file_of(verdict), before.told.get("thumbnail", ""), {}
+                    file_of(verdict), before.labels.get("thumbnail", ""), {}
                 )
         if verdict.seen is None or verdict.pixels > MAX_PIXELS_WITH_IMAGES:
             return replace(verdict, seen=None)
@@ -105,15 +105,15 @@ class HtmlReport:
         return replace(verdict, seen=None)
 
     def add(self, verdict: SceneVerdict) -> None:
-        """A scene whose turn it is in the list; the list is written now and then. Raises OutputError."""
+        """Append a scene to the list; the list is written every few seconds. Raises OutputError."""
         kept = self._kept.get(verdict.name, NOTHING_WRITTEN)
         self.candidate = self.candidate or verdict.candidate
         self.rows.append(index_row(verdict, kept.file, kept.thumbnail))
-        if not self.one_file and time.monotonic() - self._written > SECONDS_BETWEEN:
+        if not self.one_file and time.monotonic() - self._written > SECONDS_BETWEEN_WRITES:
             self.write()
 
     def write(self) -> None:
-        """The page about all that was added. Raises OutputError."""
+        """Write the page of all scenes added so far. Raises OutputError."""
         run = self._run()
         scenes: Iterator[str] = iter(())
         if self.one_file:
@@ -128,23 +128,23 @@ class HtmlReport:
         self._written = time.monotonic()
 
     def sweep(self, spared: Collection[str] = ()) -> RemovedFiles:
-        """Remove the scenes of earlier reports that the page no longer leads to, but for these. Raises OutputError."""
+        """Remove scenes of earlier reports that this page does not list, except these. Raises OutputError."""
         return RemovedFiles() if self.one_file else self._data.sweep(lambda scene: scene in spared)
 
     def close(self) -> None:
-        """Remove what lay aside."""
+        """Remove temporary files."""
         if self.one_file:
-            self._aside.cleanup()
+            self._temporary.cleanup()
 
     def _run(self) -> dict[str, Any]:
         passed = sum(each["ok"] for each in self.rows)
-        said = f"{passed} of {len(self.rows)} scenes pass"
-        if len(self.rows) < self.asked:
-            said += f"; {self.asked - len(self.rows)} of {self.asked} were not judged"
+        summary = f"{passed} of {len(self.rows)} scenes pass"
+        if len(self.rows) < self.requested:
+            summary += f"; {self.requested - len(self.rows)} of {self.requested} were not judged"
         return {
-            "summary": said,
+            "summary": summary,
             "candidate": self.candidate,
-            "asked": self.asked,
+            "requested": self.requested,
             "classes": [*CLASSES, UNLISTED],
             "one_file": self.one_file,
             "most_bytes": ONE_FILE_LIMIT_BYTES,
@@ -153,19 +153,19 @@ class HtmlReport:
 
 
 def file_of(verdict: SceneVerdict) -> str:
-    """In the folder data."""
+    """Name of a scene's record in the folder data."""
     return f"{quote(verdict.name, safe=' ')}.js"
 
 
 def record_script(name: str, parts: Mapping[str, str]) -> str:
-    """A script that hands a scene's record to the page."""
+    """A script that passes a scene's record to the page."""
     inside = ",\n".join(f"{as_json(part)}:{text}" for part, text in parts.items())
     return f"ray_reference_scene({as_json(name)},{{\n{inside}\n}});\n"
 
 
-def write_report(path: str | Path, verdicts: Sequence[SceneVerdict], asked: int) -> Path:
-    """All at once; returns the file to open. Raises OutputError."""
-    report = HtmlReport(path, asked)
+def write_report(path: str | Path, verdicts: Sequence[SceneVerdict], requested: int) -> Path:
+    """Write a whole report; returns the file to open. Raises OutputError."""
+    report = HtmlReport(path, requested)
     try:
         for verdict in verdicts:
             report.add(report.keep(verdict))

@@ -1,4 +1,4 @@
-"""What of the scenes' records goes into a report of one file, when not all of it does."""
+"""Assembly of the report's page: template, index of scenes, and for one file the records that fit into it."""
 
 import html
 import json
@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from mitsuba_ref.judge.verdict import UNLISTED, SceneVerdict, json_number
+from mitsuba_ref.judge.verdict import UNLISTED, WRONG, SceneVerdict, json_number
 from mitsuba_ref.report.replay import replay, replay_around
 from mitsuba_ref.report.terminal import failure_text
 
-ABOUT_PART = "about"  # the part without which no other is of use
+ABOUT_PART = "about"  # the part that all others need
 
-# Of each part: the element around it, and its name among those that are left out.
+# Of each part: the element around it, or its name in the list of omitted parts.
 ELEMENT_OVERHEAD_BYTES = 200
 
 Sizes = Mapping[str, Mapping[str, int]]  # scene -> part -> bytes
@@ -42,7 +42,7 @@ def _in_order(rows: Sequence[Mapping[str, Any]], layers: Sequence[str]) -> Itera
 
 
 def left_out(sizes: Sizes, chosen: Chosen) -> dict[str, list[str]]:
-    """Scene -> its parts that are not there."""
+    """Scene -> its omitted parts."""
     missing = {
         scene: [part for part in parts if (scene, part) not in chosen] for scene, parts in sizes.items()
     }
@@ -50,12 +50,12 @@ def left_out(sizes: Sizes, chosen: Chosen) -> dict[str, list[str]]:
 
 
 def record_lines(parts: Mapping[str, str]) -> str:
-    """A scene's record until the page is written: a part a line."""
+    """A scene's record in a temporary file: one line per part."""
     return "".join(f"{name} {text}\n" for name, text in parts.items())
 
 
 def elements(folder: Path, rows: Sequence[Mapping[str, Any]], chosen: Chosen) -> Iterator[str]:
-    """Inert script elements, one a part, which the page reads when it needs them."""
+    """Inert script elements, one per part, which the page reads on demand."""
     for row in rows:
         if not row["file"]:
             continue
@@ -66,10 +66,7 @@ def elements(folder: Path, rows: Sequence[Mapping[str, Any]], chosen: Chosen) ->
                 yield f'<script type="application/json" data-scene="{scene}" data-part="{part}">{text}</script>\n'
 
 
-# The page: its parts, which lie in the folder `page`, with what it is to show written into it.
-
-
-# Plain scripts, in this order, in one scope: a page opened from a file may not load modules.
+# Plain scripts of the folder `page`, in this order, in one scope: a page opened from a file may not load modules.
 SCRIPTS = (
     "floats", "arrays", "colors", "record", "state", "layers", "paint", "legend", "rows", "list", "panes", "zoom",
     "pointer", "inspector", "summary", "scene", "help", "keys", "start",
@@ -78,12 +75,12 @@ SCRIPTS = (
 
 def page(run: dict[str, Any], rows: Sequence[dict[str, Any]], scenes: Iterable[str] = ()) -> Iterator[str]:
     """The page in pieces. run: data of the whole run; rows: of the index; scenes: elements to include."""
-    told = run | {"scenes": [{key: each for key, each in row.items() if key != "thumbnail"} for row in rows]}
+    index = run | {"scenes": [{key: each for key, each in row.items() if key != "thumbnail"} for row in rows]}
     before, between, after = _template()
     yield before
     yield _plain_table(run, rows)
     yield between
-    yield f'<script type="application/json" id="index">{as_json(told)}</script>\n'
+    yield f'<script type="application/json" id="index">{as_json(index)}</script>\n'
     yield from scenes
     yield after
 
@@ -95,7 +92,7 @@ def as_json(value: Any) -> str:
 
 
 def _template() -> tuple[str, str, str]:
-    """What stands before the plain table, between it and the data, and behind them."""
+    """The page before the plain table, between it and the data, and after them."""
     scripts = "\n".join(_part(f"{name}.js") for name in SCRIPTS)
     before, rest = _part("page.html").split("<!--TABLE-->")
     between, after = rest.split("<!--DATA-->")
@@ -108,9 +105,17 @@ def _part(name: str) -> str:
 
 
 def _plain_table(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> str:
-    """All verdicts for a browser that runs no scripts; the scripts take the thumbnails from it."""
+    """All verdicts for a browser without scripts; the scripts take the thumbnails from it."""
     classes = [name for name in run["classes"] if name != UNLISTED]
-    heads = ["", "verdict", "scene", "hit", *(name.replace("_", " ") for name in classes), "worst", "seconds"]
+    heads = [
+        "",
+        "verdict",
+        "scene",
+        "hit",
+        *(class_words(name, run["candidate"]) for name in classes),
+        "worst",
+        "seconds",
+    ]
     head = "".join(f'<th scope="col">{head}</th>' for head in heads)
     failing_first = sorted(enumerate(rows), key=lambda each: bool(each[1]["ok"]))
     body = "\n".join(_plain_row(place, row, classes) for place, row in failing_first)
@@ -121,13 +126,20 @@ def _plain_table(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> str:
     )
 
 
+def class_words(name: str, candidate: str) -> str:
+    """A class for people: the subject is named where it is wrong."""
+    if name == WRONG:
+        return "candidate wrong" if candidate else "ours wrong"
+    return name.replace("_", " ")
+
+
 def _plain_row(place: int, row: dict[str, Any], classes: Sequence[str]) -> str:
-    picture = f'<img src="{row["thumbnail"]}" alt="" loading="lazy">' if row["thumbnail"] else ""
+    thumbnail = f'<img src="{row["thumbnail"]}" alt="" loading="lazy">' if row["thumbnail"] else ""
     check, ratio = row["worst"]
     worst = f"{ratio:.3g} {check.replace('_', ' ')}" if check and isinstance(ratio, float) else "-"
     name = f"<strong>{html.escape(row['name'])}</strong>"
-    if row["says"]:
-        name += f"<pre>{html.escape(row['says'])}</pre>"
+    if row["failure"]:
+        name += f"<pre>{html.escape(row['failure'])}</pre>"
     counts = [
         f"{row['hit']}",
         *(f"{row['counts'][each]}" for each in classes),
@@ -135,15 +147,12 @@ def _plain_row(place: int, row: dict[str, Any], classes: Sequence[str]) -> str:
         "kept" if row["kept"] else f"{row['seconds']:.1f}",
     ]
     mark = "PASS" if row["ok"] else "FAIL"
-    cells = "".join(f"<td>{cell}</td>" for cell in [picture, mark, name, *counts])
+    cells = "".join(f"<td>{cell}</td>" for cell in [thumbnail, mark, name, *counts])
     return f'<tr class="{mark.lower()}" data-place="{place}">{cells}</tr>'
 
 
-# What the list of scenes says of each.
-
-
 def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any]:
-    """file: of its pictures in the folder data, "" without any."""
+    """One scene of the index. file: of its images in the folder data, "" without any."""
     first = verdict.failures[0] if verdict.failures else None
     check, ratio = (first.check, first.ratio) if first else verdict.worst
     return {
@@ -155,16 +164,16 @@ def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any
         "crashed": bool(verdict.problem),
         "size": list(verdict.size),
         "hit": verdict.hit_pixels,
-        "counts": {name: count for name, count in verdict.counts.items()},
+        "counts": dict(verdict.counts),
         "unlisted": verdict.cases.get(UNLISTED, 0),
         "failing": verdict.failing,
-        "asked": verdict.adjudicated,
+        "adjudicated": verdict.adjudicated,
         "worst": [check, json_number(ratio)],
         "ratios": {name: json_number(share) for name, share in verdict.ratios.items()},
         "seconds": round(verdict.seconds, 2),
         "kept": verdict.kept,
         "failed_at": sorted({each.check for each in verdict.failures} | _failed_checks(verdict)),
-        "says": "" if verdict.ok else failure_text(verdict),
+        "failure": "" if verdict.ok else failure_text(verdict),
         "replay": replay(verdict),
         "replay_pixel": replay_around(verdict),
         "pixel": None if first is None else [first.x, first.y],

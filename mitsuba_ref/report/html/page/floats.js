@@ -51,7 +51,7 @@ function escaped(text) {
   return String(text).replace(/[&<>"']/g, (c) => names[c]);
 }
 
-/** Both ends of a range, with as many digits as tell it to a twentieth of its width. */
+/** Both ends of a range, with enough digits for a twentieth of its width. */
 function ends(low, high) {
   for (let digits = 3; digits < 17; digits++) {
     const [from, to] = [low, high].map((value) => Number(value.toPrecision(digits)));

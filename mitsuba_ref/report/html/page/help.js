@@ -1,19 +1,19 @@
-// The keys, and the window that lists them.
+// Keyboard shortcuts, and the dialog that lists them.
 
 const KEYS = [
   ["scenes", [["/", "find"], ["j k", "next, previous scene"], ["Enter", "open"], ["Esc", "back to the list"]]],
   ["layers", [["1 \u2026 9", "depth, normal, shading normal, position, diffuse, shape, primitive, hit, all checks"]]],
   ["views", [
-    ["Shift", `hold: the reference in the place of ${THE_JUDGED}`], ["g", "all pictures"],
+    ["Shift", `hold: the reference in place of ${THE_JUDGED}`], ["g", "all images"],
     ["o", JUDGED], ["r", "reference"],
     ["d", "difference"], ["x", "difference over bound"], ["l", "class"], ["w", "wipe"], ["b", "blink"],
   ]],
   ["pixels", [
-    ["n N", "next, previous bad pixel"], ["arrows", "one pixel on"], ["c", "copy the command that shows it again"],
-    ["Esc", "let go of the pixel"],
+    ["n N", "next, previous bad pixel"], ["arrows", "move by one pixel"], ["c", "copy the command that replays it"],
+    ["Esc", "unpin the pixel"],
   ]],
-  ["picture", [
-    ["+ \u2212", "zoom; so does the wheel"], ["f", "fit"], ["e E", "exposure up, down"], ["0", "exposure as it was"],
+  ["image", [
+    ["+ \u2212", "zoom; so does the wheel"], ["f", "fit"], ["e E", "exposure up, down"], ["0", "reset exposure"],
   ]],
   ["page", [["t", "dark or light"], ["?", "this list"]]],
 ];
@@ -31,13 +31,13 @@ function toggleHelp() {
   else window_.showModal();
 }
 
-let saying = 0;
+let statusTimer = 0;
 
-/** A few words at the foot of the page, for a while. */
-function say(words) {
-  const box = byId("said");
+/** A short message at the foot of the page, for a while. */
+function showStatus(words) {
+  const box = byId("status-line");
   box.textContent = words;
   box.classList.add("shown");
-  clearTimeout(saying);
-  saying = setTimeout(() => box.classList.remove("shown"), 2500);
+  clearTimeout(statusTimer);
+  statusTimer = setTimeout(() => box.classList.remove("shown"), 2500);
 }

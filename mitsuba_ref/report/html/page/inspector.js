@@ -1,4 +1,4 @@
-// All that is known of one pixel.
+// The inspector: every value, bound and explanation of one pixel.
 
 let inspected = new Map(); // layer name -> its data, `share CHECK` -> its shares, as far as unpacked
 let shownPixel = "";
@@ -19,7 +19,7 @@ function hintHtml(record) {
     : record.unlike.length
       ? `<kbd>n</kbd> goes to the next of ${plural(record.unlike.length, "pixel")} that pass without agreeing.` : "";
   return `<h2>No pixel is pinned</h2><p>Point at a pixel to read it, click to pin it. ${next}</p>
-<p class="note">Hold <kbd>Shift</kbd> to see the reference in the place of ${THE_JUDGED}. The wheel zooms,
+<p class="note">Hold <kbd>Shift</kbd> to see the reference in place of ${THE_JUDGED}. The wheel zooms,
 dragging pans, and <kbd>?</kbd> lists the keys.</p>`;
 }
 
@@ -39,23 +39,23 @@ ${inspectorLayers(row).map((layer) => layerHtml(record, row, layer)).join("")}${
 }
 
 function why(record, row) {
-  const { reasons } = record.about, said = record.reasons.get(row);
-  if (said) return reasons.texts[said[0]];
-  return reasons.always[record.classes[row]] ?? "the reason is not kept for so many pixels";
+  const { reasons } = record.about, entry = record.reasons.get(row);
+  if (entry) return reasons.texts[entry[0]];
+  return reasons.always[record.classes[row]] ?? "no reason is stored for so many pixels";
 }
 
-/** Shapes and the exact answer. */
+/** Shapes, the exact answer, and checks without a layer. */
 function factsHtml(record, row) {
   const facts = [["ours", sideWords(record, row, "ours", 1)], ["reference", sideWords(record, row, "reference", 2)]];
   const answer = record.exact.get(row);
   if (answer) {
     const [t, share, words] = answer, at = Number.isFinite(t) ? `<br>t ${numberHtml(t)}` : "";
-    const said = escaped(record.about.exact.texts[words]);
-    const how = Number.isNaN(t) ? "" : share === Infinity ? `no bound allows ${RUN.candidate ? "what the candidate says" : "ours"}`
+    const text = escaped(record.about.exact.texts[words]);
+    const how = Number.isNaN(t) ? "" : share === Infinity ? `no bound allows ${RUN.candidate ? "the candidate's answer" : "our answer"}`
       : `${JUDGED} uses ${brief(share)} \u00d7 its bound`;
-    facts.push(["exact", `${said}${at}<br>${how}`]);
+    facts.push(["exact", `${text}${at}<br>${how}`]);
   } else {
-    facts.push(["exact", "was not asked here"]);
+    facts.push(["exact", "not computed here"]);
   }
   const others = ["mask", "shape_id", "on_surface", "exact"].filter((name) => inspected.has(`share ${name}`))
     .map((name) => [name, inspected.get(`share ${name}`)[row]]);
@@ -66,7 +66,7 @@ function factsHtml(record, row) {
   return `<dl>${facts.map(entry).join("")}</dl>`;
 }
 
-/** What one side hits, and at which t where that is kept. */
+/** The shape that one side hits, and its t where that is stored. */
 function sideWords(record, row, side, bit) {
   if (!(record.hits[row] & bit)) return "miss";
   const t = record[`t_${side}`], shape = record[`shape_${side}`]?.[row], prim = record[`prim_${side}`]?.[row];
@@ -74,14 +74,14 @@ function sideWords(record, row, side, bit) {
   return escaped(what) + (t ? `<br>t ${numberHtml(t[row])}` : "");
 }
 
-/** What there is to judge, and is not given, once for all. */
+/** Quantities that the candidate does not give. */
 function notGivenHtml(record) {
   const names = record.verdict.unjudged ?? [];
   const words = names.map((name) => LAYERS.find((layer) => layer.name === name)?.words ?? spaced(name)).join(", ");
   return words && `<section><p class="note">Not given by the candidate, and not judged: ${words}.</p></section>`;
 }
 
-/** The layer that is looked at first, then those beyond their bound, then the others that hold floats. */
+/** The current layer first, then those beyond their bound, then the other float layers. */
 function inspectorLayers(row) {
   const beyond = (layer) => (inspected.get(layer.name)?.ratio?.[row] > 1 ? 1 : 0);
   const rank = (layer) => (layer.name === state.a ? 2 : beyond(layer));
@@ -92,18 +92,18 @@ function layerHtml(record, row, layer) {
   const data = inspected.get(layer.name);
   if (!data || notGiven(record, layer)) return "";
   if (data.missing)
-    return `<section><h3>${layer.words}</h3><p class="note">left out, for want of room in one file</p></section>`;
+    return `<section><h3>${layer.words}</h3><p class="note">left out to limit the size of the file</p></section>`;
   if (record.hits[row] === 0) return "";
   const names = CHANNELS[layer.kind], both = record.hits[row] === 3;
   const rows = names.map((name, c) => channelHtml(name, data, c * data.count + row, record.hits[row])).join("");
-  const note = record.about.exactly ? "" : '<p class="note">Rounded to float32, for want of room in one file.</p>';
+  const note = record.about.exactly ? "" : '<p class="note">Rounded to float32 to limit the size of the file.</p>';
   return `<section><h3>${layer.words} ${both ? boundHtml(record, data, row) : "<small>not compared</small>"}</h3><table>
 <thead><tr><th></th><th scope="col" class="side-ours">${JUDGED}</th>
 <th scope="col" class="side-reference">reference</th></tr></thead>
 <tbody>${rows}</tbody></table>${note}</section>`;
 }
 
-/** A candidate is held to its own arithmetic's bound from the surface itself, as float64 has it. */
+/** A candidate is held to the bound of its own arithmetic, from the surface in float64. */
 function boundHtml(record, data, row) {
   if (!data.ratio) return "";
   const share = data.ratio[row];
@@ -131,13 +131,13 @@ function apartWords(ours, reference) {
   if (Object.is(ours, reference) || ours === reference) {
     return Number.isNaN(ours) ? "both are NaN, which never agrees" : "the same number";
   }
-  if (Number.isNaN(ours) || Number.isNaN(reference)) return "NaN on one side: no difference can be told";
+  if (Number.isNaN(ours) || Number.isNaN(reference)) return "NaN on one side: the difference is undefined";
   if (!Number.isFinite(ours) || !Number.isFinite(reference)) return "infinite on one side";
   const signed = (value) => `${value < 0 ? "\u2212" : ""}${brief(Math.abs(value))}`;
   return `\u0394 ${signed(ours - reference)}, ${signed(ulps(ours, reference))} ulp of float32`;
 }
 
-/** The command that shows this pixel again. */
+/** The command that replays this pixel. */
 function replayOf(record, x, y) {
   const [before, after] = record.scene.replay_pixel;
   return `${before}${x} ${y}${after}`;
@@ -152,7 +152,7 @@ async function copyReplay() {
   } catch {
     copyBySelection(words);
   }
-  say(`copied: ${words}`);
+  showStatus(`copied: ${words}`);
 }
 
 function copyBySelection(words) {

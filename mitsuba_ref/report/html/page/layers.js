@@ -1,4 +1,4 @@
-// The quantities that are compared, as layers: where their numbers are, and which check judges them.
+// Layers: the compared quantities, where their numbers are, and which check judges them.
 
 const LAYERS = [
   { name: "depth", kind: "scalar", check: "depth", words: "depth" },
@@ -18,8 +18,8 @@ const OTHER_CHECKS = { mask: "hit" }; // check -> layer, where their names diffe
 /** The layer of the check that fails at the pixel of the address, or else of the worst pixel of the scene. */
 function layerToStart(record) {
   const { failures } = record.verdict;
-  const told = failures.find((each) => each.x === state.x && each.y === state.y) ?? failures[0];
-  const check = told?.check ?? "";
+  const failure = failures.find((each) => each.x === state.x && each.y === state.y) ?? failures[0];
+  const check = failure?.check ?? "";
   return LAYERS.find((layer) => layer.name === (OTHER_CHECKS[check] ?? check))?.name ?? "depth";
 }
 
@@ -32,7 +32,7 @@ function isThere(record, layer) {
   return record.has(layer.name === "all" ? "ratio" : layer.name);
 }
 
-/** What the candidate does not give, in words; "" of what is given. */
+/** A message for a layer that the candidate does not give; "" for others. */
 function notGiven(record, layer) {
   const unjudged = record.verdict.unjudged ?? [];
   return RUN.candidate && (unjudged.includes(layer.name) || layer.name === "prim_id")
@@ -46,7 +46,7 @@ async function layerData(record, layer) {
   for (const name of ["ours", "reference", "ratio", "bound", "alone", "own"]) data[name] = null;
   if (data.missing && layer.kind !== "id") return data;
   if (!isThere(record, layer)) {
-    data.missing = `${layer.words}: left out, for want of room in one file`;
+    data.missing = `${layer.words}: left out to limit the size of the file`;
   } else if (isFloat(layer)) {
     data.channels = CHANNELS[layer.kind].length;
     data.reference = await record.array(layer.name, "reference");

@@ -1,14 +1,14 @@
-// The list of scenes: filtered, sorted, and of thousands only those rows that can be seen.
+// The list of scenes: filtered, sorted, with only the visible rows in the page.
 
 const ROW = 64, ROW_NARROW = 84; // pixels, as in page.css
-const SPARE = 6; // rows above and below what can be seen
+const SPARE = 6; // rows above and below the visible ones
 const SORTS = {
   "": (a, b) => a.ok - b.ok || a.place - b.place,
   name: (a, b) => a.name.localeCompare(b.name),
   failing: (a, b) => b.failing - a.failing || a.place - b.place,
   unlike: (a, b) => unlike(b) - unlike(a) || a.place - b.place,
   worst: (a, b) => shareOf(b) - shareOf(a) || a.place - b.place,
-  asked: (a, b) => b.asked - a.asked || a.place - b.place,
+  adjudicated: (a, b) => b.adjudicated - a.adjudicated || a.place - b.place,
   seconds: (a, b) => b.seconds - a.seconds || a.place - b.place,
 };
 const unlike = (scene) => Object.entries(scene.counts).reduce((sum, [name, n]) => sum + (name === "agree" ? 0 : n), 0);
@@ -71,7 +71,7 @@ function fillControls() {
   }
 }
 
-/** Only what can be seen, and a little more, is in the page. */
+/** Only visible rows, and a few more, are in the page. */
 function fillRows() {
   const box = rowsElement(), height = rowHeight();
   const first = Math.max(0, Math.floor(box.scrollTop / height) - SPARE);

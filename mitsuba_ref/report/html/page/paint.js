@@ -144,4 +144,5 @@ function paintClasses(record, data) {
 }
 
 const spaced = (name) => name.replaceAll("_", " ");
-const className = (name) => (name === "unlisted" ? "reference wrong, unlisted" : spaced(name));
+const CLASS_NAMES = { unlisted: "reference wrong, unlisted", wrong: `${JUDGED} wrong` };
+const className = (name) => CLASS_NAMES[name] ?? spaced(name);

@@ -1,4 +1,4 @@
-// Pictures side by side that zoom and pan as one.
+// Panes: images side by side that zoom and pan together.
 
 const MOST_ZOOM = 128; // screen pixels a pixel
 const GRID_FROM = 12, NUMBERS_FROM = 72; // from which zoom on there are lines between pixels, and numbers in them
@@ -6,7 +6,7 @@ const BLINK_MS = 600;
 
 const looking = { record: null, data: null, bitmaps: {}, panes: [], shift: false, phase: 0, under: -1 };
 
-/** The pictures of each view. */
+/** The images of each view. */
 const VIEWS = {
   all: ["ours", "reference", "difference", "ratio", "class"],
   ours: ["ours"], reference: ["reference"], difference: ["difference"], ratio: ["ratio"], class: ["class"],
@@ -28,7 +28,7 @@ class Pane {
     listenTo(this);
   }
 
-  /** Names of the pictures that are drawn: [left of the wipe, right of it] or one. */
+  /** Names of the images that are drawn: [left of the wipe, right of it] or one. */
   sources() {
     if (this.which === "wipe") return ["ours", "reference"];
     const turned = this.which === "blink" ? looking.phase === 1 : looking.shift && this.which === "ours";
@@ -43,8 +43,8 @@ class Pane {
     const held = looking.shift && this.which === "ours" ? ", Shift is held" : "";
     this.caption.innerHTML = `${named(left)}${right ? ` | ${named(right)}` : ""} <span>${escaped(layer + held)}</span>`;
     this.canvas.setAttribute("aria-label", `${words}, ${layer} of ${looking.record.scene.name}`);
-    const picture = looking.bitmaps[left];
-    this.legend.innerHTML = picture ? legendHtml(picture.legend) : "";
+    const image = looking.bitmaps[left];
+    this.legend.innerHTML = image ? legendHtml(image.legend) : "";
     this.element.classList.toggle("turned", left === "reference" && this.which !== "reference");
   }
 
@@ -76,21 +76,21 @@ class Pane {
     const { context, dense } = this, [left, right] = this.sources();
     context.setTransform(dense, 0, 0, dense, 0, 0);
     context.clearRect(0, 0, this.width, this.height);
-    if (!looking.bitmaps[left]) return this.apologize();
+    if (!looking.bitmaps[left]) return this.drawMessage();
     const wiped = right ? this.width * state.w : this.width;
-    this.picture(left, 0, wiped);
-    if (right) this.picture(right, wiped, this.width), this.handle(wiped);
+    this.drawImage(left, 0, wiped);
+    if (right) this.drawImage(right, wiped, this.width), this.handle(wiped);
     if (this.scale >= GRID_FROM) this.grid();
     if (this.scale >= NUMBERS_FROM && (left === "ours" || left === "reference")) this.numbers(left);
     if (this.scale < GRID_FROM) this.rings();
     this.cursor();
   }
 
-  apologize() {
+  drawMessage() {
     const { layer, missing } = looking.data;
-    const why = missing || (layer.name === "all" ? "no picture of all checks together: see difference over bound"
+    const why = missing || (layer.name === "all" ? "no image of all checks together: see difference over bound"
       : this.which === "ratio" && !layer.check ? `no check compares the ${layer.words}`
-      : "left out, for want of room in one file");
+      : "left out to limit the size of the file");
     this.context.fillStyle = getComputedStyle(this.stage).color;
     this.context.font = "13px system-ui, sans-serif";
     this.context.textAlign = "center";
@@ -98,7 +98,7 @@ class Pane {
       this.context.fillText(line, this.width / 2, this.height / 2 + 18 * i));
   }
 
-  picture(name, from, to) {
+  drawImage(name, from, to) {
     const { context } = this, { record, bitmaps } = looking;
     const [x, y] = this.place(record.x0, record.y0);
     context.save();
@@ -117,7 +117,7 @@ class Pane {
     this.context.strokeRect(x - 1.5, -1, 3, this.height + 2);
   }
 
-  /** First and last film pixels that can be seen. */
+  /** First and last visible film pixels. */
   visible() {
     const { record } = looking, [x0, y0] = this.film(0, 0), [x1, y1] = this.film(this.width, this.height);
     return [Math.max(record.x0, Math.floor(x0)), Math.max(record.y0, Math.floor(y0)),
@@ -155,7 +155,7 @@ class Pane {
     }
   }
 
-  /** Around failing pixels, which are too small to be seen among others; on the map of classes, if none fails,
+  /** Around failing pixels, which are too small to find among others; on the class map, if none fails,
    *  around those that do not plainly agree. */
   rings() {
     const { context } = this, { record } = looking;

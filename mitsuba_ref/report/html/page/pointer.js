@@ -1,4 +1,4 @@
-// What the pointer, a wheel or fingers do to a picture.
+// Pointer, wheel and touch events on an image.
 
 /** Wheel zooms, dragging pans or moves the wipe, a click pins a pixel, the pointer looks at one. */
 function listenTo(pane) {

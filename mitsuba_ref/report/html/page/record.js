@@ -1,4 +1,4 @@
-// The list of scenes, which is in the page, and their records, which are fetched when they are looked at.
+// The list of scenes, which is in the page, and their records, which are loaded when a scene is opened.
 
 const RUN = JSON.parse(document.getElementById("index").textContent);
 const KEPT_SCENES = 3; // records that stay in memory
@@ -7,14 +7,14 @@ const awaited = new Map(); // name -> function that takes what a script of the f
 
 RUN.scenes.forEach((scene, i) => { scene.place = i; });
 
-// Who is judged: our own caster, or a candidate in its place. Inside, and in addresses, that side is "ours".
+// The subject: our own caster, or a candidate in its place. In the code, and in addresses, that side is "ours".
 const JUDGED = RUN.candidate ? "candidate" : "ours";
 const THE_JUDGED = RUN.candidate ? "the candidate" : "ours"; // in a sentence
 const sideName = (side) => (side === "ours" ? JUDGED : side);
 
 window.ray_reference_scene = (name, parts) => awaited.get(name)?.(parts);
 
-/** Everything about one scene, unpacked when it is asked for. */
+/** Everything about one scene, unpacked on demand. */
 class SceneRecord {
   constructor(scene, parts) {
     this.scene = scene;
@@ -84,7 +84,7 @@ async function byRow(record, part, names) {
 
 const BLOCK = 6, FEW = 6, MARKS = 200;
 
-/** Of blocks that hold, with their neighbours, a few of these rows the first: more can be seen without a mark. */
+/** Of blocks that hold, with their neighbours, a few of these rows the first: more are visible without a mark. */
 function lonely(record, rows) {
   const wide = Math.ceil(record.width / BLOCK) + 2; // with a margin, so that neighbours in a row are no wrap
   const blocks = new Map();
@@ -144,10 +144,10 @@ function loadedParts(scene) {
 }
 
 function noPictures(scene) {
-  const silent = RUN.candidate ? "there is no answer to judge" : "the reference gave no answer";
-  if (scene.crashed) return `There are no pictures: ${silent}.`;
-  if (RUN.left_out[scene.name]) return `Left out: one file holds ${RUN.most_bytes / 1e6} MB. --html FOLDER has all.`;
-  return "No pictures of this scene were kept.";
+  const silent = RUN.candidate ? "the candidate gave no answer" : "the reference gave no answer";
+  if (scene.crashed) return `There are no images: ${silent}.`;
+  if (RUN.left_out[scene.name]) return `Left out: one file holds ${RUN.most_bytes / 1e6} MB. --html FOLDER stores everything.`;
+  return "No images of this scene were stored.";
 }
 
 /** The thumbnails, taken out of the plain table, which then goes. */

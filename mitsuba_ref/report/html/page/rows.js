@@ -5,29 +5,29 @@ function rowHtml(scene, i, height) {
   const current = scene.name === currentName ? " current" : "";
   const name = escaped(scene.name);
   const size = scene.size[0] ? `${scene.size[0]} \u00d7 ${scene.size[1]}` : "";
-  const says = scene.ok ? size : firstWords(scene);
+  const note = scene.ok ? size : firstWords(scene);
   return `<div class="row${current}" role="row" aria-rowindex="${i + 2}" style="top:${i * height}px">
-<span class="picture" role="cell">${scene.thumbnail ? `<img src="${scene.thumbnail}" alt="">` : ""}</span>
+<span class="thumbnail" role="cell">${scene.thumbnail ? `<img src="${scene.thumbnail}" alt="">` : ""}</span>
 <span class="mark" role="cell">${markHtml(scene)}</span>
 <span class="name" role="cell">
 <a href="${escaped(address({ ...CLOSE, s: scene.name }))}" data-scene="${name}">${name}</a>
-<small title="${escaped(scene.says)}">${escaped(says)}</small></span>
+<small title="${escaped(scene.failure)}">${escaped(note)}</small></span>
 <span class="classes" role="cell">${classBar(scene)}<small>${classCounts(scene)}</small></span>
 <span class="worst" role="cell">${check ? shareHtml(check, share) : ""}</span>
-<span class="asked" role="cell">${grouped(scene.asked)}</span>
+<span class="adjudicated" role="cell">${grouped(scene.adjudicated)}</span>
 <span class="time" role="cell">${scene.kept ? "kept" : `${scene.seconds.toFixed(1)} s`}</span></div>`;
 }
 
 const CLOSE = { a: "", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0 };
 
-const firstWords = (scene) => scene.says.split("\n")[0].replace(/^FAIL\s+/, "").replace(scene.name, "").trim();
+const firstWords = (scene) => scene.failure.split("\n")[0].replace(/^FAIL\s+/, "").replace(scene.name, "").trim();
 
 function markHtml(scene) {
   const words = scene.ok ? "PASS" : scene.crashed && !RUN.candidate ? "CRASH" : "FAIL";
   return `<span class="badge ${scene.ok ? "pass" : "fail"}">${words}</span>`;
 }
 
-/** In proportion, but six points at least: one pixel in a hundred thousand can still be seen. */
+/** In proportion, but six points at least: one pixel in a hundred thousand stays visible. */
 function classBar(scene) {
   const parts = countsOf(scene).filter(([, count]) => count);
   const bars = parts.map(([name, count]) =>

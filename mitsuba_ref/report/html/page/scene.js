@@ -1,4 +1,4 @@
-// One scene: its head, its pictures, and what is said about it.
+// One scene: its head, its images and its summary.
 
 const byId = (id) => document.getElementById(id);
 const sceneNow = () => RUN.scenes.find((scene) => scene.name === state.s);
@@ -8,10 +8,10 @@ let shownScene = "", shownLayer = "", shownView = "", shownGain = 0;
 
 async function showScene() {
   const scene = sceneNow(), mine = ++turn;
-  if (!scene) return tell(`There is no scene ${state.s} in this report.`);
+  if (!scene) return showMessage(`There is no scene ${state.s} in this report.`);
   currentName = scene.name;
   fillHead(scene);
-  tell(looking.record?.scene === scene ? "" : "\u2026");
+  showMessage(looking.record?.scene === scene ? "" : "\u2026");
   try {
     const record = await recordOf(scene);
     if (mine !== turn) return;
@@ -24,16 +24,16 @@ async function showScene() {
     if (!state.a) state.a = layerToStart(record);
     await showLayer(mine);
   } catch (error) {
-    if (mine === turn) tell(error.message, scene.says);
+    if (mine === turn) showMessage(error.message, scene.failure);
   }
 }
 
-/** Words in the place of the pictures. */
-function tell(words, more = "") {
+/** A message in place of the images. */
+function showMessage(words, more = "") {
   byId("stages").hidden = byId("side").hidden = Boolean(words);
   byId("tools").hidden = byId("bad").hidden = Boolean(words);
-  byId("told").hidden = !words;
-  byId("told").innerHTML = `<p>${escaped(words)}</p>${more ? `<pre>${escaped(more)}</pre>` : ""}`;
+  byId("message").hidden = !words;
+  byId("message").innerHTML = `<p>${escaped(words)}</p>${more ? `<pre>${escaped(more)}</pre>` : ""}`;
   if (words) looking.record = null;
 }
 
@@ -41,7 +41,7 @@ async function showLayer(mine) {
   const { record } = looking, layer = layerNamed(state.a);
   const data = await layerData(record, layer);
   if (mine !== turn) return;
-  tell("");
+  showMessage("");
   const same = shownLayer === layer.name && shownScene === record.scene.name && shownGain === state.e;
   if (!same || !looking.data) paintAll(record, data);
   [shownScene, shownLayer, shownGain] = [record.scene.name, layer.name, state.e];
@@ -129,13 +129,13 @@ function nextBad(step) {
   const { record } = looking;
   if (!record) return;
   const rows = record.failing.length ? record.failing : record.unlike;
-  if (!rows.length) return say("every pixel agrees");
+  if (!rows.length) return showStatus("every pixel agrees");
   const at = pinnedRow(), worst = record.verdict.failures[0];
   if (at < 0 && worst) return pin(record.row(worst.x, worst.y));
   const later = step > 0 ? rows.findIndex((row) => row > at) : rows.findLastIndex((row) => at < 0 || row < at);
   const i = later >= 0 ? later : step > 0 ? 0 : rows.length - 1;
   pin(rows[i]);
-  say(`${i + 1} of ${rows.length} ${record.failing.length ? "failing pixels" : "pixels that pass without agreeing"}`);
+  showStatus(`${i + 1} of ${rows.length} ${record.failing.length ? "failing pixels" : "pixels that pass without agreeing"}`);
 }
 
 function movePixel(dx, dy) {

@@ -1,4 +1,4 @@
-// Everything that is set going once.
+// Start-up: filters, buttons, event listeners.
 
 const DARK = matchMedia("(prefers-color-scheme: dark)");
 
@@ -13,12 +13,12 @@ function toggleTheme() {
   drawSoon();
 }
 
-/** Some browsers keep nothing for pages from files. */
+/** Some browsers store nothing for pages from files. */
 function remember(key, value) {
   try {
     localStorage.setItem(key, value);
   } catch {
-    say("this browser keeps no settings for files");
+    showStatus("this browser stores no settings for files");
   }
 }
 
@@ -54,7 +54,7 @@ function buildFilters() {
   const option = (value, words) => `<option value="${value}">${words}</option>`;
   const checks = [...new Set(RUN.scenes.flatMap((scene) => [...Object.keys(scene.ratios), ...scene.failed_at]))];
   byId("check").innerHTML = option("", "any check") + checks.map((name) => option(name, spaced(name))).join("");
-  byId("class").innerHTML = option("", "any class") + RUN.classes.map((name) => option(name, spaced(name))).join("");
+  byId("class").innerHTML = option("", "any class") + RUN.classes.map((name) => option(name, className(name))).join("");
 }
 
 function fillBanner() {
@@ -63,18 +63,18 @@ function fillBanner() {
   byId("wiped").textContent = JUDGED;
   byId("wipe").setAttribute("aria-label", `wipe between ${JUDGED} and reference`);
   if (RUN.candidate) byId("status").querySelector("[value=crash]").textContent = "no answer";
-  byId("total").className = RUN.scenes.length === RUN.asked && RUN.scenes.every((scene) => scene.ok) ? "good" : "bad";
+  byId("total").className = RUN.scenes.length === RUN.requested && RUN.scenes.every((scene) => scene.ok) ? "good" : "bad";
   const sums = {};
   for (const scene of RUN.scenes) for (const [name, count] of countsOf(scene)) sums[name] = (sums[name] ?? 0) + count;
   byId("sums").textContent = Object.entries(sums).filter(([, count]) => count)
     .map(([name, count]) => `${grouped(count)} ${className(name)}`).join(", ");
   const words = [];
-  if (RUN.scenes.length < RUN.asked)
-    words.push(`${RUN.scenes.length} of ${RUN.asked} scenes are here: the run has not come to its end.`);
+  if (RUN.scenes.length < RUN.requested)
+    words.push(`${RUN.scenes.length} of ${RUN.requested} scenes are here: the run has not finished.`);
   const short = Object.keys(RUN.left_out).length;
   if (short)
     words.push(`One file holds ${RUN.most_bytes / 1e6} MB, so parts of ${short} scenes are left out, ` +
-      "each of which says which; scenes that pass are rounded to float32. --html FOLDER has all.");
+      "as stated there; scenes that pass are rounded to float32. --html FOLDER stores everything.");
   byId("banner").textContent = words.join(" ");
   byId("banner").hidden = !words.length;
 }

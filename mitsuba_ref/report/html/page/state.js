@@ -1,4 +1,4 @@
-// What is looked at, as the part of the address after #: whoever gets the link sees the same.
+// State of the page, as the part of the address after #: a link shows the same view.
 
 const DEFAULTS = {
   s: "", a: "", v: "all", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0, w: 0.5, // scene view
@@ -38,7 +38,7 @@ function go(changes) {
 const REST_MS = 200; // browsers refuse an address that changes hundreds of times while something is dragged
 let waiting = 0;
 
-/** The same scene, seen otherwise: the address follows without a step. */
+/** Another view of the same scene: the address follows without a step in the history. */
 function change(changes) {
   Object.assign(state, changes);
   if (!waiting) waiting = setTimeout(writeAddress, REST_MS);

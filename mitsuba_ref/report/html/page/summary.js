@@ -1,4 +1,4 @@
-// What is said of a scene beside its pictures.
+// Summary of a scene, beside its images.
 
 function fillSummary(record) {
   const { verdict, scene } = record;
@@ -7,7 +7,7 @@ function fillSummary(record) {
   const versions = Object.entries(verdict.versions).map(([name, version]) => `${name} ${version}`).join(", ");
   byId("summary").innerHTML = `<h2>${plural(verdict.hit_pixels, "hit pixel")}</h2>
 <table>${countsOf(scene).filter(([, count]) => count).map(countHtml).join("")}</table>
-<p>${grouped(verdict.adjudicated)} asked of exact arithmetic. ${held} of ${verdict.checks.length} checks of the scene hold.</p>
+<p>${grouped(verdict.adjudicated)} adjudicated by exact arithmetic. ${held} of ${verdict.checks.length} scene checks pass.</p>
 ${broken.length ? `<ul>${broken.map(brokenHtml).join("")}</ul>` : ""}
 ${foundHtml(verdict)}
 ${worst ? `<h3>${RUN.candidate ? "Some" : "Worst"} failing pixels</h3><ol>${worst}</ol>` : ""}
@@ -33,6 +33,6 @@ function brokenHtml(check) {
 }
 
 function failureHtml({ x, y, verdict, check, ratio }) {
-  return `<li><a href="${escaped(address({ x, y }))}" data-x="${x}" data-y="${y}">${x}, ${y}</a> ${spaced(verdict)}<br>
+  return `<li><a href="${escaped(address({ x, y }))}" data-x="${x}" data-y="${y}">${x}, ${y}</a> ${className(verdict)}<br>
 <small class="quiet">${spaced(check)}: ${times(numberOf(ratio))}</small></li>`;
 }

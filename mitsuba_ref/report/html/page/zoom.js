@@ -1,4 +1,4 @@
-// Where the pictures are looked at, and drawing them when that changes.
+// Zoom and position of the images, and redrawing them when these change.
 
 function center() {
   const { record } = looking;
