@@ -1,7 +1,7 @@
 """Registry of AOVs. One file each, which declares:
 
 NAME, CHANNELS: of the AOV, and of its channels in an EXR file; one channel is an image (h, w), more are (h, w, c).
-DTYPE, MISS: np.float64 (images have the dtype that was asked for) or np.int32; the value where nothing is hit.
+DTYPE, MISS: np.float64 (images have the requested dtype) or np.int32; the value where nothing is hit.
 NEEDS: fields of `caster.kernels.surface.hit.Hit` beyond the ray and t; what no AOV needs is not computed.
 PREVIEW: how its image is coloured, a key of `caster.image.aov_views.COLORINGS`.
 evaluate(hit): the per-hit kernel; a number, or a tuple with one for each channel.
@@ -80,7 +80,7 @@ def needs_of(names: Any) -> frozenset[str]:
 
 
 def _kernel(aov: Any) -> Any:
-    """Compiled kernels are told apart by the classes of their arguments, so each AOV gets a class."""
+    """Compiled kernels are keyed by the classes of their arguments, so each AOV gets a class."""
     name, number = f"PerHit_{aov.NAME}", int if aov.DTYPE is np.int32 else float
     module = getattr(aov, "__name__", type(aov).__module__)
     tag: Any = type(name, (PerHit,), {"__module__": module})

@@ -33,14 +33,14 @@ C: dict[str, Any] = {
 }
 
 MISMATCH = object()
-"""What a call says that was made for other classes of arguments."""
+"""Returned by a call that was made for other classes of arguments."""
 
 # What an entry answers when all went well; None as an answer has a number of its own in Numba's calling convention.
 DONE = (0, -2)
 
 
 def significant_flags(flags: int) -> int:
-    """Which flags tell arrays apart that have these."""
+    """Mask of the flags by which arrays with these flags differ for a kernel."""
     return ALIGNED | WRITABLE | C_ORDER | (0 if flags & C_ORDER else FORTRAN_ORDER)
 
 

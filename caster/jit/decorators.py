@@ -185,12 +185,12 @@ class Kernel:
                     COMPILATION_LOG.slowly.append(_named(self.__name__, args))
                 call = self.dispatcher if code is None else checked_call(args, code.entry(), code.gives)
                 self._calls[key] = call
-        if call is not self._dispatcher:  # which tells no others apart
+        if call is not self._dispatcher:  # which serves all arguments
             self._latest[type(args[0])] = call
         return call
 
     def _key(self, args: tuple[Any, ...]) -> str | None:
-        """What tells machine code apart: in all processes, or, with classes from elsewhere, in this one."""
+        """Key of machine code: in all processes, or, with classes from elsewhere, in this one."""
         key = signature_key(args)
         return key if key is None or self._kept(args) else f"{key} {_class_ids(args)}"
 
@@ -230,7 +230,7 @@ class Kernel:
         types = tuple(numba.typeof(arg) for arg in args)
         if types not in dispatcher.overloads:
             name = _named(self.__name__, args)
-            with _heard(numba, name):
+            with _announcing(numba, name):
                 dispatcher.compile(types)
             (
                 COMPILATION_LOG.loaded if dispatcher.stats.cache_hits.get(types) else COMPILATION_LOG.compiled
@@ -239,15 +239,15 @@ class Kernel:
 
 
 @contextlib.contextmanager
-def _heard(numba: Any, name: str) -> Iterator[None]:
+def _announcing(numba: Any, name: str) -> Iterator[None]:
     """Say that a kernel is being compiled, once Numba has not found it in its own cache."""
-    told = False
+    reported = False
 
     class Listener(numba.core.event.Listener):  # type: ignore[misc]  # Numba has no types
         def on_start(self, event: Any) -> None:
-            nonlocal told
-            if not told:
-                told = True
+            nonlocal reported
+            if not reported:
+                reported = True
                 COMPILATION_LOG.compiling(name)
 
         def on_end(self, event: Any) -> None:

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept: a folder that changes its name with every source file of the package."""
+"""The cache folder of compiled kernels, whose name changes with every source file of the package."""
 
 import atexit
 import contextlib
@@ -22,7 +22,7 @@ WITHOUT_KERNELS = (
 
 
 def compiler_version() -> str:
-    """What says which compiler is installed, without loading it; "" where there is none."""
+    """Version text of the installed compiler, without loading it; "" where there is none."""
     specs = [find_spec(name) for name in COMPILERS]
     folders = [Path(spec.origin).parent for spec in specs if spec is not None and spec.origin]
     if len(folders) < len(COMPILERS):

@@ -1,7 +1,7 @@
 """Functions of Numba's runtime that compiled kernels call, in LLVM's language, so that they run without Numba.
 
-Arrays that are handed to a kernel own no memory as far as it knows (their record is null); what it allocates itself it
-frees before it returns, so that a record is all of its memory.
+Arrays that are handed to a kernel own no memory from its point of view (their record is null); what it allocates itself
+it frees before it returns, so that a record is all of its memory.
 """
 
 import ctypes
@@ -97,7 +97,7 @@ MATHEMATICS = (
     "acos asin atan atan2 ceil cos exp fabs floor fma fmod frexp hypot ldexp log pow rint round sin sqrt tan"
 )
 C_LIBRARY_SYMBOLS = {*MATHEMATICS.split(" "), "trunc", "malloc", "free", "memcpy", "memmove", "memset"}
-"""What object code may ask of the C library; anything else would be Numba's own."""
+"""What object code may call of the C library; anything else would be Numba's own."""
 
 
 # Compiled kernels without Numba: the object code it made is kept, and loaded and called by llvmlite alone.

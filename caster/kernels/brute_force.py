@@ -1,4 +1,4 @@
-"""Culling 0: none. Every ray against every primitive, the slow and obvious oracle of the other two."""
+"""Brute force: every ray against every primitive, the slow and obvious oracle of rasterization and BVHs."""
 
 from typing import Any
 
@@ -38,13 +38,13 @@ def cast_brute_force(
             store_best(mode, record, i, best)
 
 
-# One ray against single primitives: what `intersect` says of each, nothing folded, nothing skipped.
+# One ray against single primitives: the answer of `intersect` for each, nothing folded, nothing skipped.
 
 
 @jit
-def intersect_each(prims: Any, ks: Any, rays: Any, t: Any, off: Any, start: int, stop: int) -> None:
+def intersect_each(prims: Any, ks: Any, rays: Any, t: Any, error: Any, start: int, stop: int) -> None:
     """t[j], off[j] of ray 0 and primitive ks[j], for j in start..stop; see protocol.intersect."""
     o, d = row(rays.o, 0), row(rays.d, 0)
     for j in range(start, stop):
         pre = prepare(prims, load(prims, ks[j]), o)
-        t[j], off[j] = intersect(prims, pre, d, rays.t_min[0], rays.t_max[0])
+        t[j], error[j] = intersect(prims, pre, d, rays.t_min[0], rays.t_max[0])

@@ -1,4 +1,4 @@
-"""Rays, and the record of the nearest hit of each: fast, with doubts noted, or exact."""
+"""Rays and their nearest hits: by float64, marked where uncertain, or decided exactly."""
 
 import math
 from typing import Any, NamedTuple
@@ -34,16 +34,16 @@ class Nearest(NamedTuple):
 
     t: np.ndarray  # (n,) float64, inf on a miss
     prim: np.ndarray  # (n,) int32, number of the primitive, -1 on a miss
-    off: np.ndarray  # (n,) float64, the true t is within off of t
+    error: np.ndarray  # (n,) float64, the true t is within off of t
 
 
 class UncertainHits(NamedTuple):
-    """Nearest in the making, as far as float64 can tell."""
+    """Nearest hits as far as float64 can decide."""
 
     t: np.ndarray
     prim: np.ndarray
-    off: np.ndarray
-    doubt: np.ndarray  # (n,) bool: something else may come first
+    error: np.ndarray
+    uncertain: np.ndarray  # (n,) bool: something else may come first
 
 
 def new_rays(count: int) -> Rays:
@@ -56,10 +56,10 @@ def no_hits(count: int) -> Nearest:
 
 
 class NearestMode(NamedTuple):
-    """What the loops over primitives do with hits: fold them as far as float64 can tell, and note doubts."""
+    """Mode of the loops over primitives: keep the nearest hit, and mark it where float64 cannot decide."""
 
     ids: np.ndarray  # (k,) int32, numbers in the scene of the primitives that are being cast at
-    any_hit: bool = False  # whether it is enough to know that there is something
+    any_hit: bool = False  # any certain hit will do
 
 
 class CountCandidates(NamedTuple):
@@ -76,22 +76,22 @@ class ListCandidates(NamedTuple):
 
 
 Best = tuple[float, float, int, bool]
-"""(t, off, number of the primitive within its kind or -1 for what was there before, whether there is doubt)"""
+"""(t, error, number of the primitive within its kind or -1 for what was there before, whether that is uncertain)"""
 
 
 @implement(load_best, NearestMode)
 @implement(load_best, CountCandidates)
 @implement(load_best, ListCandidates)
 def _recall(mode: Any, record: Any, i: int) -> Best:
-    return record.t[i], record.off[i], -1, False
+    return record.t[i], record.error[i], -1, False
 
 
 @implement(update_best, NearestMode)
 def _nearer(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
-    t, off = any_hit_result(hit[0], hit[1], mode.any_hit)
-    ahead, margin = best[0] - t if t < math.inf else -math.inf, best[1] + off
-    doubt = best[3] | (abs(ahead) <= margin)
-    return (t, off, k, doubt) if ahead > margin else (best[0], best[1], best[2], doubt)
+    t, error = any_hit_result(hit[0], hit[1], mode.any_hit)
+    ahead, margin = best[0] - t if t < math.inf else -math.inf, best[1] + error
+    uncertain = best[3] | (abs(ahead) <= margin)
+    return (t, error, k, uncertain) if ahead > margin else (best[0], best[1], best[2], uncertain)
 
 
 # Where any hit will do, one that is sure is taken to lie before everything else: that ends the search.
@@ -99,10 +99,10 @@ ANY_HIT_T = -1.0
 
 
 @inlined
-def any_hit_result(t: float, off: float, any_hit: bool) -> tuple[float, float]:
+def any_hit_result(t: float, error: float, any_hit: bool) -> tuple[float, float]:
     """What `intersect` said, or, if any hit will do and this is sure to be one, a hit before all others."""
-    sure = any_hit & (t < math.inf) & (off < math.inf)
-    return ANY_HIT_T if sure else t, 0.0 if sure else off
+    sure = any_hit & (t < math.inf) & (error < math.inf)
+    return ANY_HIT_T if sure else t, 0.0 if sure else error
 
 
 @implement(update_best, CountCandidates)
@@ -128,9 +128,9 @@ def may_precede(hit: tuple[float, float], best: Best) -> bool:
 
 @implement(store_best, NearestMode)
 def _note(mode: Any, record: Any, i: int, best: Best) -> None:
-    record.doubt[i] |= best[3]
+    record.uncertain[i] |= best[3]
     if best[2] >= 0:
-        record.t[i], record.off[i], record.prim[i] = best[0], best[1], mode.ids[best[2]]
+        record.t[i], record.error[i], record.prim[i] = best[0], best[1], mode.ids[best[2]]
 
 
 @implement(store_best, CountCandidates)
@@ -149,7 +149,7 @@ def nearest_of_candidates(
     """
     for i in range(start, stop):
         o, d, t_min, t_max = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
-        if not t_min < t_max:  # nothing lies between, and integers know no inf but as t_max
+        if not t_min < t_max:  # nothing lies between, and exact arithmetic has no inf but as t_max
             continue
         first, chosen = no_root(), -1
         for at in range(starts[i], starts[i + 1]):
@@ -161,11 +161,11 @@ def nearest_of_candidates(
             if new.hit and (chosen < 0 or precedes(new, k, first, chosen)):
                 first, chosen = new, k
         if chosen >= 0:
-            t, off = intersect(prims, prepare(prims, load(prims, chosen), o), d, t_min, t_max)
-            if not off < math.inf:
+            t, error = intersect(prims, prepare(prims, load(prims, chosen), o), d, t_min, t_max)
+            if not error < math.inf:
                 t = as_float(first)
-                off = AS_FLOAT_REL_ERROR * t + TINY
-            found.t[i], found.prim[i], found.off[i] = t, chosen, off
+                error = AS_FLOAT_REL_ERROR * t + TINY
+            found.t[i], found.prim[i], found.error[i] = t, chosen, error
 
 
 @jit
@@ -183,12 +183,12 @@ def precedes(x: Any, k: int, y: Any, j: int) -> bool:
 
 @jit
 def merge(nearest: Any, found: Any, ids: Any, contested: Any, start: int, stop: int) -> None:
-    """Fold the record of one kind into that of all, where float64 can tell; ids[k] is the number in the scene."""
+    """Fold the record of one kind into that of all, where float64 can decide; ids[k] is the number in the scene."""
     for i in range(start, stop):
         if found.prim[i] < 0:
             continue
-        t, off = found.t[i], found.off[i]
-        if t + off < nearest.t[i] - nearest.off[i]:
-            nearest.t[i], nearest.prim[i], nearest.off[i] = t, ids[found.prim[i]], off
-        elif t - off <= nearest.t[i] + nearest.off[i]:
+        t, error = found.t[i], found.error[i]
+        if t + error < nearest.t[i] - nearest.error[i]:
+            nearest.t[i], nearest.prim[i], nearest.error[i] = t, ids[found.prim[i]], error
+        elif t - error <= nearest.t[i] + nearest.error[i]:
             contested[i] = True

@@ -14,26 +14,27 @@ Vec3 = tuple[float, float, float]
 
 @generic_inlined
 def load(prims: Any, k: int) -> Any:
-    """What `prepare` wants to know of primitive k: read once, since in loops over rays arrays are slow."""
+    """The numbers of primitive k that `prepare` reads: loaded once, since arrays are slow in loops over rays."""
 
 
 @generic_inlined
 def prepare(prims: Any, prim: Any, o: Vec3) -> Any:
-    """Everything about a primitive, given by its `numbers`, that depends on the ray origin only."""
+    """Everything about a primitive, given by its `load`, that depends on the ray origin only."""
 
 
 @generic_inlined
 def intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> Any:
-    """(t, off): the smallest t in (t_min, t_max] at which o + t d lies on the prepared primitive, within off.
+    """(t, error): the smallest t in (t_min, t_max] at which o + t d lies on the prepared primitive, within error.
 
-    A filter in float64, with proven bounds: (MISS, 0) is sure, as is a finite off; UNDECIDED leaves it to `root`.
-    It has no branch, and divides by nothing that may be 0, so that several rays can be tested at once.
+    A filter in float64, with proven bounds: (MISS, 0) is certain, as is a finite error; UNDECIDED leaves it to
+    `exact_intersect`. It has no branch, and divides by nothing that may be 0, so that several rays can be tested at
+    once.
     """
 
 
 @generic_inlined
 def surely_misses(prims: Any, pre: Any, d: Vec3) -> Any:
-    """Whether the ray is soon seen to miss the prepared primitive: True only where `intersect` would say MISS."""
+    """Quick rejection: True only where `intersect` would answer MISS."""
 
 
 @generic_inlined
@@ -81,7 +82,7 @@ def normal(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
 
 @generic_inlined
 def normal_setup(prims: Any, k: int, reach: float) -> Any:
-    """(plain, ...): what `fast_normal` wants to know of primitive k, and whether it will do for it.
+    """(in_range, ...): what `fast_normal` reads of primitive k, and whether it may be used for it.
 
     (True, n) where the normal is n all over; nothing else has two members.
     reach: the largest |coordinate| of an origin.
@@ -113,7 +114,7 @@ def hull_point(prims: Any, k: int, j: int) -> Any:
 
 @generic_inlined
 def camera_ray(camera: Any, x: float, y: float) -> Any:
-    """(o, d, t_min, t_max) of the ray through film position (x, y), in pixels; t_max < 0 says: no ray.
+    """(o, d, t_min, t_max) of the ray through film position (x, y), in pixels; t_max < 0: no ray.
 
     d is of length 1 (vec.UNIT_SQUARE_ATOL).
     """
@@ -130,17 +131,17 @@ def project(camera: Any, p: Vec3) -> Any:
 
 @generic_inlined
 def distortion_bound(camera: Any, extent: float) -> Any:
-    """(pixels, share, valid): of a convex hull whose points' pictures are no more than `extent` pixels apart.
+    """(pixels, share, valid): for a convex hull whose projected points are no more than `extent` pixels apart.
 
-    On the film, its picture reaches no more than so many pixels beyond the box around those, and, in general, beyond
+    On the film, its projection reaches no more than so many pixels beyond the box around those, and, in general, beyond
     any line; nothing of it is nearer than that share of the nearest point's depth. Not valid: nothing is known. A
-    camera that keeps straight lines straight has no body for this.
+    rectilinear camera has no body for this.
     """
 
 
 @generic_inlined
 def project_bounding_sphere(camera: Any, center: Vec3, r: float) -> Any:
-    """(left, top, right, bottom, depth, valid): the box around the picture of a ball, and its least depth.
+    """(left, top, right, bottom, depth, valid): the screen bounds of a sphere, and its least depth.
 
     Depth counts as for `project`. Not valid: nothing is known, but for the depth. A camera without a body for this goes
     through the tree.

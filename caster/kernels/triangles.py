@@ -59,7 +59,7 @@ class Triangles(NamedTuple):
     textured: np.ndarray  # (n,) bool: uv from the vertices, else the barycentrics b1, b2
 
 
-# The edge function d . (b x c) of corners b, c seen from the origin, magnitudes at most m:
+# The edge function d . (b x c) of corners b, c relative to the origin, magnitudes at most m:
 # a difference b is off by u of itself; a component of b x c by (2 u + u) 2 m^2 for its factors and products, and by
 # u 2 m^2 for the subtraction, 8 u m^2 together; the dot product by |d|_1 times that, and 3 u |d|_1 2 m^2 for its own
 # roundings: 14 u m^2 |d|_1. The rest of 16 is for terms in u^2 and for the rounding of the bound itself.
@@ -114,9 +114,9 @@ def _intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> tup
     over = 1.0 / (slope if steep else 1.0)
     t = height * over
     # (h + e) / (s + f) - h / s = (e - t f) / (s + f), and |s + f| > |s| / 2; 3 u |t| for 1 / s and the product
-    off = 2.0 * (height_error + abs(t) * slope_error) * abs(over) + 3.0 * U * abs(t)
-    t, off = certain_in_range(t, off, t_min, t_max)
-    return filter_result(inside & steep, outside, t, off)
+    error = 2.0 * (height_error + abs(t) * slope_error) * abs(over) + 3.0 * U * abs(t)
+    t, error = certain_in_range(t, error, t_min, t_max)
+    return filter_result(inside & steep, outside, t, error)
 
 
 @implement(surely_misses, Triangles)
@@ -205,15 +205,15 @@ def barycentrics(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: float) -> Vec3:
     w = q[0] * p[1] - q[1] * p[0]
     area = u + (v + w)
     widest = max(abs(p[0]), abs(p[1]), abs(q[0]), abs(q[1]), abs(r[0]), abs(r[1]))
-    off = SHEAR_ERROR * max(max_norm(a), max_norm(b), max_norm(c)) * abs(d[axis])
-    if abs(area) > 2.0 * (12.0 * widest * off + 6.0 * off * off + 15.0 * U * widest * widest):
+    error = SHEAR_ERROR * max(max_norm(a), max_norm(b), max_norm(c)) * abs(d[axis])
+    if abs(area) > 2.0 * (12.0 * widest * error + 6.0 * error * error + 15.0 * U * widest * widest):
         return u / area, v / area, w / area
     return barycentrics_edge_on(a, b, c, scaled(t, d))
 
 
 @jit
 def barycentrics_edge_on(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
-    """Of the point p, seen across the triangle's plane: what is left where the ray runs along it."""
+    """Of the point p, projected along an axis: what is left where the ray runs along it."""
     e1, e2, q = sub(b, a), sub(c, a), sub(p, a)
     axis = dominant_axis(cross(scaled_near_one(e1), scaled_near_one(e2)))
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -242,7 +242,7 @@ def _root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> R
     return exact_triangle(corners, o, d, t_min, t_max)
 
 
-# Where fewer than half of its bits are known, a normal is worked out with twice as many.
+# Where fewer than half of its bits are known, a normal is computed with twice as many.
 MIN_SIN_SQUARED = 2.0**-52  # its square over that of the permanent
 
 

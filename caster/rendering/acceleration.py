@@ -64,9 +64,9 @@ def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
 
 def _collapsed(boxes: np.ndarray, links: np.ndarray) -> Nodes:
     """The same in nodes of CHILDREN, of which there are no more than there were inner nodes of two."""
-    room = max(1, int(np.count_nonzero(links[:, 1] < 0)))
-    wide_boxes = np.empty((room, 6, CHILDREN), np.float32)
-    wide_links = np.empty((room, CHILDREN), np.int32)
+    capacity = max(1, int(np.count_nonzero(links[:, 1] < 0)))
+    wide_boxes = np.empty((capacity, 6, CHILDREN), np.float32)
+    wide_links = np.empty((capacity, CHILDREN), np.int32)
     nodes = collapse(boxes, links, wide_boxes, wide_links)
     return wide_boxes[:nodes].copy(), wide_links[:nodes].copy()
 
@@ -82,8 +82,8 @@ def _unit(least: np.ndarray, largest: np.ndarray, center: np.ndarray) -> float:
 
 def _build_run(boxes: np.ndarray, order: np.ndarray, start: int, stop: int, enough: int) -> Nodes:
     """Nodes over order[start:stop], counted from 0."""
-    room = 2 * (stop - start)  # a tree of n leaves has n - 1 inner nodes
-    node_boxes, links = np.empty((room, 6), np.float32), np.empty((room, 2), np.int32)
+    capacity = 2 * (stop - start)  # a tree of n leaves has n - 1 inner nodes
+    node_boxes, links = np.empty((capacity, 6), np.float32), np.empty((capacity, 2), np.int32)
     nodes = build_binary(boxes, order, start, stop, enough, node_boxes, links)
     return node_boxes[:nodes].copy(), links[:nodes].copy()
 

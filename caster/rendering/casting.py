@@ -45,35 +45,35 @@ Culling = Literal["brute-force", "raster", "bvh"]
 def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None) -> Nearest:
     """The nearest hit of any rays."""
     count = len(rays.t_min)
-    nearest, doubt = no_hits(count), np.zeros(count, bool)
+    nearest, uncertain = no_hits(count), np.zeros(count, bool)
     if culling == "brute-force":
         for kind in packed.kinds:
             parallel_for(
-                _brute_force_caster(NearestMode(kind.ids), kind, rays, UncertainHits(*nearest, doubt)),
+                _brute_force_caster(NearestMode(kind.ids), kind, rays, UncertainHits(*nearest, uncertain)),
                 count,
                 threads,
             )
-        return decide_uncertain(packed, rays, nearest, doubt, threads, trees=False)
+        return decide_uncertain(packed, rays, nearest, uncertain, threads, trees=False)
     ids = scene_prim_ids(packed)
     cast = tile_caster(packed)
 
     def store(tile: np.ndarray, first: int, number: int) -> None:
-        store_ray_range(tile, 0, ids, first, first + number, nearest, doubt)
+        store_ray_range(tile, 0, ids, first, first + number, nearest, uncertain)
 
     _for_ray_tiles(cast, rays, store, threads)
-    return decide_uncertain(packed, rays, nearest, doubt, threads)
+    return decide_uncertain(packed, rays, nearest, uncertain, threads)
 
 
 def find_any(packed: Packed, rays: Rays, threads: int | None = None) -> np.ndarray:
     """(n,) bool: whether rays meet anything at all. One that does is followed no further than the first sure hit."""
     count = len(rays.t_min)
-    blocked, doubt = np.zeros(count, bool), np.zeros(count, bool)
+    blocked, uncertain = np.zeros(count, bool), np.zeros(count, bool)
 
     def store(tile: np.ndarray, first: int, number: int) -> None:
-        store_blocked(tile, number, first, blocked, doubt)
+        store_blocked(tile, number, first, blocked, uncertain)
 
     _for_ray_tiles(tile_caster(packed, any_hit=True), rays, store, threads)
-    rows = np.flatnonzero(doubt)
+    rows = np.flatnonzero(uncertain)
     if len(rows):
         blocked[rows] = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads).prim >= 0
     return blocked
@@ -107,9 +107,9 @@ def tile_caster(packed: Packed, any_hit: bool = False) -> Callable[[int, np.ndar
     ]
 
     def go(count: int, tile: np.ndarray) -> None:
-        room = _new_workspace()
+        workspace = _new_workspace()
         for cast in kinds:
-            cast(count, tile, room)
+            cast(count, tile, workspace)
 
     return go
 
@@ -126,8 +126,10 @@ def _kind_caster(kind: Kind, base: int, any_hit: bool) -> Callable[[int, np.ndar
     """Cast so many rays of a tile at a kind."""
     if uses_bvh(kind):
         tree = bvh_of(kind)
-        return lambda count, tile, room: cast_packets(kind.prims, tree, base, count, tile, room, any_hit)
-    return lambda count, tile, room: cast_packets_brute_force(
+        return lambda count, tile, workspace: cast_packets(
+            kind.prims, tree, base, count, tile, workspace, any_hit
+        )
+    return lambda count, tile, workspace: cast_packets_brute_force(
         kind.prims, len(kind.ids), base, count, tile, any_hit
     )
 
@@ -172,13 +174,13 @@ def decide_uncertain(
     packed: Packed,
     rays: Rays,
     nearest: Nearest,
-    doubt: np.ndarray,
+    uncertain: np.ndarray,
     threads: int | None = None,
     *,
     trees: bool = True,
 ) -> Nearest:
-    """The record, with the rays that are in doubt, (n,) bool, cast once more, exactly."""
-    rows = np.flatnonzero(doubt)
+    """Cast the uncertain rays, (n,) bool, once more, exactly, and put them into the record."""
+    rows = np.flatnonzero(uncertain)
     if len(rows):
         exact = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads, trees=trees)
         for everywhere, here in zip(nearest, exact, strict=True):
@@ -194,7 +196,7 @@ MAX_LISTED_CANDIDATES = 1 << 22
 
 
 def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, trees: bool = True) -> Nearest:
-    """The nearest hits of rays, found exactly wherever float64 cannot tell; without trees, by trying everything.
+    """The nearest hits of rays, decided exactly wherever float64 leaves them open; without trees, by brute force.
 
     What float64 is sure of bounds where the first hit is; of all that may come before that, integers choose.
     """
@@ -239,7 +241,7 @@ def _decide_between(packed: Packed, kind: Kind, rays: Rays, nearest: Nearest, fo
     """Which of two kinds' nearest primitives comes first along ray i."""
     k, held = int(found.prim[i]), int(nearest.prim[i])
     if held < 0 or _precedes(packed, rays, i, (kind, k), held):
-        nearest.t[i], nearest.prim[i], nearest.off[i] = found.t[i], kind.ids[k], found.off[i]
+        nearest.t[i], nearest.prim[i], nearest.error[i] = found.t[i], kind.ids[k], found.error[i]
 
 
 def _precedes(packed: Packed, rays: Rays, i: int, place: tuple[Kind, int], held: int) -> bool:

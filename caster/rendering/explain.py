@@ -1,4 +1,4 @@
-"""What a render did, why so, and what it left out: as data, and in words."""
+"""Account of a render: what ran, why, and what was skipped, as data and as text."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -67,12 +67,12 @@ def _primitives(rendered: RenderResult) -> list[dict[str, Any]]:
 
 def _way(kind: Kind, culling: str) -> str:
     if culling == "brute-force":
-        return "tried by every ray"
+        return "tested by every ray"
     if not kind.bounded:
-        return "tried by every ray, since they have no bounds"
+        return "tested by every ray, since they have no bounds"
     if culling == "raster":
-        return "tried in the pixels around their pictures"
-    return f"a tree of {len(bvh_of(kind).links)} nodes" if uses_bvh(kind) else "too few for a tree"
+        return "tested in the pixels of their screen bounds"
+    return f"a BVH of {len(bvh_of(kind).links)} nodes" if uses_bvh(kind) else "too few for a tree"
 
 
 def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:
@@ -97,9 +97,9 @@ def _lines(rendered: RenderResult, counted: dict[str, Any]) -> Iterator[tuple[st
         yield "never hit", words
     yield "trees", _trees(counted)
     if counted["decided_exactly"] is not None:
-        yield "decided", f"{counted['decided_exactly']} pixels exactly, where float64 could not tell"
+        yield "decided", f"{counted['decided_exactly']} pixels exactly, where float64 leaves them open"
     found = counted["surfaces"]
-    done = f"worked out for {found['hits']} hits: {', '.join(found['worked_out'])}"
+    done = f"computed for {found['hits']} hits: {', '.join(found['worked_out'])}"
     yield "surfaces", done if found["worked_out"] else f"skipped: {found['reason']}"
     shadows = counted["shadow_rays"]
     number = "" if shadows["cast"] is None else f"{shadows['cast']} "
@@ -114,7 +114,7 @@ def _lines(rendered: RenderResult, counted: dict[str, Any]) -> Iterator[tuple[st
 def _trees(counted: dict[str, Any]) -> str:
     trees = counted["trees"]
     if trees["grown"] and not trees["runs"]:
-        return f"{trees['grown']} grown: so many pixels had to be decided exactly"
+        return f"{trees['grown']} grown: for the many pixels that had to be decided exactly"
     if not trees["runs"]:
         return f"skipped: {trees['reason']}"
     return f"{trees['grown']} grown: {trees['reason']}"

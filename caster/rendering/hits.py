@@ -141,7 +141,7 @@ def trace_rays(
 
 @dataclass(frozen=True)
 class Hits:
-    """What each ray meets first; all but t is worked out when it is asked for."""
+    """The nearest hit of each ray; all but t is computed on first use."""
 
     t: np.ndarray  # (n,) float64, inf on a miss
     view: RayHits

@@ -45,7 +45,7 @@ OnProgress = Callable[[int], None] | None
 
 
 class Aovs(Mapping[str, np.ndarray]):
-    """Images by AOV name, (h, w) or (h, w, c) each. `hit` is there whether it was asked for or not."""
+    """Images by AOV name, (h, w) or (h, w, c) each. `hit` is always there."""
 
     def __init__(self, images: Mapping[str, np.ndarray], hit: np.ndarray):
         self._images = dict(images)
@@ -73,7 +73,7 @@ def render(
 
     aovs: names from `caster.aovs.AOVS`. Returns images of `dtype` (ids int32); depth is inf and ids are -1 on a
     miss, everything else 0. `culling` overrides the plan; no culling and no number of threads changes a bit.
-    All is worked out in float64; with dtype np.float32 numbers are rounded once at the end, those beyond it to inf.
+    All is computed in float64; with dtype np.float32 numbers are rounded once at the end, those beyond it to inf.
     Raises SceneError for an AOV that does not exist.
     """
     return render_film(scene, aovs, threads=threads, culling=culling, dtype=dtype).aovs
@@ -160,7 +160,7 @@ class FilmRenderer:
             self._render_by_tile(kinds)
         decided = self._decide_uncertain()
         release_workspace(kinds or [])
-        on_film = None if kinds is None else tuple(it.seen for it in kinds)
+        on_film = None if kinds is None else tuple(it.binned for it in kinds)
         return FilmCounts(decided, self.shader.shadow_rays, on_film)
 
     def _without_surface(self) -> tuple[str | None, str | None] | None:
@@ -181,7 +181,7 @@ class FilmRenderer:
             self._kernel_and_image(of_ray, "depth"),
             self._kernel_and_image(of_normal, "normal"),
         )
-        kind = it.kind.prims, it.order, it.runs, it.spans
+        kind = it.kind.prims, it.order, it.runs, it.bounds
         workers, count = thread_count(self.threads), len(it.runs) - 1
         edges = np.linspace(0, count, min(count, workers * CHUNKS_PER_THREAD) + 1).astype(int).tolist()
 

@@ -29,19 +29,19 @@ class PrimitiveResult:
     shape_id: int
     prim_id: int  # within its shape
     t: float  # exactly the first in range, as float64; inf on a miss
-    off: float  # how far float64 alone may be off in t; inf where it could not tell
+    error: float  # how far float64 alone may be off in t; inf where it could not decide
     margins: tuple[EdgeDistance, ...]
     box: tuple[np.ndarray, np.ndarray] | None  # low, high corner (3,); None for a kind without bounds
-    span: tuple[float, float] | None  # t where the ray enters and leaves the box; None where it passes by
+    box_span: tuple[float, float] | None  # t where the ray enters and leaves the box; None where it passes by
 
     @property
     def decided_by(self) -> str:
-        return "float64" if math.isfinite(self.off) else "integers"
+        return "float64" if math.isfinite(self.error) else "integers"
 
     @property
     def nearly(self) -> float:
         """How far outside its outline the ray passes, for an order among misses; inf where it runs along, elsewhere."""
-        if self.span is None and any(margin.of == EDGE_ON for margin in self.margins):
+        if self.box_span is None and any(margin.of == EDGE_ON for margin in self.margins):
             return math.inf
         return max((-margin.inside for margin in self.margins), default=0.0)
 
@@ -72,7 +72,7 @@ def _near(packed: Packed, rays: Rays) -> Iterator[tuple[Kind, np.ndarray]]:
 
 
 def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(n,) a number that is 0 where the ray passes the ball around a box, else its distance from that; behind: more."""
+    """(n,) distances of bounding spheres of boxes from the ray, 0 where it passes through; more behind its origin."""
     with np.errstate(all="ignore"):
         center, radius = 0.5 * low + 0.5 * high, 0.5 * np.linalg.norm(high - low, axis=1)
         ahead = np.maximum((center - o) @ d / (d @ d), 0.0)
@@ -81,30 +81,32 @@ def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.nd
 
 
 def _try(packed: Packed, kind: Kind, rows: np.ndarray, rays: Rays) -> Iterator[PrimitiveResult]:
-    t, off = intersect_rows(kind, rows, rays)
+    t, error = intersect_rows(kind, rows, rays)
     boxes = kind.boxes() if kind.bounded else None
     ids = kind.ids[rows]
     shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
     for j, k in enumerate(rows.tolist()):
         box = (boxes[0][k], boxes[1][k]) if boxes else None
-        span = box and box_interval(rays.o[0], rays.d[0], *box)
+        box_span = box and box_interval(rays.o[0], rays.d[0], *box)
         edges = edge_distances(kind.prims, k, rays.o[0], rays.d[0])
-        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(off[j]), edges, box, span)
+        yield PrimitiveResult(
+            int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges, box, box_span
+        )
 
 
 def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
-    """(t, off) of some primitives of a kind: what float64 says, and t of integers where off is inf."""
-    t, off = np.full(len(rows), np.inf), np.zeros(len(rows))
-    intersect_each(kind.prims, rows.astype(np.int64), rays, t, off, 0, len(rows))
-    doubtful = np.flatnonzero(np.isinf(off))
-    if len(doubtful):
-        again = Rays(*(np.repeat(a, len(doubtful), axis=0) for a in rays))
-        found, starts = no_hits(len(doubtful)), np.arange(len(doubtful) + 1)
+    """(t, error) of some primitives of a kind: of float64, and t of integers where error is inf."""
+    t, error = np.full(len(rows), np.inf), np.zeros(len(rows))
+    intersect_each(kind.prims, rows.astype(np.int64), rays, t, error, 0, len(rows))
+    undecided = np.flatnonzero(np.isinf(error))
+    if len(undecided):
+        again = Rays(*(np.repeat(a, len(undecided), axis=0) for a in rays))
+        found, starts = no_hits(len(undecided)), np.arange(len(undecided) + 1)
         nearest_of_candidates(
-            kind.prims, again, starts, rows[doubtful].astype(np.int32), found, 0, len(doubtful)
+            kind.prims, again, starts, rows[undecided].astype(np.int32), found, 0, len(undecided)
         )
-        t[doubtful] = found.t
-    return t, off
+        t[undecided] = found.t
+    return t, error
 
 
 def box_interval(

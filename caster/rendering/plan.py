@@ -1,4 +1,4 @@
-"""What a scene and the AOVs asked for need: what runs, what is skipped, and why."""
+"""Render plan: what a scene and the requested AOVs need, what is skipped, and why."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Plan:
     culling: Culling
     reason: str  # for the culling
     needs: frozenset[str]  # fields of a hit that some AOV needs
-    surfaces: tuple[str, ...]  # what is worked out of each hit's surface: some of position, normals, uv
+    surfaces: tuple[str, ...]  # what is computed of each hit's surface: some of position, normals, uv
     surfaces_reason: str
     shading: Step  # light that comes from somewhere
     shadows: Step
@@ -38,10 +38,10 @@ class Plan:
 
 
 def plan(scene: Scene, aovs: Sequence[str], culling: Culling | None = None) -> Plan:
-    """For rendering these AOVs; culling: one that was asked for."""
+    """For rendering these AOVs; culling: a requested one."""
     chosen, reason = culling_for(scene.camera.pack(scene.film.width, scene.film.height))
     if culling is not None:
-        chosen, reason = culling, "it was asked for"
+        chosen, reason = culling, "as requested"
     shading = _shading(scene, aovs)
     shadows = _shadows(scene, shading)
     surfaces = _surfaces(aovs, shading)
@@ -53,11 +53,11 @@ def culling_for(camera: Any) -> tuple[Culling, str]:
     if implements(project, type(camera)) and not implements(distortion_bound, type(camera)):
         return (
             "raster",
-            "the camera keeps straight lines straight, so each primitive stays in its picture's box",
+            "the camera is rectilinear, so each primitive stays within the bounds of its projected points",
         )
     if implements(project_bounding_sphere, type(camera)):
-        return "raster", "each primitive stays in the picture of a ball around it"
-    return "bvh", "the camera has no picture of a primitive, so rays go through a tree of boxes"
+        return "raster", "each primitive stays within the projection of its bounding sphere"
+    return "bvh", "the camera cannot project primitives, so rays traverse the BVHs"
 
 
 def _shading(scene: Scene, aovs: Sequence[str]) -> Step:
@@ -65,10 +65,10 @@ def _shading(scene: Scene, aovs: Sequence[str]) -> Step:
     lit = [name for name in aovs if "radiance" in BY_NAME[name].NEEDS]
     if not lit:
         every = [aov.NAME for aov in AOVS if "radiance" in aov.NEEDS]
-        return Step(False, f"{' or '.join(every)} was not asked for")
+        return Step(False, f"{' or '.join(every)} was not requested")
     if not lights:
         return Step(False, "no light of the scene comes from anywhere")
-    return Step(True, f"{' and '.join(lit)} was asked for, and {lights} lights come from somewhere")
+    return Step(True, f"{' and '.join(lit)} was requested, and {lights} lights come from somewhere")
 
 
 def _shadows(scene: Scene, shading: Step) -> Step:
@@ -90,7 +90,7 @@ def _surfaces(aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]
         return ("position", "normals", "uv") if uv else ("position", "normals"), f"for {', '.join(wanting)}"
     if normal := [name for name, fields in needs.items() if "normal" in fields]:
         return ("normals",), f"for {', '.join(normal)}"
-    return (), "no AOV asked for needs them"
+    return (), "no requested AOV needs them"
 
 
 def _whole_surface(needs: set[str]) -> bool:
@@ -99,7 +99,7 @@ def _whole_surface(needs: set[str]) -> bool:
 
 def _trees(culling: Culling, shadows: Step) -> Step:
     if culling == "bvh":
-        return Step(True, "camera rays go through them")
+        return Step(True, "camera rays traverse them")
     if shadows.runs:
-        return Step(True, "shadow rays go through them")
+        return Step(True, "shadow rays traverse them")
     return Step(False, "no ray needs one")

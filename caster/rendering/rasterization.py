@@ -1,4 +1,4 @@
-"""Rays of a film in, nearest hits out, tile by tile: each primitive against the pixels of its picture."""
+"""Rasterization: nearest hits of a film by testing each primitive in the pixels of its screen bounds."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -49,9 +49,9 @@ PARALLEL_MIN_PRIMITIVES = (
 
 
 class RayBounds(NamedTuple):
-    """What is known of rays that start where a camera's do."""
+    """Bounds of rays that start where a camera's do."""
 
-    off_centre: float  # how many pixels they may pass from the centres
+    max_center_offset: float  # how many pixels they may pass from the centres
     longest: float  # no d is longer, but for a few u
 
 
@@ -65,9 +65,9 @@ class BinnedKind:
     """The primitives of a kind, and in which tiles of the window each is to be looked for."""
 
     kind: Kind
-    spans: ScreenBounds
-    places: tuple[int, int]  # of its primitives, counted kind by kind
-    seen: int  # primitives that are looked for at all
+    bounds: ScreenBounds
+    prim_range: tuple[int, int]  # of its primitives, counted kind by kind
+    binned: int  # primitives that are looked for at all
     runs: np.ndarray  # int64; tile n has primitives order[runs[n]:runs[n + 1]]
     order: np.ndarray  # int32, primitive numbers within the kind, roughly from front to back
 
@@ -80,39 +80,39 @@ def find_nearest_on_film(
     shares_origin: bool,
     threads: int | None = None,
     *,
-    off_centre: float = 0.0,
+    max_center_offset: float = 0.0,
 ) -> Nearest:
     """The nearest hit of a camera's own rays, or of others that start where those do.
 
-    off_centre: by how many pixels they may pass their pixel's centre; their d may be of any length. Raises ValueError
-    for an off_centre of rays of a camera that bends straight lines, whose pictures end at its rim.
+    max_center_offset: by how many pixels they may pass their pixel's centre; their d may be of any length. Raises
+    ValueError for a max_center_offset of rays of a non-rectilinear camera, whose image ends at its rim.
     """
-    if off_centre and implements(distortion_bound, type(camera)):
-        raise ValueError("off_centre: only for cameras that keep straight lines straight")
+    if max_center_offset and implements(distortion_bound, type(camera)):
+        raise ValueError("max_center_offset: only for rectilinear cameras")
     origin = float(np.abs(rays.o).max(initial=0.0))
     longest = max(1.0, float(np.abs(rays.d).sum(axis=1).max(initial=0.0)))
-    kinds = bin_kinds(packed, camera, window, origin, threads, RayBounds(off_centre, longest))
+    kinds = bin_kinds(packed, camera, window, origin, threads, RayBounds(max_center_offset, longest))
     cast = cast_shared_origin if shares_origin else cast_own_origins
-    nearest, doubt = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
+    nearest, uncertain = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
     ids = scene_prim_ids(packed)
 
     def work(number: int, box: Box, tile: np.ndarray) -> None:
         load_rays(rays, window.width, box, tile)
         cast_tile(cast, kinds, number, box, tile)
-        store_nearest(tile, ids, window.width, box, nearest, doubt)
+        store_nearest(tile, ids, window.width, box, nearest, uncertain)
 
     parallel_for_tiles(work, window, threads, new_tile)
-    return decide_uncertain(packed, rays, nearest, doubt, threads)
+    return decide_uncertain(packed, rays, nearest, uncertain, threads)
 
 
 def cast_tile(
     cast: Callable[..., None], kinds: list[BinnedKind], number: int, box: Box, tile: np.ndarray
 ) -> None:
-    """Everything that may be seen in a tile."""
+    """Test all primitives that may be visible in a tile."""
     for it in kinds:
         run = int(it.runs[number]), int(it.runs[number + 1])
         if run[0] < run[1]:
-            cast(it.kind.prims, it.order, run, it.spans, it.places[0], box, tile)
+            cast(it.kind.prims, it.order, run, it.bounds, it.prim_range[0], box, tile)
 
 
 def tile_boxes(window: Window) -> Iterator[Box]:
@@ -122,17 +122,17 @@ def tile_boxes(window: Window) -> Iterator[Box]:
             yield x, y, min(x + WIDTH, window.width), min(y + HEIGHT, window.height)
 
 
-Own = TypeVar("Own")
+Workspace = TypeVar("Workspace")
 
 
 def parallel_for_tiles(
-    work: Callable[[int, Box, Own], None],
+    work: Callable[[int, Box, Workspace], None],
     window: Window,
     threads: int | None,
-    room: Callable[[], Own],
+    make_workspace: Callable[[], Workspace],
     on_progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Call work(number, box, own) for each tile of the window; `room` makes what every thread has of its own.
+    """Call work(number, box, workspace) for each tile of the window; each thread has a workspace of its own.
 
     on_progress: called with the number of pixels of each tile that is done.
     """
@@ -143,8 +143,8 @@ def parallel_for_tiles(
         on_progress((x1 - x0) * (y1 - y0))
 
     def begin() -> Callable[[tuple[int, Box]], None]:
-        own = room()
-        return lambda piece: work(*piece, own)
+        workspace = make_workspace()
+        return lambda piece: work(*piece, workspace)
 
     parallel_for_pieces(
         begin, list(enumerate(tile_boxes(window))), thread_count(threads), done if on_progress else None
@@ -163,37 +163,37 @@ def bin_kinds(
 
     origin: the largest |coordinate| of a ray's origin; others: of rays that are not the camera's own.
     """
-    off_centre, longest = others or OWN_RAYS
+    max_center_offset, longest = others or OWN_RAYS
 
     def sort(kind: Kind, base: int) -> BinnedKind:
         slack = BOX_PADDING * (origin + kind.extent) if kind.bounded else 0.0
-        reach, number = (slack, PROJECTION_MARGIN + off_centre), len(kind.ids)
-        pictured = implements(project, type(camera))
-        straight = pictured and not implements(distortion_bound, type(camera))
-        triangles = pictured and isinstance(kind.prims, Triangles)
+        reach, number = (slack, PROJECTION_MARGIN + max_center_offset), len(kind.ids)
+        projectable = implements(project, type(camera))
+        rectilinear = projectable and not implements(distortion_bound, type(camera))
+        triangles = projectable and isinstance(kind.prims, Triangles)
         points = kind.prims.vertices if triangles else np.empty((0, 3))
         faces = kind.prims.faces if triangles else np.empty((0, 3), np.int32)
-        pixels, near, pictures = _workspace(kind, len(points))
-        forward = camera.forward if straight and not others else ZERO_VECTOR
-        spans = ScreenBounds(pixels, near, faces, pictures, forward, 1.0 / longest)
-        about = kind.prims, camera, window, spans, reach
+        pixels, near, projected = _workspace(kind, len(points))
+        forward = camera.forward if rectilinear and not others else ZERO_VECTOR
+        bounds = ScreenBounds(pixels, near, faces, projected, forward, 1.0 / longest)
+        about = kind.prims, camera, window, bounds, reach
         if triangles:
-            find = partial(project_vertices, points, camera, window, pictures, reach)
+            find = partial(project_vertices, points, camera, window, projected, reach)
             parallel_for(find, len(points), threads, least=PARALLEL_MIN_PRIMITIVES)
-        if triangles and straight:
-            find = partial(bound_triangles, window, spans, reach)
+        if triangles and rectilinear:
+            find = partial(bound_triangles, window, bounds, reach)
         elif triangles:
             find = partial(bound_distorted_triangles, *about)
         elif isinstance(kind.prims, Spheres) and implements(project_bounding_sphere, type(camera)):
             find = partial(bound_spheres, *about)
         else:
-            find = partial(bound_hulls if straight else bound_by_spheres, *about)
+            find = partial(bound_hulls if rectilinear else bound_by_spheres, *about)
         parallel_for(find, number, threads, least=PARALLEL_MIN_PRIMITIVES)
         # the eye is no farther from a point than sqrt(3) times the largest coordinates together
         farthest = 2.0 * (origin + kind.extent) if kind.bounded else 1.0
-        if not straight:  # a picture's edges are not where lines between its corners are
-            spans = spans._replace(faces=faces[:0])
-        return _bin_into_tiles(kind, base, window, spans, farthest, threads)
+        if not rectilinear:  # projected edges are not straight lines between projected corners
+            bounds = bounds._replace(faces=faces[:0])
+        return _bin_into_tiles(kind, base, window, bounds, farthest, threads)
 
     return [sort(kind, base) for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True)]
 
@@ -202,7 +202,7 @@ MAX_KEPT_WORKSPACE = 1 << 28  # bytes of work space that a kind keeps: for three
 
 
 def _workspace(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
-    """(pixels, near, pictures) of a kind's Spans, to be written: those that are spare, or new ones."""
+    """(pixels, near, projected) of a kind's ScreenBounds, to be written: spare arrays, or new ones."""
     with suppress(IndexError):
         spare = kind.spare.pop()
         if len(spare[2]) == points:
@@ -213,28 +213,28 @@ def _workspace(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
 def release_workspace(kinds: list[BinnedKind]) -> None:
     """The work space of kinds that are not looked at any more."""
     for it in kinds:
-        space = it.spans.pixels, it.spans.near, it.spans.pictures
+        space = it.bounds.pixels, it.bounds.near, it.bounds.projected
         if not it.kind.spare and sum(a.nbytes for a in space) <= MAX_KEPT_WORKSPACE:
             it.kind.spare.append(space)
 
 
 def _bin_into_tiles(
-    kind: Kind, base: int, window: Window, spans: ScreenBounds, farthest: float, threads: int | None
+    kind: Kind, base: int, window: Window, bounds: ScreenBounds, farthest: float, threads: int | None
 ) -> BinnedKind:
     """farthest: no depth is larger. Several threads count and sort a part of the primitives each."""
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
-    bits, number = spans.near.view(np.int64), len(spans.near)
+    bits, number = bounds.near.view(np.int64), len(bounds.near)
     last = int(np.float64(farthest).view(np.int64))
     # Few enough to be sorted outright are, since large ones may hide many.
-    queue = np.argsort(spans.near, kind="stable") if number < PARALLEL_MIN_PRIMITIVES else np.empty(0)
-    about = spans.pixels, bits, last, queue.astype(np.int32), across
+    queue = np.argsort(bounds.near, kind="stable") if number < PARALLEL_MIN_PRIMITIVES else np.empty(0)
+    about = bounds.pixels, bits, last, queue.astype(np.int32), across
     workers = max(1, min(thread_count(threads), number // PARALLEL_MIN_PRIMITIVES))
     parts = [(i, number * i // workers, number * (i + 1) // workers) for i in range(workers)]
-    counts, seen = np.zeros((workers, across * down * DEPTH_BUCKETS), np.int64), [0] * workers
+    counts, binned = np.zeros((workers, across * down * DEPTH_BUCKETS), np.int64), [0] * workers
 
     def count(part: tuple[int, int, int]) -> None:
         i, start, stop = part
-        seen[i] = count_in_tiles(*about, counts[i], start, stop)
+        binned[i] = count_in_tiles(*about, counts[i], start, stop)
 
     parallel_for_pieces(lambda: count, parts, workers)
     # in each drawer of each tile, what the first part has comes first: the same order for any number of threads
@@ -248,4 +248,4 @@ def _bin_into_tiles(
 
     runs = np.append(starts[0, ::DEPTH_BUCKETS], len(order))
     parallel_for_pieces(lambda: sort, parts, workers)
-    return BinnedKind(kind, spans, (base, base + number), sum(seen), runs, order)
+    return BinnedKind(kind, bounds, (base, base + number), sum(binned), runs, order)

@@ -14,10 +14,10 @@ CHUNKS_PER_THREAD = 4  # small enough that a thread with an empty sky takes over
 Piece = TypeVar("Piece")
 
 
-def thread_count(asked: int | None = None) -> int:
-    """As many as asked for, else as many as this process may use."""
-    if asked:
-        return asked
+def thread_count(requested: int | None = None) -> int:
+    """The requested number, else as many as this process may use."""
+    if requested:
+        return requested
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -36,9 +36,9 @@ def parallel_for_pieces(
     workers: int,
     done: Callable[[Piece], None] | None = None,
 ) -> None:
-    """Have the pieces worked off by so many threads, this one among them; `begin` gives each its function for them.
+    """Process pieces on so many threads, this one among them; `begin` returns the function of each thread.
 
-    done: called by the thread that worked off a piece, after it. After an error or an interruption, what has not begun
+    done: called after each piece, by its thread. After an error or an interruption, what has not begun
     is not begun; the first error is raised.
     """
     left = iter(pieces)  # one step of a list's iterator at a time: no two threads get the same

@@ -81,7 +81,7 @@ class TileShader:
     """Writes the AOVs of tiles whose rays and nearest hits are known.
 
     images: by AOV, new ones. reach: no coordinate of an origin is larger; inf where d need not be of length 1.
-    start: (h, w) what depth counts from. exact_shadows: decide at once where float64 cannot tell whether a point is
+    start: (h, w) what depth counts from. exact_shadows: decide at once where float64 leaves open whether a point is
     lit; otherwise its pixel gets UNCERTAIN.
     """
 

@@ -21,7 +21,7 @@ from caster.scene.lights import Directional, Point
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
 
-# Each alone, the ones that come unasked, and all at once: what else is asked for shares most kernels with these.
+# Each alone, the default ones, and all at once: other sets share most kernels with these.
 WARM_UP_AOV_SETS: tuple[tuple[str, ...], ...] = (
     *((aov.NAME,) for aov in AOVS),
     ("depth", "normal"),
@@ -46,14 +46,14 @@ class WarmUpCounts(NamedTuple):
     loaded: int
 
 
-def warm_up(scenes: Iterable[tuple[str, Scene]], tell: Callable[[str], None]) -> WarmUpCounts:
-    """Have all kernels that the scenes may need. tell: called with the name of a scene that is begun."""
+def warm_up(scenes: Iterable[tuple[str, Scene]], on_scene: Callable[[str], None]) -> WarmUpCounts:
+    """Compile or load all kernels that the scenes may need. on_scene: called with the name of each scene."""
     before = WarmUpCounts(len(COMPILATION_LOG.compiled), len(COMPILATION_LOG.loaded))
-    tell("mesh files")
+    on_scene("mesh files")
     parse_obj(OBJ, "OBJ")
     parse_ply(PLY, "PLY")
     for name, scene in scenes:
-        tell(name)
+        on_scene(name)
         _warm_one(scene)
     return WarmUpCounts(
         len(COMPILATION_LOG.compiled) - before.compiled, len(COMPILATION_LOG.loaded) - before.loaded
@@ -71,7 +71,7 @@ def _warm_one(scene: Scene) -> None:
 
 
 def _warm_decisions(packed: Packed) -> None:
-    """What rays need whose first hit float64 cannot tell."""
+    """The kernels of exact decisions."""
     rays = Rays(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), np.full(1, np.inf))
     for trees in (True, False):
         exact_nearest(packed, rays, 1, trees=trees)
@@ -89,7 +89,7 @@ LAMPS = (
 
 
 def warm_up_scenes() -> Iterator[tuple[str, Scene]]:
-    """All kinds of primitives together, seen by each camera; and each alone, where such films are painted at once."""
+    """All kinds of primitives together before each camera; and each alone, where such films are rendered at once."""
     shapes = _shapes()
     for camera in CAMERAS:
         kind, looking = type_name(camera), camera(**camera.MINIMAL)

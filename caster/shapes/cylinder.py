@@ -119,8 +119,15 @@ def _numbers(prims: Any, k: int) -> Any:
 def _prepare(prims: Any, prim: Any, o: Any) -> Any:
     """(to_object, the wall there, the origin's height and its error, by how much d is off there over its size)."""
     center, m, across_off, along_off = prim
-    f, off = to_object_space(m, sub(o, center))
-    return m, quadric_setup((f[0], f[1], 0.0), 1.0, off[0] + off[1]), f[2], off[2], across_off, along_off
+    f, error = to_object_space(m, sub(o, center))
+    return (
+        m,
+        quadric_setup((f[0], f[1], 0.0), 1.0, error[0] + error[1]),
+        f[2],
+        error[2],
+        across_off,
+        along_off,
+    )
 
 
 @implement(intersect, Cylinders)
@@ -129,11 +136,11 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     e, d1 = rows_times_vec(m, d), l1_norm(d)
     roots = quadric_roots(wall, (e[0], e[1], 0.0), across_off * d1)
     axis = height, height_off, e[2], along_off * d1
-    near = clip_to_height(certain_in_range(roots.near, roots.near_off, t_min, t_max), axis)
-    far = clip_to_height(certain_in_range(roots.far, roots.far_off, t_min, t_max), axis)
-    t, off = first_hit(near, far)
+    near = clip_to_height(certain_in_range(roots.near, roots.near_error, t_min, t_max), axis)
+    far = clip_to_height(certain_in_range(roots.far, roots.far_error, t_min, t_max), axis)
+    t, error = first_hit(near, far)
     axis_setup = all_products_zero(m[0], d) & all_products_zero(m[1], d)  # exactly so
-    return filter_result(roots.met, roots.missed | axis_setup, t, off)
+    return filter_result(roots.met, roots.missed | axis_setup, t, error)
 
 
 @implement(surely_misses, Cylinders)
@@ -146,13 +153,13 @@ def _passes(prims: Any, pre: Any, d: Any) -> bool:
 def clip_to_height(hit: tuple[float, float], axis: tuple[float, float, float, float]) -> tuple[float, float]:
     """The hit if z = f + t e is sure to be in [0, 1], MISS if sure not to be; axis: f, its error, e, its error."""
     there = hit[0] < math.inf
-    t, off = hit[0] if there else 0.0, hit[1]
-    f, f_off, e, e_off = axis
+    t, error = hit[0] if there else 0.0, hit[1]
+    f, f_error, e, e_off = axis
     z = f + t * e
     # t e, its rounding and that of the sum are within 3 u of what TO_OBJECT_SPACE_ERROR is taken of
-    z_off = 2.0 * (f_off + abs(t) * e_off + abs(e) * off) + TINY
+    z_off = 2.0 * (f_error + abs(t) * e_off + abs(e) * error) + TINY
     inside = there & (z > z_off) & (z < 1.0 - z_off)
-    return filter_result(inside, (z < -z_off) | (z > 1.0 + z_off) | (not there), t, off)
+    return filter_result(inside, (z < -z_off) | (z > 1.0 + z_off) | (not there), t, error)
 
 
 @implement(same_geometry, Cylinders)

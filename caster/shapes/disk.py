@@ -85,31 +85,31 @@ def _numbers(prims: Any, k: int) -> Any:
 def _prepare(prims: Any, prim: Any, o: Any) -> Any:
     """(to_object, o in object space, how far off that is, by how much d is off there over its size)."""
     center, m, e_off = prim
-    f, off = to_object_space(m, sub(o, center))
-    return m, f, off, e_off
+    f, error = to_object_space(m, sub(o, center))
+    return m, f, error, e_off
 
 
 @implement(intersect, Disks)
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     """Where z = 0; sure of being within the rim where x^2 + y^2 differs from 1 by more than its error."""
-    m, f, f_off, e_off = pre
+    m, f, f_error, e_off = pre
     e, d1 = rows_times_vec(m, d), l1_norm(d)
     slope_off = e_off[2] * d1 + TINY
     steep = (abs(e[2]) > 2.0 * slope_off) & (abs(e[2]) < math.inf)
     over = 1.0 / (e[2] if steep else 1.0)
     t = -f[2] * over
-    off = 2.0 * (f_off[2] + TINY + abs(t) * slope_off) * abs(over) + 3.0 * U * abs(t)
+    error = 2.0 * (f_error[2] + TINY + abs(t) * slope_off) * abs(over) + 3.0 * U * abs(t)
     x, y = f[0] + t * e[0], f[1] + t * e[1]
     # t e, its rounding and that of the sum are within 3 u of what TO_OBJECT_SPACE_ERROR is taken of
-    x_off = 2.0 * (f_off[0] + abs(t) * e_off[0] * d1 + abs(e[0]) * off)
-    y_off = 2.0 * (f_off[1] + abs(t) * e_off[1] * d1 + abs(e[1]) * off)
+    x_off = 2.0 * (f_error[0] + abs(t) * e_off[0] * d1 + abs(e[0]) * error)
+    y_off = 2.0 * (f_error[1] + abs(t) * e_off[1] * d1 + abs(e[1]) * error)
     beyond = x * x + y * y - 1.0
     beyond_off = (
         (2.0 * abs(x) + x_off) * x_off + (2.0 * abs(y) + y_off) * y_off + 4.0 * U * (x * x + y * y + 1.0)
     )
-    t, off = certain_in_range(t, off, t_min, t_max)
+    t, error = certain_in_range(t, error, t_min, t_max)
     edge_on = all_products_zero(m[2], d)
-    return filter_result(steep & (beyond < -beyond_off), edge_on | (steep & (beyond > beyond_off)), t, off)
+    return filter_result(steep & (beyond < -beyond_off), edge_on | (steep & (beyond > beyond_off)), t, error)
 
 
 @implement(surely_misses, Disks)

@@ -100,9 +100,9 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     steep = (abs(slope) > 2.0 * slope_off) & (abs(slope) < math.inf)
     slope = slope if steep else 1.0
     t = height / slope
-    off = 2.0 * (height_off + abs(t) * slope_off) / abs(slope) + 2.0 * U * abs(t)
-    t, off = certain_in_range(t, off, t_min, t_max)
-    return filter_result(steep, all_products_zero(n, d), t, off)  # without terms it is exactly edge-on
+    error = 2.0 * (height_off + abs(t) * slope_off) / abs(slope) + 2.0 * U * abs(t)
+    t, error = certain_in_range(t, error, t_min, t_max)
+    return filter_result(steep, all_products_zero(n, d), t, error)  # without terms it is exactly edge-on
 
 
 @implement(surely_misses, Planes)

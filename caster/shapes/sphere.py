@@ -187,21 +187,21 @@ def _numbers_ellipsoid(prims: Any, k: int) -> Any:
 @implement(prepare, Ellipsoids)
 def _prepare_ellipsoid(prims: Any, prim: Any, o: Any) -> Any:
     """(to_object, the unit ball in object space, by how much d is off there over its size)."""
-    center, m, d_off = prim
-    f, off = to_object_space(m, sub(o, center))
-    return m, quadric_setup(f, 1.0, l1_norm(off)), d_off
+    center, m, d_error = prim
+    f, error = to_object_space(m, sub(o, center))
+    return m, quadric_setup(f, 1.0, l1_norm(error)), d_error
 
 
 @implement(intersect, Ellipsoids)
 def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
-    m, ball, d_off = pre
-    return first_root(quadric_roots(ball, rows_times_vec(m, d), d_off * l1_norm(d)), t_min, t_max)
+    m, ball, d_error = pre
+    return first_root(quadric_roots(ball, rows_times_vec(m, d), d_error * l1_norm(d)), t_min, t_max)
 
 
 @implement(surely_misses, Ellipsoids)
 def _passes_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
-    m, ball, d_off = pre
-    return closest_approach(ball, rows_times_vec(m, d), d_off * l1_norm(d)).missed
+    m, ball, d_error = pre
+    return closest_approach(ball, rows_times_vec(m, d), d_error * l1_norm(d)).missed
 
 
 @implement(same_geometry, Ellipsoids)

@@ -100,7 +100,7 @@ def cast_by_raster(ready: PreparedSetting) -> Observation | Absent:
         rays.d[pixels], rays.t_max[pixels] = setting.d[rows], np.inf
         seen_by = camera.pack(film.width, film.height)
         nearest = find_nearest_on_film(
-            ready.packed, rays, seen_by, window, camera.shares_origin, off_centre=1.0
+            ready.packed, rays, seen_by, window, camera.shares_origin, max_center_offset=1.0
         )
         t[rows], prim[rows] = nearest.t[pixels], nearest.prim[pixels]
     return Observation(t, prim)

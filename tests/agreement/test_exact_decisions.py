@@ -187,6 +187,6 @@ def test_trees_are_left_alone_where_they_leave_float64(size):
 def test_what_lies_behind_the_eye_is_looked_for_nowhere():
     scene = Scene(camera=Pinhole(eye=(0.1, 0.2, 0.3), look_at=(9, 1, 0)), shapes=[Icosphere(subdivisions=4)])
     (kind,) = bin_kinds(packed(scene), scene.camera.pack(256, 256), film_window(scene), 1.0)
-    spans = kind.spans.pixels
-    nowhere = ((spans[:, 0] >= spans[:, 2]) | (spans[:, 1] >= spans[:, 3])).mean()
+    bounds = kind.bounds.pixels
+    nowhere = ((bounds[:, 0] >= bounds[:, 2]) | (bounds[:, 1] >= bounds[:, 3])).mean()
     assert nowhere > 0.8 and (trace_film(scene).hit).all()

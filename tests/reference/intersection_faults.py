@@ -58,8 +58,8 @@ FAULTS = (
         "t missed prim",
         (
             ROOTS,
-            "near = certain_in_range(roots.near, roots.near_off, t_min, t_max)",
-            "near = certain_in_range(roots.far, roots.far_off, t_min, t_max)",
+            "near = certain_in_range(roots.near, roots.near_error, t_min, t_max)",
+            "near = certain_in_range(roots.far, roots.far_error, t_min, t_max)",
         ),
     ),
     fault(
@@ -142,7 +142,7 @@ FAULTS = (
         "offsets",
         4,
         "missed phantom prim t",
-        (ROOTS, "    within = ball.rr - gg\n", "    within = (b * b - a * ball.c) * over_a\n"),
+        (ROOTS, "    within = setup.rr - gg\n", "    within = (b * b - a * setup.c) * over_a\n"),
     ),
     fault(
         "tubes without a far wall",
@@ -151,7 +151,7 @@ FAULTS = (
         "missed prim",
         (
             CYLINDER,
-            "    far = clip_to_height(certain_in_range(roots.far, roots.far_off, t_min, t_max), axis)\n",
+            "    far = clip_to_height(certain_in_range(roots.far, roots.far_error, t_min, t_max), axis)\n",
             "    far = math.inf, 0.0\n",
         ),
     ),
@@ -222,8 +222,8 @@ FAULTS = (
         "missed prim",
         (
             PLANE,
-            "filter_result(steep, all_products_zero(n, d), t, off)",
-            "filter_result(steep, not steep, t, off)",
+            "filter_result(steep, all_products_zero(n, d), t, error)",
+            "filter_result(steep, not steep, t, error)",
         ),
     ),
     fault(

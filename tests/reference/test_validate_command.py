@@ -209,8 +209,8 @@ def test_a_failure_is_in_json_and_junit_with_where_and_why(tmp_path):
     edit(
         tree,
         "caster/kernels/math/quadric_roots.py",
-        "roots.near_off, t_min, t_max",
-        "roots.near_off, -math.inf, t_max",
+        "roots.near_error, t_min, t_max",
+        "roots.near_error, -math.inf, t_max",
     )
     words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml", "--out", tmp_path / "out"]
     words += ["--html", tmp_path / "html"]

@@ -230,7 +230,7 @@ def test_the_sign_of_a_margin_is_hit_or_miss_and_its_size_a_distance(folder):
             inside = all(margin.inside > 0.0 for margin in tried.margins)
             hit = bool(np.isfinite(tried.t))
             assert inside == hit or (inside and tried.out_of_range)
-            assert tried.span is not None or not hit  # a ray that hits passes the box
+            assert tried.box_span is not None or not hit  # a ray that hits passes the box
             signs.add((scene.shapes[tried.shape_id].type, hit))
         triangle = found.tried[0]
         if scene.shapes[triangle.shape_id].type == "icosphere":

@@ -156,10 +156,10 @@ def test_a_scene_path_that_is_no_unicode_is_stored_as_near_as_can_be(folder):
 def test_explain_tells_the_plan_and_what_was_left_out(folder, capsys):
     render("--explain", "--aov", "depth")
     told = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
-    assert told["culling"].startswith("screen: ")
-    assert told["surfaces"] == "skipped: no AOV asked for needs them"
+    assert told["culling"].startswith("raster: ")
+    assert told["surfaces"] == "skipped: no requested AOV needs them"
     assert told["trees"] == "skipped: no ray needs one"
-    assert told["shadow"] == "rays  skipped: diffuse was not asked for"
+    assert told["shadow"] == "rays  skipped: diffuse was not requested"
     assert told["skipped"].split(", ") == [aov.NAME for aov in AOVS if aov.NAME != "depth"]
 
 
@@ -171,8 +171,8 @@ def test_explain_tells_of_trees_surfaces_and_shadows_where_there_are_any(folder,
     said = capsys.readouterr().out
     cube = next(kind for kind in packed(caster.load_scene("s.toml")).kinds if len(kind.ids) == 12)
     nodes = len(bvh_of(cube).links)
-    assert nodes >= 1 and "culling      bvh: " in said and f"triangles, 12: a tree of {nodes} nodes" in said
-    assert "hits: position, normals\n" in said and "trees        1 grown: camera rays go through them" in said
+    assert nodes >= 1 and "culling      bvh: " in said and f"triangles, 12: a BVH of {nodes} nodes" in said
+    assert "hits: position, normals\n" in said and "trees        1 grown: camera rays traverse them" in said
     assert re.search(
         r"shadow rays  \d+ from each hit to the lights it faces, until anything is in the way", said
     )

@@ -39,7 +39,7 @@ def told(a_scene, *aovs, **how):
 def test_cameras_that_bend_lines_grow_no_tree_either(camera):
     what = told(scene(camera), "depth", "normal")
     assert what["culling"]["name"] == "raster" and what["trees"]["grown"] == 0
-    assert "picture of a ball" in what["culling"]["reason"]
+    assert "bounding sphere" in what["culling"]["reason"]
 
 
 def test_a_pinhole_without_shadows_grows_no_tree():
@@ -52,8 +52,8 @@ def test_a_pinhole_without_shadows_grows_no_tree():
 @pytest.mark.parametrize(
     ("a_scene", "aov", "reason"),
     [
-        (ALONG_A_RAY, "depth", "camera rays go through them"),
-        (scene(lights=[LAMP]), "diffuse", "shadow rays go through them"),
+        (ALONG_A_RAY, "depth", "camera rays traverse them"),
+        (scene(lights=[LAMP]), "diffuse", "shadow rays traverse them"),
     ],
     ids=["one ray", "shadows"],
 )
@@ -76,14 +76,14 @@ def test_shadow_rays_are_those_of_hits_that_face_the_light():
     assert what["shadow_rays"]["cast"] == facing > 200
     assert what["shading"] == {
         "runs": True,
-        "reason": "diffuse was asked for, and 2 lights come from somewhere",
+        "reason": "diffuse was requested, and 2 lights come from somewhere",
     }
 
 
 @pytest.mark.parametrize(
     ("a_scene", "aovs", "reason"),
     [
-        (scene(lights=[LAMP]), ("depth",), "diffuse was not asked for"),
+        (scene(lights=[LAMP]), ("depth",), "diffuse was not requested"),
         (
             scene(lights=[Ambient(radiance=(1, 1, 1))]),
             ("diffuse",),
@@ -135,7 +135,7 @@ def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, cap
     assert main(["render", "s.toml", "--aov", "depth,normal", "--explain"]) == 0
     words = capsys.readouterr().out
     assert f"culling      {data['culling']['name']}: {data['culling']['reason']}\n" in words
-    assert f"worked out for {data['surfaces']['hits']} hits: normals\n" in words
+    assert f"computed for {data['surfaces']['hits']} hits: normals\n" in words
     assert f"trees        skipped: {data['trees']['reason']}\n" in words
 
 
@@ -180,7 +180,7 @@ def test_kernels_of_absent_shapes_and_of_what_is_not_asked_for_are_not_loaded(tm
 def test_without_culling_nothing_is_counted():
     what = told(scene(shapes=[Plane(offset=-2), Sphere()]), "depth", culling="brute-force")
     assert what["decided_exactly"] is None and what["shadow_rays"]["cast"] is None
-    assert {kind["way"] for kind in what["primitives"]} == {"tried by every ray"}
+    assert {kind["way"] for kind in what["primitives"]} == {"tested by every ray"}
 
 
 EVERYTHING_ASKED = """

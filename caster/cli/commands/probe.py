@@ -98,10 +98,10 @@ def _tested(tried: PrimitiveResult, scene: Scene) -> dict[str, Any]:
         **_ids(tried.shape_id, tried.prim_id, scene),
         **(_with_hex("t", tried.t) if hit else {"t": None}),
         "decided_by": tried.decided_by,
-        "t_off": tried.off if hit and math.isfinite(tried.off) else None,
+        "t_off": tried.error if hit and math.isfinite(tried.error) else None,
         "margins": margins,
         "box": tried.box and [corner.tolist() for corner in tried.box],
-        "span": tried.span and [t if math.isfinite(t) else None for t in tried.span],
+        "span": tried.box_span and [t if math.isfinite(t) else None for t in tried.box_span],
     }
 
 
@@ -147,7 +147,7 @@ def _near_lines(found: Probe) -> Iterator[str]:
     yield f"near   {len(found.tried)} of {found.prims} primitives, each tested alone; + is inside its outline{wide}"
     for tried in found.tried[:MAX_LISTED]:
         where = f"t {tried.t!r:<24} {tried.t.hex():<24}" if math.isfinite(tried.t) else _miss_text(tried)
-        exactly = "" if math.isfinite(tried.off) else " (by integers: undecided in float64)"
+        exactly = "" if math.isfinite(tried.error) else " (by integers: undecided in float64)"
         yield f"       {where:<51} {_name(tried, found.scene)}{exactly}"
         yield f"         {', '.join([*map(_distance_text, tried.margins), _box_text(tried)])}"
     if len(found.tried) > MAX_LISTED:
@@ -172,7 +172,9 @@ def _box_text(tried: PrimitiveResult) -> str:
     if tried.box is None:
         return "no bounds"
     return (
-        "passes its box by" if tried.span is None else "in its box for t {:.6g} to {:.6g}".format(*tried.span)
+        "passes its box by"
+        if tried.box_span is None
+        else "in its box for t {:.6g} to {:.6g}".format(*tried.box_span)
     )
 
 

@@ -21,8 +21,8 @@ LEAF_SIZE_BASE = 8  # more than a leaf has
 MAX_PRIMITIVES = 2**31 // LEAF_SIZE_BASE  # whose leaves fit into links
 
 # What is hit is hit exactly, but the points of a hull are sums of four numbers, off by 4 u of their magnitudes at most:
-# 16 u (|o| + extent) cover them. Up to 7 u more are lost where boxes and origins are seen from the tree's centre and
-# multiplied by 1/d (caster/kernels/bvh/traversal.py), so boxes are widened by 24.
+# 16 u (|o| + extent) cover them. Up to 7 u more are lost where boxes and origins are taken relative to the tree's
+# centre and multiplied by 1/d (caster/kernels/bvh/traversal.py), so boxes are widened by 24.
 BOX_PADDING = 24.0 * 2.0**-53
 
 
@@ -34,8 +34,8 @@ MIN_DIRECTION_PER_UNIT, MIN_DIRECTION = 2.0**-990, 2.0**-1000
 class Tree(NamedTuple):
     """Nodes of CHILDREN boxes each, or fewer; the first node is the root, whose own box is not kept.
 
-    Boxes are rounded outwards to float32, seen from `center`, and in units of `unit`, so that a scene of any size, far
-    from the origin or not, has the same tree.
+    Boxes are rounded outwards to float32, relative to `center`, and in units of `unit`, so that a scene of any size,
+    far from the origin or not, has the same tree.
     """
 
     # (nodes, 6, CHILDREN) float32: low x, y, z, high x, y, z of each; where there is none, low above high

@@ -33,13 +33,13 @@ Bounds3 = tuple[Vec3, Vec3]
 
 
 class PacketBoxSetup(NamedTuple):
-    """What boxes have to do with several rays. An axis along which some go forwards, some backwards tells nothing."""
+    """Slab-test constants of a packet of rays. An axis along which some go forwards, some backwards bounds nothing."""
 
     near: tuple[int, int, int]  # rows of Tree.boxes[node]
     far: tuple[int, int, int]
     least: Vec3  # of 1/d
     most: Vec3
-    enter: Vec3  # the tree's centre seen from that origin from which the near side is nearest, less the pad
+    enter: Vec3  # the tree's centre relative to that origin from which the near side is nearest, less the pad
     leave: Vec3  # the far side is farthest, more the pad
     unit: float
 
@@ -116,14 +116,14 @@ def axis_setup(
 
 @jit
 def cast_rays_singly(
-    prims: Any, tree: Any, base: int, tile: Any, first: Any, room: Any, any_hit: bool
+    prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool
 ) -> None:
     """The rays of a bundle one by one."""
     mode = NearestMode(tree.order, any_hit)  # whose numbers are not read
     for i in range(first, first + PACKET_SIZE):
         o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
         held = tile[T + i], tile[T_ERROR + i], -1, False
-        best = traverse(mode, prims, tree, i, (o, d, tile[T_MIN + i], tile[T_MAX + i]), held, room)
+        best = traverse(mode, prims, tree, i, (o, d, tile[T_MIN + i], tile[T_MAX + i]), held, workspace)
         if best[2] >= 0:
             tile[T + i], tile[T_ERROR + i], tile[PRIM + i] = best[0], best[1], float(base + best[2])
         if best[3]:
@@ -131,7 +131,9 @@ def cast_rays_singly(
 
 
 @jit
-def cast_packets(prims: Any, tree: Any, base: int, count: int, tile: Any, room: Any, any_hit: bool) -> None:
+def cast_packets(
+    prims: Any, tree: Any, base: int, count: int, tile: Any, workspace: Any, any_hit: bool
+) -> None:
     """The first `count` rays of a tile against a kind whose places begin at `base`.
 
     any_hit: whether to stop at anything that is hit for sure.
@@ -140,17 +142,24 @@ def cast_packets(prims: Any, tree: Any, base: int, count: int, tile: Any, room: 
         origins, directions = packet_bounds(tile, OX, first), packet_bounds(tile, DX, first)
         if is_coherent(tree, tile, first, origins, directions):
             view = packet_box_setup(tree, origins, directions)
-            cast_packet(prims, tree, base, tile, first, view, room, any_hit)
+            cast_packet(prims, tree, base, tile, first, view, workspace, any_hit)
         else:
-            cast_rays_singly(prims, tree, base, tile, first, room, any_hit)
+            cast_rays_singly(prims, tree, base, tile, first, workspace, any_hit)
 
 
 @inlined
 def cast_packet(
-    prims: Any, tree: Any, base: int, tile: Any, first: Any, view: PacketBoxSetup, room: Any, any_hit: bool
+    prims: Any,
+    tree: Any,
+    base: int,
+    tile: Any,
+    first: Any,
+    view: PacketBoxSetup,
+    workspace: Any,
+    any_hit: bool,
 ) -> None:
     """The rays of a bundle all at once: `traverse` for boxes that any of them may enter."""
-    stack, entries, near = room
+    stack, entries, near = workspace
     t_min, t_max = lane_min(tile, T_MIN + first), lane_max(tile, T_MAX + first)
     limit = min(t_max, lane_max_of_sums(tile, T + first, T_ERROR + first))
     inside, top, entries[0] = 0, 1, -math.inf
@@ -158,7 +167,7 @@ def cast_packet(
         if inside >= 0:
             mask = intersect_boxes_packet(tree.boxes, inside, view, t_min, limit, near)
             if mask != 0:
-                inside, top = push_children(tree.links, inside, mask, top, room)
+                inside, top = push_children(tree.links, inside, mask, top, workspace)
                 continue
         else:
             start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE
@@ -166,7 +175,7 @@ def cast_packet(
                 k = tree.order[at]
                 cast_lanes(prims, load(prims, k), float(base + k), tile, first, any_hit)
             limit = min(t_max, lane_max_of_sums(tile, T + first, T_ERROR + first))
-        top = pop_beyond(top, limit, room) - 1
+        top = pop_beyond(top, limit, workspace) - 1
         inside = stack[top]
 
 
@@ -176,6 +185,6 @@ def cast_packets_brute_force(
 ) -> None:
     """The same for a kind without a tree: all of its primitives."""
     for k in range(number):
-        prim, place = load(prims, k), float(base + k)
+        prim, prim_number = load(prims, k), float(base + k)
         for first in range(lane(0), lane(count), PACKET_SIZE):
-            cast_lanes(prims, prim, place, tile, first, any_hit)
+            cast_lanes(prims, prim, prim_number, tile, first, any_hit)

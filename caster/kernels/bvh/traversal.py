@@ -17,7 +17,7 @@ from caster.kernels.protocol import (
     update_best,
 )
 
-# A box is met from (low + c) / d to (high + c) / d along an axis, c being its reference point seen from the origin,
+# A box is met from (low + c) / d to (high + c) / d along an axis, c being its reference point relative to the origin,
 # less or more the pad, taken as low (1/d) + c (1/d). What the products round, u (|low| + |c|) in space, is in REACH;
 # what 1/d and the sum do is in FAR_PADDING.
 
@@ -62,9 +62,9 @@ def ray_box_setup(tree: Any, o: Vec3, d: Vec3) -> RayBoxSetup:
 
 
 @inlined
-def push_children(links: Any, node: int, mask: int, top: int, room: Any) -> tuple[int, int]:
+def push_children(links: Any, node: int, mask: int, top: int, workspace: Any) -> tuple[int, int]:
     """(what is in the box that is entered first, top), the other boxes of a mask that is not 0 put onto the stack."""
-    stack, entries, near = room
+    stack, entries, near = workspace
     j = lowest_bit(mask)
     mask &= mask - 1
     first, at = links[node, j], near[j]
@@ -80,22 +80,22 @@ def push_children(links: Any, node: int, mask: int, top: int, room: Any) -> tupl
 
 
 @inlined
-def pop_beyond(top: int, limit: float, room: Any) -> int:
+def pop_beyond(top: int, limit: float, workspace: Any) -> int:
     """The top of the stack without what is entered beyond the limit."""
-    entries = room[1]
+    entries = workspace[1]
     while entries[top - 1] > limit:
         top -= 1
     return top
 
 
 @inlined
-def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, room: Any) -> Any:
+def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, workspace: Any) -> Any:
     """The best of ray i (o, d, t_min, t_max) once all of a kind has been looked at; the nearest of the boxes first.
 
     A box at exactly the nearest t is opened, so no tie is lost. room: the stack, where its boxes are entered, and
     where a node's are.
     """
-    stack, entries, near = room
+    stack, entries, near = workspace
     o, d, t_min, t_max = ray
     view = ray_box_setup(tree, o, d)
     limit = min(t_max, best[0] + best[1])
@@ -104,7 +104,7 @@ def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, room
         if inside >= 0:
             mask = intersect_boxes(tree.boxes, inside, view, t_min, limit, near)
             if mask != 0:
-                inside, top = push_children(tree.links, inside, mask, top, room)
+                inside, top = push_children(tree.links, inside, mask, top, workspace)
                 continue
         else:
             start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE
@@ -114,16 +114,20 @@ def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, room
                 if not surely_misses(prims, pre, d):
                     best = update_best(mode, best, i, k, intersect(prims, pre, d, t_min, t_max))
             limit = min(t_max, best[0] + best[1])
-        top = pop_beyond(top, limit, room) - 1
+        top = pop_beyond(top, limit, workspace) - 1
         inside = stack[top]
     return best
 
 
 @jit
-def cast_bvh(mode: Any, prims: Any, tree: Any, rays: Any, record: Any, span: Any, room: Any) -> None:
-    """Rays span[0]..span[1] against one kind."""
-    for i in range(span[0], span[1]):
+def cast_bvh(
+    mode: Any, prims: Any, tree: Any, rays: Any, record: Any, ray_range: Any, workspace: Any
+) -> None:
+    """Rays ray_range[0]..ray_range[1] against one kind."""
+    for i in range(ray_range[0], ray_range[1]):
         o = rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]
         d = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
         ray = o, d, rays.t_min[i], rays.t_max[i]
-        store_best(mode, record, i, traverse(mode, prims, tree, i, ray, load_best(mode, record, i), room))
+        store_best(
+            mode, record, i, traverse(mode, prims, tree, i, ray, load_best(mode, record, i), workspace)
+        )

@@ -1,4 +1,4 @@
-"""Exactly where a ray meets a ball or a tube, in integers."""
+"""Exact intersections of a ray with spheres, cylinders, triangles, planes and disks, in integers."""
 
 from typing import Any
 

@@ -47,11 +47,11 @@ def scaled_edge(a: Vec3, b: Vec3) -> tuple[Vec3, Vec3]:
 @jit
 def determinant(a: DoubleDouble, b: DoubleDouble, c: DoubleDouble, d: DoubleDouble) -> float:
     """a d - b c, off by some u^2 of |a d| + |b c| and, where that is less, by u of itself."""
-    p, p_off = two_product(a[0], d[0])
-    q, q_off = two_product(b[0], c[0])
-    s, s_off = two_diff(p, q)
+    p, p_error = two_product(a[0], d[0])
+    q, q_error = two_product(b[0], c[0])
+    s, s_error = two_diff(p, q)
     mixed = (a[0] * d[1] - b[0] * c[1]) + (a[1] * d[0] - b[1] * c[0])
-    return s + (s_off + (p_off - q_off) + mixed)
+    return s + (s_error + (p_error - q_error) + mixed)
 
 
 @jit

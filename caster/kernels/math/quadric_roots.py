@@ -1,4 +1,4 @@
-"""Where a ray meets a ball or a tube, in float64 with bounds: roots of a t^2 - 2 b t + c = 0."""
+"""Intersection of a ray with a sphere or cylinder in float64 with error bounds: roots of a t^2 - 2 b t + c = 0."""
 
 import math
 from typing import Any, NamedTuple
@@ -32,29 +32,29 @@ MIN_SQUARED_DIRECTION, MAX_SQUARED_DIRECTION = 2.0**-900, 2.0**1000
 
 
 class QuadricSetup(NamedTuple):
-    """A ball, or a tube, as seen from the origin of a ray. Errors are bounds, for a d without any."""
+    """A sphere, or a cylinder, relative to the origin of a ray. Errors are bounds, for a d without any."""
 
-    f: Vec3  # the origin, seen from the centre
+    f: Vec3  # the origin, relative to the centre
     f1: float  # size(f)
     r: float
     over_r: float  # 1 / r
     rr: float  # r^2
     c: float  # f.f - r^2
-    c_off: float  # error of c
-    b_off: float  # error of -f.d over size(d)
+    c_error: float  # error of c
+    b_error: float  # error of -f.d over size(d)
     moved: float  # how far off the point of closest approach may be
 
 
 class ClosestApproach(NamedTuple):
-    """How near the line through a ray comes to a ball's centre."""
+    """Closest approach of the line through a ray to a sphere's centre."""
 
-    met: bool  # the line is sure to meet the ball
-    missed: bool  # it is sure not to
+    met: bool  # the line certainly meets the sphere
+    missed: bool  # it certainly does not
     a: float  # d.d
     over_a: float  # 1 / a
     b: float  # -f.d
     within: float  # the discriminant over a: r^2 less the square of the closest approach
-    within_off: float  # its error
+    within_error: float  # its error
 
 
 class QuadricRoots(NamedTuple):
@@ -64,73 +64,83 @@ class QuadricRoots(NamedTuple):
     missed: bool
     near: float
     far: float
-    near_off: float
-    far_off: float
+    near_error: float
+    far_error: float
 
 
 @jit
-def quadric_setup(f: Vec3, r: float, f_off: float) -> QuadricSetup:
+def quadric_setup(f: Vec3, r: float, f_error: float) -> QuadricSetup:
     """|p - f| = r, for an f that is off by no more than f_off."""
     f1, rr = l1_norm(f), r * r
-    c_off = 5.0 * U * (f1 * f1 + rr) + (3.0 * f1 + 2.0 * f_off) * f_off + TINY
+    c_error = 5.0 * U * (f1 * f1 + rr) + (3.0 * f1 + 2.0 * f_error) * f_error + TINY
     return QuadricSetup(
-        f, f1, r, 1.0 / r, rr, dot(f, f) - rr, c_off, 5.0 * U * f1 + 2.0 * f_off, 12.0 * U * f1 + 2.0 * f_off
+        f,
+        f1,
+        r,
+        1.0 / r,
+        rr,
+        dot(f, f) - rr,
+        c_error,
+        5.0 * U * f1 + 2.0 * f_error,
+        12.0 * U * f1 + 2.0 * f_error,
     )
 
 
 @inlined
-def closest_approach(ball: Any, d: Vec3, d_off: float) -> ClosestApproach:
+def closest_approach(setup: Any, d: Vec3, d_error: float) -> ClosestApproach:
     """Whether |f + t d| = r has roots, for a d that is off by no more than d_off.
 
     The discriminant is taken at the point of closest approach, f + (b/a) d, where the numbers are as small as
-    the ball: b^2 - a c would cancel for a small ball far away (Haines et al., Ray Tracing Gems, chapter 7).
-    The bounds are worked out in docs/method.md, "Exact decisions".
+    the sphere: b^2 - a c would cancel for a small sphere far away (Haines et al., Ray Tracing Gems, chapter 7).
+    The bounds are derived in docs/method.md, "Exact decisions".
     """
-    f, moved, lean = ball.f, ball.moved, 0.0
+    f, moved, lean = setup.f, setup.moved, 0.0
     a, b = dot(d, d), -dot(f, d)
     steady = (
         (a > MIN_SQUARED_DIRECTION)
         & (a < MAX_SQUARED_DIRECTION)
-        & (d_off * d_off < MAX_DIRECTION_ERROR_SHARE * a)
+        & (d_error * d_error < MAX_DIRECTION_ERROR_SHARE * a)
     )
     over_a = 1.0 / (a if steady else 1.0)
     s = b * over_a
-    if d_off > 0.0:
-        moved, lean = moved + 2.0 * abs(s) * d_off, ball.f1 * d_off
+    if d_error > 0.0:
+        moved, lean = moved + 2.0 * abs(s) * d_error, setup.f1 * d_error
         lean = 8.0 * (lean * lean) * over_a
     x, y, z = f[0] + s * d[0], f[1] + s * d[1], f[2] + s * d[2]
     gg = x * x + y * y + z * z
-    within = ball.rr - gg
+    within = setup.rr - gg
     # 2 g <= g^2 / r + r, with hardly more than equality where it matters, at the rim
-    within_off = moved * (gg * ball.over_r + ball.r) + moved * moved + lean + 8.0 * U * (gg + ball.rr) + TINY
-    met, missed = steady & (within > 2.0 * within_off), steady & (within < -within_off)
-    return ClosestApproach(met, missed, a, over_a, b, within, within_off)
+    within_error = (
+        moved * (gg * setup.over_r + setup.r) + moved * moved + lean + 8.0 * U * (gg + setup.rr) + TINY
+    )
+    met, missed = steady & (within > 2.0 * within_error), steady & (within < -within_error)
+    return ClosestApproach(met, missed, a, over_a, b, within, within_error)
 
 
 @inlined
-def quadric_roots(ball: Any, d: Vec3, d_off: float) -> QuadricRoots:
+def quadric_roots(setup: Any, d: Vec3, d_error: float) -> QuadricRoots:
     """The roots, where the discriminant is known to half of itself.
 
     The root of larger magnitude adds numbers of one sign; the other follows from the roots' product, c / a.
     """
-    met, missed, a, over_a, b, within, within_off = closest_approach(ball, d, d_off)
+    met, missed, a, over_a, b, within, within_error = closest_approach(setup, d, d_error)
     met &= a * within > MIN_SQUARED_DIRECTION
     d1, root = l1_norm(d), math.sqrt(a * within if met else 1.0)
-    a_share, b_off = 5.0 * U, ball.b_off * d1 + TINY
-    if d_off > 0.0:
-        a_share, b_off = a_share + 3.0 * d1 * d_off * over_a, b_off + 2.0 * ball.f1 * d_off
+    a_share, b_error = 5.0 * U, setup.b_error * d1 + TINY
+    if d_error > 0.0:
+        a_share, b_error = a_share + 3.0 * d1 * d_error * over_a, b_error + 2.0 * setup.f1 * d_error
     q = b + root if b >= 0.0 else b - root
     # the root of a number that is off by a share < 1/2 of itself is off by no more than that share
-    q_off = b_off + root * a_share + a * within_off / root + 5.0 * U * abs(q)
-    met &= 2.0 * q_off < abs(q)
+    q_error = b_error + root * a_share + a * within_error / root + 5.0 * U * abs(q)
+    met &= 2.0 * q_error < abs(q)
     over_q = 1.0 / (q if met else 1.0)
-    large, small = q * over_a, ball.c * over_q
-    large_off = 2.0 * (q_off * over_a + abs(large) * a_share) + 3.0 * U * abs(large)
-    small_off = 2.0 * (ball.c_off + abs(small) * q_off) * abs(over_q) + 3.0 * U * abs(small)
+    large, small = q * over_a, setup.c * over_q
+    large_error = 2.0 * (q_error * over_a + abs(large) * a_share) + 3.0 * U * abs(large)
+    small_error = 2.0 * (setup.c_error + abs(small) * q_error) * abs(over_q) + 3.0 * U * abs(small)
     first = b >= 0.0
     near, far = small if first else large, large if first else small
-    near_off, far_off = small_off if first else large_off, large_off if first else small_off
-    return QuadricRoots(met, missed, near, far, near_off, far_off)
+    near_error, far_error = small_error if first else large_error, large_error if first else small_error
+    return QuadricRoots(met, missed, near, far, near_error, far_error)
 
 
 @jit
@@ -171,17 +181,17 @@ def outward_normal_unit_direction(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
 def radial_vector(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     """From the centre of |p| = r to f + t d, d being of length 1: about r long.
 
-    From the closest approach, g off the centre, and half the chord h: by that a ball that is smaller than the rounding
-    of t keeps its shape. h^2 = r^2 - g^2 is off by u / h, so where h < g, t tells it better.
+    From the closest approach, g off the centre, and half the chord h: by that a sphere that is smaller than the
+    rounding of t keeps its shape. h^2 = r^2 - g^2 is off by u / h, so where h < g, t has it more accurately.
     """
     s = -dot(f, d)
     closest = point_at(f, s, d)
     gg, beyond = dot(closest, closest), t - s
     h = math.sqrt(max(r * r - gg, 0.0))
-    told = min(abs(beyond), r) if h * h < gg else h
-    # where t does not tell the two ends apart, the near one is what a ray from outside meets
+    half_chord = min(abs(beyond), r) if h * h < gg else h
+    # where t cannot separate the two ends, the near one is what a ray from outside meets
     side = 1.0 if beyond > (4.0 * U * abs(s) if dot(f, f) > r * r else 0.0) else -1.0
-    out = point_at(closest, side * told, d)
+    out = point_at(closest, side * half_chord, d)
     back = point_at(closest, side * r, d)
     there = l1_norm(out) > 0.0
     return out[0] if there else back[0], out[1] if there else back[1], out[2] if there else back[2]
@@ -198,7 +208,7 @@ def is_in_range(center: Vec3, r: float, reach: float) -> bool:
 
 @jit
 def is_in_range_through(m: tuple[Vec3, Vec3, Vec3], center: Vec3, reach: float) -> bool:
-    """The same for the unit ball or tube, seen through a matrix: coordinates there are sums of three products."""
+    """The same for the unit sphere or cylinder under a matrix: coordinates there are sums of three products."""
     return is_in_range((0.0, 0.0, 0.0), 1.0, 3.0 * l1_norm(row_max_norms(m)) * (l1_norm(center) + reach))
 
 
@@ -212,6 +222,6 @@ def first_hit(near: tuple[float, float], far: tuple[float, float]) -> tuple[floa
 @inlined
 def first_root(roots: QuadricRoots, t_min: float, t_max: float) -> tuple[float, float]:
     """The first root in (t_min, t_max], as `intersect` answers."""
-    near = certain_in_range(roots.near, roots.near_off, t_min, t_max)
-    t, off = first_hit(near, certain_in_range(roots.far, roots.far_off, t_min, t_max))
-    return filter_result(roots.met, roots.missed, t, off)
+    near = certain_in_range(roots.near, roots.near_error, t_min, t_max)
+    t, error = first_hit(near, certain_in_range(roots.far, roots.far_error, t_min, t_max))
+    return filter_result(roots.met, roots.missed, t, error)

@@ -186,7 +186,7 @@ def abs_dot(a: Vec3, b: Vec3) -> float:
 
 @jit
 def row_max_norms(m: tuple[Vec3, Vec3, Vec3]) -> Vec3:
-    """The largest magnitude in each row: times size(v), at least what `seen` makes an error of."""
+    """The largest magnitude in each row: times l1_norm(v), at least the error of `to_object_space`."""
     return max_norm(m[0]), max_norm(m[1]), max_norm(m[2])
 
 
@@ -216,14 +216,14 @@ def turn_fraction(y: float, x: float) -> float:
 
 
 @inlined
-def filter_result(hit: bool, missed: bool, t: float, off: float) -> tuple[float, float]:
+def filter_result(hit: bool, missed: bool, t: float, error: float) -> tuple[float, float]:
     """(t, off) where it is sure to be hit, MISS where it is sure to be missed, else UNDECIDED."""
-    return t if hit else (math.inf if missed else 0.0), off if hit else (0.0 if missed else math.inf)
+    return t if hit else (math.inf if missed else 0.0), error if hit else (0.0 if missed else math.inf)
 
 
 @inlined
-def certain_in_range(t: float, off: float, t_min: float, t_max: float) -> tuple[float, float]:
+def certain_in_range(t: float, error: float, t_min: float, t_max: float) -> tuple[float, float]:
     """The answer for a hit at t, within off, if t_min < t <= t_max. TINY: t and off may have underflowed themselves."""
-    off = off + TINY
-    inside = (t - off > t_min) & (t + off <= t_max)
-    return filter_result(inside, (t + off <= t_min) | (t - off > t_max), t, off)
+    error = error + TINY
+    inside = (t - error > t_min) & (t + error <= t_max)
+    return filter_result(inside, (t + error <= t_min) | (t - error > t_max), t, error)

@@ -1,7 +1,6 @@
-"""Where primitives may be seen: a rectangle of pixels around each, and its least depth.
+"""Screen bounds of primitives: a rectangle of pixels around each, and its least depth.
 
-A camera that keeps straight lines straight shows a convex hull within the box around the pictures of its points. Others
-say where they show a ball: there is one around each primitive.
+A rectilinear camera projects a convex hull into the box around its projected points. Others project bounding spheres.
 """
 
 import math
@@ -37,14 +36,14 @@ class Window(NamedTuple):
 
 
 class ScreenBounds(NamedTuple):
-    """Where the primitives of a kind may be seen."""
+    """Screen bounds of the primitives of a kind."""
 
     pixels: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
     near: np.ndarray  # (n,) float64: nothing of it has a smaller depth
     faces: (
         np.ndarray
-    )  # (n, 3) int32: of triangles, their corners' places in `pictures`; of other kinds (0, 3)
-    pictures: np.ndarray  # (m, 4) float64, a Picture each, in pixels of the window
+    )  # (n, 3) int32: of triangles, their corners' indices in `projected`; of other kinds (0, 3)
+    projected: np.ndarray  # (m, 4) float64, a Picture each, in pixels of the window
     # Along which depth counts. 0: it is the distance from the eye, or the rays are not those of a camera that keeps
     # straight lines straight, so less is known of them.
     forward: Vec3
@@ -52,7 +51,7 @@ class ScreenBounds(NamedTuple):
 
 
 ProjectedPoint = tuple[float, float, float, float]
-"""(x, y, how far around it to look, in pixels, inf where it has no picture; depth)"""
+"""(x, y, how far around it to look, in pixels, inf where it is not projected; depth)"""
 
 # Nothing of a primitive is nearer than the least depth of its points, by more than the `slack` that its box is widened
 # by: 24 u times the largest coordinates (tree.REACH), where depth is off by some 12 u of them; and again as much for
@@ -69,7 +68,7 @@ def project_point(camera: Any, p: Any, reach: tuple[float, float]) -> ProjectedP
 
 @inlined
 def empty_box() -> tuple[float, float, float, float, float]:
-    """(left, top, right, bottom, least depth) before any point has been seen."""
+    """(left, top, right, bottom, least depth) before the first point."""
     return math.inf, math.inf, -math.inf, -math.inf, math.inf
 
 
@@ -88,25 +87,25 @@ def box_union_point(box: tuple[float, float, float, float, float], point: Projec
 
 
 @inlined
-def projected_corner(spans: Any, k: int, j: int) -> ProjectedPoint:
-    """The picture of a triangle's corner."""
-    i = spans.faces[k, j]
-    return spans.pictures[i, 0], spans.pictures[i, 1], spans.pictures[i, 2], spans.pictures[i, 3]
+def projected_corner(bounds: Any, k: int, j: int) -> ProjectedPoint:
+    """A triangle's projected corner."""
+    i = bounds.faces[k, j]
+    return bounds.projected[i, 0], bounds.projected[i, 1], bounds.projected[i, 2], bounds.projected[i, 3]
 
 
 @inlined
-def store_bounds(spans: Any, k: int, box: Any, deepest: float, slack: float, window: Any) -> Box:
+def store_bounds(bounds: Any, k: int, box: Any, deepest: float, slack: float, window: Any) -> Box:
     """Turn the box of primitive k, whose points are no deeper than `deepest`, into pixels."""
     left, top, right, bottom, least = box
     if deepest < -slack:  # all of it is behind
-        spans.pixels[k, 0], spans.pixels[k, 1], spans.pixels[k, 2], spans.pixels[k, 3] = 0, 0, 0, 0
+        bounds.pixels[k, 0], bounds.pixels[k, 1], bounds.pixels[k, 2], bounds.pixels[k, 3] = 0, 0, 0, 0
         return 0, 0, 0, 0
     first_x, first_y, width, height = window
     x0, x1 = pixel_range(left, right, first_x, width)
     y0, y1 = pixel_range(top, bottom, first_y, height)
-    spans.pixels[k, 0], spans.pixels[k, 1], spans.pixels[k, 2], spans.pixels[k, 3] = x0, y0, x1, y1
+    bounds.pixels[k, 0], bounds.pixels[k, 1], bounds.pixels[k, 2], bounds.pixels[k, 3] = x0, y0, x1, y1
     near = (least - 2.0 * slack) * DEPTH_ROUNDING
-    spans.near[k] = near if near > 0.0 else 0.0  # also where it is none: inf - inf
+    bounds.near[k] = near if near > 0.0 else 0.0  # also where it is none: inf - inf
     return x0, y0, x1, y1
 
 
@@ -120,11 +119,11 @@ def pixel_range(low: float, high: float, first: int, count: int) -> tuple[int, i
 
 @jit
 def bound_hulls(
-    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
+    prims: Any, camera: Any, window: Any, bounds: Any, reach: tuple[float, float], start: int, stop: int
 ) -> None:
-    """The spans of primitives start..stop.
+    """Screen bounds of primitives start..stop.
 
-    reach: how far beyond its points a primitive may be seen, in scene units (the slack) and in pixels.
+    reach: how far beyond its points a primitive may be visible, in scene units (the slack) and in pixels.
     """
     corners = hull_size(prims)
     for k in range(start, stop):
@@ -134,32 +133,32 @@ def bound_hulls(
             box, deepest = box_union_point(box, point), max(deepest, point[3])
         if corners == 0:  # a kind without bounds
             box, deepest = (-math.inf, -math.inf, math.inf, math.inf, -math.inf), math.inf
-        store_bounds(spans, k, box, deepest, reach[0], window)
+        store_bounds(bounds, k, box, deepest, reach[0], window)
 
 
 @jit
 def bound_spheres(
-    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
+    prims: Any, camera: Any, window: Any, bounds: Any, reach: tuple[float, float], start: int, stop: int
 ) -> None:
-    """The same for balls, which fill the boxes around them badly."""
+    """The same for spheres, by their own projection: they fill the boxes around them badly."""
     slack, margin = reach
     for k in range(start, stop):
         r, center = prims.radius[k], (prims.center[k, 0], prims.center[k, 1], prims.center[k, 2])
         left, top, right, bottom, least, valid = project_bounding_sphere(camera, center, r + slack)
         wide = margin if valid else math.inf
         box = left - wide, top - wide, right + wide, bottom + wide, least
-        store_bounds(spans, k, box, least + 2.0 * (r + slack), slack, window)
+        store_bounds(bounds, k, box, least + 2.0 * (r + slack), slack, window)
 
 
 @jit
 def project_vertices(
-    points: Any, camera: Any, window: Any, pictures: Any, reach: Any, start: int, stop: int
+    points: Any, camera: Any, window: Any, projected: Any, reach: Any, start: int, stop: int
 ) -> None:
-    """pictures (n, 4) of points start..stop, which several triangles share."""
+    """projected (n, 4): points start..stop, which several triangles share."""
     for i in range(start, stop):
         x, y, wide, depth = project_point(camera, (points[i, 0], points[i, 1], points[i, 2]), reach)
-        pictures[i, 0], pictures[i, 1] = x - window.x0, y - window.y0
-        pictures[i, 2], pictures[i, 3] = wide, depth
+        projected[i, 0], projected[i, 1] = x - window.x0, y - window.y0
+        projected[i, 2], projected[i, 3] = wide, depth
 
 
 # Triangles with a single pixel around them are mostly smaller than it, and three in five lie between the centres.
@@ -181,7 +180,7 @@ def surely_beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, 
     """Whether a point is sure to lie on the other side of the line through a and b than c.
 
     Sure of it for all corners that lie within `wide` of these along x and y, which covers the rounding here many times
-    (MARGIN). False where there is no picture: a `wide` of inf.
+    (MARGIN). False where a point is not projected: a `wide` of inf.
     """
     across, down = b[0] - a[0], b[1] - a[1]
     third = across * (c[1] - a[1]) - down * (c[0] - a[0])
@@ -191,42 +190,46 @@ def surely_beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, 
 
 
 @jit
-def bound_triangles(window: Any, spans: Any, reach: Any, start: int, stop: int) -> None:
-    """The same as `bound_hulls`, for triangles between points whose pictures are known."""
+def bound_triangles(window: Any, bounds: Any, reach: Any, start: int, stop: int) -> None:
+    """The same as `bound_hulls`, for triangles between projected points."""
     for k in range(start, stop):
-        a, b, c = projected_corner(spans, k, 0), projected_corner(spans, k, 1), projected_corner(spans, k, 2)
+        a, b, c = (
+            projected_corner(bounds, k, 0),
+            projected_corner(bounds, k, 1),
+            projected_corner(bounds, k, 2),
+        )
         box, deepest = (
             box_union_point(box_union_point(box_union_point(empty_box(), a), b), c),
             max(max(a[3], b[3]), c[3]),
         )
-        x0, y0, x1, y1 = store_bounds(spans, k, box, deepest, reach[0], (0, 0, window.width, window.height))
+        x0, y0, x1, y1 = store_bounds(bounds, k, box, deepest, reach[0], (0, 0, window.width, window.height))
         if (x1 - x0) * (y1 - y0) == 1:
-            spans.pixels[k, 2] = x0 if misses_pixel_center(a, b, c, x0, y0) else x1
+            bounds.pixels[k, 2] = x0 if misses_pixel_center(a, b, c, x0, y0) else x1
 
 
-# Where primitives may be seen by a camera that bends straight lines: by balls around them, and how far it bends.
+# Non-rectilinear cameras: by bounding spheres, and by bounds of the distortion.
 
 
 @jit
 def bound_by_spheres(
-    prims: Any, camera: Any, window: Any, spans: Any, reach: tuple[float, float], start: int, stop: int
+    prims: Any, camera: Any, window: Any, bounds: Any, reach: tuple[float, float], start: int, stop: int
 ) -> None:
-    """The spans of primitives start..stop, by balls around their points; see spans.bound_hulls."""
+    """Screen bounds of primitives start..stop by their bounding spheres; see bound_hulls."""
     corners = hull_size(prims)
     for k in range(start, stop):
-        bound_by_sphere(prims, camera, window, spans, reach, k, corners)
+        bound_by_sphere(prims, camera, window, bounds, reach, k, corners)
 
 
 @inlined
 def bound_by_sphere(
-    prims: Any, camera: Any, window: Any, spans: Any, reach: Any, k: int, corners: int
+    prims: Any, camera: Any, window: Any, bounds: Any, reach: Any, k: int, corners: int
 ) -> None:
     """Of primitive k, which has so many points."""
     center, r = bounding_sphere(prims, k, corners)
     left, top, right, bottom, least, valid = project_bounding_sphere(camera, center, r + reach[0])
     wide = reach[1] if valid else math.inf
     box = left - wide, top - wide, right + wide, bottom + wide, least
-    store_bounds(spans, k, box, math.inf, reach[0], window)
+    store_bounds(bounds, k, box, math.inf, reach[0], window)
 
 
 # Roundings of a radius are some 4 u of it.
@@ -235,7 +238,7 @@ RADIUS_ROUNDING = 1.0 + 2.0**-40
 
 @inlined
 def bounding_sphere(prims: Any, k: int, corners: int) -> tuple[Vec3, float]:
-    """(centre, radius) of a ball that holds primitive k; a radius of inf for a kind without bounds."""
+    """(centre, radius) of a sphere that holds primitive k; a radius of inf for a kind without bounds."""
     if corners == 0:
         return (0.0, 0.0, 0.0), math.inf
     center, square, widest = (0.0, 0.0, 0.0), 0.0, 0.0
@@ -250,24 +253,28 @@ def bounding_sphere(prims: Any, k: int, corners: int) -> tuple[Vec3, float]:
 
 @jit
 def bound_distorted_triangles(
-    prims: Any, camera: Any, window: Any, spans: Any, reach: Any, start: int, stop: int
+    prims: Any, camera: Any, window: Any, bounds: Any, reach: Any, start: int, stop: int
 ) -> None:
-    """The same for triangles between points whose pictures are known; of large ones by balls, too."""
+    """The same for triangles between projected points; for large ones by bounding spheres."""
     for k in range(start, stop):
-        a, b, c = projected_corner(spans, k, 0), projected_corner(spans, k, 1), projected_corner(spans, k, 2)
+        a, b, c = (
+            projected_corner(bounds, k, 0),
+            projected_corner(bounds, k, 1),
+            projected_corner(bounds, k, 2),
+        )
         left, top, right, bottom, least = box_union_point(
             box_union_point(box_union_point(empty_box(), a), b), c
         )
         wide, high = right - left, bottom - top
         more, share, valid = distortion_bound(camera, math.sqrt(wide * wide + high * high))
         if not valid or more > wide + high:
-            bound_by_sphere(prims, camera, window, spans, reach, k, 3)
+            bound_by_sphere(prims, camera, window, bounds, reach, k, 3)
             continue
         box = left - more, top - more, right + more, bottom + more, least * share
-        x0, y0, x1, y1 = store_bounds(spans, k, box, math.inf, reach[0], (0, 0, window.width, window.height))
+        x0, y0, x1, y1 = store_bounds(bounds, k, box, math.inf, reach[0], (0, 0, window.width, window.height))
         if (x1 - x0) * (y1 - y0) == 1:
             hidden = misses_pixel_center(widened(a, more), widened(b, more), widened(c, more), x0, y0)
-            spans.pixels[k, 2] = x0 if hidden else x1
+            bounds.pixels[k, 2] = x0 if hidden else x1
 
 
 @inlined

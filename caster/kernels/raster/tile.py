@@ -44,20 +44,20 @@ CACHE_LINE = 64  # bytes
 
 def new_tile() -> np.ndarray:
     """Zeros, from the beginning of a cache line, so that LANES numbers never lie in two."""
-    room = np.zeros(FIELDS * STRIDE + SCRATCH_SIZE + CACHE_LINE // 8)
-    first = -room.ctypes.data % CACHE_LINE // 8
-    return room[first : first + FIELDS * STRIDE + SCRATCH_SIZE]
+    buffer = np.zeros(FIELDS * STRIDE + SCRATCH_SIZE + CACHE_LINE // 8)
+    first = -buffer.ctypes.data % CACHE_LINE // 8
+    return buffer[first : first + FIELDS * STRIDE + SCRATCH_SIZE]
 
 
 @inlined
-def update_nearest(tile: Any, i: Any, place: float, t: float, off: float) -> None:
+def update_nearest(tile: Any, i: Any, prim_number: float, t: float, error: float) -> None:
     """Fold what `intersect` said of a primitive into the record of pixel i. Without a branch."""
-    ahead, margin = tile[T + i] - t if t < math.inf else -math.inf, tile[T_ERROR + i] + off
+    ahead, margin = tile[T + i] - t if t < math.inf else -math.inf, tile[T_ERROR + i] + error
     nearer = ahead > margin
     tile[UNCERTAIN + i] = 1.0 if abs(ahead) <= margin else tile[UNCERTAIN + i]
     tile[T + i] = t if nearer else tile[T + i]
-    tile[PRIM + i] = place if nearer else tile[PRIM + i]
-    tile[T_ERROR + i] = off if nearer else tile[T_ERROR + i]
+    tile[PRIM + i] = prim_number if nearer else tile[PRIM + i]
+    tile[T_ERROR + i] = error if nearer else tile[T_ERROR + i]
 
 
 @inlined
@@ -71,14 +71,14 @@ def start_ray(tile: Any, i: Any, aim: Any) -> None:
 
 
 @inlined
-def cast_lanes(prims: Any, prim: Any, place: float, tile: Any, first: Any, any_hit: bool) -> None:
+def cast_lanes(prims: Any, prim: Any, prim_number: float, tile: Any, first: Any, any_hit: bool) -> None:
     """LANES rays from `first` on, wherever they start, against a primitive given by its `numbers`."""
     for i in range(first, first + lane(LANES)):
         o = tile[OX + i], tile[OY + i], tile[OZ + i]
         d = tile[DX + i], tile[DY + i], tile[DZ + i]
-        t, off = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
-        t, off = any_hit_result(t, off, any_hit)
-        update_nearest(tile, i, place, t, off)
+        t, error = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
+        t, error = any_hit_result(t, error, any_hit)
+        update_nearest(tile, i, prim_number, t, error)
 
 
 @jit
@@ -127,31 +127,37 @@ def generate_camera_rays(camera: Any, window: Any, box: Box, tile: Any) -> None:
 
 
 @jit
-def store_ray_range(tile: Any, at: int, ids: Any, start: int, stop: int, nearest: Any, doubt: Any) -> None:
+def store_ray_range(
+    tile: Any, at: int, ids: Any, start: int, stop: int, nearest: Any, uncertain: Any
+) -> None:
     """From `at` on into the record of rays start..stop; ids[place] is the primitive's number in the scene."""
     for n in range(start, stop):
         i = lane(at + n - start)
-        place = int(tile[PRIM + i])
-        nearest.t[n], nearest.off[n], doubt[n] = tile[T + i], tile[T_ERROR + i], tile[UNCERTAIN + i] != 0.0
-        nearest.prim[n] = ids[place] if place >= 0 else -1
+        prim_number = int(tile[PRIM + i])
+        nearest.t[n], nearest.error[n], uncertain[n] = (
+            tile[T + i],
+            tile[T_ERROR + i],
+            tile[UNCERTAIN + i] != 0.0,
+        )
+        nearest.prim[n] = ids[prim_number] if prim_number >= 0 else -1
 
 
 @jit
-def store_blocked(tile: Any, count: int, first: int, blocked: Any, doubt: Any) -> None:
+def store_blocked(tile: Any, count: int, first: int, blocked: Any, uncertain: Any) -> None:
     """Whether the first so many rays of a tile have met anything, into the record of rays first.. ."""
     for n in range(count):
         i = lane(n)
         blocked[first + n] = tile[T + i] < math.inf
-        doubt[first + n] = (tile[UNCERTAIN + i] != 0.0) & (tile[T + i] == math.inf)
+        uncertain[first + n] = (tile[UNCERTAIN + i] != 0.0) & (tile[T + i] == math.inf)
 
 
 @jit
-def store_nearest(tile: Any, ids: Any, width: int, box: Box, nearest: Any, doubt: Any) -> None:
+def store_nearest(tile: Any, ids: Any, width: int, box: Box, nearest: Any, uncertain: Any) -> None:
     """The same for the rays of a window that is `width` pixels wide."""
     x0, y0, x1, y1 = box
     for y in range(y1 - y0):
         first = (y0 + y) * width + x0
-        store_ray_range(tile, y * WIDTH, ids, first, first + x1 - x0, nearest, doubt)
+        store_ray_range(tile, y * WIDTH, ids, first, first + x1 - x0, nearest, uncertain)
 
 
 # Which primitives are to be looked for in which tile of the film, near ones first.
@@ -185,16 +191,16 @@ def count_in_tiles(
     Tiles go row by row, `across` in a row. A queue without members stands for all primitives in their own order.
     Returns how many primitives are looked for anywhere.
     """
-    seen = 0
-    for place in range(start, stop):
-        k = queue[place] if len(queue) > 0 else place
+    binned = 0
+    for prim_number in range(start, stop):
+        k = queue[prim_number] if len(queue) > 0 else prim_number
         if is_on_film(pixels, k):
-            seen += 1
+            binned += 1
             into = depth_bucket(bits[k], last)
             for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
                 for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
                     counts[(y * across + x) * DEPTH_BUCKETS + into] += 1
-    return seen
+    return binned
 
 
 @jit
@@ -202,8 +208,8 @@ def scatter_to_tiles(
     pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
 ) -> None:
     """Write them to order[ends[n * DRAWERS + drawer]:], for each tile n they reach into, moving that end on."""
-    for place in range(start, stop):
-        k = queue[place] if len(queue) > 0 else place
+    for prim_number in range(start, stop):
+        k = queue[prim_number] if len(queue) > 0 else prim_number
         if is_on_film(pixels, k):
             into = depth_bucket(bits[k], last)
             for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):

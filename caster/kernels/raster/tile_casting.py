@@ -47,7 +47,7 @@ def min_t_per_depth(tile: Any, box: Box, forward: Any) -> float:
 
 @jit
 def max_visible_t(tile: Any, box: Box) -> float:
-    """How far a tile can be seen into anywhere: inf if only at one pixel, which is soon found."""
+    """The largest visible t of a tile: inf if one of its pixels has no hit, which is soon found."""
     for j in range(lane(LANES)):
         tile[SCRATCH + j] = 0.0
     for y in range(box[3] - box[1]):
@@ -118,7 +118,7 @@ def field_bounds(tile: Any, field: Any, box: Box) -> tuple[float, float]:
     return low, high
 
 
-# Culling 1: each primitive against the pixels of a rectangle that holds its picture
+# Rasterization: each primitive against the pixels of its screen bounds
 # (caster/kernels/raster/screen_bounds.py).
 
 
@@ -136,15 +136,15 @@ ROW_BOUNDS_MIN_WIDTH = 64
 
 
 @jit
-def row_bounds(spans: Any, k: int, box: Box, span: Box, y: int) -> tuple[int, int]:
+def row_bounds(bounds: Any, k: int, box: Box, rect: Box, y: int) -> tuple[int, int]:
     """Of the span of triangle k in a tile, what row y of the tile needs; in whole LANES."""
     row, low, high = box[1] + y + 0.5, math.inf, -math.inf
     for j in range(3):
-        xa, ya, wide, _ = projected_corner(spans, k, j)
-        xb, yb, wide_b, _ = projected_corner(spans, k, (j + 1) % 3)
+        xa, ya, wide, _ = projected_corner(bounds, k, j)
+        xb, yb, wide_b, _ = projected_corner(bounds, k, (j + 1) % 3)
         wide = max(wide, wide_b)
         if not wide < math.inf:
-            return span[0], span[2]
+            return rect[0], rect[2]
         top, bottom = min(ya, yb), max(ya, yb)
         if top - wide <= row <= bottom + wide:
             if bottom - top > wide:  # the part of the edge that is no farther than `wide` above or below
@@ -153,7 +153,7 @@ def row_bounds(spans: Any, k: int, box: Box, span: Box, y: int) -> tuple[int, in
                 xa = xa + (min(max(row - wide, top), bottom) - ya) * slope
             low, high = min(low, min(xa, xb) - wide), max(high, max(xa, xb) + wide)
     start, stop = pixel_range(low, high, box[0], box[2] - box[0])
-    return max(start // LANES * LANES, span[0]), min(-(-stop // LANES) * LANES, span[2])
+    return max(start // LANES * LANES, rect[0]), min(-(-stop // LANES) * LANES, rect[2])
 
 
 @inlined
@@ -163,9 +163,9 @@ def any_lane_visible(tile: Any, first: Any, near: float) -> bool:
 
 
 @inlined
-def any_pixel_visible(tile: Any, span: Box, near: float) -> bool:
+def any_pixel_visible(tile: Any, rect: Box, near: float) -> bool:
     """The same for a span."""
-    x_start, y_start, x_stop, y_stop = span
+    x_start, y_start, x_stop, y_stop = rect
     for y in range(y_start, y_stop):
         for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
             if any_lane_visible(tile, first, near):
@@ -178,80 +178,80 @@ SINGLE_VISIBILITY_TEST_MAX_PIXELS = 256
 
 
 @jit
-def cast_shared_origin(prims: Any, order: Any, run: Any, spans: Any, base: int, box: Box, tile: Any) -> None:
+def cast_shared_origin(prims: Any, order: Any, run: Any, bounds: Any, base: int, box: Box, tile: Any) -> None:
     """Primitives order[run[0]:run[1]] of a kind whose places begin at `base`, for rays that start in one point."""
     o = tile[OX], tile[OY], tile[OZ]
-    far, tried, patience, stretch = math.inf, 0, PIXELS, spans.least
+    far, tried, patience, stretch = math.inf, 0, PIXELS, bounds.least
     looked, low, high = False, o, o
     for at in range(run[0], run[1]):
         k = order[at]
-        near, span = max(spans.near[k], 0.0) * stretch, bounds_in_tile(spans.pixels, k, box)
-        x_start, y_start, x_stop, y_stop = span
+        near, rect = max(bounds.near[k], 0.0) * stretch, bounds_in_tile(bounds.pixels, k, box)
+        x_start, y_start, x_stop, y_stop = rect
         tries = (x_stop - x_start) * (y_stop - y_start)
         small = tries <= SINGLE_VISIBILITY_TEST_MAX_PIXELS
-        if near > far or (small and not any_pixel_visible(tile, span, near)):
+        if near > far or (small and not any_pixel_visible(tile, rect, near)):
             continue
-        pre, place = prepare(prims, load(prims, k), o), float(base + k)
+        pre, prim_number = prepare(prims, load(prims, k), o), float(base + k)
         if not small:  # worth a closer look
             if not looked:
-                (low, high), looked = direction_bounds(tile, box, spans.forward), True
+                (low, high), looked = direction_bounds(tile, box, bounds.forward), True
             near = max(near, t_lower_bound(prims, pre, low, high))
             if near > far or near == math.inf:
                 continue
-            if not any_pixel_visible(tile, span, near):
+            if not any_pixel_visible(tile, rect, near):
                 y_start = y_stop  # nothing to try, but that took as long
-        by_row = len(spans.faces) > 0 and x_stop - x_start >= ROW_BOUNDS_MIN_WIDTH
+        by_row = len(bounds.faces) > 0 and x_stop - x_start >= ROW_BOUNDS_MIN_WIDTH
         for y in range(y_start, y_stop):
-            start, stop = row_bounds(spans, k, box, span, y) if by_row else (x_start, x_stop)
+            start, stop = row_bounds(bounds, k, box, rect, y) if by_row else (x_start, x_stop)
             for first in range(lane(y * WIDTH + start), lane(y * WIDTH + max(start, stop)), lane(LANES)):
                 if small or any_lane_visible(tile, first, near):
                     for i in range(first, first + lane(LANES)):
                         d = tile[DX + i], tile[DY + i], tile[DZ + i]
-                        t, off = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
-                        update_nearest(tile, i, place, t, off)
+                        t, error = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
+                        update_nearest(tile, i, prim_number, t, error)
         tried += tries
         if tried >= patience:
             # worth a look at what all of this has covered, and at the tile's own directions
             far, tried = max_visible_t(tile, box), 0
             if far < math.inf:
-                stretch = max(stretch, min_t_per_depth(tile, box, spans.forward))
+                stretch = max(stretch, min_t_per_depth(tile, box, bounds.forward))
             else:
                 patience *= 2
 
 
 @jit
-def cast_own_origins(prims: Any, order: Any, run: Any, spans: Any, base: int, box: Box, tile: Any) -> None:
+def cast_own_origins(prims: Any, order: Any, run: Any, bounds: Any, base: int, box: Box, tile: Any) -> None:
     """The same for rays of one direction that start in different places (an orthographic camera)."""
     d = tile[DX], tile[DY], tile[DZ]
-    far, tried, patience, stretch = math.inf, 0, PIXELS, spans.least
+    far, tried, patience, stretch = math.inf, 0, PIXELS, bounds.least
     for at in range(run[0], run[1]):
         k = order[at]
-        near, span = max(spans.near[k], 0.0) * stretch, bounds_in_tile(spans.pixels, k, box)
-        x_start, y_start, x_stop, y_stop = span
+        near, rect = max(bounds.near[k], 0.0) * stretch, bounds_in_tile(bounds.pixels, k, box)
+        x_start, y_start, x_stop, y_stop = rect
         tries = (x_stop - x_start) * (y_stop - y_start)
         small = tries <= SINGLE_VISIBILITY_TEST_MAX_PIXELS
         if near > far:
             continue
-        if not any_pixel_visible(tile, span, near):
+        if not any_pixel_visible(tile, rect, near):
             if small:
                 continue
             y_start = y_stop  # nothing to try, but that took as long
-        prim, place = load(prims, k), float(base + k)
-        by_row = len(spans.faces) > 0 and x_stop - x_start >= ROW_BOUNDS_MIN_WIDTH
+        prim, prim_number = load(prims, k), float(base + k)
+        by_row = len(bounds.faces) > 0 and x_stop - x_start >= ROW_BOUNDS_MIN_WIDTH
         for y in range(y_start, y_stop):
-            start, stop = row_bounds(spans, k, box, span, y) if by_row else (x_start, x_stop)
+            start, stop = row_bounds(bounds, k, box, rect, y) if by_row else (x_start, x_stop)
             for first in range(lane(y * WIDTH + start), lane(y * WIDTH + max(start, stop)), lane(LANES)):
                 if small or any_lane_visible(tile, first, near):
                     for i in range(first, first + lane(LANES)):
                         o = tile[OX + i], tile[OY + i], tile[OZ + i]
-                        t, off = intersect(
+                        t, error = intersect(
                             prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i]
                         )
-                        update_nearest(tile, i, place, t, off)
+                        update_nearest(tile, i, prim_number, t, error)
         tried += tries
         if tried >= patience:
             far, tried = max_visible_t(tile, box), 0
             if far < math.inf:
-                stretch = max(stretch, min_t_per_depth(tile, box, spans.forward))
+                stretch = max(stretch, min_t_per_depth(tile, box, bounds.forward))
             else:
                 patience *= 2

@@ -49,7 +49,7 @@ def combine_axes(camera: Any, right: float, up: float, forward: float) -> Vec3:
 
 @inlined
 def unit_or_forward(camera: Any, d: Vec3, inside: bool) -> Vec3:
-    """d at length 1, or, outside the picture, forward. d is neither long nor short, nor 0 inside."""
+    """d at length 1, or, outside the image, forward. d is neither long nor short, nor 0 inside."""
     inverse = 1.0 / math.sqrt(dot(d, d))
     x, y, z = scaled(inverse, d)
     forward = camera.forward
@@ -59,13 +59,13 @@ def unit_or_forward(camera: Any, d: Vec3, inside: bool) -> Vec3:
 # Between these, squares of lengths are numbers that have lost nothing.
 MIN_SQUARABLE_LENGTH, MAX_SQUARABLE_LENGTH = 2.0**-400, 2.0**400
 
-# A ball that fills more than this of the distance to its centre has no picture of its own: 28 degrees on either side.
+# A sphere whose radius is more than this share of the distance to its centre is not projected: 28 degrees each side.
 MAX_SPHERE_SIZE = 0.47
 
 
 @inlined
 def sphere_in_camera_space(camera: Any, center: Vec3, r: float) -> tuple[Vec3, float, bool]:
-    """(to the right, up, ahead; distance; valid) of a ball's centre, seen from the eye.
+    """(to the right, up, ahead; distance; valid) of a sphere's centre, relative to the eye.
 
     Valid for r at most MAX_SPHERE_SIZE times the distance. Where that has no square, it is 0, which no distance is less
     than, nor valid.
@@ -78,7 +78,7 @@ def sphere_in_camera_space(camera: Any, center: Vec3, r: float) -> tuple[Vec3, f
 
 
 SphereProjection = tuple[float, float, float, float, float, bool]
-"""(left, top, right, bottom, least depth, valid) of a ball; see protocol.project_bounding_sphere"""
+"""(left, top, right, bottom, least depth, valid) of a sphere; see protocol.project_bounding_sphere"""
 
 # Depth is the distance from the eye.
 
@@ -96,20 +96,20 @@ def unknown_projection(depth: float) -> SphereProjection:
 
 MAX_HULL_ANGLE = 0.1  # radians: how far apart the points of a hull may be for `hull_distortion_bound`
 
-# How far beyond the pictures F(p_i) of its points the picture of a convex hull can reach, along any direction w, over
-# M L^2: M bounds the second derivative of f = w . F along great circles, L the angles between any two points. Seen from
-# a point p of the hull, the points are at v_i in its tangent plane, with weights m_i that make sum m_i v_i = 0. So
-# f(p) <= sum m_i f(p_i) + M / 2 sum m_i |v_i|^2, and that sum is at most D^2 / 3 with D the largest |v_i - v_j|
-# (Jung 1901), which is at most L times r / sin r for |v_i| <= r: 1.002 L for r = NEARBY. Instead of 1 / 6:
+# How far beyond the projections F(p_i) of its points the projection of a convex hull can reach, along any direction w,
+# over M L^2: M bounds the second derivative of f = w . F along great circles, L the angles between any two points. Seen
+# from a point p of the hull, the points are at v_i in its tangent plane, with weights m_i that make sum m_i v_i = 0. So
+# f(p) <= sum m_i f(p_i) + M / 2 sum m_i |v_i|^2, and that sum is at most D^2 / 3 with D the largest |v_i - v_j| (Jung
+# 1901), which is at most L times r / sin r for |v_i| <= r: 1.002 L for r = NEARBY. Instead of 1 / 6:
 BULGE_FACTOR = 0.2
 
-# Angles and their pictures are off by some 20 u of a radian: nothing beside spans.MARGIN, but for a fisheye that is so
-# narrow that its film shows a radian as 2^40 pixels.
+# Angles and their projections are off by some 20 u of a radian: nothing beside screen_bounds.PROJECTION_MARGIN, but for
+# a fisheye that is so narrow that its film shows a radian as 2^40 pixels.
 ANGLE_ROUNDING = 2.0**-45
 
 
 @inlined
 def hull_distortion_bound(angle: float, bend: float) -> tuple[float, float, bool]:
-    """What `protocol.bent` answers for points that are at most so far apart, seen from the eye; bend: M, in pixels."""
+    """`protocol.distortion_bound` for points that are at most this angle apart at the eye; bend: M, in pixels."""
     square = angle * angle
     return (BULGE_FACTOR * square + ANGLE_ROUNDING) * bend, 1.0 - 0.5 * square, angle <= MAX_HULL_ANGLE

@@ -31,7 +31,7 @@ def generate_rays_at(camera: Any, window: Any, rays: Any, pixels: Any) -> None:
         rays.t_min[j], rays.t_max[j] = t_min, t_max
 
 
-# What `survey` says of rays that are all in order, if it is not the number of one that is not.
+# Answers of `find_invalid_ray` if all rays are valid.
 ALL_IN_RANGE, OUT_OF_RANGE = -1, -2
 
 # Directions between these have squares, and powers of two in them change no bit of t but its exponent.

@@ -1,4 +1,4 @@
-"""What a light gives a point of a surface (Lambert), and the ray from there to the light."""
+"""Lambert shading: irradiance from lights, shadow rays, reflected radiance."""
 
 import math
 from typing import Any, NamedTuple
@@ -152,7 +152,7 @@ def shadow_rays_in_tile(light: Any, tile: Any, box: Box, buffer: Any, shadow_til
 
 @jit
 def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
-    """RADIANCE of what is lit, once the shadow_tile has been cast; doubt where it may be in a shadow."""
+    """RADIANCE of what is lit, once the shadow rays have been cast; UNCERTAIN where it may be in a shadow."""
     for y in range(box[3] - box[1]):
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
             if shadow_tile[T_MAX + i] >= 0.0 and shadow_tile[T + i] == math.inf:
