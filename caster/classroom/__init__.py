@@ -1,4 +1,5 @@
-"""Scene files and pictures as the course MIT 6.837 has them (assignments 1, 2 and 4 of 2003 and 2004, 4 of 2011).
+"""Scene files and images of the course MIT 6.837 (assignments 1, 2 and 4 of 2003 and 2004, 4 of 2011).
 
-tokens -> parser (grammar) -> assembling (building) -> a Scene of ours; drawing draws what the course draws.
+grammar, parser: text -> blocks. scene_builder, scene_conversion: blocks -> scene description.
+course_files: file -> Scene. course_images: the images of the assignments.
 """

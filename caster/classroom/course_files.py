@@ -1,4 +1,4 @@
-"""A 6.837 scene file -> a Scene of ours and what the course has beyond it, or every error with its line."""
+"""Loading of 6.837 scene files, with every error and its line."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ __all__ = ["load_course_scene"]
 
 @dataclass(frozen=True)
 class CourseScene:
-    """A scene, with what the pictures of the course need and a Scene does not have."""
+    """A scene, and the data of the course's images that a Scene has no fields for."""
 
-    scene: Scene  # its lights: those of `colors` in their order, then the ambient one
+    scene: Scene  # lights: those of `colors` in the same order, then the ambient one
     background: tuple[float, ...]  # behind everything, r g b
     colors: tuple[tuple[float, ...], ...]  # of the lights, r g b
-    falloffs: tuple[Falloff | None, ...]  # how they fade; None: directional
+    falloffs: tuple[Falloff | None, ...]  # None: directional
     left_out: tuple[str, ...]  # "file:line:column: left out: ...", in the order of the file
 
 
@@ -40,9 +40,9 @@ def load_course_scene(
     shadows: bool = False,
     mesh_dirs: Iterable[str | PathLike[str]] = (),
 ) -> CourseScene:
-    """Read a scene file of the course, and the meshes it names, which are found as in our own scene files.
+    """Load a scene file of the course and its meshes, which are looked up as in scene files of this project.
 
-    width, height: of the film, in pixels. shade_back: surfaces are lit from behind, too. shadows: cast shadows.
+    width, height: of the film, in pixels. shade_back: surfaces are lit from behind as well. shadows: cast shadows.
     Raises FileMissing for a file that cannot be read, SceneError with every error and its line for the rest.
     """
     text = read_text(path)
@@ -51,8 +51,8 @@ def load_course_scene(
     for material in builder.data["material"].values():
         material["two_sided"] = shade_back
     builder.data["shading"]["shadows"] = shadows
-    reach = MeshFolders(Path(path).parent, tuple(Path(folder) for folder in mesh_dirs))
-    scene, errors, missing = _scene_of(builder, reach, whole=not parser.errors)
+    folders = MeshFolders(Path(path).parent, tuple(Path(folder) for folder in mesh_dirs))
+    scene, errors, missing = _scene_of(builder, folders, whole=not parser.errors)
     if bad := [*parser.errors, *builder.errors, *errors, *missing]:
         kind_of_error = FileMissing if len(missing) == len(bad) else SceneError
         raise kind_of_error(_format_errors(bad, text, str(path)))
@@ -64,14 +64,14 @@ def load_course_scene(
 
 
 def _scene_of(
-    builder: SceneBuilder, reach: MeshFolders, whole: bool
+    builder: SceneBuilder, folders: MeshFolders, whole: bool
 ) -> tuple[Scene | None, list[SourceMessage], list[SourceMessage]]:
-    """(the scene, faults of it, meshes that are missing). whole: False where blocks lack what they need anyway."""
-    data, unusable, missing = resolve_mesh_files(builder.data, reach, Scene)
+    """(the scene, faults of it, meshes that are missing). whole: False if required fields are missing already."""
+    data, unusable, missing = resolve_mesh_files(builder.data, folders, Scene)
     scene, problems = None, unusable
     try:
         scene = Scene.model_validate(data)
-        scene._folder = reach.folder.resolve()
+        scene._folder = folders.folder.resolve()
     except ValidationError as error:
         found = diagnostics_of(error, data, Scene)
         problems = problems + [problem for problem in found if whole or "needs the key" not in problem.text]

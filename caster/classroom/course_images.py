@@ -1,4 +1,4 @@
-"""The course's orthographic rays come from infinitely far; ours start at the window, which is moved back for them."""
+"""Images of the course: colour, depth and normals of one cast, with orthographic rays that start at infinity."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,9 +20,9 @@ __all__ = ["with_window_behind_scene"]
 
 
 def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
-    """(the scene with its window behind everything, how far it was moved). Depths then count from there.
+    """The scene with its orthographic window moved behind all shapes, and the distance moved (0: the scene itself).
 
-    By 0, and the very same scene, where nothing is behind the window.
+    Rays of the course start at infinity, those of `Orthographic` at the window. Depths of the result count from there.
     """
     camera = scene.camera
     if not isinstance(camera, Orthographic) or not scene.shapes:
@@ -30,13 +30,13 @@ def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
     nearest = min(_entry_bound(scene, camera, shape) for shape in scene.shapes)
     if nearest > 0.0:
         return scene, 0.0
-    back = 1.0 - 2.0 * nearest  # well behind it: rounding moves nothing by as much
+    back = 1.0 - 2.0 * nearest  # a margin far above rounding
     eye = np.array(camera.eye) - back * np.array(camera.frame[2])
     return scene.model_copy(update={"camera": camera.model_copy(update={"eye": eye.tolist()})}), back
 
 
 def _entry_bound(scene: Scene, camera: Orthographic, shape: Shape) -> float:
-    """A t before which no ray of the window meets the shape."""
+    """A lower bound of t at which a ray of the window hits the shape."""
     forward, eye = np.array(camera.frame[2]), np.array(camera.eye)
     linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
     if isinstance(shape, Sphere):
@@ -44,12 +44,12 @@ def _entry_bound(scene: Scene, camera: Orthographic, shape: Shape) -> float:
         return float(forward @ (center - eye) - shape.radius * np.linalg.norm(linear.T @ forward))
     if isinstance(shape, Plane):
         return _plane_entry_bound(scene, camera, shape)
-    assert hasattr(shape, "mesh")  # a triangle, or a file of them
+    assert hasattr(shape, "mesh")  # a triangle or a mesh
     return float(np.min((world_vertices(shape.mesh(), shape.matrix, as_given) - eye) @ forward))
 
 
 def _plane_entry_bound(scene: Scene, camera: Orthographic, shape: Plane) -> float:
-    """t is linear over the window, so that it is least at a corner. A plane along the rays is never met."""
+    """The least t over the window: t is linear, so it is at a corner. inf for a plane parallel to the rays."""
     part = shape.pack(as_given)
     n, point = part.normal[0], part.point[0]
     right, up, forward = (np.array(v) for v in camera.frame)
@@ -60,24 +60,23 @@ def _plane_entry_bound(scene: Scene, camera: Orthographic, shape: Plane) -> floa
     return min(float(n @ (point - corner)) / slope for corner in corners) if slope else np.inf
 
 
-# The three pictures of the course: colour, depth and normals, from one cast of our rays.
-
+# ---- the three images ----
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
 
 @dataclass(frozen=True)
 class CourseImages:
-    """(h, w) images; color and normal (h, w, 3)."""
+    """Results of one cast: (h, w) arrays; color and normal (h, w, 3)."""
 
     hit: Array  # bool
-    t: Array  # along the ray, from where the course starts it; inf on a miss
-    normal: Array  # as the surface has it, 0 on a miss
+    t: Array  # along the ray, from the start of the course; inf on a miss
+    normal: Array  # not flipped towards the ray; 0 on a miss
     color: Array  # linear, 0..1 and beyond
 
 
 def render_course(course: CourseScene, threads: int | None = None) -> CourseImages:
-    """Cast and shade. Surfaces seen from behind are black, unless the scene's materials are two-sided."""
+    """Cast and shade. Back sides are black, unless the materials are two-sided."""
     scene, back = with_window_behind_scene(course.scene)
     view = trace_film(scene, threads=threads)
     window = film_window(scene)
@@ -90,26 +89,26 @@ def render_course(course: CourseScene, threads: int | None = None) -> CourseImag
     )
 
 
-def depth_image(drawn: CourseImages, near: float, far: float) -> Array:
-    """(h, w, 3) bytes: white at `near` and before, black at `far` and beyond, and where nothing is hit."""
-    grey = np.clip((far - np.where(drawn.hit, drawn.t, far)) / (far - near), 0.0, 1.0)
+def depth_image(images: CourseImages, near: float, far: float) -> Array:
+    """Depths as (h, w, 3) bytes: white at `near` and before, black at `far` and beyond, and where nothing is hit."""
+    grey = np.clip((far - np.where(images.hit, images.t, far)) / (far - near), 0.0, 1.0)
     return np.repeat(to_bytes_truncated(grey)[..., None], 3, axis=-1)
 
 
-def normal_image(drawn: CourseImages) -> Array:
-    """(h, w, 3) bytes: |x|, |y|, |z| as red, green, blue; black where nothing is hit."""
-    return to_bytes_truncated(np.abs(drawn.normal))
+def normal_image(images: CourseImages) -> Array:
+    """Normals as (h, w, 3) bytes: |x|, |y|, |z| as red, green, blue; black where nothing is hit."""
+    return to_bytes_truncated(np.abs(images.normal))
 
 
 def to_bytes_truncated(values: Array) -> Array:
-    """0..1 -> 0..255, linear and cut down to whole numbers, as the course writes its files; the rest is cut off."""
+    """0..1, clipped -> 0..255, truncated without gamma, as the course writes its files."""
     return (255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
 
 
 def _colors(course: CourseScene, view: RayHits) -> Array:
     """(n, 3): ambient light times the diffuse colour, and for each light color max(0, n . l) times it.
 
-    Lights have no 1 / r^2, unless their file says so; this is where the course and our AOV `diffuse` differ.
+    Unlike the AOV `diffuse`, lights fall off only as their file says.
     """
     front = np.sum(view.normals * view.rays.d, axis=1) <= 0.0
     n = np.where(front[:, None], view.normals, -view.normals)
@@ -124,7 +123,7 @@ def _colors(course: CourseScene, view: RayHits) -> Array:
 
 
 def _brightness(light: Light, falloff: Falloff | None, n: Array, view: RayHits) -> Array:
-    """(n,): what each hit gets of a light's colour; 0 in shadow, where the scene has shadows."""
+    """(n,) the factor of a light's colour at each hit; 0 in shadow, if the scene has shadows."""
     towards, strength = _incident_light(light, falloff, view)
     brightness = np.where(view.hit, strength * np.maximum(np.sum(n * towards, axis=1), 0.0), 0.0)
     where = np.flatnonzero(brightness > 0.0)
@@ -133,7 +132,7 @@ def _brightness(light: Light, falloff: Falloff | None, n: Array, view: RayHits) 
 
 
 def _incident_light(light: Light, falloff: Falloff | None, view: RayHits) -> tuple[Array, Array]:
-    """(unit vectors to the light, what the distance leaves of its colour); nothing in the light itself."""
+    """(unit vectors to the light, attenuation by distance); 0 at the position of the light."""
     count = len(view.hit)
     if isinstance(light, Directional):
         return np.tile(-np.array(light.direction), (count, 1)), np.ones(count)

@@ -1,4 +1,4 @@
-"""What may stand in which block of a 6.837 scene, as tables."""
+"""Grammar of 6.837 scene files: tokens, fields and blocks, and the rules of every block."""
 
 import math
 import re
@@ -9,7 +9,7 @@ from caster.scene.text import Span
 
 
 class ValueFormat(NamedTuple):
-    """What follows a word: so many numbers, in braces or not, or one word such as a file name."""
+    """The format of a field's value: a count of numbers, in braces or not, or one word such as a file name."""
 
     numbers: int = 0
     braced: bool = False
@@ -23,13 +23,13 @@ class ValueFormat(NamedTuple):
 
 
 class BlockRule(NamedTuple):
-    """A word with braces. Its fields and children may come in any order."""
+    """The rule of a block in braces. Fields and children may come in any order."""
 
     fields: dict[str, ValueFormat]
     children: tuple[str, ...] = ()
-    optional: tuple[str, ...] = ()  # of the fields; the others are required
-    repeated: tuple[str, ...] = ()  # of the fields; the others come once
-    counted_by: str = ""  # the field that says how many children there are
+    optional: tuple[str, ...] = ()  # fields; the others are required
+    repeated: tuple[str, ...] = ()  # fields; the others occur once
+    counted_by: str = ""  # the field with the number of children
 
 
 WORD, NUMBER, VECTOR = ValueFormat(), ValueFormat(1), ValueFormat(3)
@@ -40,7 +40,7 @@ MATERIALS = ("Material", "PhongMaterial")
 OBJECTS = ("Group", "Transform", "Sphere", "Plane", "Triangle", "TriangleMesh")
 SECTIONS = (*CAMERAS, "Background", "Lights", "Materials", "Group")
 
-# Blocks of later assignments; they are read over, and told to be left out.
+# Blocks of later assignments; they are skipped and reported.
 TEXTURES = ("Checkerboard", "Noise", "Marble", "Wood")
 
 _VIEW = {"center": VECTOR, "direction": VECTOR, "up": VECTOR}
@@ -98,7 +98,7 @@ BLOCK_RULES = {
 }
 
 
-# A scene text as words, numbers and braces, each with its place.
+# ---- tokens ----
 
 
 class Token(NamedTuple):
@@ -114,7 +114,7 @@ class Token(NamedTuple):
 
     @property
     def number(self) -> float | None:
-        """None for what is no finite number."""
+        """The value as a finite number, else None."""
         try:
             value = float(self.text)
         except ValueError:
@@ -123,7 +123,7 @@ class Token(NamedTuple):
 
 
 def tokens_of(text: str) -> list[Token]:
-    """All of them in order. A brace is one by itself, also where no space parts it from a number."""
+    """Split a text into tokens. A brace is a token also without a space beside it."""
     return [
         Token(found[0], number, found.start() + 1)
         for number, line in enumerate(text.split("\n"), 1)
@@ -131,29 +131,29 @@ def tokens_of(text: str) -> list[Token]:
     ]
 
 
-# What a 6.837 scene text is made of, once it is read: blocks, their fields, and faults with their places.
-
+# ---- parsed blocks ----
 
 FILE_START = Token("", 1, 1)
 
 
 class SourceMessage(NamedTuple):
-    """What is wrong, and where."""
+    """An error or an omission, and its token."""
 
     at: Token
     text: str
 
 
 class Field(NamedTuple):
-    """A word and what follows it."""
+    """A field: its name and its value."""
 
     name: str
     at: Token
     numbers: tuple[float, ...]
-    word: Token | None  # of a field that is a word
+    word: Token | None  # the value, if it is a word
 
     @property
     def words(self) -> str:
+        """The field as in the file."""
         return " ".join(
             [self.name, *(f"{x:g}" for x in self.numbers), *([self.word.text] if self.word else [])]
         )
@@ -166,8 +166,8 @@ class Node:
     kind: str
     at: Token
     items: list["Field | Node"] = field(default_factory=list)
-    mentioned: set[str] = field(default_factory=set)  # names of fields that are there, also misspelt inside
-    unknown: int = 0  # blocks of no kind that is known
+    mentioned: set[str] = field(default_factory=set)  # names of fields that occur, also with an invalid value
+    unknown: int = 0  # blocks of an unknown kind
 
     def get(self, name: str) -> Field | None:
         """The first field of that name."""

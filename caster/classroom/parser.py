@@ -1,4 +1,4 @@
-"""A 6.837 scene text -> its blocks, and every error in its spelling."""
+"""Parser of 6.837 scene files: text -> blocks, with every syntax error."""
 
 from collections.abc import Iterable
 
@@ -18,11 +18,11 @@ from caster.classroom.grammar import (
 )
 from caster.description.errors import listed, suggestion
 
-MAX_NESTING = 64  # blocks in blocks; each takes a few frames of Python's stack
+MAX_NESTING = 64  # of blocks; each level takes a few frames of Python's stack
 
 
 class Parser:
-    """Reads on after an error, so that one run tells of all. `faults` collects them."""
+    """A recursive-descent parser that recovers from errors and collects all of them in `errors`."""
 
     def __init__(self, text: str) -> None:
         self.tokens = tokens_of(text)
@@ -30,7 +30,7 @@ class Parser:
         self.errors: list[SourceMessage] = []
 
     def sections(self) -> dict[str, Node]:
-        """The blocks of the whole file; both cameras under "Camera"."""
+        """The top-level blocks by name; either camera is "Camera"."""
         found: dict[str, Node] = {}
         while (token := self._next()) is not None:
             if token.text not in SECTIONS:
@@ -39,11 +39,11 @@ class Parser:
             name = "Camera" if token.text in CAMERAS else token.text
             node = self._block(token)
             if name in found:
-                self._error(token, f"{token.text} is there twice; the first is in line {found[name].at.line}")
+                self._error(token, f"{token.text} occurs twice; the first is in line {found[name].at.line}")
             found.setdefault(name, node)
-        for name, says in (("Camera", listed(CAMERAS)), ("Group", "Group, which holds the objects")):
+        for name, required in (("Camera", listed(CAMERAS)), ("Group", "Group, which holds the objects")):
             if name not in found:
-                self._error(FILE_START, f"the scene needs a block {says}")
+                self._error(FILE_START, f"the scene needs a block {required}")
         return found
 
     def _block(self, at: Token) -> Node:
@@ -98,7 +98,7 @@ class Parser:
                     token or at, f"{where} must be {form.text}, got {_token_text(token)} after {len(numbers)}"
                 )
                 if token is not None and token.text not in "{}" and token.text not in KEYWORDS:
-                    self._next()  # a number misspelt: go on behind it and the rest
+                    self._next()  # a misspelt number: continue after it and the rest
                     self._skip_numbers()
                 return None
             numbers.append(value)
@@ -110,25 +110,23 @@ class Parser:
         return tuple(numbers)
 
     def _check(self, node: Node, block: BlockRule) -> None:
-        """Fields that are missing or there twice, and the number of children."""
+        """Report missing and repeated fields, and a wrong number of children."""
         names = [item.name for item in node.items if isinstance(item, Field)]
         for name in block.fields:
             if name not in block.optional and name not in node.mentioned:
                 self._error(node.at, f"{node.kind} needs '{name}'")
             if names.count(name) > 1 and name not in block.repeated:
                 again = [item for item in node.items if isinstance(item, Field) and item.name == name][1]
-                self._error(again.at, f"{node.kind}: {name} is there twice")
+                self._error(again.at, f"{node.kind}: {name} occurs twice")
         counted = node.get(block.counted_by) if block.counted_by else None
         found = len(node.children) + node.unknown
         if counted is not None and counted.numbers != (found,):
-            self._error(
-                counted.at, f"{node.kind}: {counted.words}, but {found} {'is' if found == 1 else 'are'} there"
-            )
+            self._error(counted.at, f"{node.kind}: {counted.words}, but it contains {found}")
         if node.kind == "Transform" and found != 1:
-            self._error(node.at, f"Transform needs one object to place, got {found}")
+            self._error(node.at, f"Transform needs one object, got {found}")
 
     def _unknown(self, token: Token, where: str, known: Iterable[str]) -> bool:
-        """Tell of it and read over it; whether it was a block."""
+        """Report an unknown token and skip it; True if it was a block."""
         known = list(known)
         if token.text == "}":
             self._error(token, "a '}' too many: no block is open")
@@ -168,7 +166,7 @@ class Parser:
             self.position += 1
 
     def _skip_braces(self) -> None:
-        """Over a block in braces, whatever is in it."""
+        """Skip a block in braces with its contents."""
         depth = 0
         while (token := self._next()) is not None:
             depth += {"{": 1, "}": -1}.get(token.text, 0)

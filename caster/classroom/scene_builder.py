@@ -1,4 +1,4 @@
-"""What is made of the blocks of a 6.837 scene: the data of a scene file of ours, faults, and what is left out."""
+"""The scene description that a 6.837 scene is converted to, with its sources in the text, and its lights."""
 
 import math
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ WHITE, BLACK, GREY = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.5, 0.5, 0.5)
 
 
 class Falloff(NamedTuple):
-    """A point light at distance r has color / (constant + linear r + quadratic r^2) as its brightness."""
+    """Attenuation of a point light at distance r: color / (constant + linear r + quadratic r^2)."""
 
     constant: float
     linear: float
@@ -25,38 +25,39 @@ class Falloff(NamedTuple):
 
 @dataclass
 class SceneBuilder:
-    """What has been made of the blocks so far."""
+    """The scene description under construction, with errors and omissions."""
 
-    data: dict[str, Any] = field(default_factory=dict)  # as a scene file of ours
-    sources: dict[Path, Token] = field(default_factory=dict)  # where each of its values is in the text
+    data: dict[str, Any] = field(default_factory=dict)  # as in a scene file of this project
+    sources: dict[Path, Token] = field(default_factory=dict)  # the token of each value of the data
     errors: list[SourceMessage] = field(default_factory=list)
     left_out: list[SourceMessage] = field(default_factory=list)
-    background: tuple[float, ...] = GREY  # the course's, where a file says nothing
+    background: tuple[float, ...] = GREY  # default of the course
     colors: list[tuple[float, ...]] = field(default_factory=list)  # of point and directional lights
     falloffs: list[Falloff | None] = field(default_factory=list)  # None: directional
-    material: str = ""  # of the objects to come
+    material: str = ""  # of the objects that follow
 
     def put(self, value: Any, at: Token, *path: str | int) -> Any:
-        """Remember where a value comes from."""
+        """Record the source of a value and return it."""
         self.sources[path] = at
         return value
 
     def omit(self, at: Token, text: str) -> None:
+        """Record that something of the file has no counterpart."""
         self.left_out.append(SourceMessage(at, text))
 
     def copy(self, into: dict[str, Any], ours: str, node: Node, theirs: str, *path: str | int) -> None:
-        """Put the numbers of a field into the data, if it is there."""
+        """Copy the numbers of a field into the data, if the node has it."""
         found = node.get(theirs)
         if found is not None:
             value = list(found.numbers) if len(found.numbers) > 1 else found.numbers[0]
             into[ours] = self.put(value, found.at, *path, ours)
 
 
-# Lights and ambientLight of a 6.837 scene.
+# ---- lights ----
 
 
 def add_lights(out: SceneBuilder, sections: dict[str, Node]) -> None:
-    """Directional and point lights, then the ambient one. Without lights the course shows plain colours."""
+    """Add directional and point lights, then the ambient one: white without other lights, as in the course."""
     lights: list[dict[str, Any]] = []
     out.data["light"] = lights
     node, background = sections.get("Lights"), sections.get("Background")
@@ -87,7 +88,7 @@ def _ambient(out: SceneBuilder, node: Node | None) -> tuple[tuple[float, ...], T
         return BLACK, FILE_START
     out.background = node.numbers("color", GREY)
     if (cube := node.get("cubeMap")) is not None:
-        out.omit(cube.at, f"{cube.words}: there are no pictures behind our scenes")
+        out.omit(cube.at, f"{cube.words}: no environment maps here")
     ambient = node.get("ambientLight")
     return (BLACK, node.at) if ambient is None else (ambient.numbers, ambient.at)
 
@@ -95,17 +96,17 @@ def _ambient(out: SceneBuilder, node: Node | None) -> tuple[tuple[float, ...], T
 def _color(
     out: SceneBuilder, into: dict[str, Any], key: str, node: Node, factor: float, *path: str | int
 ) -> None:
-    """A surface across a light of the course sends back reflectance times color, one of ours that over pi."""
+    """Set the radiometric quantity of a light: the course reflects reflectance times color, here it is over pi."""
     found = node.get("color")
     if found is None:
         return
-    if min(found.numbers) < 0.0:  # said here, in the numbers of the file
+    if min(found.numbers) < 0.0:  # checked here, to report the numbers of the file
         out.errors.append(SourceMessage(found.at, f"{node.kind}: {found.words} must be a colour >= 0"))
     into[key] = out.put([factor * abs(c) for c in found.numbers], found.at, *path, key)
 
 
 def _point_falloff(out: SceneBuilder, light: dict[str, Any], node: Node, path: Path) -> None:
-    """Ours fade by 1 / r^2. Others come as bright as they are at r = 1, which is told."""
+    """Set the intensity of a point light. Any falloff but 1 / r^2 is replaced by it, equal at r = 1, and reported."""
     falloff = Falloff(*node.numbers("attenuation", (1.0, 0.0, 0.0)))
     if (of_2011 := node.get("falloff")) is not None and of_2011.numbers[0] > 0.0:
         falloff = Falloff(0.0, 0.0, of_2011.numbers[0])
@@ -119,8 +120,8 @@ def _point_falloff(out: SceneBuilder, light: dict[str, Any], node: Node, path: P
     _color(out, light, "intensity", node, math.pi / at_one, *path)
     if not falloff.is_inverse_square:
         which = node.get("attenuation")
-        says = which.words if which else "light that does not fade"
+        says = which.words if which else "no attenuation"
         out.omit(
             which.at if which else node.at,
-            f"{says}: our point lights fade by 1 / r^2; it keeps what it has at r = 1",
+            f"{says}: point lights fall off by 1 / r^2 here; the value at r = 1 is kept",
         )

@@ -1,4 +1,4 @@
-"""The steps of a Transform of a 6.837 scene."""
+"""Conversion of 6.837 blocks to a scene description: camera, materials, objects and their transforms."""
 
 import math
 from typing import Any
@@ -8,14 +8,14 @@ from caster.classroom.scene_builder import GREY, WHITE, Path, SceneBuilder, add_
 
 Step = dict[str, Any]
 
-# The course computes in float32: an axis of unit length may be written four roundings away from it.
+# The course computes in float32: the length of a unit axis may be off by four roundings.
 UNIT_ATOL = 4 * 2.0**-24
 
 AXES = {"XRotate": (1, 0, 0), "YRotate": (0, 1, 0), "ZRotate": (0, 0, 1)}
 
 
 def transform_steps(out: SceneBuilder, node: Node) -> list[Step]:
-    """In the order they act: the last of the file first. But a matrix acts after all that stand before it."""
+    """Steps in the order of application: the last of the file first, but a matrix after all that precede it."""
     steps: list[Step] = []
     for item in node.items:
         if isinstance(item, Field):
@@ -31,7 +31,7 @@ def _step(out: SceneBuilder, item: Field) -> Step:
     if item.name == "Rotate":
         length = math.hypot(*numbers[:3])
         if length > 0.0 and abs(length - 1.0) > UNIT_ATOL:
-            text = f"the length {length:g} of the axis of {item.words}: we turn about its direction"
+            text = f"the length {length:g} of the axis of {item.words}: it is normalised"
             out.omit(item.at, text)
         return {"rotate": {"axis": numbers[:3], "degrees": numbers[3]}}
     if item.name == "Translate":
@@ -40,12 +40,12 @@ def _step(out: SceneBuilder, item: Field) -> Step:
         return {"scale": numbers if len(numbers) == 3 else numbers[0]}
     assert item.name in TRANSFORM_FIELDS
     rows = [numbers[i : i + 4] for i in range(0, 16, 4)]
-    if item.name == "Matrix4f":  # of 2011, which reads it column by column
+    if item.name == "Matrix4f":  # of 2011: column-major
         rows = [list(column) for column in zip(*rows, strict=True)]
     return {"matrix": rows}
 
 
-# Materials and objects of a 6.837 scene.
+# ---- materials and objects ----
 
 
 def add_materials(out: SceneBuilder, node: Node | None) -> None:
@@ -60,18 +60,18 @@ def add_materials(out: SceneBuilder, node: Node | None) -> None:
         if clipped != list(rgb):
             out.omit(
                 at,
-                f"what is beyond 1 in {color.words if color else 'it'}: a surface sends back no more than it gets",
+                f"the part beyond 1 of {color.words if color else 'it'}: a reflectance is at most 1",
             )
         if each.kind in TEXTURES:
-            out.omit(each.at, f"{each.kind}: our materials have one colour; grey stands for it")
+            out.omit(each.at, f"{each.kind}: no textures here; replaced by grey")
         for item in each.items:
             if isinstance(item, Field) and item.name != "diffuseColor":
-                out.omit(item.at, f"{item.words}: our materials are diffuse, of one colour")
+                out.omit(item.at, f"{item.words}: materials are diffuse, of one colour")
     out.data["material"] = materials
 
 
 def add_objects(out: SceneBuilder, node: Node, outer: list[Step]) -> None:
-    """MaterialIndex holds for what follows in the file, also outside the group that it stands in."""
+    """Add the objects of a group. MaterialIndex applies to all objects that follow in the file."""
     for item in node.items:
         if isinstance(item, Node):
             _object(out, item, outer)
@@ -112,7 +112,7 @@ def _sphere(out: SceneBuilder, shape: dict[str, Any], node: Node, path: Path) ->
 
 
 def _plane(out: SceneBuilder, shape: dict[str, Any], node: Node, path: Path) -> None:
-    """All p with normal . p = offset, the normal as it is written; ours has it at length 1."""
+    """Points p with normal . p = offset; the offset is divided by the length of the normal."""
     out.copy(shape, "normal", node, "normal", *path)
     normal, offset = node.numbers("normal"), node.get("offset")
     if offset is not None:
@@ -129,7 +129,7 @@ def _triangle(out: SceneBuilder, shape: dict[str, Any], node: Node, path: Path) 
 
 
 def _mesh(out: SceneBuilder, shape: dict[str, Any], node: Node, path: Path) -> None:
-    """Flat faces, as in 2003 and 2004."""
+    """A mesh with flat shading, as in 2003 and 2004."""
     file = node.get("obj_file")
     shape["face_normals"] = True
     if file is not None and file.word is not None:
@@ -140,11 +140,11 @@ SHAPE_TYPES = {"Sphere": "sphere", "Plane": "plane", "Triangle": "triangle", "Tr
 SHAPE_BUILDERS = {"Sphere": _sphere, "Plane": _plane, "Triangle": _triangle, "TriangleMesh": _mesh}
 
 
-# The blocks of a 6.837 scene, put together as the data of a scene file of ours.
+# ---- the whole scene ----
 
 
 def build_scene_data(sections: dict[str, Node], width: int, height: int) -> SceneBuilder:
-    """A film of this size; the blocks have the right fields, but their values may still be wrong."""
+    """Convert parsed blocks to a scene description with a film of this size; values are validated later."""
     out = SceneBuilder(data={"film": {"width": width, "height": height}, "shading": {"shadows": False}})
     if "Camera" in sections:
         _camera(out, sections["Camera"], width, height)
@@ -157,7 +157,7 @@ def build_scene_data(sections: dict[str, Node], width: int, height: int) -> Scen
 
 
 def _camera(out: SceneBuilder, node: Node, width: int, height: int) -> None:
-    """Whatever the film, the longer of its sides spans the angle or the size: the course has one crop the square."""
+    """Add the camera. Its angle or size spans the longer side of the film: the course crops a square image."""
     camera: dict[str, Any] = {"type": "pinhole" if node.kind == CAMERAS[0] else "orthographic"}
     for ours, theirs in (("eye", "center"), ("direction", "direction"), ("up", "up")):
         out.copy(camera, ours, node, theirs, "camera")

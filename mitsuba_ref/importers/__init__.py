@@ -1,4 +1,4 @@
-"""Scene files of others -> scenes of ours: Mitsuba's XML here, MIT 6.837's text in caster.classroom.
+"""Import of Mitsuba XML: xml_document (elements, defaults, includes, references) -> scene_builder -> mitsuba_xml.
 
-xml_nodes -> expanding (defaults, includes, references) -> sensors, shapes, materials, emitters -> importing.
+shapes and appearance convert elements. The text files of MIT 6.837 are in caster.classroom.
 """

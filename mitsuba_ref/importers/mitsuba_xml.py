@@ -1,4 +1,4 @@
-"""<sensor> -> film and camera."""
+"""Import of Mitsuba XML: the whole scene, its film and its camera."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -24,20 +24,20 @@ from mitsuba_ref.importers.xml_document import (
 )
 
 CAMERA_KINDS = {"perspective": "pinhole", "thinlens": "pinhole", "orthographic": "orthographic"}
-DEFAULT_FILM_SIZE = (768, 576)  # pixels, where a film says nothing
-DEFAULT_NEAR, DEFAULT_FAR = 0.01, 1e4  # clip planes, where a sensor says nothing
+DEFAULT_FILM_SIZE = (768, 576)  # pixels; Mitsuba's default
+DEFAULT_NEAR, DEFAULT_FAR = 0.01, 1e4  # clip planes; Mitsuba's defaults
 
-# Mitsuba takes a sensor whose matrix scales by up to 5e-4; so much of a difference between its axes is none to it.
+# Mitsuba accepts a sensor matrix with a scale of up to 5e-4, so smaller differences between axes are ignored here.
 SQUARE_PIXEL_RTOL = 5e-4
 
-# A film of 36 x 24 mm, whose diagonal focal lengths are for.
+# The diagonal of a 36 x 24 mm film, to which focal lengths refer.
 FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)
 
 
 def add_sensor(out: SceneBuilder, node: Node) -> None:
-    """The film, and the camera. Errors of values are told when the scene is checked as a whole."""
+    """Add the film and the camera. Values are validated with the whole scene."""
     out.data["film"] = _film(out, node)
-    out.places["film",] = out.places["camera",] = node.position
+    out.positions["film",] = out.positions["camera",] = node.position
     film = out.data["film"]
     camera: dict[str, Any] = {"type": CAMERA_KINDS[node.kind]}
     steps = transform_steps(out, node)
@@ -52,9 +52,9 @@ def add_sensor(out: SceneBuilder, node: Node) -> None:
         if any(shift):
             camera["principal_point"] = shift
     if node.kind == "thinlens":
-        out.note(node, "the lens: all is sharp to a pinhole")
+        out.note(node, "the lens: replaced by a pinhole without depth of field")
         out.find(node, "aperture_radius", "float", "integer")
-    out.find(node, "focus_distance", "float", "integer")  # of no effect without a lens
+    out.find(node, "focus_distance", "float", "integer")  # without effect without a lens
     out.data["camera"] = camera
     out.omit_unread(node)
 
@@ -76,12 +76,12 @@ def _film(out: SceneBuilder, node: Node) -> dict[str, Any]:
 
 
 def _pose(out: SceneBuilder, node: Node, steps: list[Step], matrix: np.ndarray) -> dict[str, Any]:
-    """Mitsuba's sensors look along +z, with +y up and +x to the left."""
+    """Camera pose of a sensor, which in Mitsuba looks along +z, with +y up and +x to the left."""
     if len(steps) == 1 and "look_at" in steps[0]:
         look = steps[0]["look_at"]
         return {"eye": look["origin"], "look_at": look["target"], "up": look["up"]}
     if np.linalg.det(matrix[:3, :3]) < 0.0:
-        out.note(node, "the mirroring of its to_world: our picture has left and right the other way round")
+        out.note(node, "the mirroring of its to_world: the image is flipped horizontally here")
     eye, up, view = matrix[:3, 3], matrix[:3, 1], matrix[:3, 2]
     return {"eye": eye.tolist(), "direction": view.tolist(), "up": up.tolist()}
 
@@ -102,13 +102,13 @@ def _field_of_view(out: SceneBuilder, node: Node, width: int, height: int) -> di
 
 
 def _window(out: SceneBuilder, node: Node, matrix: np.ndarray, near: float, far: float) -> dict[str, Any]:
-    """The window is [-1, 1] wide until it is scaled.
+    """The window of an orthographic sensor: [-1, 1] wide before scaling.
 
-    Along the view, the near plane scales, but not the way to the far one.
+    Along the view, the near plane is scaled, the distance from near to far plane is not.
     """
     across, up, along = np.linalg.norm(matrix[:3, :3], axis=0)
     if abs(up - across) > SQUARE_PIXEL_RTOL * across:
-        out.note(node, f"pixels that are {up / across:g} times as high as wide: ours are square")
+        out.note(node, f"pixels that are {up / across:g} times as high as wide: pixels are square here")
     return {
         "width": 2.0 * float(across),
         "near": near * float(along),
@@ -116,24 +116,24 @@ def _window(out: SceneBuilder, node: Node, matrix: np.ndarray, near: float, far:
     }
 
 
-# Mitsuba XML or MIT 6.837 text -> a Scene of ours, and a list of what was left out.
+# ---- the whole scene ----
 
 
 class ImportedScene(NamedTuple):
-    """A scene of ours, and "file:line:column: left out: ..." in the order of the file."""
+    """A scene, and its omissions "file:line:column: left out: ..." in the order of the file."""
 
     scene: Scene
     left_out: tuple[str, ...]
 
 
 def import_xml(path: str, parameters: Mapping[str, str] = {}, mesh_dirs: Iterable[str] = ()) -> ImportedScene:
-    """Read Mitsuba XML with its includes and meshes. parameters: values for its $names, before its own defaults.
+    """Import Mitsuba XML with its includes and meshes. parameters: values of $names that override its defaults.
 
     Raises FileMissing for files that cannot be read, SceneError with every error and its line for the rest.
     """
     document = load_document(path, parameters)
     out = SceneBuilder(document)
-    with np.errstate(over="ignore", invalid="ignore"):  # what comes of huge numbers is refused with the scene
+    with np.errstate(over="ignore", invalid="ignore"):  # overflow is rejected when the scene is validated
         _add_all(out, path)
         scene, missing = _scene_of(out, MeshFolders(document.folder, tuple(map(Path, mesh_dirs))))
     if scene is None or document.errors:
@@ -143,7 +143,7 @@ def import_xml(path: str, parameters: Mapping[str, str] = {}, mesh_dirs: Iterabl
 
 
 def _add_all(out: SceneBuilder, path: str) -> None:
-    """The first sensor of a kind that we have, then all shapes, lights and materials."""
+    """Convert the first sensor of a supported kind, then all shapes, lights and materials."""
     document = out.document
     sensors = [node for node in document.nodes if node.tag == "sensor"]
     usable = [node for node in sensors if node.kind in CAMERA_KINDS]
@@ -153,13 +153,13 @@ def _add_all(out: SceneBuilder, path: str) -> None:
         there = f", got {listed((node.kind for node in sensors), 'and')}" if sensors else ""
         position = sensors[0].position if sensors else SourcePosition(path, 1, 1)
         document.errors.append(
-            ImportDiagnostic(position, f"needs a sensor that we have: {listed(CAMERA_KINDS)}{there}")
+            ImportDiagnostic(position, f"needs a sensor of a supported kind: {listed(CAMERA_KINDS)}{there}")
         )
     _add_rest(out, usable[:1])
 
 
 def _add_rest(out: SceneBuilder, done: list[Node]) -> None:
-    """All elements but the sensor. An area light or a material stands for itself only where a shape refers to it."""
+    """Convert all elements but the sensor. Area lights and materials count only where a shape refers to them."""
     nodes = out.document.nodes
     for node in nodes:
         if node.tag == "shape":
@@ -172,19 +172,19 @@ def _add_rest(out: SceneBuilder, done: list[Node]) -> None:
             out.omit(node, f"{node.words()}{unused}")
 
 
-def _scene_of(out: SceneBuilder, reach: MeshFolders) -> tuple[Scene | None, list[ImportDiagnostic]]:
-    """(the scene, None if it is not valid; meshes that are missing). Errors go into the document."""
+def _scene_of(out: SceneBuilder, folders: MeshFolders) -> tuple[Scene | None, list[ImportDiagnostic]]:
+    """(the scene, None if invalid; missing meshes). Errors are added to the document."""
     if "camera" not in out.data:
         out.data["camera"] = {
             "type": "pinhole",
             "eye": [0, 0, 0],
             "direction": [0, 0, 1],
-        }  # for the other errors
-    data, unusable, missing = resolve_mesh_files(out.data, reach, Scene)
+        }  # so that other errors are found
+    data, unusable, missing = resolve_mesh_files(out.data, folders, Scene)
     scene, problems = None, unusable
     try:
         scene = Scene.model_validate(data)
-        scene._folder = reach.folder.resolve()
+        scene._folder = folders.folder.resolve()
     except ValidationError as error:
         problems = problems + diagnostics_of(error, data, Scene)
     out.document.errors += [_with_position(out, each) for each in problems]
@@ -194,8 +194,8 @@ def _scene_of(out: SceneBuilder, reach: MeshFolders) -> tuple[Scene | None, list
 
 def _with_position(out: SceneBuilder, problem: Diagnostic) -> ImportDiagnostic:
     path = problem.path
-    while path and path not in out.places:
+    while path and path not in out.positions:
         path = path[:-1]
     return ImportDiagnostic(
-        out.places.get(path, SourcePosition(next(iter(out.document.texts)), 1, 1)), problem.text
+        out.positions.get(path, SourcePosition(next(iter(out.document.texts)), 1, 1)), problem.text
     )

@@ -1,4 +1,4 @@
-"""What is made of a document: the data of a scene file of ours, errors, and what was left out."""
+"""The scene description that a document is converted to, with omissions, and its transforms."""
 
 import math
 from dataclasses import dataclass, field
@@ -13,13 +13,11 @@ Path = tuple[str | int, ...]
 
 @dataclass
 class SceneBuilder:
-    """The scene so far. Values are read through it, so that each is either used or told of."""
+    """The scene description under construction. Values are read through it, so that unread ones are reported."""
 
     document: XmlDocument
     data: dict[str, Any] = field(default_factory=lambda: {"light": [], "material": {}, "shape": []})
-    places: dict[Path, SourcePosition] = field(
-        default_factory=dict
-    )  # where each element of the data is in the files
+    positions: dict[Path, SourcePosition] = field(default_factory=dict)  # of each element of the data
     left_out: list[ImportDiagnostic] = field(default_factory=list)
     consumed: set[int] = field(default_factory=set)  # id() of the nodes that were read
     materials: dict[int, str] = field(default_factory=dict)  # names by id() of their node
@@ -33,17 +31,17 @@ class SceneBuilder:
         self.left_out.append(ImportDiagnostic(node.position, text))
 
     def note(self, node: Node, text: str) -> None:
-        """Tell of something about an element that is used all the same."""
+        """Report a property of an element that is converted only approximately."""
         self.left_out.append(ImportDiagnostic(node.position, f"{text} ({node.words()})"))
 
     def omit_unread(self, node: Node) -> None:
-        """Tell of all children of a node that were not read."""
+        """Report all children of a node that were not read."""
         for child in node.children:
             if id(child) not in self.consumed:
                 self.omit(child, f"{child.words()} of {node.words()}")
 
     def find(self, node: Node, name: str, *tags: str) -> Node | None:
-        """The child of that name and one of those tags, marked as read."""
+        """The child of a name and one of the tags, marked as read."""
         child = node.named(name)
         if child is None:
             return None
@@ -85,7 +83,7 @@ class SceneBuilder:
         return list(default) if child is None else self.xyz(child, default)
 
     def xyz(self, node: Node, default: tuple[float, ...]) -> list[float]:
-        """Of x="1" y="2" z="3" or value="1 2 3"; value="1" is all three."""
+        """A vector from x="1" y="2" z="3", value="1 2 3", or value="1" for all three."""
         if "value" in node.attributes:
             found = self.numbers(node, "value", 3)
             return found * 3 if len(found) == 1 else found
@@ -95,7 +93,7 @@ class SceneBuilder:
         ]
 
     def numbers(self, node: Node, attribute: str, count: int) -> list[float]:
-        """So many, or one; parted by spaces or commas. An error and zeros otherwise."""
+        """`count` numbers or one, separated by spaces or commas; else an error and zeros."""
         words = node.attributes.get(attribute, "").replace(",", " ").split()
         try:
             found = [float(word) for word in words]
@@ -109,15 +107,14 @@ class SceneBuilder:
         return found
 
 
-# <transform> -> steps of a to_world of ours, which act in the order of the file as Mitsuba's do.
-
+# ---- transforms: steps of to_world, applied in the order of the file as in Mitsuba ----
 
 Step = dict[str, Any]
 TRANSFORM_TAGS = ("translate", "rotate", "scale", "lookat", "matrix")
 
 
 def transform_steps(out: SceneBuilder, node: Node, name: str = "to_world") -> list[Step]:
-    """The steps of that transform of an element; none where it has none."""
+    """The steps of a transform of an element; empty without one."""
     transform = out.find(node, name, "transform")
     if transform is None:
         return []
@@ -149,9 +146,9 @@ def _step(out: SceneBuilder, node: Node) -> Step:
 
 
 def _rotation(axis: list[float], degrees: float) -> Step:
-    """Mitsuba takes the axis as it is: where its length is not 1 (exactly) the outcome is no rotation, but a matrix."""
+    """A rotation. Mitsuba does not normalise the axis: a length other than exactly 1 gives a general matrix."""
     length = math.hypot(*axis)
-    if length in (0.0, 1.0):  # 0 is refused with the rest of the scene
+    if length in (0.0, 1.0):  # 0 is rejected when the scene is validated
         return {"rotate": {"axis": axis, "degrees": degrees}}
     x, y, z = axis
     angle = math.radians(degrees)
@@ -162,7 +159,7 @@ def _rotation(axis: list[float], degrees: float) -> Step:
 
 
 def _matrix(out: SceneBuilder, node: Node) -> list[list[float]]:
-    """16 numbers, or 9 of the linear part, row by row."""
+    """A matrix of 16 numbers, or 9 of the linear part, in row-major order."""
     count = 9 if len(node.attributes.get("value", "").replace(",", " ").split()) == 9 else 16
     found = out.numbers(node, "value", count)
     if count == 9:
@@ -178,7 +175,7 @@ def matrix_rows(linear: np.ndarray, move: Any) -> list[list[float]]:
 
 
 def composed_matrix(steps: list[Step]) -> np.ndarray | None:
-    """4x4 float64 of the steps, by caster's own composition; None where they are not valid (which is told later)."""
+    """The product of steps as a 4x4 float64 matrix; None if they are invalid (reported by validation)."""
     from caster.description.errors import SceneError
     from caster.shapes import Cube
 

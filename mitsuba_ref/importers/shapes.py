@@ -1,4 +1,4 @@
-"""<shape> -> a shape of ours, or several for an instance."""
+"""Conversion of <shape>: one shape, or several for an instance."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,14 +11,14 @@ from mitsuba_ref.importers.xml_document import Node, resolve_reference
 
 ShapeData = dict[str, Any]
 
-# Of a sphere's matrix: its three columns are as long as each other up to what float32 makes of equal numbers.
+# Column lengths of a sphere's matrix that are equal up to float32 rounding.
 UNIFORM_SCALE_RTOL = 8 * 2.0**-24
 
 MIRROR_Z = {"scale": [1.0, 1.0, -1.0]}
 
 
 def add_shape(out: SceneBuilder, node: Node, outer: tuple[Step, ...] = (), name: str = "") -> None:
-    """outer: the steps of the instance that it is a part of, which act after its own. name: that of the instance."""
+    """Add a shape. outer: transform steps of the enclosing instance, applied after its own; name: of the instance."""
     out.consumed.add(id(node))
     if node.kind == "shapegroup":
         return  # invisible by itself
@@ -31,7 +31,7 @@ def add_shape(out: SceneBuilder, node: Node, outer: tuple[Step, ...] = (), name:
             _add_instance(out, node)
         return
     if node.kind not in SHAPE_BUILDERS:
-        out.omit(node, f"{node.words()}: no shape of ours (known: {', '.join(SHAPE_BUILDERS)}, instance)")
+        out.omit(node, f"{node.words()}: not supported (known: {', '.join(SHAPE_BUILDERS)}, instance)")
         return
     steps = [*transform_steps(out, node), *outer]
     shape = SHAPE_BUILDERS[node.kind](out, node, steps, bool(outer))
@@ -42,13 +42,13 @@ def add_shape(out: SceneBuilder, node: Node, outer: tuple[Step, ...] = (), name:
             out.consumed |= {id(target), id(emitter)}
             if is_dark(out, target):
                 continue
-            out.omit(emitter, f"{target.words()} of {node.words()}: our shapes do not shine")
+            out.omit(emitter, f"{target.words()} of {node.words()}: shapes emit no light here")
     out.omit_unread(node)
     label = name or node.id
     taken = {other.get("name") for other in out.data["shape"]}
     shape |= {"name": label} if label and label.isprintable() and label not in taken else {}
     shape |= {"material": material} if material else {}
-    out.places["shape", len(out.data["shape"])] = node.position
+    out.positions["shape", len(out.data["shape"])] = node.position
     out.data["shape"].append(shape)
 
 
@@ -75,32 +75,32 @@ def _to_world(steps: list[Step]) -> ShapeData:
 
 
 def _sphere(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> ShapeData:
-    """Mitsuba's takes of its matrix where its centre and one radius come to lie, unless an instance stretches it."""
+    """A sphere. Mitsuba applies its matrix to centre and radius only, unless an instance scales it non-uniformly."""
     center, radius = out.vector(node, "center", (0.0, 0.0, 0.0)), out.number(node, "radius", 1.0)
     inward = out.boolean(node, "flip_normals") != (radius < 0.0)
     matrix = composed_matrix(steps)
-    if matrix is not None and not stretched:  # an instance keeps outwards what is
+    if matrix is not None and not stretched:  # an instance keeps the orientation of the normal
         inward ^= bool(np.linalg.det(matrix[:3, :3]) < 0.0)
     if inward:
-        out.note(node, "its normal, which points inwards: ours points outwards")
+        out.note(node, "its normal, which points inwards: normals point outwards here")
     shape = {"type": "sphere", "center": center, "radius": abs(radius)}
     if matrix is None or stretched:
         return shape | _to_world(steps)
     sizes = np.linalg.norm(matrix[:3, :3], axis=0)
     if np.ptp(sizes) > UNIFORM_SCALE_RTOL * sizes.max():
-        out.note(node, "the stretching, which Mitsuba leaves out too: it keeps the radius along x")
+        out.note(node, "the non-uniform scale, which Mitsuba ignores as well: the radius is that along x")
     center = (matrix[:3, :3] @ center + matrix[:3, 3]).tolist()
     return {"type": "sphere", "center": center, "radius": float(abs(radius) * sizes[0])}
 
 
 def _unit_shape(kind: str) -> Callable[[SceneBuilder, Node, list[Step], bool], ShapeData]:
-    """A disk, rectangle or cube: our own are the same."""
+    """A builder for a disk, rectangle or cube, which are the same in both formats."""
 
     def make(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> ShapeData:
-        turned = out.boolean(node, "flip_normals")
-        if turned and kind == "disk":
+        flipped = out.boolean(node, "flip_normals")
+        if flipped and kind == "disk":
             return {"type": kind, "to_world": [MIRROR_Z, *steps]}
-        _note_normal_side(out, node, turned, steps)
+        _note_normal_side(out, node, flipped, steps)
         return {"type": kind} | _to_world(steps)
 
     return make
@@ -110,7 +110,7 @@ def _cylinder(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool)
     ends = out.vector(node, "p0", (0.0, 0.0, 0.0)), out.vector(node, "p1", (0.0, 0.0, 1.0))
     radius = out.number(node, "radius", 1.0)
     if out.boolean(node, "flip_normals"):
-        out.note(node, "its normal, which points inwards: ours points outwards")
+        out.note(node, "its normal, which points inwards: normals point outwards here")
     return {"type": "cylinder", "p0": ends[0], "p1": ends[1], "radius": radius} | _to_world(steps)
 
 
@@ -124,14 +124,14 @@ def _mesh(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> 
     return shape | _to_world(steps)
 
 
-def _note_normal_side(out: SceneBuilder, node: Node, turned: bool, steps: list[Step]) -> None:
+def _note_normal_side(out: SceneBuilder, node: Node, flipped: bool, steps: list[Step]) -> None:
     matrix = composed_matrix(steps)
-    if turned:
-        out.note(node, "flip_normals: our normal points to the other side")
+    if flipped:
+        out.note(node, "flip_normals: the normal is not flipped here")
     elif matrix is not None and np.linalg.det(matrix[:3, :3]) < 0.0:
         out.note(
             node,
-            "the side of its normal: Mitsuba's geometric and shading normals part ways under a mirror, ours do not",
+            "the side of its normal: Mitsuba's mirrored geometric and shading normals point to different sides",
         )
 
 

@@ -1,4 +1,4 @@
-"""Where something stands in the files that were read, and what there is to say about it."""
+"""Mitsuba XML documents: elements with source positions, default parameters, includes and references."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -14,24 +14,24 @@ from caster.scene.text import Span, format_excerpt, read_text
 class SourcePosition(NamedTuple):
     """The start of an element; line and column count from 1."""
 
-    file: str  # as its user or its include named it
+    file: str  # as named by the user or the include
     line: int
     column: int
 
 
 class ImportDiagnostic(NamedTuple):
-    """A sentence about a place: an error, or what was left out."""
+    """An error or an omission, and its position."""
 
     position: SourcePosition
     text: str
 
     def line(self) -> str:
-        """ "file:line:column: left out: ..." """
+        """The omission as "file:line:column: left out: ..."."""
         return f"{self.position.file}:{self.position.line}:{self.position.column}: left out: {self.text}"
 
 
 def format_diagnostics(errors: list[ImportDiagnostic], texts: dict[str, str]) -> str:
-    """All of them, each with the line itself. texts: by file."""
+    """All diagnostics, each with its source line. texts: contents by file."""
     return "\n".join(
         format_excerpt(
             Span(position.line, position.column, 1), text, texts.get(position.file, ""), position.file
@@ -40,15 +40,14 @@ def format_diagnostics(errors: list[ImportDiagnostic], texts: dict[str, str]) ->
     )
 
 
-# XML text -> elements that know where they stand.
+# ---- elements ----
 
-
-MAX_ELEMENT_DEPTH = 64  # elements in elements; Mitsuba's own need a handful
+MAX_ELEMENT_DEPTH = 64  # nesting of elements; Mitsuba's scenes need a handful
 
 
 @dataclass
 class Node:
-    """An element. Attributes are texts."""
+    """An element with its attributes and its position."""
 
     tag: str
     attributes: dict[str, str]
@@ -61,7 +60,7 @@ class Node:
 
     @property
     def kind(self) -> str:
-        """The plugin, of an element that is one."""
+        """The plugin type of the element, if it is a plugin."""
         return self.attributes.get("type", "")
 
     @property
@@ -76,13 +75,13 @@ class Node:
         return (child for child in self.children if child.tag in tags)
 
     def words(self) -> str:
-        """sensor thinlens "camera"; or float fov"""
+        """The element in messages: `sensor thinlens "camera"`, `float fov`."""
         label = f' "{self.id}"' if self.id else ""
         return " ".join(filter(None, (self.tag, self.kind, self.name))) + label
 
 
 def parse(text: str, file: str) -> Node:
-    """The root element. Raises SceneError with line and column for what is not well-formed, and for a DTD."""
+    """Parse a text to its root element. Raises SceneError with line and column for malformed XML and for a DTD."""
     parser = expat.ParserCreate()
     open_nodes: list[Node] = []
     roots: list[Node] = []
@@ -111,31 +110,32 @@ def parse(text: str, file: str) -> Node:
 
     parser.StartElementHandler = begin
     parser.EndElementHandler = lambda tag: open_nodes.pop()
-    parser.StartDoctypeDeclHandler = refuse  # entities could name other files, or grow beyond all bounds
+    parser.StartDoctypeDeclHandler = refuse  # entities could read other files or expand exponentially
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
         position = SourcePosition(file, error.lineno, error.offset + 1)
-        says = expat.errors.messages[error.code]
+        reason = expat.errors.messages[error.code]
         raise SceneError(
-            format_diagnostics([ImportDiagnostic(position, f"not valid XML: {says}")], {file: text})
+            format_diagnostics([ImportDiagnostic(position, f"not valid XML: {reason}")], {file: text})
         ) from None
     return roots[0]
 
 
-# A scene with its defaults filled in, its includes read and its references followed.
+# ---- defaults, includes, references ----
 
-
-MAX_INCLUDE_DEPTH = 15  # includes in includes, as Mitsuba allows
+MAX_INCLUDE_DEPTH = 15  # nesting of includes, as in Mitsuba
 MAX_INCLUDES = 1000  # includes of one scene
 
 
 @dataclass
 class XmlDocument:
-    """All elements of a scene, and what was wrong on the way."""
+    """All elements of a scene with its includes, and the errors so far."""
 
     folder: Path
-    nodes: list[Node] = field(default_factory=list)  # children of the root, those of includes in their place
+    nodes: list[Node] = field(
+        default_factory=list
+    )  # children of the root; an include is replaced by its content
     by_id: dict[str, Node] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)  # of each file
     errors: list[ImportDiagnostic] = field(default_factory=list)
@@ -144,9 +144,9 @@ class XmlDocument:
 
 
 def load_document(path: str, given: Mapping[str, str]) -> XmlDocument:
-    """Read a scene. given: parameters that go before the file's defaults.
+    """Load a document with its includes. given: parameters that override the defaults of the file.
 
-    Raises FileMissing for the file itself, SceneError for XML that cannot be read; other errors are in the document.
+    Raises FileMissing for the file itself, SceneError for malformed XML; other errors are collected in the document.
     """
     document = XmlDocument(Path(path).parent, parameters=dict(given))
     _read(document, path, 0)
@@ -177,7 +177,7 @@ def _read(document: XmlDocument, path: str, depth: int) -> None:
 
 
 def _include(document: XmlDocument, node: Node, depth: int) -> None:
-    """Files are looked for beside the scene. One that leads out of its folder is refused."""
+    """Load an include, relative to the folder of the scene and inside of it."""
     name = node.attributes.get("filename", "")
     path = document.folder / name
     document.includes += 1
@@ -198,7 +198,7 @@ def _include(document: XmlDocument, node: Node, depth: int) -> None:
 
 
 def _substitute_parameters(document: XmlDocument, node: Node) -> None:
-    """Put the parameters into the attributes, of all that is inside, too."""
+    """Substitute parameters in the attributes of an element and its descendants."""
     for key, value in node.attributes.items():
         if "$" in value:
             node.attributes[key] = _substituted(document, node, value)
@@ -207,7 +207,7 @@ def _substitute_parameters(document: XmlDocument, node: Node) -> None:
 
 
 def _substituted(document: XmlDocument, node: Node, value: str) -> str:
-    """The longest name that is known goes first: $widthscale is not $width and then scale."""
+    """Substitute parameters in a value, longest name first: $widthscale is not $width and then scale."""
     for name in sorted(document.parameters, key=len, reverse=True):
         value = value.replace(f"${name}", document.parameters[name])
     if unknown := re.search(r"\$(\w+)", value):
@@ -221,7 +221,7 @@ def _index(document: XmlDocument, nodes: list[Node]) -> None:
         if node.tag in ("ref", "alias"):
             continue
         if node.id and node.id in document.by_id:
-            document.errors.append(ImportDiagnostic(node.position, f'id "{node.id}" is there twice'))
+            document.errors.append(ImportDiagnostic(node.position, f'id "{node.id}" occurs twice'))
         if node.id:
             document.by_id.setdefault(node.id, node)
         _index(document, node.children)
@@ -231,7 +231,7 @@ def _index(document: XmlDocument, nodes: list[Node]) -> None:
 
 
 def resolve_reference(document: XmlDocument, node: Node) -> Node | None:
-    """What a <ref> stands for; any other element itself. None, and an error, for a reference to nothing."""
+    """The element that a <ref> refers to, or the element itself. None, and an error, for an unknown id."""
     if node.tag != "ref":
         return node
     if node.id in document.by_id:

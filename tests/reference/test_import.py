@@ -174,10 +174,10 @@ def test_what_was_left_out_is_listed(folder):
 
 LEFT_OUT = [
     "4:3: left out: integrator path",
-    "17:5: left out: bsdf plastic: our materials are diffuse; its diffuse_reflectance is kept",
+    "17:5: left out: bsdf plastic: materials are diffuse here; its diffuse_reflectance is kept",
     "17:79: left out: float int_ior of bsdf plastic",
-    '18:5: left out: emitter area "unused" of shape obj "quad": our shapes do not shine',
-    '33:3: left out: shape bsplinecurve "hair": no shape of ours '
+    '18:5: left out: emitter area "unused" of shape obj "quad": shapes emit no light here',
+    '33:3: left out: shape bsplinecurve "hair": not supported '
     "(known: sphere, rectangle, disk, cube, cylinder, obj, ply, instance)",
 ]
 ERRORS = [
@@ -198,12 +198,12 @@ ERRORS = [
     (
         '"perspective"',
         '"radiancemeter"',
-        "needs a sensor that we have: perspective, thinlens or orthographic, got",
+        "needs a sensor of a supported kind: perspective, thinlens or orthographic, got",
     ),
     ("<translate z=", "<move z=", "unknown step <move> of a transform"),
     ("</scene>", "</sceen>", "not valid XML: mismatched tag"),
     ("<scene ", '<!DOCTYPE scene [<!ENTITY a "b">]><scene ', "a document type is no part of a scene"),
-    ('id="lid"', 'id="tube"', 'id "tube" is there twice'),
+    ('id="lid"', 'id="tube"', 'id "tube" occurs twice'),
     (
         "parts/quad.obj",
         "../quad.obj",

@@ -56,9 +56,9 @@ def test_what_our_model_lacks_is_listed_with_its_place(tmp_path):
     text = SCENE.format(count=1, objects="Sphere { center 0 0 0 radius 1 }")
     text = text.replace("DirectionalLight { direction 0 0 -2", "PointLight { position 0 0 9")
     assert [line.rpartition("s.txt:")[2] for line in read(tmp_path, text).left_out] == [
-        "3:22: left out: light that does not fade: our point lights fade by 1 / r^2; it keeps what it has at r = 1",
-        "6:38: left out: specularColor 1 1 1: our materials are diffuse, of one colour",
-        "7:5: left out: exponent 20: our materials are diffuse, of one colour",
+        "3:22: left out: no attenuation: point lights fall off by 1 / r^2 here; the value at r = 1 is kept",
+        "6:38: left out: specularColor 1 1 1: materials are diffuse, of one colour",
+        "7:5: left out: exponent 20: materials are diffuse, of one colour",
     ]
 
 
@@ -88,9 +88,7 @@ def test_textures_of_later_assignments_are_read_over_and_told(tmp_path):
     )
     course = read(tmp_path, text)
     assert course.scene.materials["material-1"].reflectance == (0.5, 0.5, 0.5)
-    assert course.left_out[-1].endswith(
-        "8:3: left out: Checkerboard: our materials have one colour; grey stands for it"
-    )
+    assert course.left_out[-1].endswith("8:3: left out: Checkerboard: no textures here; replaced by grey")
 
 
 BAD = """PerspectiveCamera {
@@ -120,7 +118,7 @@ def test_all_errors_of_a_file_are_told_at_once(tmp_path):
         "4:5: PerspectiveCamera: unknown word upp, did you mean 'up'?",
         "5:5: camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 300",
         "7:1: the file: unknown word Light, did you mean 'Lights'?",
-        "8:13: Materials: numMaterials 2, but 1 is there",
+        "8:13: Materials: numMaterials 2, but it contains 1",
         "8:56: Material: diffuseColor must be 3 numbers, got '}' after 2",
         "9:1: Group: its '}' is missing",
         "11:5: MaterialIndex 3: the scene has 1 materials, counted from 0",
@@ -145,14 +143,14 @@ def test_an_error_shows_the_line_and_marks_the_place(tmp_path):
     [
         (("Group {", "Group { {"), "expected numObjects, MaterialIndex, Group"),
         (("numObjects 1", ""), "Group needs 'numObjects'"),
-        (("numObjects 1", "numObjects 3"), "Group: numObjects 3, but 1 is there"),
-        (("radius 1", "radius 1 radius 2"), "Sphere: radius is there twice"),
+        (("numObjects 1", "numObjects 3"), "Group: numObjects 3, but it contains 1"),
+        (("radius 1", "radius 1 radius 2"), "Sphere: radius occurs twice"),
         (("Sphere {", "Sphere { 7"), "Sphere: expected center or radius, got the number 7"),
         (("Sphere {", "Sphere"), "Sphere must be followed by '{', got 'center'"),
-        (("Sphere {", "Transform { Scale 1 1 1 } Sphere {"), "Transform needs one object to place, got 0"),
+        (("Sphere {", "Transform { Scale 1 1 1 } Sphere {"), "Transform needs one object, got 0"),
         (("angle 30", "angle nan"), "angle must be a number, got 'nan' after 0"),
         (("Background", "} Background"), "a '}' too many"),
-        (("Background", "Group { numObjects 0 } Background"), "Group is there twice; the first is in line 4"),
+        (("Background", "Group { numObjects 0 } Background"), "Group occurs twice; the first is in line 4"),
         (
             ("PerspectiveCamera { center 0 0 10 direction 0 0 -1 up 0 1 0 angle 30 }", ""),
             "the scene needs a block Per",

@@ -174,7 +174,7 @@ def test_the_command_writes_its_pictures_and_lists_what_it_left_out(tmp_path, mo
     assert main(["6837", *words.split()]) == 0
     said = capsys.readouterr()
     assert said.out.startswith("o.png, d.tga, n.png: 30 x 20 pixels, ") and ", t 9.0" in said.out
-    assert said.err.startswith("s.txt:1:") and ": left out: light that does not fade" in said.err
+    assert said.err.startswith("s.txt:1:") and ": left out: no attenuation" in said.err
     expected = render_course(load_course_scene("s.txt", 30, 20))
     assert np.array_equal(read_image("o.png"), to_bytes_truncated(expected.color))
     assert np.array_equal(read_image("d.tga"), depth_image(expected, -2.0, 12.0))
