@@ -14,7 +14,9 @@ COMMANDS = (
     Command(
         "render",
         "render a scene with Mitsuba to an EXR file, along the rays that our caster traces",
-        "mitsuba_ref.cli.render",
+        "mitsuba_ref.cli.scene_exchange",
+        run="run_render",
+        arguments="add_render_arguments",
     ),
     Command(
         "approve",
@@ -70,8 +72,17 @@ COMMANDS = (
         "mitsuba_ref.cli.bench",
     ),
     Command(
+        "schema",
+        "print the JSON Schema of a result, such as verdict.json",
+        "mitsuba_ref.cli.installation_and_formats",
+        run="run_schema",
+        arguments="add_schema_arguments",
+    ),
+    Command(
         "doctor",
         "list what was found on this machine, and what each missing part would add",
-        "mitsuba_ref.cli.doctor",
+        "mitsuba_ref.cli.installation_and_formats",
+        run="run_doctor",
+        arguments="add_doctor_arguments",
     ),
 )

@@ -1,4 +1,4 @@
-"""`mitsuba-ref export` and `mitsuba-ref import`: scenes to Mitsuba XML, and from it or from texts of MIT 6.837."""
+"""`mitsuba-ref render`, `export` and `import`: scenes to Mitsuba, and from its XML or from texts of MIT 6.837."""
 
 from __future__ import annotations
 
@@ -6,14 +6,69 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.exit_codes import OK
-from caster.cli.scene_arguments import add_mesh_dirs, add_scene, error_prefix, load
-from caster.description.errors import SceneError
+from caster.cli.exit_codes import DIFFERENCES, OK
+from caster.cli.scene_arguments import (
+    AOV_NAMES,
+    DEFAULT_AOV_LIST,
+    add_mesh_dirs,
+    add_scene,
+    check_exr_suffix,
+    error_prefix,
+    load,
+)
+from caster.description.errors import SceneError, suggestion
 
 if TYPE_CHECKING:
     from mitsuba_ref.importers.mitsuba_xml import ImportedScene
 
+KNOWN_AOVS = AOV_NAMES.split(", ")
 COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
+
+
+def add_render_arguments(parser: argparse.ArgumentParser) -> None:
+    add_scene(parser)
+    add = parser.add_argument
+    add("-o", "--output", metavar="REF.exr", required=True)
+    add(
+        "--aov",
+        metavar="A,B,...",
+        default=DEFAULT_AOV_LIST,
+        help=f"of {', '.join(KNOWN_AOVS)}; default: {DEFAULT_AOV_LIST}",
+    )
+    add("--variant", metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
+
+
+def run_render(args: argparse.Namespace) -> int:
+    """Render with Mitsuba and write the file; 1 when Mitsuba ends without an answer."""
+    names = tuple(dict.fromkeys(args.aov.split(",")))
+    for name in names:
+        if name not in KNOWN_AOVS:
+            raise SceneError(
+                f"--aov {name!r}: unknown{suggestion(name, KNOWN_AOVS)}; known are {', '.join(KNOWN_AOVS)}"
+            )
+    if args.variant:
+        from mitsuba_ref.reference.variants import check_variant
+
+        check_variant(args.variant, "--variant")
+    scene = load(args)
+    from caster.image.atomic_files import check_writable
+    from caster.image.channels import write_render
+    from mitsuba_ref.reference.messages import Crash
+    from mitsuba_ref.reference.rendering import render_reference
+
+    check_exr_suffix(args.output)
+    check_writable(args.output)
+    rendered = render_reference(scene, names, variant=args.variant)
+    if isinstance(rendered, Crash):
+        print(f"{args.scene}: {rendered.message}")
+        return DIFFERENCES
+    images, versions = rendered
+    more = {f"caster/reference/{name}": version for name, version in versions.items()}
+    write_render(args.output, scene, images, args.scene, more)
+    height, width = images.hit.shape
+    print(f"{args.output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(names)}")
+    print(", ".join(f"{name} {version}" for name, version in versions.items()))
+    return OK
 
 
 def add_import_arguments(parser: argparse.ArgumentParser) -> None:
