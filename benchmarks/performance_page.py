@@ -20,8 +20,7 @@ from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
 from mitsuba_ref.bench.result import Row, Run, SceneResult, Sweep
 from mitsuba_ref.bench.scoring import EXACT_RAYS_PER_SORT
 from mitsuba_ref.bench.work import SHADING
-from mitsuba_ref.experiment.result_file import read_result
-from mitsuba_ref.experiment.tables import markdown, number
+from mitsuba_ref.experiment.results import markdown, number, read_result
 
 PAGE, IMAGE_FOLDER, NOTES = "performance.md", "performance", "performance-notes.md"
 MIN_ROUNDS = 7  # alternations; a page of fewer says so

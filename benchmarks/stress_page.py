@@ -13,8 +13,7 @@ from pathlib import Path
 import stress_plots
 from pages import WIDTH, write_page
 
-from mitsuba_ref.experiment.result_file import read_result
-from mitsuba_ref.experiment.tables import markdown
+from mitsuba_ref.experiment.results import markdown, read_result
 from mitsuba_ref.stress import table
 from mitsuba_ref.stress.score import Score
 from mitsuba_ref.stress.sweeps import OUR_KEYS, StressRun, SweepResult

@@ -18,7 +18,7 @@ from mitsuba_ref.bench.entries.ours import BYTES
 from mitsuba_ref.bench.measuring import Progress, Settings, Start, start_process, time_scene
 from mitsuba_ref.bench.result import Run, SceneResult, Series, Sweep
 from mitsuba_ref.bench.scenes import BenchScene
-from mitsuba_ref.experiment.result_file import libllvm, versions
+from mitsuba_ref.experiment.results import libllvm, versions
 from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 
 PACKAGES = ("numpy", "numba", "mitsuba", "drjit", "open3d", "trimesh", "embreex")

@@ -12,7 +12,7 @@ from mitsuba_ref.bench.result import Score
 from mitsuba_ref.bench.scenes import BenchScene, rays_of, unit
 from mitsuba_ref.bench.work import ANY, DEFAULT, MESH_FILE, RAYS_FILE, ROBUST, SCENE_FILE, SHADING, SHADOW_END
 from mitsuba_ref.experiment.exact_hits import ExactHits, PreparedScene, prepare_scene
-from mitsuba_ref.experiment.result_file import largest
+from mitsuba_ref.experiment.results import largest
 from mitsuba_ref.reference.rendering import export
 
 Rng = np.random.Generator

@@ -2,7 +2,7 @@
 
 from mitsuba_ref.bench.result import Row, Run, SceneResult
 from mitsuba_ref.bench.work import FILM, SHADING
-from mitsuba_ref.experiment.tables import NOTHING, aligned, number
+from mitsuba_ref.experiment.results import NOTHING, aligned, number
 
 COLUMNS = (
     "", "rays", "build ms", "ns/ray", "Mray/s", "x ours", "t: ulps", "t: bounds", "wrong", "wrong at edges", "MB",

@@ -43,6 +43,15 @@ def no_sensor(camera: Any, film: Film, limits: ClipRange) -> XmlElement | None:
     return None
 
 
+Fields = dict[str, Any]  # of a camera, as a scene file gives them
+RandomView = Callable[[], Fields]  # draws eye, direction and up
+
+
+def view_only(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+    """A camera that its view alone varies."""
+    return view()
+
+
 @dataclass(frozen=True)
 class CameraReference:
     """One entry of the registry `mitsuba_ref.cameras.REFERENCES`."""
@@ -57,6 +66,15 @@ class CameraReference:
 
     # (description, film) -> how many roundings more than a plain direction the rays of Mitsuba's sensor suffer
     amplification: Callable[[Any, Film], float] = lambda camera, film: 1.0
+
+    # (random generator, size of the scene's shapes, random view) -> the camera's fields, for the fuzzer
+    random_fields: Callable[[np.random.Generator, float, RandomView], Fields] = view_only
+
+    @property
+    def type_name(self) -> str:
+        """What a scene file calls it."""
+        name: str = self.describes.model_fields["type"].default
+        return name
 
 
 def camera_axes(camera: Camera) -> np.ndarray:

@@ -10,6 +10,8 @@ from mitsuba_ref.cameras.camera_reference import (
     CameraRays,
     CameraReference,
     ClipRange,
+    Fields,
+    RandomView,
     camera_axes,
     clip_planes,
     eye_origins,
@@ -36,4 +38,11 @@ def to_xml(camera: Orthographic, film: Film, limits: ClipRange) -> XmlElement:
     return sensor
 
 
-REFERENCE = CameraReference(Orthographic, rays, to_xml)
+def random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+    """On the fuzzer's lattice a pixel is an eighth to a half of a shape wide, so that many rays hit edges exactly."""
+    width = size * float(2.0 ** rng.integers(-1, 3))
+    near = {"near": float(size * rng.uniform(0.0, 1.5))} if rng.random() < 0.2 else {}
+    return {**view(), "width": width, **near}
+
+
+REFERENCE = CameraReference(Orthographic, rays, to_xml, random_fields=random_fields)

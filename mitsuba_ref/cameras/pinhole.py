@@ -10,6 +10,8 @@ from mitsuba_ref.cameras.camera_reference import (
     CameraRays,
     CameraReference,
     ClipRange,
+    Fields,
+    RandomView,
     clip_planes,
     eye_origins,
     sensor_pose,
@@ -69,4 +71,12 @@ def amplification(camera: Pinhole, film: Film) -> float:
     return 1.0 + max(half_extents(camera, film)) * (1.0 + abs(px) + abs(py))
 
 
-REFERENCE = CameraReference(Pinhole, rays, to_xml, amplification)
+def random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+    planes = {"near": float(size * rng.uniform(0.0, 1.5))} if rng.random() < 0.3 else {}
+    if rng.random() < 0.2:
+        planes["far"] = float(size * rng.uniform(2.0, 9.0))
+    fov = float(rng.choice([90.0, rng.uniform(5.0, 150.0)]))
+    return {**view(), "fov": fov, **planes}
+
+
+REFERENCE = CameraReference(Pinhole, rays, to_xml, amplification, random_fields)

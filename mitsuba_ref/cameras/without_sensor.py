@@ -10,6 +10,8 @@ from caster.scene.model import Film
 from mitsuba_ref.cameras.camera_reference import (
     CameraRays,
     CameraReference,
+    Fields,
+    RandomView,
     rays_from_eye,
     to_world_directions,
 )
@@ -26,7 +28,11 @@ def fisheye_rays(camera: Fisheye, film: Film, x: np.ndarray, y: np.ndarray) -> C
     return rays_from_eye(camera, to_world_directions(camera, local), distance <= 1.0)
 
 
-FISHEYE = CameraReference(Fisheye, fisheye_rays)
+def random_fisheye(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+    return {**view(), "fov": float(rng.uniform(60.0, 360.0))}
+
+
+FISHEYE = CameraReference(Fisheye, fisheye_rays, random_fields=random_fisheye)
 
 
 # Panorama: Mitsuba has none, so its rays are handed over.
@@ -70,4 +76,9 @@ def ray_rays(camera: Ray, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRay
     return CameraRays(o, d, np.zeros(count), np.full(count, t_max))
 
 
-RAY = CameraReference(Ray, ray_rays)
+def random_ray(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+    fields = view()
+    return {"origin": fields["eye"], "direction": fields["direction"]}
+
+
+RAY = CameraReference(Ray, ray_rays, random_fields=random_ray)

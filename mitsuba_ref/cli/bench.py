@@ -55,9 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Time the selected scenes; 0, 1 where ours did not run, 2 unknown scene, 5 nothing selected, 130 interrupted."""
     from mitsuba_ref.bench.scenes import SCENES
-    from mitsuba_ref.experiment.selection import select
 
-    scenes = select(SCENES, "scene", args.scenes, args.expression)
+    scenes = options.select(SCENES, "scene", args.scenes, args.expression)
     if not scenes:
         print(f"nothing selected: no scene matches -k {args.expression!r}", file=sys.stderr)
         return NOTHING_SELECTED
@@ -102,7 +101,7 @@ def show(scene: SceneResult, progress: options.Progress, args: argparse.Namespac
 def show_earlier(args: argparse.Namespace) -> int:
     """Tables of an earlier run."""
     from mitsuba_ref.bench.result import Run
-    from mitsuba_ref.experiment.result_file import read_result
+    from mitsuba_ref.experiment.results import read_result
 
     before = read_result(Run, args.before, "mitsuba-ref bench")
     progress = options.Progress("bench")
@@ -115,7 +114,7 @@ def show_earlier(args: argparse.Namespace) -> int:
 def report(done: Run, args: argparse.Namespace) -> None:
     """The JSON file, if any, and a last line."""
     from mitsuba_ref.bench.table import summary
-    from mitsuba_ref.experiment.result_file import write_result
+    from mitsuba_ref.experiment.results import write_result
 
     if args.json:
         write_result(done, args.json)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from typing import TextIO
+from collections.abc import Sequence
+from typing import Protocol, TextIO, TypeVar
 
 from caster.cli.progress import StatusLine
+from caster.description.errors import SceneError, suggestion
 
 
 def whole(text: str) -> int:
@@ -64,3 +66,28 @@ class Progress:
 
     def clear(self) -> None:
         self.line.erase()
+
+
+class Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+T = TypeVar("T", bound=Named)
+
+
+def select(items: Sequence[T], what: str, words: Sequence[str], expression: str | None) -> list[T]:
+    """Items by name, or by the part of it before a dash; all of them without words. In the registry's order.
+
+    what: "scene" or "family", for messages. Raises SceneError for a word that is neither, or an invalid expression.
+    """
+    names = [item.name for item in items]
+    known = [*names, *(name.partition("-")[0] for name in names)]
+    for word in words:
+        if word not in known:
+            raise SceneError(f"{what} '{word}': unknown{suggestion(word, known)} (known: {', '.join(names)})")
+    from mitsuba_ref.runner.scene_selection import matching
+
+    matches = matching(expression)
+    chosen = (item for item in items if not words or {item.name, item.name.partition("-")[0]} & set(words))
+    return [item for item in chosen if matches(item.name)]

@@ -26,8 +26,8 @@ UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("--time", metavar="T", type=seconds, help="stop after so long, such as 60s, 5m, 1h; default: 60s")
-    add("--examples", metavar="N|A..B", type=numbers, help="so many examples, or those from A to B")
+    add("--time", metavar="T", type=seconds, help="stop after this time, such as 60s, 5m, 1h; default: 60s")
+    add("--examples", metavar="N|A..B", type=numbers, help="number of examples, or those from A to B")
     add(
         "--seed",
         metavar="S",
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         action="append",
         default=[],
-        help="only this kind of trouble; may be given several times",
+        help="only this family of scenes; may be given several times",
     )
     add(
         "--out",
@@ -53,17 +53,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         type=options.whole,
         default=3,
-        help="findings of one kind in one family that are made small and kept; all are counted; default: 3",
+        help="findings of one kind in one family that are shrunk and kept; all are counted; default: 3",
     )
-    add("--json", metavar="FILE", help="write what was done and found as JSON")
+    add("--json", metavar="FILE", help="write the result as JSON")
     add(
         "--judge-every",
         metavar="N",
         type=options.whole,
         default=16,
-        help="about one scene in N is compared with Mitsuba, too; 0: none; default: 16",
+        help="one scene in N, on average, is also compared with Mitsuba; 0: none; default: 16",
     )
-    add("--replay", metavar="FILE|DIR", help="look at kept scenes again, and at nothing else")
+    add("--replay", metavar="FILE|DIR", help="check kept scenes again, and nothing else")
     add(
         "--rays",
         metavar="N",
@@ -98,7 +98,7 @@ def numbers(text: str) -> range:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 nothing found, 1 something was, 5 nothing was asked for, 130 interrupted."""
+    """0 nothing found, 1 something was, 5 nothing selected, 130 interrupted."""
     if args.replay is not None:
         return replay(args)
     if args.shape and args.rays is None:
@@ -110,17 +110,17 @@ def run(args: argparse.Namespace) -> int:
 
 def search(args: argparse.Namespace) -> int:
     """Examples until the time or their number is used up."""
-    from mitsuba_ref.fuzz import campaign, report
+    from mitsuba_ref.fuzz import campaign, findings
     from mitsuba_ref.fuzz.campaign import Campaign
 
     plan = plan_of(args)
     if args.examples is not None and not len(args.examples):
-        print("nothing selected: --examples 0 asks for no example", file=sys.stderr)
+        print("nothing selected: --examples 0 selects no example", file=sys.stderr)
         return NOTHING_SELECTED
     if plan.judge_every:
         from mitsuba_ref.reference import variants
 
-        variants.variant_for(has_quadrics=False)  # a wrong choice of variant is said before any work
+        variants.variant_for(has_quadrics=False)  # a wrong choice of variant fails before any work
     if last := campaign.unfinished_example(plan.folder):
         print(f"an earlier run with this folder died, or is still running, in: {last}", file=sys.stderr)
     search_run, line = Campaign(plan), StatusLine()
@@ -128,10 +128,10 @@ def search(args: argparse.Namespace) -> int:
     try:
         work_through(search_run, line)
         finished = True
-    finally:  # what is found is kept and told, whatever ends the work
+    finally:  # what is found is kept, whatever ends the work
         line.erase()
-        print(report.text(search_run.outcome))
-        write_json(args, report.to_dict(search_run.outcome, interrupted=not finished))
+        print(findings.text(search_run.outcome))
+        write_json(args, findings.to_dict(search_run.outcome, interrupted=not finished))
     return OK if search_run.outcome.ok else DIFFERENCES
 
 
@@ -167,7 +167,7 @@ def write_json(args: argparse.Namespace, content: dict[str, Any]) -> None:
 
 def replay(args: argparse.Namespace) -> int:
     """Kept scenes again: 0 all pass today, 1 some fail, 2 a file is damaged, 4 missing, 5 an empty folder."""
-    from mitsuba_ref.fuzz import report
+    from mitsuba_ref.fuzz import findings
     from mitsuba_ref.fuzz.campaign import recheck
     from mitsuba_ref.fuzz.cases import kept_files, read_kept
     from mitsuba_ref.reference.session import ResidentSession
@@ -181,28 +181,27 @@ def replay(args: argparse.Namespace) -> int:
         lines = [
             (file, one.kind, [f"{f.kind}: {f.what}" for f in recheck(one, resident)]) for file, one in cases
         ]
-    print(report.replay_text(lines))
+    print(findings.replay_text(lines))
     return DIFFERENCES if any(wrong for _, _, wrong in lines) else OK
 
 
 def long_run(args: argparse.Namespace) -> int:
-    """Rays by the million."""
+    """Millions of rays per shape type."""
     from mitsuba_ref.fuzz import long_run
-    from mitsuba_ref.fuzz.kinds import shape_types
+    from mitsuba_ref.fuzz.settings import shape_types
 
     known = shape_types()
-
     for name in args.shape:
         if name not in known:
             raise SceneError(f"--shape {name}: unknown{suggestion(name, known)} (known: {', '.join(known)})")
     if not args.rays:
-        print("nothing selected: --rays 0 asks for no ray", file=sys.stderr)
+        print("nothing selected: --rays 0 selects no ray", file=sys.stderr)
         return NOTHING_SELECTED
     outcome = long_run.LongRun(args.seed, args.rays, tuple(args.shape) or known, Path(args.out), args.keep)
     finished, line = False, StatusLine()
     try:
-        for _ in outcome.run():
-            line.show(outcome.line())
+        for progress in outcome.run():
+            line.show(progress)
         finished = True
     finally:
         line.erase()

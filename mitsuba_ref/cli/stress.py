@@ -25,10 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Sweep the selected families; 0 ours is right everywhere, 1 it is not, 5 nothing selected, 130 interrupted."""
-    from mitsuba_ref.experiment.selection import select
     from mitsuba_ref.stress import registry
 
-    families = select(registry.FAMILIES, "family", args.families, args.expression)
+    families = options.select(registry.FAMILIES, "family", args.families, args.expression)
     if not families:
         print(f"nothing selected: no family matches -k {args.expression!r}", file=sys.stderr)
         return NOTHING_SELECTED
@@ -59,7 +58,7 @@ def sweep_all(families: list[Family], args: argparse.Namespace, done: list[Sweep
 def report(done: list[SweepResult], families: list[Family], args: argparse.Namespace) -> None:
     """The JSON file, if any, and a last line."""
     if args.json:
-        from mitsuba_ref.experiment.result_file import libllvm, versions, write_result
+        from mitsuba_ref.experiment.results import libllvm, versions, write_result
         from mitsuba_ref.stress.sweeps import StressRun
 
         installed = versions("mitsuba", "drjit", "numpy") | {"libllvm": libllvm()}

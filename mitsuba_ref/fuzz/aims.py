@@ -1,4 +1,4 @@
-"""Places on primitives where rays are likely to be judged wrongly: corners, edges, rims, and any others."""
+"""Adversarial rays: aimed at corners, edges, rims and tangents of the primitives of a scene."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -19,19 +19,19 @@ class PrimitivePicks(NamedTuple):
 
 
 class Targets:
-    """The primitives of a packed scene, as something to aim at."""
+    """Primitives of a packed scene to aim at."""
 
     def __init__(self, packed: Packed) -> None:
         self.parts = packed.parts
         self.counts = np.array([primitive_count(part) for part in packed.parts])
 
     def pick(self, rng: Rng, count: int) -> PrimitivePicks:
-        """Any shape, then any of its primitives."""
+        """Random primitives: a random shape, then one of its primitives."""
         shape = rng.choice(np.flatnonzero(self.counts), count)
         return PrimitivePicks(shape, rng.integers(self.counts[shape]))
 
-    def spots(self, rng: Rng, picks: PrimitivePicks, sort: str | None = None) -> SurfacePoints:
-        """A place on each of them, of this sort or of any."""
+    def points(self, rng: Rng, picks: PrimitivePicks, sort: str | None = None) -> SurfacePoints:
+        """A point on each of them, of this kind of point or of a random one."""
         sorts = (
             np.full(len(picks.k), sort)
             if sort
@@ -49,84 +49,83 @@ class Targets:
         return out
 
 
-# Ways to aim rays at trouble. Each gives origins and directions, (count, 3) both.
-
+# Aims: functions of (random generator, targets, setting, count) that give origins and directions, (count, 3) both.
 
 OriginsAndDirections = tuple[np.ndarray, np.ndarray]
 Aim = Callable[[Rng, Targets, Setting, int], OriginsAndDirections]
 
 
-class Shots(NamedTuple):
-    """Rays as they are cast: points o + t d with t_min < t <= t_max."""
+class RayBatch(NamedTuple):
+    """Rays o + t d, t_min < t <= t_max."""
 
     o: np.ndarray  # (n, 3) float64
     d: np.ndarray  # (n, 3) float64, of any length
     t_min: np.ndarray  # (n,)
     t_max: np.ndarray  # (n,)
 
-    def taken(self, rows: np.ndarray | slice) -> "Shots":
-        return Shots(*(a[rows] for a in self))
+    def taken(self, rows: np.ndarray | slice) -> "RayBatch":
+        return RayBatch(*(a[rows] for a in self))
 
 
 def at_features(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
     """From anywhere around, at corners, edges, rims and beside them."""
-    spots = targets.spots(rng, targets.pick(rng, count))
+    at = targets.points(rng, targets.pick(rng, count))
     distance = setting.size * 10.0 ** rng.uniform(-2.0, 1.5, (count, 1))
-    o = setting.on_lattice(spots.p + distance * random_directions(rng, count))
-    return o, spots.p - o
+    o = setting.on_lattice(at.p + distance * random_directions(rng, count))
+    return o, at.p - o
 
 
 def tangents(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
-    """Along the surface, from a place that they then touch."""
-    spots = targets.spots(rng, targets.pick(rng, count))
+    """Along a tangent of the surface, from some steps before its point."""
+    at = targets.points(rng, targets.pick(rng, count))
     steps = rng.integers(1, 5, (count, 1)) * rng.choice([-1.0, 1.0, 0.25, -16.0], (count, 1))
-    return spots.p - steps * spots.along, np.copysign(1.0, steps) * spots.along
+    return at.p - steps * at.along, np.copysign(1.0, steps) * at.along
 
 
 def through_two_points(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
-    """Through two places of one primitive: in the plane of what is flat, a chord of what is round."""
+    """Through two points of one primitive: in the plane of a flat one, a chord of a curved one."""
     picks = targets.pick(rng, count)
-    p, q = targets.spots(rng, picks).p, targets.spots(rng, picks).p
+    p, q = targets.points(rng, picks).p, targets.points(rng, picks).p
     return p - rng.integers(0, 4, (count, 1)) * (q - p), q - p
 
 
 def between_two_points(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
-    """From a place on one primitive to a place on another."""
-    p, q = (targets.spots(rng, targets.pick(rng, count)).p for _ in range(2))
+    """From a point on one primitive to a point on another."""
+    p, q = (targets.points(rng, targets.pick(rng, count)).p for _ in range(2))
     return p, q - p
 
 
 def from_surface(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
-    """From a place on a surface: anywhere, along it, or straight out and in."""
-    spots = targets.spots(rng, targets.pick(rng, count))
-    ways = [random_directions(rng, count), spots.along, spots.n, -spots.n]
-    return spots.p, np.choose(rng.integers(4, size=(count, 1)), ways)
+    """From a point on a surface in any direction, along a tangent or along the normal, out or in."""
+    at = targets.points(rng, targets.pick(rng, count))
+    ways = [random_directions(rng, count), at.along, at.n, -at.n]
+    return at.p, np.choose(rng.integers(4, size=(count, 1)), ways)
 
 
 def along_axes(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
-    """One component of d is not zero, or two; the zeros have either sign; o shares coordinates with places."""
-    spots = targets.spots(rng, targets.pick(rng, count))
+    """One component of d is not zero, or two; the zeros have either sign; o shares coordinates with a surface."""
+    at = targets.points(rng, targets.pick(rng, count))
     zeros = rng.choice([0.0, -0.0], (count, 3))
     d = np.where(rng.random((count, 3)) < 0.2, rng.choice([1.0, -1.0, 2.0], (count, 3)), zeros)
     d[np.arange(count), rng.integers(3, size=count)] = rng.choice([-1.0, 1.0], count)
     steps = setting.size * rng.integers(0, 5, (count, 1))
-    return spots.p - steps * d, d
+    return at.p - steps * d, d
 
 
 def anywhere(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
     """From around the middle, at any place or past everything."""
-    spots = targets.spots(rng, targets.pick(rng, count), "inside")
-    o = np.array(setting.middle) + 2.0 * setting.size * rng.normal(size=(count, 3))
+    at = targets.points(rng, targets.pick(rng, count), "inside")
+    o = np.array(setting.center) + 2.0 * setting.size * rng.normal(size=(count, 3))
     astray = setting.size * rng.choice([0.0, 1.0], (count, 1)) * rng.normal(size=(count, 3))
-    return o, spots.p + astray - o
+    return o, at.p + astray - o
 
 
 def from_afar(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
     """From 1e2 to 1e8 sizes away."""
-    spots = targets.spots(rng, targets.pick(rng, count))
+    at = targets.points(rng, targets.pick(rng, count))
     distance = setting.size * 10.0 ** rng.uniform(2.0, 8.0, (count, 1))
-    o = spots.p + distance * random_directions(rng, count)
-    return o, spots.p - o
+    o = at.p + distance * random_directions(rng, count)
+    return o, at.p - o
 
 
 ALL_AIMS: tuple[Aim, ...] = (
@@ -147,7 +146,7 @@ DENORMAL_AND_TINY = (-0.0, 0.0, 5e-324, -5e-324, 1e-310, -2.3e-308, 1e-200, 1e-3
 
 def aimed_rays(
     rng: Rng, targets: Targets, setting: Setting, count: int, aims: Sequence[Aim] = ALL_AIMS
-) -> Shots:
+) -> RayBatch:
     """`count` rays, each by one of the aims; all finite, none without a direction."""
     which = rng.integers(len(aims), size=count)
     o, d = np.zeros((count, 3)), np.zeros((count, 3))
@@ -158,7 +157,7 @@ def aimed_rays(
                 o[rows], d[rows] = aim(rng, targets, setting, len(rows))
     o, d = _perturb_some(rng, o, d)
     d = _make_some_unusual(rng, d)
-    return finite_rays(Shots(o, d, np.zeros(count), np.full(count, np.inf)))
+    return finite_rays(RayBatch(o, d, np.zeros(count), np.full(count, np.inf)))
 
 
 def _perturb_some(rng: Rng, o: np.ndarray, d: np.ndarray) -> OriginsAndDirections:
@@ -179,9 +178,9 @@ def _make_some_unusual(rng: Rng, d: np.ndarray) -> np.ndarray:
     return np.where(thin, rng.choice(DENORMAL_AND_TINY, (count, 1)), d)
 
 
-def finite_rays(shots: Shots) -> Shots:
+def finite_rays(rays: RayBatch) -> RayBatch:
     """The same, with what is no ray replaced by one along z."""
-    bad = ~np.isfinite(shots.o).all(axis=1) | ~np.isfinite(shots.d).all(axis=1) | ~shots.d.any(axis=1)
-    o, d = shots.o.copy(), shots.d.copy()
+    bad = ~np.isfinite(rays.o).all(axis=1) | ~np.isfinite(rays.d).all(axis=1) | ~rays.d.any(axis=1)
+    o, d = rays.o.copy(), rays.d.copy()
     o[bad], d[bad] = (0.0, 0.0, -3.0), (0.0, -0.0, 1.0)
-    return shots._replace(o=np.ascontiguousarray(o), d=np.ascontiguousarray(d))
+    return rays._replace(o=np.ascontiguousarray(o), d=np.ascontiguousarray(d))

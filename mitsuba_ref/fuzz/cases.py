@@ -18,7 +18,7 @@ from caster.image.atomic_files import check_folder, write_text
 from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.fuzz.aims import Shots
+from mitsuba_ref.fuzz.aims import RayBatch
 from mitsuba_ref.fuzz.checks import check_image, check_rays, prepared_scene
 from mitsuba_ref.fuzz.families import scene_of
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally
@@ -32,7 +32,7 @@ class Case(NamedTuple):
     film: dict[str, Any]
     camera: dict[str, Any]
     shapes: list[dict[str, Any]]
-    ray: Shots | None = None  # one row; None: the rays of the camera
+    ray: RayBatch | None = None  # one row; None: the rays of the camera
 
     def scene_data(self) -> dict[str, Any]:
         """The scene; with a ray of its own, that ray is its camera's, its t_min apart."""
@@ -65,8 +65,8 @@ class Case(NamedTuple):
         )
 
 
-def one_ray(o: list[float], d: list[float], t_min: float, t_max: float) -> Shots:
-    return Shots(np.array([o]), np.array([d]), np.array([t_min]), np.array([t_max]))
+def one_ray(o: list[float], d: list[float], t_min: float, t_max: float) -> RayBatch:
+    return RayBatch(np.array([o]), np.array([d]), np.array([t_min]), np.array([t_max]))
 
 
 SCENE_ERRORS = (

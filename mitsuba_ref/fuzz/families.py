@@ -1,4 +1,4 @@
-"""The registry of families: which kind of trouble a random scene and its rays look for."""
+"""Families of adversarial scenes, and the examples drawn from them."""
 
 import zlib
 from collections.abc import Callable, Sequence
@@ -9,155 +9,160 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
-from mitsuba_ref.fuzz import aims, kinds
-from mitsuba_ref.fuzz.aims import Aim, Shots, Targets, aimed_rays
+from mitsuba_ref.fuzz import aims
+from mitsuba_ref.fuzz.aims import Aim, RayBatch, Targets, aimed_rays
 from mitsuba_ref.fuzz.groups import coincident_shapes, slivers, triangle_fan
-from mitsuba_ref.fuzz.kinds import CAMERA_TYPES as CAMERAS
-from mitsuba_ref.fuzz.kinds import (
+from mitsuba_ref.fuzz.settings import (
     FILM_SIZES,
+    Fields,
+    Setting,
     bounded_types,
+    log_uniform,
+    random_camera,
+    random_lattice_setting,
+    random_setting,
     random_shape,
+    random_shapes,
     shape_types,
+    vector,
 )
-from mitsuba_ref.fuzz.settings import Setting, log_uniform, random_lattice_setting, random_setting
 from mitsuba_ref.shapes.targets import Rng
 
-Shapes = list[dict[str, Any]]
-DrawScene = Callable[[Rng], tuple[Setting, Shapes]]
+RAYS_PER_EXAMPLE = 40  # before those with limits
+
+# Random numbers of an example are independent for each of these purposes.
+SCENE_STREAM, AIM_STREAM, LIMIT_STREAM, MITSUBA_STREAM = range(4)
+
+Shapes = list[Fields]
+RandomScene = Callable[[Rng], tuple[Setting, Shapes]]
 
 
 class Family(NamedTuple):
-    """Scenes of one kind of trouble, and how rays are aimed at them."""
+    """Random scenes of one numerical difficulty, and how rays are aimed at them."""
 
     name: str
     about: str
-    draw: DrawScene
+    draw: RandomScene
     aims: tuple[Aim, ...] = aims.ALL_AIMS
-    fits_float32: bool = True  # so that Mitsuba may be asked about it
-    cameras: tuple[str, ...] = CAMERAS
+    fits_float32: bool = True  # so that Mitsuba can trace it
+    cameras: tuple[str, ...] = ()  # types; (): all that are registered
     films: tuple[tuple[int, int], ...] = FILM_SIZES
 
 
-def random_shapes(rng: Rng, setting: Setting, kinds: tuple[str, ...], most: int) -> Shapes:
-    return [random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(int(rng.integers(1, most + 1)))]
+def shapes_of(setting: Callable[[Rng], Setting], group: str, at_most: int) -> RandomScene:
+    """Scenes of one to at_most shapes of a group; "" for all registered shapes, "bounded" for finite ones."""
+
+    def draw(rng: Rng) -> tuple[Setting, Shapes]:
+        frame = setting(rng)
+        types = bounded_types() if group == "bounded" else shape_types(group)
+        return frame, random_shapes(rng, frame, types, at_most)
+
+    return draw
 
 
-def any_shapes(rng: Rng) -> tuple[Setting, Shapes]:
-    setting = random_setting(rng)
-    return setting, random_shapes(rng, setting, shape_types(), 5)
+def in_random_setting(shapes: Callable[[Rng, Setting], Shapes]) -> RandomScene:
+    def draw(rng: Rng) -> tuple[Setting, Shapes]:
+        frame = random_setting(rng)
+        return frame, shapes(rng, frame)
+
+    return draw
 
 
-def shared_edges(rng: Rng) -> tuple[Setting, Shapes]:
-    setting = random_setting(rng)
+def shared_edges(rng: Rng, setting: Setting) -> Shapes:
     if rng.random() < 0.5:
-        return setting, triangle_fan(rng, setting)
-    return setting, random_shapes(rng, setting, shape_types("mesh"), 2)
+        return triangle_fan(rng, setting)
+    return random_shapes(rng, setting, shape_types("mesh"), 2)
 
 
-def quadrics(rng: Rng) -> tuple[Setting, Shapes]:
-    setting = random_setting(rng)
-    return setting, random_shapes(rng, setting, shape_types("quadric"), 4)
-
-
-def ties(rng: Rng) -> tuple[Setting, Shapes]:
-    setting = random_setting(rng)
-    return setting, coincident_shapes(rng, setting)
-
-
-def flat_shapes(rng: Rng) -> tuple[Setting, Shapes]:
-    setting = random_setting(rng)
-    return setting, random_shapes(rng, setting, shape_types("flat"), 4)
-
-
-def on_the_lattice(rng: Rng) -> tuple[Setting, Shapes]:
-    setting = random_lattice_setting(rng)
-    return setting, random_shapes(rng, setting, shape_types(), 4)
-
-
-def sliver_scenes(rng: Rng) -> tuple[Setting, Shapes]:
-    setting = random_setting(rng)
-    return setting, slivers(rng, setting)
-
-
-def tiny_and_huge(rng: Rng) -> tuple[Setting, Shapes]:
+def tiny_or_huge(rng: Rng) -> Setting:
     """Sizes from 1e-100 to 1e17: squares of numbers that leave the range of float64, or nearly so."""
     size = log_uniform(rng, 1e-100, 1e-20) if rng.random() < 0.5 else log_uniform(rng, 1e10, 1e17)
-    setting = Setting(size, (0.0, 0.0, 0.0), 10.0)
-    return setting, random_shapes(rng, setting, shape_types(), 3)
+    return Setting(size, condition=10.0)
 
 
-def transformed(rng: Rng) -> tuple[Setting, Shapes]:
-    setting = Setting(1.0, (0.0, 0.0, 0.0), condition=1e6)
-    return setting, random_shapes(rng, setting, bounded_types(), 4)
+def stretched(rng: Rng) -> Setting:
+    return Setting(condition=1e6)
 
 
-def far_off(rng: Rng) -> tuple[Setting, Shapes]:
-    """Shapes 1e3 to 1e9 of their sizes away from the origin."""
+def far_from_origin(rng: Rng) -> Setting:
+    """1e3 to 1e9 sizes away."""
     size = log_uniform(rng, 1e-3, 1e3)
     away = size * log_uniform(rng, 1e3, 1e9) * rng.normal(size=3)
-    setting = Setting(size, (float(away[0]), float(away[1]), float(away[2])), 10.0)
-    return setting, random_shapes(rng, setting, shape_types(), 4)
+    return Setting(size, vector(away), 10.0)
+
+
+def small_on_film(rng: Rng) -> Setting:
+    """Shapes a few pixels wide."""
+    return Setting(0.25, condition=10.0) if rng.random() < 0.6 else random_lattice_setting(rng)
 
 
 def clutter(rng: Rng) -> tuple[Setting, Shapes]:
-    """Many small primitives through each other: deep trees, crowded pictures."""
-    setting = random_lattice_setting(rng) if rng.random() < 0.3 else Setting(1.0, (0.0, 0.0, 0.0), 10.0)
+    """Many small primitives through each other: deep trees, crowded tiles."""
+    setting = random_lattice_setting(rng) if rng.random() < 0.3 else Setting(condition=10.0)
     kinds = list(shape_types("small"))
     if rng.random() < 0.5:
         kinds = [str(rng.choice(kinds))]  # so that its tree is deep
-    return setting, [
-        random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(int(rng.integers(10, 30)))
-    ]
+    count = int(rng.integers(10, 30))
+    return setting, [random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(count)]
 
 
-def small_images(rng: Rng) -> tuple[Setting, Shapes]:
-    """Shapes a few pixels wide."""
-    setting = Setting(0.25, (0.0, 0.0, 0.0), 10.0) if rng.random() < 0.6 else random_lattice_setting(rng)
-    return setting, random_shapes(rng, setting, bounded_types(), 4)
-
+ANY_SHAPES = shapes_of(random_setting, "", 5)
 
 FAMILIES: tuple[Family, ...] = (
-    Family("any", "all shapes, all ways to aim", any_shapes),
+    Family("any", "all shapes, all ways to aim", ANY_SHAPES),
     Family(
         "edges",
         "shared edges and corners of meshes",
-        shared_edges,
+        in_random_setting(shared_edges),
         (aims.at_features, aims.along_axes, aims.between_two_points),
     ),
     Family(
         "tangents",
         "rays that touch spheres, ellipsoids, cylinders and rims",
-        quadrics,
+        shapes_of(random_setting, "quadric", 4),
         (aims.tangents, aims.at_features),
     ),
-    Family("ties", "surfaces that coincide, or nearly so", ties),
+    Family("ties", "surfaces that coincide, or nearly so", in_random_setting(coincident_shapes)),
     Family(
         "surfaces",
         "rays that start on a surface",
-        any_shapes,
+        ANY_SHAPES,
         (aims.from_surface, aims.between_two_points, aims.tangents),
     ),
     Family(
         "planes",
         "rays in the planes of flat shapes",
-        flat_shapes,
+        shapes_of(random_setting, "flat", 4),
         (aims.through_two_points, aims.along_axes, aims.tangents),
     ),
-    Family("lattice", "whole coordinates, axis directions, zeros of either sign", on_the_lattice),
-    Family("slivers", "needles, caps, and faces without an area", sliver_scenes),
-    Family("extremes", "sizes from 1e-100 to 1e17, denormal components", tiny_and_huge, fits_float32=False),
-    Family("transforms", "stretched, sheared and mirrored shapes, condition up to 1e6", transformed),
+    Family(
+        "lattice",
+        "whole coordinates, axis directions, zeros of either sign",
+        shapes_of(random_lattice_setting, "", 4),
+    ),
+    Family("slivers", "needles, caps, and faces without an area", in_random_setting(slivers)),
+    Family(
+        "extremes",
+        "sizes from 1e-100 to 1e17, denormal components",
+        shapes_of(tiny_or_huge, "", 3),
+        fits_float32=False,
+    ),
+    Family(
+        "transforms",
+        "stretched, sheared and mirrored shapes, condition up to 1e6",
+        shapes_of(stretched, "bounded", 4),
+    ),
     Family(
         "offsets",
         "far from the origin, seen from near and far",
-        far_off,
+        shapes_of(far_from_origin, "", 4),
         (aims.at_features, aims.from_afar, aims.anywhere),
     ),
     Family("clutter", "many primitives through each other", clutter),
     Family(
         "pictures",
-        "small shapes on larger films, by cameras that look for each shape's pixels",
-        small_images,
+        "small shapes on larger films, by cameras that rasterize",
+        shapes_of(small_on_film, "bounded", 4),
         cameras=("pinhole", "orthographic"),
         films=((16, 12), (13, 13)),
     ),
@@ -165,24 +170,9 @@ FAMILIES: tuple[Family, ...] = (
 BY_NAME = {family.name: family for family in FAMILIES}
 
 
-def seed_of_family(family: Family) -> int:
-    return seed_of_name(family.name)
-
-
-def seed_of_name(name: str) -> int:
-    """A number that stays the same when others are added before it."""
-    return zlib.crc32(name.encode())
-
-
-# Example i of seed S: a scene and rays, the same whenever and wherever they are asked for.
-
-
-RAYS_PER_EXAMPLE = 40  # of an example, before those with limits
-
-
 @dataclass(frozen=True)
 class Example:
-    """One scene to try. `data` is the scene as a scene file has it."""
+    """Example number of a seed: a scene as a scene file describes it, and its rays; always the same."""
 
     seed: int
     number: int
@@ -192,31 +182,32 @@ class Example:
 
     @property
     def options(self) -> str:
-        """The options that make it again."""
+        """The options that reproduce it."""
         return f"--seed {self.seed} --family {self.family.name} --examples {self.number}..{self.number}"
 
-    def random(self, purpose: int) -> Rng:
-        """Random numbers of its own, the same each time; others for each purpose."""
-        return np.random.default_rng([self.seed, self.number, seed_of_family(self.family), purpose])
+    def random(self, stream: int) -> Rng:
+        """Random numbers of the example, independent for each stream."""
+        return np.random.default_rng([self.seed, self.number, seed_of_name(self.family.name), stream])
 
-    def shots(self, packed: Packed, rays: int = RAYS_PER_EXAMPLE) -> Shots:
-        """The rays to cast."""
-        return aimed_rays(self.random(AIM_STREAM), Targets(packed), self.setting, rays, self.family.aims)
-
-
-SCENE_STREAM, AIM_STREAM, LIMIT_STREAM, MITSUBA_STREAM = range(4)  # purposes
+    def rays(self, packed: Packed, count: int = RAYS_PER_EXAMPLE) -> RayBatch:
+        return aimed_rays(self.random(AIM_STREAM), Targets(packed), self.setting, count, self.family.aims)
 
 
 def example(seed: int, number: int, families: Sequence[Family]) -> Example:
-    """Families take turns, so a family that is asked for alone has other examples of the same numbers."""
+    """Families take turns, so a family that is selected alone has other examples of the same numbers."""
     family = families[number % len(families)]
-    rng = np.random.default_rng([seed, number, seed_of_family(family), SCENE_STREAM])
+    rng = np.random.default_rng([seed, number, seed_of_name(family.name), SCENE_STREAM])
     setting, shapes = family.draw(rng)
-    film, camera = kinds.random_camera(rng, setting, family.cameras, family.films)
+    film, camera = random_camera(rng, setting, family.cameras, family.films)
     return Example(seed, number, family, setting, {"film": film, "camera": camera, "shape": shapes})
 
 
+def seed_of_name(name: str) -> int:
+    """A number that stays the same when others are added before it."""
+    return zlib.crc32(name.encode())
+
+
 def scene_of(data: dict[str, Any]) -> Scene:
-    """Raises SceneError, or pydantic's ValidationError, for what is no scene."""
+    """Raises SceneError or pydantic's ValidationError for an invalid description."""
     scene: Scene = Scene.model_validate(data)
     return scene

@@ -1,15 +1,17 @@
-"""What may be found wrong, and what was looked at."""
+"""Findings, tallies of what was checked, and the outcome of a run as text and as JSON."""
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.fuzz.aims import Shots
+from mitsuba_ref.experiment.results import aligned
+from mitsuba_ref.fuzz.aims import RayBatch
 
-# The kinds of findings, in the order of how much they say.
+# The kinds of findings, the most telling first.
 FINDING_KINDS = {
-    "error": "the caster, or what judges it, raised an exception",
+    "error": "the caster, or the judge, raised an exception",
     "missed": "there is a hit by exact arithmetic, ours is a miss",
     "phantom": "there is none by exact arithmetic, ours is a hit",
     "prim": "another primitive is hit first by exact arithmetic, or as early with a lower number",
@@ -23,33 +25,33 @@ FINDING_KINDS = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong. Of a picture's pixel, or of a ray that was cast for itself."""
+    """One error: of a pixel of the image, or of a single ray."""
 
     kind: str
     what: str  # ours and the exact answer, in words
-    ray: Shots | None = None  # one row: the ray, where the finding is about one
+    ray: RayBatch | None = None  # one row: the ray, where the finding is about one
     pixel: tuple[int, int] | None = None
     detail: str = ""  # of a judged one: the class of the pixel, or the check that fails
 
     @property
-    def way(self) -> tuple[str, str]:
-        """In which way it is wrong: what has to stay when the scene is made smaller."""
+    def mode(self) -> tuple[str, str]:
+        """The failure mode, which a shrunk scene has to keep."""
         return self.kind, self.detail
 
 
 @dataclass
 class Tally:
-    """What was looked at, so that nothing found is known to be more than nothing looked for."""
+    """Counts of what was checked, so that "nothing found" says how much was looked at."""
 
     examples: int = 0
-    rays: int = 0  # each adjudicated by the oracle, those of pictures included
+    rays: int = 0  # each adjudicated by the oracle, those of images included
     hits: int = 0
     edges: int = 0  # exact hits on an edge, a corner, a rim, or in a tangent
     ties: int = 0  # exact hits of several primitives at once
-    unbounded: int = 0  # hits whose t float64 cannot be held to: nearly edge-on or tangent up to rounding
+    unbounded: int = 0  # hits whose t has no float64 bound: nearly edge-on or tangent up to rounding
     outside: int = 0  # rays or scenes outside the oracle's domain
     judged: int = 0  # scenes compared with Mitsuba
-    pixels: int = 0  # that were judged
+    pixels: int = 0  # of these
     worst: float = 0.0  # largest error of t over its bound
     findings: int = 0
     kinds: dict[str, int] = field(default_factory=dict)
@@ -63,16 +65,27 @@ class Tally:
         for kind, number in other.kinds.items():
             self.kinds[kind] = self.kinds.get(kind, 0) + number
 
-    def found(self, finding: Finding) -> None:
+    def count_finding(self, finding: Finding) -> None:
         self.findings += 1
         self.kinds[finding.kind] = self.kinds.get(finding.kind, 0) + 1
+
+    @property
+    def kinds_text(self) -> str:
+        return ", ".join(f"{number} {kind}" for kind, number in sorted(self.kinds.items()))
 
     def to_dict(self) -> dict[str, Any]:
         return dict(vars(self))
 
 
+def total_of(tallies: Mapping[str, Tally]) -> Tally:
+    total = Tally()
+    for tally in tallies.values():
+        total.add(tally)
+    return total
+
+
 def first_of_each_kind(findings: list[Finding]) -> list[Finding]:
-    """One of each, in the order of KINDS."""
+    """One finding of each kind, in the order of FINDING_KINDS."""
     order = {kind: i for i, kind in enumerate(FINDING_KINDS)}
     firsts = {finding.kind: finding for finding in reversed(findings)}
     return sorted(firsts.values(), key=lambda finding: order[finding.kind])
@@ -80,3 +93,98 @@ def first_of_each_kind(findings: list[Finding]) -> list[Finding]:
 
 def t_text(t: float) -> str:
     return f"{t!r} ({float(t).hex()})" if np.isfinite(t) else "a miss"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A finding whose scene was kept."""
+
+    kind: str
+    what: str  # of the smallest case
+    family: str
+    example: str  # the options that make the scene it was shrunk from
+    file: str
+
+
+@dataclass
+class Outcome:
+    """Tallies and failures of a run so far."""
+
+    seed: int
+    families: dict[str, Tally] = field(default_factory=dict)
+    failures: list[Failure] = field(default_factory=list)
+    last: int = -1  # number of the last finished example
+    seconds: float = 0.0
+
+    @property
+    def total(self) -> Tally:
+        return total_of(self.families)
+
+    @property
+    def ok(self) -> bool:
+        return self.total.findings == 0
+
+    def keeps(self, finding: Finding, family: str, at_most: int) -> bool:
+        """Whether one more finding of this kind in this family is to be kept."""
+        kept = [f for f in self.failures if (f.kind, f.family) == (finding.kind, family)]
+        return len(kept) < at_most
+
+
+COLUMNS = ("examples", "rays", "hits", "edges", "ties", "unbounded", "outside", "judged", "findings")
+
+
+def text(outcome: Outcome) -> str:
+    """A table with a row per family, the failures, and a summary."""
+    rows = [[name, *_cells(tally)] for name, tally in outcome.families.items()]
+    if len(rows) > 1:
+        rows.append(["all", *_cells(outcome.total)])
+    table = aligned([["family", *COLUMNS], *rows], left=1)
+    return "\n".join([*table, *_failures(outcome), *_summary(outcome)])
+
+
+def _cells(tally: Tally) -> list[str]:
+    return [str(getattr(tally, name)) for name in COLUMNS]
+
+
+def _failures(outcome: Outcome) -> Iterator[str]:
+    for failure in outcome.failures:
+        yield f"FAIL  {failure.kind}: {failure.what}"
+        yield f"      scene:  {failure.file}"
+        yield f"      replay: mitsuba-ref fuzz --replay {failure.file}"
+        yield f"      from:   mitsuba-ref fuzz {failure.example}"
+
+
+def _summary(outcome: Outcome) -> Iterator[str]:
+    total, seconds = outcome.total, max(outcome.seconds, 1e-9)
+    not_kept = total.findings - len(outcome.failures)
+    yield (
+        f"seed {outcome.seed}: {total.examples} examples, {total.rays} rays adjudicated by exact arithmetic, "
+        f"{total.judged} scenes judged against Mitsuba, in {outcome.seconds:.1f} s "
+        f"({total.examples / seconds:.1f} examples/s, {total.rays / seconds:.0f} rays/s)"
+    )
+    more = f"; {not_kept} more of the same kinds not kept" if not_kept else ""
+    yield f"{total.findings} findings: {total.kinds_text}{more}" if total.findings else "nothing found"
+
+
+def to_dict(outcome: Outcome, *, interrupted: bool) -> dict[str, Any]:
+    """The JSON of a run."""
+    return {
+        "ok": outcome.ok,
+        "interrupted": interrupted,
+        "seed": outcome.seed,
+        "last_example": outcome.last,
+        "seconds": round(outcome.seconds, 3),
+        "total": outcome.total.to_dict(),
+        "families": {name: tally.to_dict() for name, tally in outcome.families.items()},
+        "failures": [dict(vars(failure)) for failure in outcome.failures],
+    }
+
+
+def replay_text(lines: Sequence[tuple[str, str, list[str]]]) -> str:
+    """(file, kind it was kept for, findings today) -> a row per file, and a summary."""
+    rows = []
+    for file, kind, wrong in lines:
+        rows.append(f"{'FAIL' if wrong else 'PASS'}  {file}  {kind}")
+        rows += [f"      {what}" for what in wrong]
+    failing = sum(bool(wrong) for _, _, wrong in lines)
+    return "\n".join([*rows, f"{len(lines)} kept scenes: {len(lines) - failing} pass, {failing} fail"])

@@ -1,20 +1,27 @@
-"""Triangles that are hard to get right: around one corner, and hardly there at all."""
+"""Groups of shapes that share corners, are nearly degenerate, or coincide."""
 
 import copy
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.fuzz.kinds import random_shape, shape_types, triangle_of
-from mitsuba_ref.fuzz.settings import Setting, log_uniform, perturbed_by_ulps, random_rotation
+from mitsuba_ref.fuzz.settings import (
+    Fields,
+    Setting,
+    log_uniform,
+    perturbed_by_ulps,
+    random_rotation,
+    random_shape,
+    shape_types,
+    triangle_of,
+)
 from mitsuba_ref.shapes.targets import Rng
 
-TriangleShapes = list[dict[str, Any]]
+Shapes = list[Fields]
 
 
-def triangle_fan(rng: Rng, setting: Setting) -> TriangleShapes:
-    """A closed fan of 3 to 8 triangles; every other time each has written its corners down for itself, an ulp off."""
+def triangle_fan(rng: Rng, setting: Setting) -> Shapes:
+    """A closed fan of 3 to 8 triangles; in a quarter of them each triangle has its own corners, an ulp off."""
     count = int(rng.integers(3, 9))
     angles = 2.0 * np.pi * (np.arange(count) + rng.uniform(0.0, 0.8, count)) / count
     rim = np.column_stack([np.cos(angles), np.sin(angles), rng.uniform(-0.5, 0.5, count)])
@@ -28,7 +35,7 @@ def triangle_fan(rng: Rng, setting: Setting) -> TriangleShapes:
     return [triangle_of(np.roll(face, int(rng.integers(3)), axis=0)) for face in faces]
 
 
-def slivers(rng: Rng, setting: Setting) -> TriangleShapes:
+def slivers(rng: Rng, setting: Setting) -> Shapes:
     """Two to six triangles, 1e-17 to 1e-1 as thin as long; some have a whole sliver, not a line, for a neighbour."""
     faces = [to_setting(random_sliver(rng), setting) for _ in range(int(rng.integers(1, 4)))]
     for a, b, _ in list(faces):
@@ -50,33 +57,26 @@ def random_sliver(rng: Rng) -> np.ndarray:
 
 
 def to_setting(points: np.ndarray, setting: Setting) -> np.ndarray:
-    return setting.on_lattice(np.array(setting.middle) + setting.size * points)
+    return setting.on_lattice(np.array(setting.center) + setting.size * points)
 
 
-# Surfaces in one place: which of them is hit is a matter of their numbers alone.
-
-
-ShapeFields = dict[str, Any]
-CoincidentShapes = list[ShapeFields]
-
-
-def coincident_shapes(rng: Rng, setting: Setting) -> CoincidentShapes:
-    """A few shapes that coincide, in random order, with something else among them."""
+def coincident_shapes(rng: Rng, setting: Setting) -> Shapes:
+    """A few shapes that coincide, in random order, half of the time with another shape among them."""
     shapes = COINCIDENT_GROUPS[rng.integers(len(COINCIDENT_GROUPS))](rng, setting)
     if rng.random() < 0.5:
         shapes.append(random_shape(rng, str(rng.choice(shape_types())), setting))
     return [shapes[i] for i in rng.permutation(len(shapes))]
 
 
-def copies(rng: Rng, setting: Setting) -> CoincidentShapes:
+def copies(rng: Rng, setting: Setting) -> Shapes:
     """The same shape two to six times."""
     shape = random_shape(rng, str(rng.choice(shape_types())), setting)
     return [copy.deepcopy(shape) for _ in range(int(rng.integers(2, 7)))]
 
 
-def nearly_equal_spheres(rng: Rng, setting: Setting) -> CoincidentShapes:
+def nearly_equal_spheres(rng: Rng, setting: Setting) -> Shapes:
     """One centre, and radii that differ by a unit in the last place or not at all."""
-    center = np.array(setting.middle) + setting.size * setting.on_lattice(rng.uniform(-1.0, 1.0, 3))
+    center = np.array(setting.center) + setting.size * setting.on_lattice(rng.uniform(-1.0, 1.0, 3))
     radius = setting.size * float(rng.choice([1.0, 0.625, rng.uniform(0.1, 1.0)]))
     return [
         {
@@ -88,18 +88,18 @@ def nearly_equal_spheres(rng: Rng, setting: Setting) -> CoincidentShapes:
     ]
 
 
-def coincident_squares(rng: Rng, setting: Setting) -> CoincidentShapes:
+def coincident_squares(rng: Rng, setting: Setting) -> Shapes:
     """The square [-1, 1]^2 as a rectangle, two triangles, a plane, the side of a cube, and with a disk in it."""
-    step = [{"scale": setting.size}, {"translate": list(setting.middle)}]
+    step = [{"scale": setting.size}, {"translate": list(setting.center)}]
     below = [{"translate": [0.0, 0.0, -1.0]}, *step]
-    corners = np.array(setting.middle) + setting.size * np.array(
+    corners = np.array(setting.center) + setting.size * np.array(
         [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
     )
-    shapes: CoincidentShapes = [
+    shapes: Shapes = [
         {"type": "rectangle", "to_world": step},
         {"type": "disk", "to_world": step},
         {"type": "cube", "to_world": below},
-        {"type": "plane", "normal": [0.0, 0.0, 1.0], "point": list(setting.middle)},
+        {"type": "plane", "normal": [0.0, 0.0, 1.0], "point": list(setting.center)},
         {"type": "plane", "normal": [0.0, 0.0, -1.0], "point": corners[1].tolist()},
         triangle_of(corners[[0, 1, 2]]),
         triangle_of(corners[[3, 2, 0]]),
@@ -107,22 +107,22 @@ def coincident_squares(rng: Rng, setting: Setting) -> CoincidentShapes:
     return [shapes[i] for i in rng.choice(len(shapes), int(rng.integers(2, 6)), replace=False)]
 
 
-def permuted_triangles(rng: Rng, setting: Setting) -> CoincidentShapes:
+def permuted_triangles(rng: Rng, setting: Setting) -> Shapes:
     """A triangle with its corners in all six orders."""
-    corners = setting.on_lattice(np.array(setting.middle) + setting.size * rng.uniform(-1.0, 1.0, (3, 3)))
+    corners = setting.on_lattice(np.array(setting.center) + setting.size * rng.uniform(-1.0, 1.0, (3, 3)))
     return [triangle_of(rng.permutation(corners)) for _ in range(int(rng.integers(2, 7)))]
 
 
-def touching_quadrics(rng: Rng, setting: Setting) -> CoincidentShapes:
-    """A ball, a tube of its radius and a disk in its equator: they meet in a circle and in points."""
-    step = [{"scale": setting.size}, {"translate": list(setting.middle)}]
+def touching_quadrics(rng: Rng, setting: Setting) -> Shapes:
+    """A sphere, a cylinder of its radius and a disk in its equator: they touch in a circle and in points."""
+    step = [{"scale": setting.size}, {"translate": list(setting.center)}]
     beside = [{"translate": [2.0, 0.0, 0.0]}, *step]
     kinds = rng.permutation(["sphere", "cylinder", "disk"])
-    shapes: CoincidentShapes = [{"type": str(kind), "to_world": step} for kind in kinds]
+    shapes: Shapes = [{"type": str(kind), "to_world": step} for kind in kinds]
     return [*shapes, {"type": "sphere", "to_world": beside}]
 
 
-COINCIDENT_GROUPS: tuple[Callable[[Rng, Setting], CoincidentShapes], ...] = (
+COINCIDENT_GROUPS: tuple[Callable[[Rng, Setting], Shapes], ...] = (
     copies,
     nearly_equal_spheres,
     coincident_squares,

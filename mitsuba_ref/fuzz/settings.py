@@ -1,24 +1,33 @@
-"""Where a random scene stands, how large it is, and the numbers it is made of."""
+"""Random settings, transforms, shapes and cameras of fuzzed scenes."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng
+from caster.description.errors import SceneError
+from mitsuba_ref import cameras
+from mitsuba_ref.shapes import REFERENCES
+from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng, random_directions
+
+T = TypeVar("T")
+Fields = dict[str, Any]  # of a shape, a camera or a film, as a scene file gives them
+
+FILM_SIZES = ((5, 5), (6, 4), (4, 4), (7, 3))  # pixels; odd sides have a pixel in the centre of the view
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What all shapes of one scene have in common."""
+    """Frame of a random scene: size, position, condition of transforms, lattice or not."""
 
     size: float = 1.0  # of a shape, scene units; a power of two on the lattice
-    middle: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    condition: float = 1.0  # greatest of the placing matrices, their translation apart
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    condition: float = 1.0  # upper bound, of the linear parts of to_world
     lattice: bool = False
 
     def on_lattice(self, points: np.ndarray) -> np.ndarray:
-        """Points on the lattice, if this setting has one."""
+        """The points, rounded to the lattice if this setting has one."""
         if not self.lattice:
             return points
         step = self.size / LATTICE_STEPS
@@ -26,12 +35,12 @@ class Setting:
 
 
 def log_uniform(rng: Rng, low: float, high: float) -> float:
-    """Any order of magnitude is as likely as any other."""
+    """Random number between low and high, uniform in its logarithm."""
     return float(10.0 ** rng.uniform(np.log10(low), np.log10(high)))
 
 
 def perturbed_by_ulps(rng: Rng, numbers: np.ndarray, ulps: int = 2) -> np.ndarray:
-    """Each number moved by up to so many units in the last place."""
+    """Each number moved by up to this many units in the last place."""
     steps = rng.integers(-ulps, ulps + 1, np.shape(numbers))
     out = np.array(numbers, np.float64)
     with np.errstate(over="ignore", under="ignore"):
@@ -42,14 +51,14 @@ def perturbed_by_ulps(rng: Rng, numbers: np.ndarray, ulps: int = 2) -> np.ndarra
 
 
 def random_rotation(rng: Rng) -> np.ndarray:
-    """(3, 3) rotation, any as likely as any other."""
+    """(3, 3) rotation, uniformly distributed."""
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q * np.sign(np.linalg.det(q))
 
 
 def random_setting(rng: Rng, *, condition: float = 1e3, decades_of_size: float = 3.0) -> Setting:
-    """Half of them on a lattice around the origin; the others of any size, and up to 1e6 sizes off."""
+    """On a lattice around the origin half of the time; else of any size, and up to 1e6 sizes from the origin."""
     if rng.random() < 0.5:
         return random_lattice_setting(rng)
     size = log_uniform(rng, 10.0**-decades_of_size, 10.0**decades_of_size) if rng.random() < 0.5 else 1.0
@@ -58,10 +67,10 @@ def random_setting(rng: Rng, *, condition: float = 1e3, decades_of_size: float =
 
 
 def random_lattice_setting(rng: Rng) -> Setting:
-    """Every coordinate a small whole multiple of a power of two."""
+    """Every coordinate is a small whole multiple of a power of two."""
     size = float(2.0 ** rng.integers(-3, 4))
-    middle = vector(size * rng.integers(-4, 5, 3)) if rng.random() < 0.3 else (0.0, 0.0, 0.0)
-    return Setting(size, middle, 1.0, lattice=True)
+    center = vector(size * rng.integers(-4, 5, 3)) if rng.random() < 0.3 else (0.0, 0.0, 0.0)
+    return Setting(size, center, 1.0, lattice=True)
 
 
 def vector(numbers: np.ndarray) -> tuple[float, float, float]:
@@ -69,11 +78,72 @@ def vector(numbers: np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-# Random `to_world`: turned, mirrored, stretched and sheared up to a condition.
+def shape_types(group: str = "") -> tuple[str, ...]:
+    """Types of all registered shapes, or of those in one group."""
+    return tuple(each.type_name for each in REFERENCES.values() if not group or group in each.groups)
+
+
+def bounded_types() -> tuple[str, ...]:
+    """Types of shapes of finite extent."""
+    return tuple(each.type_name for each in REFERENCES.values() if "unbounded" not in each.groups)
+
+
+def random_shape(rng: Rng, kind: str, setting: Setting) -> Fields:
+    """A shape of this type as a scene file describes it, with a random to_world. Raises SceneError if unregistered."""
+    reference = registered({each.type_name: each for each in REFERENCES.values()}, kind, "shape")
+    steps = random_to_world(rng, setting)
+    fields = reference.random_fields(rng, setting.lattice)
+    return {"type": kind, **fields} | ({"to_world": steps} if steps else {})
+
+
+def registered(known: Mapping[str, T], kind: str, what: str) -> T:
+    if kind not in known:
+        raise SceneError(f"fuzz: no {what} of type '{kind}' is registered in mitsuba_ref.{what}s")
+    return known[kind]
+
+
+def random_shapes(rng: Rng, setting: Setting, kinds: Sequence[str], at_most: int) -> list[Fields]:
+    return [
+        random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(int(rng.integers(1, at_most + 1)))
+    ]
+
+
+def triangle_of(corners: np.ndarray) -> Fields:
+    """A triangle with these corners (3, 3), in scene units."""
+    return {"type": "triangle", "vertices": np.asarray(corners, np.float64).tolist()}
+
+
+def random_camera(
+    rng: Rng,
+    setting: Setting,
+    kinds: Sequence[str] = (),
+    films: Sequence[tuple[int, int]] = FILM_SIZES,
+) -> tuple[Fields, Fields]:
+    """(film, camera) as a scene file describes them; the camera of one of these types, or of any registered one."""
+    known = {each.type_name: each for each in cameras.REFERENCES}
+    kind = str(rng.choice(kinds or tuple(known)))
+    reference = registered(known, kind, "camera")
+    width, height = films[int(rng.integers(len(films)))]
+    fields = reference.random_fields(rng, setting.size, lambda: random_view(rng, setting))
+    return {"width": width, "height": height}, {"type": kind, **fields}
+
+
+def random_view(rng: Rng, setting: Setting) -> Fields:
+    """A view of the setting's centre, from within it up to far away; on the lattice along an axis."""
+    if setting.lattice:
+        away = np.eye(3)[rng.integers(3)] * rng.choice([-1.0, 1.0])
+        shift = rng.integers(-8, 9, 3) / 8.0
+        eye = np.array(setting.center) + setting.size * (int(rng.integers(0, 9)) * away + shift)
+    else:
+        away = random_directions(rng, 1)[0]
+        distance = setting.size * log_uniform(rng, 0.1, 1e4 if rng.random() < 0.2 else 10.0)
+        eye = np.array(setting.center) + distance * away
+    up = np.eye(3)[np.argmin(np.abs(away))]  # an axis that is not along the view
+    return {"eye": eye.tolist(), "direction": (-away).tolist(), "up": up.tolist()}
 
 
 def random_to_world(rng: Rng, setting: Setting) -> list[dict[str, Any]]:
-    """Steps that bring a shape of about unit size to somewhere near the middle of the setting."""
+    """Random steps that place a shape of about unit size near the centre of the setting."""
     if setting.lattice:
         return _lattice_steps(rng, setting)
     if setting.condition == 1.0 or rng.random() < 0.3:
@@ -82,13 +152,13 @@ def random_to_world(rng: Rng, setting: Setting) -> list[dict[str, Any]]:
 
 
 def matrix_rows(linear: np.ndarray, move: np.ndarray) -> list[list[float]]:
-    """The 4 x 4 matrix as a scene file spells it."""
+    """The 4 x 4 matrix as a scene file writes it."""
     rows = np.column_stack([linear, move]).tolist()
     return [*rows, [0.0, 0.0, 0.0, 1.0]]
 
 
 def _random_translation(rng: Rng, setting: Setting) -> np.ndarray:
-    return np.array(setting.middle) + 1.5 * setting.size * rng.normal(size=3)
+    return np.array(setting.center) + 1.5 * setting.size * rng.normal(size=3)
 
 
 def _lattice_steps(rng: Rng, setting: Setting) -> list[dict[str, Any]]:
@@ -101,7 +171,7 @@ def _lattice_steps(rng: Rng, setting: Setting) -> list[dict[str, Any]]:
     if not np.all(factors == 1.0):
         steps.append({"scale": factors.tolist()})
     move = (
-        np.array(setting.middle)
+        np.array(setting.center)
         + setting.size * rng.integers(-2 * LATTICE_STEPS, 2 * LATTICE_STEPS + 1, 3) / LATTICE_STEPS
     )
     return [*steps, {"translate": move.tolist()}] if move.any() else steps

@@ -12,7 +12,7 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.geometry.packing import pack, primitive_count
 from caster.rendering.images import camera_rays
-from mitsuba_ref.fuzz.aims import Shots
+from mitsuba_ref.fuzz.aims import RayBatch
 from mitsuba_ref.fuzz.cases import Case, findings_of
 from mitsuba_ref.fuzz.findings import Finding
 from mitsuba_ref.subjects.traced_scene import describe_surface
@@ -222,7 +222,7 @@ def smallest_case(
     """The case made small. A pixel's finding becomes that of a ray cast for itself, if that shows it, too."""
 
     def fails(data: Data) -> bool:
-        return finding.way in ways_of(Case.of(data), judge)
+        return finding.mode in failure_modes(Case.of(data), judge)
 
     start = single_ray_case(case, finding, judge)
     shrinker = Shrinker(start.to_data(), fails, budget or Budget())
@@ -230,8 +230,8 @@ def smallest_case(
     return Case.of(shrinker.run(passes))
 
 
-def ways_of(case: Case, judge: Judge) -> set[tuple[str, str]]:
-    return {finding.way for finding in judge(case)}
+def failure_modes(case: Case, judge: Judge) -> set[tuple[str, str]]:
+    return {finding.mode for finding in judge(case)}
 
 
 def single_ray_case(case: Case, finding: Finding, judge: Judge) -> Case:
@@ -244,16 +244,16 @@ def single_ray_case(case: Case, finding: Finding, judge: Judge) -> Case:
         rays += [] if finding.ray is not None else ray_of(cropped)
     for ray in rays:
         alone = case._replace(ray=ray)
-        if finding.way in ways_of(alone, judge):
+        if finding.mode in failure_modes(alone, judge):
             return alone
-    if pixel is not None and finding.way in ways_of(cropped, judge):
+    if pixel is not None and finding.mode in failure_modes(cropped, judge):
         return cropped
     return case
 
 
-def ray_of(cropped: Case) -> list[Shots]:
+def ray_of(cropped: Case) -> list[RayBatch]:
     rays = camera_rays(cropped.scene())
-    return [Shots(rays.o, rays.d, rays.t_min, rays.t_max)]
+    return [RayBatch(rays.o, rays.d, rays.t_min, rays.t_max)]
 
 
 def as_primitives(shrinker: Shrinker) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from mitsuba_ref.experiment.exact_hits import ExactHits
-from mitsuba_ref.experiment.result_file import largest
+from mitsuba_ref.experiment.results import largest
 from mitsuba_ref.stress.witnesses import Absent, Observation, PreparedSetting
 
 # In a closed mesh every ray from inside hits, so exact arithmetic need not decide all of them: it decides this many,

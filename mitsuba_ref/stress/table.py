@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from mitsuba_ref.experiment.tables import NOTHING, aligned
+from mitsuba_ref.experiment.results import NOTHING, aligned
 from mitsuba_ref.stress.score import Score
 from mitsuba_ref.stress.sweeps import SettingResult, SweepResult
 from mitsuba_ref.stress.witnesses import SCREEN, WITNESSES, Absent, Witness

@@ -16,11 +16,11 @@ from caster.rendering.casting import find_nearest
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli import fuzz as command
-from mitsuba_ref.fuzz import campaign, checks, mitsuba_checks
+from mitsuba_ref.fuzz import campaign, checks
+from mitsuba_ref.fuzz.campaign import compare_with_mitsuba
 from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.families import FAMILIES
 from mitsuba_ref.fuzz.findings import Tally
-from mitsuba_ref.fuzz.mitsuba_checks import compare_with_mitsuba
 from mitsuba_ref.judge.classification import judge_of
 from mitsuba_ref.judge.verdict import CLASSES
 from mitsuba_ref.reference.messages import Crash
@@ -264,7 +264,7 @@ def test_a_hang_of_mitsuba_is_a_finding():
 
 
 def test_a_pixel_that_the_judge_fails_is_a_finding(monkeypatch):
-    usual = mitsuba_checks.validate_scene
+    usual = campaign.validate_scene
 
     def with_a_failure(scene, name, **options):
         from dataclasses import replace
@@ -272,7 +272,7 @@ def test_a_pixel_that_the_judge_fails_is_a_finding(monkeypatch):
         verdict = usual(scene.model_copy(update={"checks": {"depth": {"ratio": 1e-9}}}), name, **options)
         return replace(verdict, checks=())
 
-    monkeypatch.setattr(mitsuba_checks, "validate_scene", with_a_failure)
+    monkeypatch.setattr(campaign, "validate_scene", with_a_failure)
     with ResidentSession() as resident:
         (finding,) = compare_with_mitsuba(load_scene(SCENE).with_film(width=8, height=8), resident, Tally())
     assert finding.kind == "judged" and finding.detail in CLASSES and finding.pixel is not None

@@ -36,8 +36,8 @@ from mitsuba_ref.bench.result import (
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING, Work
 from mitsuba_ref.bench.worker import peak_memory
-from mitsuba_ref.experiment import tables
-from mitsuba_ref.experiment.result_file import as_json, read_result, schema, write_result
+from mitsuba_ref.experiment import results
+from mitsuba_ref.experiment.results import as_json, read_result, schema, write_result
 
 SCENES = {scene.name: scene for scene in scenes.SCENES}
 
@@ -447,7 +447,7 @@ def test_words_by_hand_stay_and_are_there_once(tmp_path):
 
 
 def test_small_numbers_are_not_rounded_away():
-    assert [tables.number(x, 2) for x in (None, 0.0, 1.234, 0.00123)] == ["-", "0.00", "1.23", "1.2e-03"]
+    assert [results.number(x, 2) for x in (None, 0.0, 1.234, 0.00123)] == ["-", "0.00", "1.23", "1.2e-03"]
 
 
 # --- the command

@@ -6,7 +6,7 @@ import pytest
 from caster.geometry.packing import pack
 from caster.scene.model import Scene
 from mitsuba_ref.fuzz import checks
-from mitsuba_ref.fuzz.aims import Shots
+from mitsuba_ref.fuzz.aims import RayBatch
 from mitsuba_ref.fuzz.checks import (
     NearestHits,
     adjudicate,
@@ -32,7 +32,7 @@ AT = np.array([[0.0, -0.5], [0.5, -0.5], [0.25, 0.25], [3.0, 0.0]])  # inside, i
 
 def rays(d=1.0):
     o = np.column_stack([AT, np.full(4, -2.0)])
-    return Shots(o, np.tile([0.0, 0.0, d], (4, 1)), np.zeros(4), np.full(4, np.inf))
+    return RayBatch(o, np.tile([0.0, 0.0, d], (4, 1)), np.zeros(4), np.full(4, np.inf))
 
 
 @pytest.fixture(scope="module")

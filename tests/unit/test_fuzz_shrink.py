@@ -9,7 +9,7 @@ from caster.geometry.packing import pack
 from mitsuba_ref.fuzz.cases import SCENE_ERRORS, Case, one_ray
 from mitsuba_ref.fuzz.families import BY_NAME, example, scene_of
 from mitsuba_ref.fuzz.findings import Finding
-from mitsuba_ref.fuzz.kinds import shape_types
+from mitsuba_ref.fuzz.settings import shape_types
 from mitsuba_ref.fuzz.shrink import (
     Budget,
     Shrinker,
@@ -144,7 +144,7 @@ def hits_something(case):
 @given(st.integers(0, 40))
 def test_a_mesh_shrinks_to_one_triangle_and_round_numbers(number):
     tried = example(7, number, [BY_NAME["edges"]])
-    shots = tried.shots(pack(scene_of(tried.data)))
+    shots = tried.rays(pack(scene_of(tried.data)))
     case = Case(tried.data["film"], tried.data["camera"], tried.data["shape"])
     for i in range(len(shots.t_min)):
         with_ray = case._replace(ray=shots.taken(slice(i, i + 1)))

@@ -13,9 +13,9 @@ import stress_page
 import stress_plots
 
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.experiment import result_file
-from mitsuba_ref.experiment.result_file import as_json, read_result, schema, write_result
-from mitsuba_ref.experiment.selection import select
+from mitsuba_ref.cli.experiment_options import select
+from mitsuba_ref.experiment import results
+from mitsuba_ref.experiment.results import as_json, read_result, schema, write_result
 from mitsuba_ref.reference.variants import Variants
 from mitsuba_ref.stress import score, sweeps, table, witnesses
 from mitsuba_ref.stress.registry import FAMILIES
@@ -53,7 +53,7 @@ def no_mitsuba(monkeypatch):
     """A machine where no variant works: the sweeps go on with ours and exact arithmetic."""
     nothing = Variants(False, False, None, "planted: nothing works")
     monkeypatch.setattr(witnesses, "usable_variants", lambda: nothing)
-    monkeypatch.setattr(result_file, "usable_variants", lambda: nothing)
+    monkeypatch.setattr(results, "usable_variants", lambda: nothing)
 
 
 def run(name: str, *places: int) -> SweepResult:

@@ -1,4 +1,6 @@
-"""Results of experiments as JSON files: written from pydantic dataclasses, and read back into them.
+"""Results of experiments as JSON files, and as tables.
+
+Results are pydantic dataclasses; files are written from them and read back into them.
 
 Derived values (`computed_field`) are written as well, so that a reader of the file need not work them out; reading
 ignores them.
@@ -8,6 +10,7 @@ import importlib.metadata
 import json
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,6 +23,8 @@ from mitsuba_ref.reference.variants import usable_variants
 
 T = TypeVar("T")
 STANDARD_OUTPUT = "-"
+NOTHING = "-"
+Row = Sequence[str]
 
 
 def as_json(result: Any) -> dict[str, Any]:
@@ -77,3 +82,36 @@ def largest(values: np.ndarray) -> float | None:
     """The largest finite value; None where there is none, since JSON has no word for it."""
     finite = [value for value in values.tolist() if math.isfinite(value)]
     return max(finite, default=None)
+
+
+def aligned(rows: Sequence[Row], *, left: int = 0) -> list[str]:
+    """Lines with aligned columns, the first `left` of them to the left. A short row ends with free text."""
+    full = [row for row in rows if len(row) == len(rows[0])]
+    widths = [max(map(len, column)) for column in zip(*full, strict=True)]
+    widths[0] = max(len(row[0]) for row in rows)
+    return [_line(row, widths, left) for row in rows]
+
+
+def _line(row: Row, widths: Sequence[int], left: int) -> str:
+    if len(row) < len(widths):
+        return f"{row[0]:<{widths[0]}}  {' '.join(row[1:])}"
+    pairs = enumerate(zip(row, widths, strict=True))
+    return "  ".join(cell.ljust(width) if i < left else cell.rjust(width) for i, (cell, width) in pairs)
+
+
+def markdown(rows: Sequence[Row], *, rule: str | None = None) -> str:
+    """A Markdown table, the first row its head. rule: the line below it, left-aligned columns unless given."""
+    head, *body = (_markdown_row(row, len(rows[0])) for row in rows)
+    return "\n".join([head, rule or "|" + "---|" * len(rows[0]), *body])
+
+
+def _markdown_row(row: Row, columns: int) -> str:
+    cells = [*row, *[""] * (columns - len(row))]
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def number(value: float | None, digits: int) -> str:
+    """`digits` after the point; two significant ones where that would show zero for a number that is not."""
+    if value is None:
+        return NOTHING
+    return f"{value:.{digits}f}" if value == 0.0 or abs(value) >= 10.0**-digits else f"{value:.1e}"
