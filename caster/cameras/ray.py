@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, field_validator
 
-from caster.description.errors import refuse
+from caster.description.errors import expectation_error
 from caster.description.fields import Description, PositiveNumber, Vec3
 from caster.jit.decorators import implement
 from caster.kernels.protocol import camera_ray
@@ -52,7 +52,7 @@ class Ray(Description):
     @classmethod
     def _has_a_direction(cls, direction: Any) -> Any:
         if not any(direction):
-            raise refuse("a direction, so not all zero", direction)
+            raise expectation_error("a direction, so not all zero", direction)
         return direction
 
     @property

@@ -1,11 +1,11 @@
-"""What is wrong with a scene: where in its data, and a sentence for the user."""
+"""Diagnostics of invalid scenes: paths into the data, messages, and the translation of Pydantic's errors."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from caster.description.errors import listed, show, suggestion
+from caster.description.errors import format_value, join_words, suggestion
 
 __all__ = ["Diagnostic", "diagnostics_of"]
 
@@ -17,34 +17,34 @@ SINGULAR = {many: one for one, many in PLURAL.items()}
 
 
 class Diagnostic(NamedTuple):
-    """A sentence, and the path through the data, as it was written, to the value it is about."""
+    """A message, and the path through the input data to the value it concerns."""
 
     path: DataPath
     text: str
 
 
 def value_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
-    """'shapes[3] (disk "lid"): radius must be ...': the text goes on after the name of the value."""
+    """Diagnostic of one value: 'shapes[3] (disk "lid"): radius must be ...'; `text` follows the value's name."""
     return Diagnostic(path, _message(path, text, data, model))
 
 
 def table_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
-    """'shapes[3] (disk "lid"): needs ...': about the table that the last step of the path is a key of."""
+    """Diagnostic of the table that the last step of the path is a key of: 'shapes[3] (disk "lid"): needs ...'."""
     return Diagnostic(path, _message(path[:-1], text, data, model))
 
 
 def format_path(path: DataPath) -> str:
-    """to_world[1].rotate.axis"""
+    """A path as text: to_world[1].rotate.axis"""
     steps = (f"[{step}]" if isinstance(step, int) else f".{_bare(step)}" for step in path)
     return "".join(steps).removeprefix(".")
 
 
 def _bare(key: str) -> str:
-    return key if key.replace("-", "_").isidentifier() else show(key)
+    return key if key.replace("-", "_").isidentifier() else format_value(key)
 
 
 def child_of(value: Any, step: str | int) -> Any:
-    """The value one step down in data or in a description, None where there is none."""
+    """The child of a table, list or description; None if there is none."""
     if isinstance(value, Mapping):
         return value.get(step)
     if isinstance(step, int):
@@ -60,12 +60,12 @@ def _message(path: DataPath, text: str, data: Any, model: Model) -> str:
 
 
 def _subject(path: DataPath, data: Any, model: Model) -> str:
-    """The element a message is about: shapes[3] (disk "lid")."""
+    """The element that a message concerns: shapes[3] (disk "lid")."""
     item = data
     for step in path:
         item = child_of(item, step)
     kind, name = child_of(item, "type"), child_of(item, "name")
-    label = f" {show(name)}" if isinstance(name, str) and name else ""
+    label = f" {format_value(name)}" if isinstance(name, str) and name else ""
     if not path:
         return model.__name__.lower() + label
     where = format_path((PLURAL.get(str(path[0]), path[0]), *path[1:]))
@@ -73,32 +73,27 @@ def _subject(path: DataPath, data: Any, model: Model) -> str:
     return f"{where} ({details})" if details else where
 
 
-# From Pydantic's findings to problems in the words of the field.
-
-
-CROSS_ELEMENT_ERROR = "across"  # the finding of a check of how elements fit together
+CROSS_ELEMENT_ERROR = "cross_element"  # type of the error of a check across several elements
 
 
 def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diagnostic]:
-    """Every finding as a sentence, and how the elements of the data do not fit together."""
+    """All errors of a validation as diagnostics, and those of checks across elements."""
     found: dict[Any, Diagnostic] = {}
     for finding in error.errors(include_url=False):
-        if (
-            finding["type"] != CROSS_ELEMENT_ERROR
-        ):  # those are found again below, in the data as it was written
+        if finding["type"] != CROSS_ELEMENT_ERROR:  # repeated below on the input data
             problem = _diagnostic(finding, _locate(finding["loc"], data, model), data, model)
-            found[problem.path, finding["type"]] = problem  # a list too short by two is found twice
+            found[problem.path, finding["type"]] = problem  # Pydantic reports a list too short by two twice
     return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]
 
 
 class _Location(NamedTuple):
     path: DataPath
-    around: tuple[Model, ...]  # the descriptions that the last step leads out of
-    models: tuple[Model, ...]  # the descriptions that may stand at the end
+    around: tuple[Model, ...]  # description classes that contain the last step
+    models: tuple[Model, ...]  # description classes that the end of the path may have
 
 
 def _locate(loc: DataPath, data: Any, model: Model) -> _Location:
-    """Follow Pydantic's location through the data. It also holds the `type` of each description it passes."""
+    """Resolve Pydantic's error location in the data. It also contains the `type` of each union member on the way."""
     path: DataPath = ()
     around: tuple[Model, ...] = (model,)
     models, here = around, data
@@ -106,11 +101,11 @@ def _locate(loc: DataPath, data: Any, model: Model) -> _Location:
         if isinstance(step, str) and len(models) > 1:
             models = tuple(m for m in models if m.model_fields["type"].default == step)
         elif isinstance(step, int) and isinstance(here, Mapping):
-            continue  # a single table where a list of them may stand
+            continue  # a single table in place of a list
         elif isinstance(here, (Mapping, list, tuple, BaseModel)):
             path, here = (*path, step), child_of(here, step)
             around, models = models, _below(models, step)
-        else:  # a number that stands for three: the rest is not in the file
+        else:  # a number in place of a vector: the rest is not in the file
             break
     return _Location(path, around, models)
 
@@ -119,7 +114,7 @@ def _below(models: tuple[Model, ...], step: str | int) -> tuple[Model, ...]:
     fields = (field for m in models for name, field in m.model_fields.items() if step in (name, field.alias))
     annotations = [field.annotation for field in fields]
     if not annotations:
-        return models  # an index, or a name the user gave
+        return models  # an index, or a user-defined name
     return tuple(found for annotation in annotations for found in _models_in(annotation))
 
 
@@ -133,7 +128,7 @@ def _diagnostic(finding: Any, place: _Location, data: Any, model: Model) -> Diag
     path, around, models = place
     kind, got = finding["type"], finding["input"]
     if kind == "missing" and isinstance(path[-1], int):
-        text = f"must be {path[-1] + 1} items, got {len(got)}: {show(got)}"
+        text = f"must be {path[-1] + 1} items, got {len(got)}: {format_value(got)}"
         return value_diagnostic(path[:-1], text, data, model)
     if kind == "missing":
         return table_diagnostic(path, f"needs the key '{path[-1]}'", data, model)
@@ -147,7 +142,7 @@ def _diagnostic(finding: Any, place: _Location, data: Any, model: Model) -> Diag
 
 def _unknown_key(key: str, around: Sequence[Model]) -> str:
     known = [field.alias or name for model in around for name, field in model.model_fields.items()]
-    if SINGULAR.get(key) in known:  # both spellings are understood, but not at once
+    if SINGULAR.get(key) in known:  # either spelling is valid, but not both
         return f"is a second '{SINGULAR[key]}': write one of them only"
     return f"is an unknown key{suggestion(key, known)}"
 
@@ -156,25 +151,28 @@ def _unknown_type(got: Any, noun: str, models: Sequence[Model]) -> str:
     known = [model.model_fields["type"].default for model in models]
     kind = child_of(got, "type")
     if kind is None:
-        return f"needs the key 'type': {listed(known)}"
-    return f"unknown {noun} type {show(kind)}{suggestion(str(kind), known)} (known: {', '.join(known)})"
+        return f"needs the key 'type': {join_words(known)}"
+    return (
+        f"unknown {noun} type {format_value(kind)}{suggestion(str(kind), known)} (known: {', '.join(known)})"
+    )
 
 
 def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:
-    """What goes on after the name of the value."""
+    """The message after the value's name."""
     if kind == "field":
         return str(ctx["text"])
-    if kind == "value_error":  # raised by a check of the whole description
+    if kind == "value_error":  # raised by a validator of the whole description
         return str(ctx["error"])
     if kind == "too_long":
-        return f"must be {ctx['max_length']} items, got {ctx['actual_length']}: {show(got)}"
+        return f"must be {ctx['max_length']} items, got {ctx['actual_length']}: {format_value(got)}"
     if kind == "literal_error":
         words = str(ctx["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
-        return f"must be {listed(show(word) for word in words)}, got {show(got)}{suggestion(str(got), words)}"
+        expected = join_words(map(format_value, words))
+        return f"must be {expected}, got {format_value(got)}{suggestion(str(got), words)}"
     if kind in LIMIT_SIGNS:
         sign, key = LIMIT_SIGNS[kind]
-        return f"must be {sign} {show(ctx[key])}, got {show(got)}"
-    return f"must be {EXPECTED_TYPES.get(kind, 'something else')}, got {show(got)}"
+        return f"must be {sign} {format_value(ctx[key])}, got {format_value(got)}"
+    return f"must be {EXPECTED_TYPES.get(kind, 'something else')}, got {format_value(got)}"
 
 
 LIMIT_SIGNS = {

@@ -1,4 +1,4 @@
-"""Errors in the words of the field: what was expected, what was found, what may have been meant."""
+"""Exceptions for users, and the formatting of values in their messages."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -6,17 +6,17 @@ from typing import Any
 
 from pydantic_core import PydanticCustomError
 
-__all__ = ["FileMissing", "SceneError", "listed", "suggestion"]
+__all__ = ["FileMissing", "SceneError", "join_words", "suggestion"]
 
 
 class SceneError(Exception):
-    """A description, file or ray that cannot be used. str() is the whole message for the user."""
+    """An invalid description, file or ray. str() is the complete message for the user."""
 
     exit_code = 2
 
 
-class FileMissing(SceneError):  # noqa: N818 - the file is the subject
-    """A file that is missing or cannot be read."""
+class FileMissing(SceneError):  # noqa: N818 - named after its subject
+    """A missing or unreadable file."""
 
     exit_code = 4
 
@@ -25,13 +25,13 @@ MAX_VALUE_CHARACTERS = 60  # characters of one value in a message
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """A question that ends a message: did you mean the known name most like this one? Else nothing."""
+    """The end of a message, ", did you mean 'x'?", for the most similar known name; "" if none is similar."""
     close = get_close_matches(name, list(known), n=1)
     return f", did you mean '{close[0]}'?" if close else ""
 
 
-def show(value: Any) -> str:
-    """A value as a scene file would spell it, short enough for one line."""
+def format_value(value: Any) -> str:
+    """A value in the syntax of scene files, truncated to one line."""
     text = _spelled(value, 3)
     return text if len(text) <= MAX_VALUE_CHARACTERS else text[: MAX_VALUE_CHARACTERS - 4] + " ..."
 
@@ -53,17 +53,17 @@ def _spelled(value: Any, depth: int) -> str:
     return str(value)
 
 
-def listed(names: Iterable[str], last: str = "or") -> str:
+def join_words(names: Iterable[str], last: str = "or") -> str:
     """'a, b or c'."""
     *most, end = names
     return f"{', '.join(most)} {last} {end}" if most else end
 
 
-def complain(text: str) -> PydanticCustomError:
-    """What to raise in a check of one field. The text goes on where the field's name ends: 'must be ...'."""
+def field_error(text: str) -> PydanticCustomError:
+    """The error that a field validator raises. The text continues after the field's name: 'must be ...'."""
     return PydanticCustomError("field", "{text}", {"text": text})
 
 
-def refuse(expected: str, got: Any, hint: str = "") -> PydanticCustomError:
-    """The usual complaint: 'must be ..., got ...'."""
-    return complain(f"must be {expected}, got {show(got)}{hint}")
+def expectation_error(expected: str, got: Any, hint: str = "") -> PydanticCustomError:
+    """The field error 'must be EXPECTED, got GOT'."""
+    return field_error(f"must be {expected}, got {format_value(got)}{hint}")

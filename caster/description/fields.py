@@ -1,4 +1,4 @@
-"""What shapes, cameras and lights are described with: their bases, checked quantities, and errors."""
+"""Base classes of shapes, cameras and lights. Re-exports what their descriptions are written with."""
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
@@ -8,7 +8,14 @@ import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
 from caster.description import transform
-from caster.description.errors import FileMissing, SceneError, complain, refuse, show, suggestion
+from caster.description.errors import (
+    FileMissing,
+    SceneError,
+    expectation_error,
+    field_error,
+    format_value,
+    suggestion,
+)
 from caster.description.quantities import (
     RGB,
     Description,
@@ -47,16 +54,16 @@ __all__ = [
     "Vec2",
     "Vec3",
     "WideFieldOfView",
-    "complain",
-    "refuse",
-    "show",
+    "expectation_error",
+    "field_error",
+    "format_value",
     "suggestion",
 ]
 
 
 def _printable(name: str) -> str:
     if not name.isprintable():
-        raise refuse("printable characters", name)
+        raise expectation_error("printable characters", name)
     return name
 
 
@@ -64,7 +71,7 @@ Name = Annotated[str, AfterValidator(_printable)]
 
 
 class Shape(Description):
-    """Base of all shapes: what they are called, made of, and where they stand."""
+    """Base of all shapes: name, material and transform."""
 
     type: str
     name: Name = ""
@@ -75,18 +82,18 @@ class Shape(Description):
 
     @cached_property
     def matrix(self) -> transform.Matrix:
-        """Object to world: 4x4 float64, read-only."""
+        """Object-to-world transform: 4x4 float64, read-only."""
         matrix = matrix_of(self.to_world)
         matrix.flags.writeable = False
         return matrix
 
     def pack(self, rounded: Callable[[np.ndarray], np.ndarray]) -> Any:
-        """World-space arrays for the kernels, each number that defines the geometry `rounded`."""
-        raise NotImplementedError  # every shape of the registry has its own
+        """World-space arrays for kernels; `rounded` is applied to each number that defines the geometry."""
+        raise NotImplementedError
 
 
 class Camera(Description):
-    """Base of all cameras: where they stand and which way they look."""
+    """Base of all cameras: position and orientation."""
 
     type: str
     eye: Vec3
@@ -107,7 +114,7 @@ class Camera(Description):
     def _looks_one_way(cls, direction: Any, info: Any) -> Any:
         if "look_at" in info.data and (direction is None) == (info.data["look_at"] is None):
             got = "neither" if direction is None else "both"
-            raise complain(f"or look_at must say where the camera looks, one of the two, got {got}")
+            raise field_error(f"or look_at is required, exactly one of the two, got {got}")
         return direction
 
     @field_validator("up")
@@ -124,8 +131,8 @@ class Camera(Description):
         return transform.frame(view, self.up)
 
     def pack(self, width: int, height: int) -> Any:
-        """The camera as its kernels read it, for a film of this size."""
-        raise NotImplementedError  # every camera of the registry has its own
+        """The camera's parameters for kernels, for a film of this size in pixels."""
+        raise NotImplementedError
 
 
 def _view(eye: Any, look_at: Any, direction: Any) -> transform.Vector:
@@ -138,5 +145,5 @@ class Light(Description):
     type: str
 
     def pack(self) -> Any:
-        """The light as its kernels read it."""
-        raise NotImplementedError(f"a light of type {self.type} comes from no direction")
+        """The light's parameters for kernels."""
+        raise NotImplementedError(f"a light of type {self.type} has no direction")

@@ -1,4 +1,4 @@
-"""Numbers and vectors as scene files spell them, each checked for what it means."""
+"""Validated field types (numbers, vectors, colours), and the base class of all descriptions."""
 
 import math
 import numbers
@@ -20,7 +20,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from caster.description import transform
 from caster.description.diagnostics import diagnostics_of
-from caster.description.errors import SceneError, complain, refuse, show
+from caster.description.errors import SceneError, expectation_error, field_error, format_value
 
 HEX_FLOAT = r"^[+-]?0[xX][0-9a-fA-F]+(\.[0-9a-fA-F]*)?([pP][+-]?[0-9]+)?$"
 
@@ -36,11 +36,11 @@ class Quantity:
     le: float | None = None
 
     def read(self, value: Any) -> float:
-        """The number, or an error that says `what` was expected."""
+        """Parse a number; raises an error that names `what` was expected."""
         number = _as_float(value, self.what)
         if not (math.isfinite(number) and self._holds(number)):
-            raise refuse(self.what, value)
-        return number + 0.0  # -0.0 becomes 0.0: equal scenes are to be written alike
+            raise expectation_error(self.what, value)
+        return number + 0.0  # -0.0 becomes 0.0, so that equal scenes have equal text
 
     def _holds(self, x: float) -> bool:
         above = (self.gt is None or x > self.gt) and (self.ge is None or x >= self.ge)
@@ -60,7 +60,7 @@ def _as_float(value: Any, what: str) -> float:
     if isinstance(value, str) and re.match(HEX_FLOAT, value):
         return _or_inf(float.fromhex, value)
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise refuse(what, value, ": leave out the quotes" if _is_quoted_number(value) else "")
+        raise expectation_error(what, value, ": leave out the quotes" if _is_quoted_number(value) else "")
     return _or_inf(float, value)
 
 
@@ -79,14 +79,14 @@ def _is_quoted_number(value: Any) -> bool:
 
 
 def row(count: int, what: str) -> Callable[[Any], Any]:
-    """A check for `count` items, made before they are looked at one by one."""
+    """A validator for `count` items, run before those of the items."""
 
     def check(value: Any) -> Any:
         items = value.tolist() if isinstance(value, np.ndarray) else value
         if not isinstance(items, (list, tuple)):
-            raise refuse(what, value)
+            raise expectation_error(what, value)
         if len(items) != count:
-            raise complain(f"must be {what}, got {len(items)}: {show(items)}")
+            raise field_error(f"must be {what}, got {len(items)}: {format_value(items)}")
         return items
 
     return check
@@ -96,7 +96,7 @@ def _unit(v: tuple[float, float, float]) -> tuple[float, float, float]:
     try:
         return transform.unit(v)
     except ValueError:
-        raise refuse("a direction, so not all zero", v) from None
+        raise expectation_error("a direction, so not all zero", v) from None
 
 
 Number = Annotated[float, Quantity("a finite number")]
@@ -116,11 +116,8 @@ RGB = Annotated[tuple[NonNegative, NonNegative, NonNegative], BeforeValidator(_r
 Reflectance = Annotated[tuple[Fraction01, Fraction01, Fraction01], BeforeValidator(_rgb)]
 
 
-# The base of everything a scene is described with.
-
-
 def _take_as_given(schema: Any) -> None:
-    """Let whole numbers and booleans be nothing else: no true for 1, no 3.0 for 3, no "yes" for true."""
+    """Disable conversions to integers and booleans: no true for 1, no 3.0 for 3, no "yes" for true."""
     if isinstance(schema, dict):
         if schema.get("type") in ("int", "bool"):
             schema["strict"] = True
@@ -132,19 +129,19 @@ def _take_as_given(schema: Any) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """NumPy's arrays and scalars as Python's own."""
+    """NumPy arrays and scalars as lists and Python scalars."""
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
 
 class Description(BaseModel):
-    """An element of a scene, as its author wrote it: immutable, with known keys only.
+    """Base class of all elements of a scene: immutable; unknown keys are errors.
 
-    Raises SceneError with everything about it that cannot be used.
+    Raises SceneError with all validation errors.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
-    # How many steps of a path name an element that messages speak about: shapes[3] is two, camera is one.
+    # Number of path steps that name an element in messages: two for shapes[3], one for camera.
     ELEMENTS: ClassVar[Mapping[str, int]] = {}
 
     def __init__(self, **data: Any) -> None:
@@ -155,7 +152,7 @@ class Description(BaseModel):
             problems = diagnostics_of(error, data, type(self))
             raise SceneError("\n".join(problem.text for problem in problems)) from None
 
-    # Tells Pydantic that a nested description needs no call of __init__, so that it can collect all errors.
+    # Nested descriptions are validated without __init__, so that Pydantic collects all errors.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # on a function
 
     @classmethod
@@ -165,6 +162,6 @@ class Description(BaseModel):
         return schema
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """A copy with other values, checked like the first ones. Nothing computed from those comes along."""
+        """A validated copy with other values. Cached properties are not copied."""
         kept = {name: getattr(self, name) for name in self.model_fields_set}
         return type(self)(**(kept | dict(update or {})))

@@ -1,4 +1,4 @@
-"""to_world: how a shape is moved, turned and stretched, step by step."""
+"""The `to_world` field: a list of transform steps."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
@@ -8,19 +8,19 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_v
 from pydantic_core import CoreSchema
 
 from caster.description import transform
-from caster.description.errors import complain, listed, refuse, show
+from caster.description.errors import expectation_error, field_error, format_value, join_words
 from caster.description.quantities import HEX_FLOAT, Description, Number, UnitVec3, Vec3, row
 
 
 class Rotation(Description):
-    """A turn about an axis through the origin, counter-clockwise for someone the axis points at."""
+    """A rotation about an axis through the origin, counter-clockwise seen from the tip of the axis."""
 
     axis: UnitVec3
     degrees: Number
 
 
 class LookAt(Description):
-    """The turn and the move that bring the origin to `origin`, +z towards `target`, and +y near to `up`."""
+    """The rigid transform that maps the origin to `origin`, +z towards `target`, and +y close to `up`."""
 
     origin: Vec3
     target: Vec3
@@ -40,32 +40,36 @@ class LookAt(Description):
 
 
 def check_elsewhere(target: Any, start: str, values: Mapping[str, Any]) -> Any:
-    """Refuse a target that no direction leads to."""
+    """Validate that the direction from a field of `values` to the target is defined."""
     if target is not None and start in values:
         if target == values[start]:
-            raise refuse(f"another point than {start}, so that there is a direction to look in", target)
+            raise expectation_error(
+                f"another point than {start}, so that the viewing direction is defined", target
+            )
         if not np.isfinite(transform.subtract(target, values[start])).all():
-            raise refuse(f"nearer to {start}, at a finite distance", target)
+            raise expectation_error(f"nearer to {start}, at a finite distance", target)
     return target
 
 
 def check_up(up: Any, view: Any) -> None:
-    """Refuse an `up` that does not tell someone who looks along `view` which way is up."""
+    """Validate that `up` is not parallel to the view."""
     try:
         transform.frame(transform.unit(view), up)
     except ValueError:
-        raise refuse(f"a direction across the view {show(list(view))}, not along it", up) from None
+        raise expectation_error(
+            f"a direction across the view {format_value(list(view))}, not along it", up
+        ) from None
 
 
 class _OrNumber:
-    """In the JSON Schema: a number will do instead."""
+    """JSON Schema: a number is accepted in place of a vector."""
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
         return {"anyOf": [{"type": "number"}, {"type": "string", "pattern": HEX_FLOAT}, handler(schema)]}
 
 
 class _OrOneStep:
-    """In the JSON Schema: one step without the list around it will do."""
+    """JSON Schema: a single step is accepted in place of a list."""
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
         steps = handler(schema)
@@ -82,7 +86,7 @@ Factors = Annotated[Vec3, BeforeValidator(_three), _OrNumber()]
 
 
 class Step(Description):
-    """One step of a transform. It has exactly one key."""
+    """One transform step; exactly one key is set."""
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
@@ -96,20 +100,22 @@ class Step(Description):
     @classmethod
     def _is_affine(cls, rows: Any) -> Any:
         if rows is not None and rows[3] != (0.0, 0.0, 0.0, 1.0):
-            raise complain(f"must end in the row [0, 0, 0, 1], got {show(rows[3])}")
+            raise field_error(f"must end in the row [0, 0, 0, 1], got {format_value(rows[3])}")
         return rows
 
     @model_validator(mode="after")
     def _is_one_step(self) -> Self:
         given = [key for key in type(self).model_fields if getattr(self, key) is not None]
         if not given:
-            raise complain(f"needs one of the keys {listed(type(self).model_fields)}")
+            raise field_error(f"needs one of the keys {join_words(type(self).model_fields)}")
         if len(given) > 1:
-            raise complain(f"must have one key, got {listed(given, 'and')}: write a list of steps instead")
+            raise field_error(
+                f"must have one key, got {join_words(given, 'and')}: write a list of steps instead"
+            )
         return self
 
     def as_matrix(self) -> transform.Matrix:
-        """4x4 float64."""
+        """The step as a 4x4 float64 matrix."""
         if self.translate is not None:
             return transform.translate(self.translate)
         if self.rotate is not None:
@@ -122,7 +128,7 @@ class Step(Description):
 
 
 def matrix_of(steps: tuple[Step, ...]) -> transform.Matrix:
-    """The steps, applied in their order, as one 4x4 float64 matrix."""
+    """The composition of the steps, in their order, as one 4x4 float64 matrix."""
     return transform.compose(step.as_matrix() for step in steps)
 
 
@@ -130,16 +136,16 @@ def _as_list(value: Any) -> Any:
     if isinstance(value, (Mapping, Step)):
         return (value,)
     if not isinstance(value, (list, tuple)):
-        raise refuse("a list of steps such as {translate = [1, 0, 0]}", value)
+        raise expectation_error("a list of steps such as {translate = [1, 0, 0]}", value)
     return value
 
 
 def _invertible(steps: tuple[Step, ...]) -> tuple[Step, ...]:
     matrix = matrix_of(steps)
     if not np.isfinite(matrix).all():
-        raise complain("must stay finite, but its steps together overflow")
+        raise field_error("must stay finite, but its steps together overflow")
     if not transform.is_invertible(matrix):
-        raise complain("must be invertible, but it flattens space (its matrix is singular)")
+        raise field_error("must be invertible, but its matrix is singular")
     return steps
 
 

@@ -1,4 +1,4 @@
-"""4x4 float64 matrices that place things: they act on column vectors, p' = M p."""
+"""Affine transforms as 4x4 float64 matrices acting on column vectors, p' = M p."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,7 @@ Matrix = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 # The computed cross product of two unit vectors is off by at most 2 u per component from its products and
-# difference, and each unit vector by 2 u more: 8 u in all, u = 2^-53. What is shorter has no known direction.
+# difference, and each unit vector by 2 u more: 8 u in all, u = 2^-53. The direction of anything shorter is unknown.
 SHORTEST_CROSS = 8 * 2.0**-53
 
 # Solving with a matrix of condition number k loses a factor k of the 2^-53 each number is good for: from 2^52
@@ -19,26 +19,26 @@ LARGEST_CONDITION = 2.0**52
 
 
 def identity() -> Matrix:
-    """The matrix that leaves everything in its place."""
+    """The identity matrix."""
     return np.eye(4)
 
 
 def translate(v: Sequence[float]) -> Matrix:
-    """Move by v, in scene units."""
+    """Translation by v, in scene units."""
     matrix = np.eye(4)
     matrix[:3, 3] = v
     return matrix
 
 
 def scale(s: float | Sequence[float]) -> Matrix:
-    """Stretch by s about the origin, or by s[0], s[1], s[2] along x, y, z; negative factors mirror."""
+    """Scaling by s about the origin, or by s[0], s[1], s[2] along x, y, z; negative factors mirror."""
     matrix = np.eye(4)
     matrix[[0, 1, 2], [0, 1, 2]] = s
     return matrix
 
 
 def rotate(axis: Sequence[float], degrees: float) -> Matrix:
-    """Turn about an axis through the origin, counter-clockwise seen from its tip. Quarter turns are exact.
+    """Rotation about an axis through the origin, counter-clockwise seen from its tip. Quarter turns are exact.
 
     axis: any length but 0. Raises ValueError for an axis without a direction.
     Source: Rodrigues' rotation formula.
@@ -54,13 +54,13 @@ def rotate(axis: Sequence[float], degrees: float) -> Matrix:
 
 
 def look_at(origin: Sequence[float], target: Sequence[float], up: Sequence[float]) -> Matrix:
-    """Bring the origin to `origin`, +z towards `target`, and +y as near to `up` as it can be.
+    """Rigid transform that maps the origin to `origin`, +z towards `target`, and +y as close to `up` as possible.
 
-    Raises ValueError where this fixes no direction: origin equals target, or up lies along the view.
+    Raises ValueError if origin equals target, or up is parallel to the view.
     """
     right, new_up, forward = frame(unit(subtract(target, origin)), up)
     matrix = np.eye(4)
-    matrix[:3, 0] = [-r for r in right]  # x = y cross z is to the left of someone who looks along z
+    matrix[:3, 0] = [-r for r in right]  # x = y cross z points to the left of the view
     matrix[:3, 1] = new_up
     matrix[:3, 2] = forward
     matrix[:3, 3] = origin
@@ -68,9 +68,9 @@ def look_at(origin: Sequence[float], target: Sequence[float], up: Sequence[float
 
 
 def compose(steps: Iterable[ArrayLike]) -> Matrix:
-    """One matrix for several, applied in the order given. The same bits on every machine."""
+    """Composition of matrices, applied in the order given. Identical bits on every machine."""
     total = np.eye(4)
-    with np.errstate(over="ignore", invalid="ignore"):  # the outcome is checked where it matters
+    with np.errstate(over="ignore", invalid="ignore"):  # callers check the result
         for step in steps:
             m = np.asarray(step, np.float64)
             a, b, c, e = (m[:, k, None] * total[None, k, :] for k in range(4))
@@ -79,7 +79,7 @@ def compose(steps: Iterable[ArrayLike]) -> Matrix:
 
 
 def is_invertible(matrix: Matrix) -> bool:
-    """Whether a finite affine matrix can be undone in float64. Small and large uniform scales can."""
+    """Whether a finite affine matrix is invertible in float64. Small and large uniform scales are."""
     linear = matrix[:3, :3]
     return bool(np.linalg.cond(linear) < LARGEST_CONDITION and np.isfinite(np.linalg.inv(linear)).all())
 
@@ -87,7 +87,7 @@ def is_invertible(matrix: Matrix) -> bool:
 def frame(forward: Vector, up: Sequence[float]) -> tuple[Vector, Vector, Vector]:
     """(right, up, forward), orthonormal: right = forward x up, up = right x forward. forward: of unit length.
 
-    Raises ValueError if up has no direction or lies along forward.
+    Raises ValueError if up is zero, not finite or parallel to forward.
     """
     side = cross(forward, unit(up))
     if math.hypot(*side) <= SHORTEST_CROSS:
@@ -97,12 +97,12 @@ def frame(forward: Vector, up: Sequence[float]) -> tuple[Vector, Vector, Vector]
 
 
 def cross(a: Sequence[float], b: Sequence[float]) -> Vector:
-    """The vector product."""
+    """Cross product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def subtract(a: Sequence[float], b: Sequence[float]) -> Vector:
-    """a - b; zero only where a equals b."""
+    """Difference a - b; zero only if a equals b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
@@ -113,7 +113,7 @@ UNIT_ATOL = 5 * 2.0**-53
 
 
 def unit(v: Sequence[float]) -> Vector:
-    """v at length 1; the same bits if it has it already. Raises ValueError if v has no direction."""
+    """v normalized; unchanged if its length is 1 already. Raises ValueError if v is zero or not finite."""
     largest = max(abs(x) for x in v)
     if not 0.0 < largest < math.inf:
         raise ValueError("a vector without a direction")

@@ -95,9 +95,9 @@ def pack(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
 
 def packed(scene: ShapeCollection) -> Packed:
     """The same of a scene as it is, made once."""
-    if "packed" not in scene.kept:
-        scene.kept["packed"] = pack(scene)
-    return scene.kept["packed"]
+    if "packed" not in scene.derived:
+        scene.derived["packed"] = pack(scene)
+    return scene.derived["packed"]
 
 
 def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:

@@ -33,7 +33,7 @@ class RejectedFaces(NamedTuple):
         return ", ".join(f"{count} {what}" for count, what in zip(self, words, strict=True) if count)
 
 
-def left_out(scene: ShapeCollection, rounded: Rounding = as_given) -> Mapping[str, RejectedFaces]:
+def rejected_faces(scene: ShapeCollection, rounded: Rounding = as_given) -> Mapping[str, RejectedFaces]:
     """By the name of the shape, for shapes that have such faces."""
     names = scene.shape_names()
     counts = {names[i]: _rejected_of_shape(shape, rounded) for i, shape in enumerate(scene.shapes)}
@@ -80,4 +80,4 @@ def _is_degenerate(face: list[list[float]]) -> bool:
 
 def in_words(scene: ShapeCollection) -> str:
     """For people; "" where there are none."""
-    return "; ".join(f"{name}: {count}" for name, count in left_out(scene).items())
+    return "; ".join(f"{name}: {count}" for name, count in rejected_faces(scene).items())

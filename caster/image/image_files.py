@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from caster.description.errors import SceneError, listed
+from caster.description.errors import SceneError, join_words
 from caster.image.atomic_files import write_bytes
 
 __all__ = ["encode_image"]
@@ -25,7 +25,7 @@ IMAGE_FORMATS = {".png": "PNG", ".tga": "TGA"}
 def check_image_name(option: str, path: str) -> None:
     """Raise SceneError for a file name without the suffix of a supported format."""
     if Path(path).suffix.lower() not in IMAGE_FORMATS:
-        raise SceneError(f"{option} {path}: expected a name that ends in {listed(IMAGE_FORMATS)}")
+        raise SceneError(f"{option} {path}: expected a name that ends in {join_words(IMAGE_FORMATS)}")
 
 
 def write_image(path: str, pixels: Array, about: Mapping[str, str] = {}) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 from caster.aovs import BY_NAME
 from caster.geometry.packing import Kind
-from caster.geometry.rejected import in_words, left_out
+from caster.geometry.rejected import in_words, rejected_faces
 from caster.rendering.acceleration import bvh_of, has_bvh
 from caster.rendering.casting import uses_bvh
 from caster.rendering.images import RenderResult
@@ -20,7 +20,7 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
         "camera_rays": _camera_rays(rendered),
         "culling": {"name": plan.culling, "reason": plan.reason},
         "primitives": _primitives(rendered),
-        "never_hit": {name: found.total for name, found in left_out(rendered.scene).items()},
+        "never_hit": {name: found.total for name, found in rejected_faces(rendered.scene).items()},
         "trees": {**_step(plan.trees), "grown": sum(has_bvh(kind) for kind in rendered.packed.kinds)},
         "decided_exactly": counts.decided_exactly if counts else None,
         "surfaces": {

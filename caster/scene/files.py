@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from caster.description.diagnostics import Diagnostic, Model, child_of, diagnostics_of, value_diagnostic
-from caster.description.errors import FileMissing, SceneError, show
+from caster.description.errors import FileMissing, SceneError, format_value
 from caster.description.registry import type_name
 from caster.scene.model import Scene
 from caster.scene.text import SceneFormat, format_diagnostics, parse, read_text
@@ -39,7 +39,7 @@ class MeshFolders(NamedTuple):
         """What to tell about a file out of reach."""
         mesh_dir = os.path.dirname(os.path.normpath(self.folder / file)) or "."
         allowed = "in the scene's folder, below it, or below a folder given by --mesh-dir"
-        return f"must lie {allowed}, got {show(file)}: add --mesh-dir {mesh_dir}"
+        return f"must lie {allowed}, got {format_value(file)}: add --mesh-dir {mesh_dir}"
 
 
 def resolve_mesh_files(

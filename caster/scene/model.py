@@ -17,7 +17,7 @@ from caster.description.diagnostics import (
     child_of,
     value_diagnostic,
 )
-from caster.description.errors import complain, show, suggestion
+from caster.description.errors import field_error, format_value, suggestion
 from caster.description.fields import Camera, Name, Shape
 from caster.description.quantities import Description, PositiveNumber, row
 from caster.description.registry import load_plugins
@@ -51,10 +51,12 @@ class Film(Description):
             return crop
         x0, y0, x1, y1 = crop
         if not (x0 < x1 and y0 < y1):
-            raise complain(f"must hold at least one pixel, x0 < x1 and y0 < y1, got {show(crop)}")
+            raise field_error(f"must hold at least one pixel, x0 < x1 and y0 < y1, got {format_value(crop)}")
         width, height = info.data.get("width", x1), info.data.get("height", y1)
         if x1 > width or y1 > height:
-            raise complain(f"must lie inside the film, x1 <= {width} and y1 <= {height}, got {show(crop)}")
+            raise field_error(
+                f"must lie inside the film, x1 <= {width} and y1 <= {height}, got {format_value(crop)}"
+            )
         return crop
 
     @property
@@ -122,7 +124,7 @@ def _unknown_materials(data: Any) -> Findings:
     for path, material in _texts(data, "material"):
         if material and material not in known:
             hint = suggestion(material, known) or f"; add a table [material.{material}]"
-            yield path, f"must be one of the materials of this scene, got {show(material)}{hint}"
+            yield path, f"must be one of the materials of this scene, got {format_value(material)}{hint}"
 
 
 def _repeated_names(data: Any) -> Findings:
@@ -130,7 +132,7 @@ def _repeated_names(data: Any) -> Findings:
     for i, (path, own) in enumerate(_texts(data, "name")):
         name = own or f"shape-{i}"
         if name in first:
-            yield path, f"must be another than that of shapes[{first[name]}], got {show(name)} again"
+            yield path, f"must be another than that of shapes[{first[name]}], got {format_value(name)} again"
         first.setdefault(name, i)
 
 
@@ -182,7 +184,7 @@ class Scene(Description):
     checks: dict[str, Check] = Field(default={}, alias="check")
 
     _folder: Path | None = PrivateAttr(None)
-    _kept: dict[str, Any] = PrivateAttr(default_factory=dict)
+    _derived: dict[str, Any] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -198,9 +200,9 @@ class Scene(Description):
         return [value_diagnostic(path, text, data, cls) for path, text in cross_element_errors(data)]
 
     @property
-    def kept(self) -> dict[str, Any]:
+    def derived(self) -> dict[str, Any]:
         """A place for what has been computed from this scene; it is not part of the scene."""
-        return self._kept
+        return self._derived
 
     def material_of(self, shape: Shape) -> Diffuse:
         """The material of one of the shapes."""
@@ -218,7 +220,7 @@ class Scene(Description):
             self.film.width if width is None else width, self.film.height if height is None else height
         )
         copy = self.model_copy(update={"film": film if crop is None else film.cropped(crop)})
-        copy._kept = self._kept  # the shapes, packed: they do not know of the film
+        copy._derived = self._derived  # the shapes, packed: they do not know of the film
         return copy
 
     def canonical_json(self) -> str:
@@ -255,7 +257,7 @@ class Scene(Description):
 
     def __getstate__(self) -> dict[Any, Any]:
         """What goes to another process: not what has been computed from the scene."""
-        return super().__getstate__() | {"__pydantic_private__": {"_folder": self._folder, "_kept": {}}}
+        return super().__getstate__() | {"__pydantic_private__": {"_folder": self._folder, "_derived": {}}}
 
 
 def _accept_registered() -> None:

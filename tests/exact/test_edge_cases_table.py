@@ -70,7 +70,7 @@ def test_float32_questions_hold_float32_numbers_only():
 def a_question():
     make = Maker(1, FLOAT64)
     scene = make.scene([Sphere(center=(0.1, 0.2, 0.3)), shape_of("cube", make.rng, 1.0, (3.0, 0.0, 0.0))])
-    first, second = (rays_at(make, part, 12) for part in scene.kept["packed"].parts)
+    first, second = (rays_at(make, part, 12) for part in scene.derived["packed"].parts)
     return make.ask(
         "planted", scene, *(np.concatenate(pair) for pair in zip(first, second, strict=True)), hit=15
     )

@@ -124,7 +124,7 @@ def test_all_errors_of_a_file_are_told_at_once(tmp_path):
         "11:5: MaterialIndex 3: the scene has 1 materials, counted from 0",
         "12:27: shapes[0] (sphere): radius must be a length > 0, got -1",
         "13:27: Sphere: center must be 3 numbers, got 0 as well",
-        "14:29: shapes[2] (mesh): to_world must be invertible, but it flattens space (its matrix is singular)",
+        "14:29: shapes[2] (mesh): to_world must be invertible, but its matrix is singular",
         "14:53: shapes[2] (mesh): file cannot be used: cannot read this mesh file: No such file or directory",
         "15:5: Group: unknown word Cone (known: numObjects, MaterialIndex, Group, Transform, Sphere, Plane, "
         "Triangle, TriangleMesh)",

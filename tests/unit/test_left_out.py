@@ -5,7 +5,7 @@ import pytest
 
 import caster
 from caster.__main__ import main
-from caster.geometry.rejected import RejectedFaces, left_out
+from caster.geometry.rejected import RejectedFaces, rejected_faces
 from caster.geometry.world_space import LARGEST_COORDINATE, as_float32
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\n"
@@ -39,7 +39,7 @@ def ids_across(scene):
 )
 def test_a_face_that_cannot_be_hit_is_counted_and_its_neighbours_stay(tmp_path, corner, count):
     scene = a_mesh(tmp_path, f"v {corner}\nf 1 3 5\n")
-    (got,) = left_out(scene).values()
+    (got,) = rejected_faces(scene).values()
     assert got == count
     ids = ids_across(scene)
     assert set(ids.tolist()) == {1, 2}  # the bad face is number 0, and keeps that number
@@ -50,13 +50,13 @@ def test_a_face_just_within_the_limit_is_hit(tmp_path):
     """It stands far above the square and is met first."""
     far = float(np.nextafter(LARGEST_COORDINATE, 0.0))
     scene = a_mesh(tmp_path, f"v {far!r} 0 1\nv {-far!r} 1e18 1\nv {-far!r} -1e18 1\nf 5 6 7\n")
-    assert left_out(scene) == {}
+    assert rejected_faces(scene) == {}
     assert set(ids_across(scene).tolist()) == {0}
 
 
 def test_what_float32_makes_too_large_is_left_out_of_what_is_judged(tmp_path):
     scene = a_mesh(tmp_path, "v 1e39 0 1\nf 1 3 5\n")
-    assert left_out(scene, as_float32)["shape-0"] == RejectedFaces(1, 0, 0)  # inf in float32
+    assert rejected_faces(scene, as_float32)["shape-0"] == RejectedFaces(1, 0, 0)  # inf in float32
 
 
 def test_a_mesh_none_of_which_stays_finite_is_refused(tmp_path):
@@ -76,7 +76,7 @@ def test_without_area_is_decided_exactly(tmp_path):
         f"v {p[0]!r} {p[1]!r} {p[2]!r}\n"
         for p in (a, b, mean, (np.nextafter(mean[0], 9.0).item(), *mean[1:]))
     ]
-    (got,) = left_out(a_mesh(tmp_path, "".join(rows) + "f 5 6 7\nf 5 6 8\n")).values()
+    (got,) = rejected_faces(a_mesh(tmp_path, "".join(rows) + "f 5 6 7\nf 5 6 8\n")).values()
     assert got == RejectedFaces(0, 0, 1)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from caster import Pinhole, Scene
 from caster.geometry.packing import pack
-from caster.geometry.rejected import left_out
+from caster.geometry.rejected import rejected_faces
 from caster.shapes import Heightfield
 
 RESOLUTION = 500
@@ -40,7 +40,7 @@ def scene() -> Scene:
 def test_a_landscape_is_made_packed_and_looked_through_in_little_memory(scene):
     assert peak_of(scene.shapes[0].mesh) < MESH
     assert peak_of(lambda: pack(scene)) < PACKING
-    assert peak_of(lambda: left_out(scene)) < LOOKING
+    assert peak_of(lambda: rejected_faces(scene)) < LOOKING
 
 
 def test_one_array_of_all_corners_would_be_seen(scene):

@@ -7,7 +7,7 @@ import pytest
 
 from caster.aovs import BY_NAME
 from caster.cameras import CAMERAS
-from caster.description.errors import show
+from caster.description.errors import format_value
 from caster.description.fields import Camera, Shape
 from caster.scene.files import load_scene, scene_from_text
 from caster.scene.lights import LIGHTS
@@ -56,7 +56,7 @@ def test_every_key_is_documented_with_its_default(title, description):
             if field.is_required()
             else "none"
             if field.default is None
-            else f"`{show(field.default)}`"
+            else f"`{format_value(field.default)}`"
         )
         assert default == expected, name
 
@@ -88,7 +88,7 @@ def test_the_example_in_python_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (code,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
     exec(code, {})
-    assert len(load_scene(tmp_path / "balls.toml").shapes) == 3
+    assert len(load_scene(tmp_path / "spheres.toml").shapes) == 3
 
 
 def test_limits_and_names_are_those_of_the_code():

@@ -140,14 +140,12 @@ ONE_LINERS = [
     (
         "no view",
         camera("pinhole", "fov = 30"),
-        "1:1: camera (pinhole): direction or look_at must say where the camera looks, one of the two, "
-        "got neither",
+        "1:1: camera (pinhole): direction or look_at is required, exactly one of the two, got neither",
     ),
     (
         "two views",
         camera("pinhole", "look_at = [0, 0, 0]\ndirection = [0, 0, 1]"),
-        "5:1: camera (pinhole): direction or look_at must say where the camera looks, one of the two, "
-        "got both",
+        "5:1: camera (pinhole): direction or look_at is required, exactly one of the two, got both",
     ),
     (
         "a view too long",
@@ -195,12 +193,12 @@ ONE_LINERS = [
     (
         "a singular scale",
         shape("cube", "to_world = [{ scale = [1, 0, 1] }]"),
-        "7:1: shapes[0] (cube): to_world must be invertible, but it flattens space (its matrix is singular)",
+        "7:1: shapes[0] (cube): to_world must be invertible, but its matrix is singular",
     ),
     (
         "a singular matrix",
         shape("cube", "to_world = { matrix = [[1, 2, 0, 0], [2, 4, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]] }"),
-        "7:1: shapes[0] (cube): to_world must be invertible, but it flattens space (its matrix is singular)",
+        "7:1: shapes[0] (cube): to_world must be invertible, but its matrix is singular",
     ),
     (
         "a projective matrix",
@@ -243,8 +241,7 @@ ONE_LINERS = [
         "a degenerate look_at step",
         shape("cube", "to_world = { look_at = { origin = [1, 2, 3], target = [1, 2, 3] } }"),
         "7:46: shapes[0] (cube): to_world.look_at.target must be another point than origin, so that "
-        "there is a "
-        "direction to look in, got [1, 2, 3]",
+        "the viewing direction is defined, got [1, 2, 3]",
     ),
     (
         "an unknown shape",

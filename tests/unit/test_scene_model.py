@@ -108,11 +108,11 @@ def test_a_given_crop_is_checked_against_the_new_film():
 
 def test_what_was_computed_from_a_scene_stays_with_it_alone():
     scene = built()
-    scene.kept["packed"] = object()
+    scene.derived["packed"] = object()
     assert scene == built()
-    assert scene.with_film(width=9).kept is scene.kept  # what is kept knows of no film
-    assert not scene.model_copy(update={"shapes": scene.shapes[:1]}).kept
-    assert not pickle.loads(pickle.dumps(scene)).kept
+    assert scene.with_film(width=9).derived is scene.derived  # what is kept knows of no film
+    assert not scene.model_copy(update={"shapes": scene.shapes[:1]}).derived
+    assert not pickle.loads(pickle.dumps(scene)).derived
     assert pickle.loads(pickle.dumps(scene)) == scene
 
 

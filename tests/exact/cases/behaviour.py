@@ -52,7 +52,7 @@ class Asked:
             self._add(question, folder / f"{case.number}-{i}")
 
     def _add(self, question: Question, folder: Path) -> None:
-        packed = question.scene.kept["packed"]
+        packed = question.scene.derived["packed"]
         t_max = np.full(len(question.o), question.t_max, np.float32)
         o, d = question.o.astype(np.float32), question.d.astype(np.float32)
         with np.errstate(all="ignore"):

@@ -71,7 +71,7 @@ class Maker:
         scene = Scene(
             film=Film(width=1, height=1), camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=shapes
         )
-        scene.kept["packed"] = pack(scene, self.rounded)
+        scene.derived["packed"] = pack(scene, self.rounded)
         return scene
 
     def ask(

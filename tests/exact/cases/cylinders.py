@@ -98,19 +98,19 @@ def ends(make: Maker) -> Iterator[Question]:
 def far_and_thin(make: Maker) -> Iterator[Question]:
     for away in (1e2, 1e4, 1e6, 1e5 if make.single else 1e12):
         scene = make.scene([shape_of("cylinder", make.rng)])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(30), aim=Aim((away, 2.0 * away)))
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(30), aim=Aim((away, 2.0 * away)))
         yield make.ask(f"from {away:g}", scene, o, d, hit=5)
     for thin in (1e-1, 1e-3, 1e-6):
         for kind in ("cylinder", "elliptic cylinder"):
             scene = make.scene([shape_of(kind, make.rng, 1.0, stretch=[thin, thin, 1.0])])
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(30))
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(30))
             yield make.ask(f"{kind} of radius {thin:g}", scene, o, d, hit=2)
 
 
 def stretched(make: Maker) -> Iterator[Question]:
     for factors in ((1e3, 1, 1), (2, 1, 1), (-1, 1, 1), (1, 1, -1), (-1, -1, -1), (-3, 1, 1)):
         scene = make.scene([Cylinder(to_world=place(make.rng, 1.0, make.rng.normal(size=3), factors))])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(40))
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(40))
         yield make.ask(f"scaled by {factors}", scene, o, d, hit=10)
 
 
@@ -174,7 +174,7 @@ def offset_tubes(make: Maker) -> Iterator[Question]:
     for offset in (1e2, 1e4, 1e6, 1e8 if make.single else 1e14):
         for kind in ("cylinder", "elliptic cylinder"):
             scene = make.scene([shape_of(kind, make.rng, 1.0, offset * direction(make.rng, 1)[0])])
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(40), aim=Aim(edges=0.6))
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(40), aim=Aim(edges=0.6))
             yield make.ask(f"{kind} at {offset:g}", scene, o, d, hit=0 if offset > 1e6 else 5)
 
 

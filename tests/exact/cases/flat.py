@@ -85,7 +85,7 @@ def mixed_scales(make: Maker) -> Iterator[Question]:
     for factors in ((1e3, 1, 1), (1e3, 1e-3, 1), (1, 1, 1e6), (1, 1, 1e-6)):
         for kind in ("rectangle", "disk", "cube", "sphere", "cylinder"):
             scene = make.scene([shape_of(kind, make.rng, 1.0, stretch=factors)])
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(25))
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(25))
             yield make.ask(f"{kind} scaled by {factors}", scene, o, d, hit=5)
 
 
@@ -97,7 +97,7 @@ def offset_matrices(make: Maker) -> Iterator[Question]:
     for offset in (1e2, 1e4, 1e6, 1e8 if make.single else 1e14):
         for kind in PLACED:
             scene = make.scene([shape_of(kind, make.rng, 1.0, offset * direction(make.rng, 1)[0])])
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(25), aim=Aim(edges=0.5))
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(25), aim=Aim(edges=0.5))
             yield make.ask(f"{kind} at {offset:g}", scene, o, d, hit=0 if offset > 1e6 else 5)
 
 
@@ -170,7 +170,7 @@ def coplanar(make: Maker) -> Iterator[Question]:
     turned = Rectangle(to_world=[turn(make.rng)])
     again = Rectangle(to_world=[{"rotate": {"axis": [0, 0, 1], "degrees": 17}}, *turned.to_world])
     scene = make.scene([turned, again])
-    o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(60), aim=Aim(edges=0.0))
+    o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(60), aim=Aim(edges=0.0))
     yield make.ask("rectangles, turned by 17 degrees and rounded", scene, o, d, hit=40)
 
 
@@ -180,7 +180,7 @@ def reflected(make: Maker) -> Iterator[Question]:
             continue
         for mirror in ((-1.0, 1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0)):
             scene = make.scene([shape_of(kind, make.rng, 1.0, make.rng.normal(size=3), mirror)])
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(12))
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(12))
             yield make.ask(f"{kind} mirrored by {mirror}", scene, o, d, hit=2)
 
 
@@ -189,7 +189,7 @@ def normals_in_a_mirror() -> int:
     make, count = Maker(52, FLOAT64), 0
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], 40)
+        o, d = rays_at(make, scene.derived["packed"].parts[0], 40)
         seen = cast(scene, o, d)
         for mirror in np.array([(-1.0, 1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0)]):
             steps = [{"matrix": (scale_matrix(mirror) @ shape.matrix).tolist()}]

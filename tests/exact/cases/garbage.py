@@ -9,7 +9,7 @@ from cases import whole
 from cases.case import FLOAT64, Case, Maker, Question
 from cases.shapes import mesh_of
 from caster import cast
-from caster.geometry.rejected import left_out
+from caster.geometry.rejected import rejected_faces
 
 TOO_LARGE = 1.844e18  # Embree's limit, which is ours: such a face is left out
 BAD = (np.nan, np.inf, -np.inf, TOO_LARGE, -1e19, 1e30)
@@ -65,7 +65,7 @@ def same_without(vertices: np.ndarray, faces: np.ndarray, o: np.ndarray, d: np.n
         np.array_equal(found.prim_id[hit], number[wanted.prim_id[hit]]) and (found.prim_id[~hit] == -1).all()
     )
     assert np.isfinite(found.surface.n).all() and np.array_equal(found.surface.n, wanted.surface.n)
-    counted = left_out(scene).get("shape-0")
+    counted = rejected_faces(scene).get("shape-0")
     bad = int((~kept).sum())
     assert (0 if counted is None else counted.not_finite + counted.too_large) == bad
     return int(hit.sum()), bad

@@ -48,7 +48,7 @@ def doubtful() -> Iterator[list[int]]:
 
 
 def judged(question: Question) -> Found:
-    packed = question.scene.kept["packed"]
+    packed = question.scene.derived["packed"]
     with doubtful() as exactly:
         hits = cast(question.scene, question.o, question.d, t_min=question.t_min, t_max=question.t_max)
     answers = Oracle(packed).first_hits(question.o, question.d, question.t_min, question.t_max)

@@ -53,7 +53,7 @@ def odd_directions(make: Maker) -> Iterator[Question]:
     )
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        p, _ = rays_at(make, scene.kept["packed"].parts[0], make.count(40), aim=Aim((1e-9, 2e-9)))
+        p, _ = rays_at(make, scene.derived["packed"].parts[0], make.count(40), aim=Aim((1e-9, 2e-9)))
         axis = make.rng.integers(0, 3, len(p))
         d = make.rng.choice(small, (len(p), 3))
         d[np.arange(len(p)), axis] = make.rng.choice([-1.0, 1.0], len(p))
@@ -66,7 +66,7 @@ def long_and_short(make: Maker) -> Iterator[Question]:
     ends = (1e-38, 1e25) if make.single else (1e-290, 1e290)
     for kind in ("triangle", "rectangle", "cube", "mesh", "icosphere"):
         scene = make.scene([shape_of(kind, make.rng)])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(50))
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(50))
         yield make.ask(kind, scene, o, d * decades(make.rng, *ends, len(d))[:, None], hit=15)
 
 
@@ -77,7 +77,7 @@ def sizes(make: Maker) -> Iterator[Question]:
         corners = make.rng.uniform(-1.0, 1.0, (3, 3)) * size
         shape = mesh_of(corners, [[0, 1, 2]])
         scene = make.scene([shape])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(30), size)
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(30), size)
         yield make.ask(f"of size {size:g}", scene, o, d, hit=10)
 
 
@@ -85,7 +85,7 @@ def offset_triangles(make: Maker) -> Iterator[Question]:
     for offset in (1e2, 1e4, 1e6, 1e7, 1e8):
         for kind in ("triangle", "rectangle", "mesh"):
             scene = make.scene([shape_of(kind, make.rng, 1.0, offset * direction(make.rng, 1)[0])])
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(25))
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(25))
             yield make.ask(f"{kind} at {offset:g}", scene, o, d, hit=0 if make.single and offset > 1e6 else 5)
 
 
@@ -95,7 +95,7 @@ def far_triangles(make: Maker) -> Iterator[Question]:
         for kind in ("triangle", "rectangle", "mesh"):
             scene = make.scene([shape_of(kind, make.rng)])
             aim = Aim((away, 2.0 * away), (0.1, 1.0), 0.5)
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(40), aim=aim)
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(40), aim=aim)
             yield make.ask(f"{kind} from {away:g}", scene, o, d, hit=2)
 
 
@@ -111,7 +111,7 @@ def coincident(make: Maker) -> Iterator[Question]:
         pairs[f"{kind}, twice"] = [shape, shape]
     for name, shapes in pairs.items():
         scene = make.scene([s.model_copy(update={"name": f"s{i}"}) for i, s in enumerate(shapes)])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(25))
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(25))
         yield make.ask(name, scene, o, d, tie=8, exact=8)
 
 
@@ -190,7 +190,7 @@ def crowd() -> int:
 def small_crowd(make: Maker) -> Iterator[Question]:
     corners = make.rng.normal(size=(3, 3))
     scene = make.scene([mesh_of(corners, np.tile([[0, 1, 2]], (300, 1)))])
-    o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(30))
+    o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(30))
     yield make.ask("300 times the same triangle", scene, o, d, tie=10)
 
 

@@ -84,7 +84,7 @@ def limits(make: Maker) -> Iterator[Question]:
     for kind in ("sphere", "cube", "disk", "plane", "cylinder"):
         for t_max, least in ((-1.0, 0), (0.0, 0), (2.0**-149, 0), (largest, 5), (math.inf, 5)):
             scene = make.scene([shape_of(kind, make.rng)])
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(12), aim=Aim((3.0, 9.0)))
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(12), aim=Aim((3.0, 9.0)))
             never = () if least else ("hit",)
             yield make.ask(f"{kind}, t_max {t_max:g}", scene, o, d, t_max=t_max, never=never, hit=least)
 

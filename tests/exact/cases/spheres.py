@@ -18,7 +18,9 @@ def distances(make: Maker) -> Iterator[Question]:
     """From 10 to 10^8 sizes away, through the middle and at rims."""
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(60), aim=Aim((10.0, 1e8), (0.05, 1.0)))
+        o, d = rays_at(
+            make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((10.0, 1e8), (0.05, 1.0))
+        )
         yield make.ask(kind, scene, o, d, hit=10)
 
 
@@ -118,7 +120,7 @@ def inside(make: Maker) -> Iterator[Question]:
     for kind in CLOSED:
         shape = shape_of(kind, make.rng)
         scene = make.scene([shape])
-        part = scene.kept["packed"].parts[0]
+        part = scene.derived["packed"].parts[0]
         count = make.count(60)
         o, d = rays_at(make, part, count, aim=Aim(distances=(1e-16, 1e-2), edges=0.0))
         middle = np.zeros((len(o), 3))
@@ -134,7 +136,7 @@ def on_the_surface(make: Maker) -> Iterator[Question]:
     """From a rounded point of the surface, and from an exact one, where t = 0 is no hit: outwards, inwards, along."""
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        part = scene.kept["packed"].parts[0]
+        part = scene.derived["packed"].parts[0]
         o, _ = rays_at(make, part, make.count(45), aim=Aim(distances=(1e-30, 2e-30)))
         yield make.ask(f"{kind}, rounded", scene, o, direction(make.rng, len(o)), miss=5)
     for each in whole.each(make.rng, whole.ALL):
@@ -148,7 +150,7 @@ def lengths(make: Maker) -> Iterator[Question]:
     """|d| from 10^-30 to 10^30."""
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(50))
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(50))
         yield make.ask(kind, scene, o, d * decades(make.rng, 1e-30, 1e30, len(d))[:, None], hit=15)
 
 
@@ -161,7 +163,7 @@ def one_ray() -> int:
     make, count = Maker(8, FLOAT64), 0
     for kind in ("sphere", "ellipsoid", "cylinder", "disk", "plane", "cube"):
         scene = make.scene([shape_of(kind, make.rng)])
-        (o, *_), (d, *_) = rays_at(make, scene.kept["packed"].parts[0], 8)
+        (o, *_), (d, *_) = rays_at(make, scene.derived["packed"].parts[0], 8)
         hits = cast(scene, [o], [d])
         for exponent in (-1000, -530, 0, 530, 1000):
             picture = through(scene, o, np.ldexp(d, exponent))
@@ -189,7 +191,7 @@ def offsets(make: Maker) -> Iterator[Question]:
     for offset in (1e2, 1e5, 1e7, 1e8 if make.single else 1e15):
         for kind, shape in every_kind(make.rng, 1.0, np.full(3, offset)):
             scene = make.scene([shape])
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(15))
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(15))
             yield make.ask(f"{kind} at {offset:g}", scene, o, d, hit=0 if offset > 1e6 else 4)
 
 
@@ -200,7 +202,7 @@ def scales(
     for size in sizes:
         for kind in kinds:
             scene = make.scene([shape_of(kind, make.rng, size)])
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(12), size)
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(12), size)
             yield make.ask(f"{kind} of size {size:g}", scene, o, d, hit=3)
 
 
@@ -232,7 +234,7 @@ def stretched(make: Maker) -> Iterator[Question]:
     for factors in ((1, 2, 3), (3, 1, 1), (-1, 1, 1), (-1, -1, -1), (-1, 2, 1e-3)):
         steps = [{"scale": list(factors)}, turn(make.rng), {"translate": make.rng.normal(size=3)}]
         scene = make.scene([Sphere(to_world=steps)])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(50))
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(50))
         yield make.ask(f"scaled by {factors}", scene, o, d, hit=15)
 
 
@@ -264,7 +266,7 @@ def shadows() -> int:
     make, count = Maker(14, FLOAT64), 0
     for _, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], 100, aim=Aim((2.0, 1e6)))
+        o, d = rays_at(make, scene.derived["packed"].parts[0], 100, aim=Aim((2.0, 1e6)))
         for t_max in (np.inf, 3.0):
             seen = cast(scene, o, d, t_max=t_max).shape_id >= 0
             assert (occluded(scene, o, d, t_max) == seen).all()
@@ -275,7 +277,7 @@ def shadows() -> int:
 def far_and_near(make: Maker) -> Iterator[Question]:
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(30), aim=Aim((2.0, 1e6), edges=0.5))
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(30), aim=Aim((2.0, 1e6), edges=0.5))
         yield make.ask(kind, scene, o, d, hit=5)
 
 

@@ -84,7 +84,7 @@ def closed_corners(make: Maker) -> Iterator[Question]:
         )
     shape = Icosphere(subdivisions=2, to_world=[turn(make.rng)])
     scene = make.scene([shape])
-    vertices = scene.kept["packed"].parts[0].vertices
+    vertices = scene.derived["packed"].parts[0].vertices
     o = make.rounded(0.3 * direction(make.rng, len(vertices)))
     yield make.ask("rounded", scene, o, vertices - o, never=("miss",))
 
@@ -126,7 +126,7 @@ def slivers(make: Maker) -> Iterator[Question]:
                 continue  # in float32 numbers, such a matrix has no inverse
             shape = shape_of(kind, make.rng, 1.0, stretch=[1.0, height, 1.0])
             scene = make.scene([shape])
-            o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(16), aim=Aim((4.0, 6.0)))
+            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(16), aim=Aim((4.0, 6.0)))
             yield make.ask(f"{kind} of height {height:g}", scene, o, d, hit=6)
 
 
@@ -228,7 +228,7 @@ def nearly_in_the_plane(make: Maker) -> Iterator[Question]:
     for kind in ("triangle", "rectangle", "disk", "plane", "mesh"):
         scene = make.scene([shape_of(kind, make.rng)])
         o, d = rays_at(
-            make, scene.kept["packed"].parts[0], make.count(60), aim=Aim((1.0, 5.0), (1e-18, 1e-17))
+            make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((1.0, 5.0), (1e-18, 1e-17))
         )
         yield make.ask(kind, scene, o, d, miss=3, exact=0 if make.single else 8)
 
@@ -241,7 +241,7 @@ def grazing(make: Maker, kinds: tuple[str, ...] = GRAZED) -> Iterator[Question]:
     for kind in kinds:
         scene = make.scene([shape_of(kind, make.rng)])
         o, d = rays_at(
-            make, scene.kept["packed"].parts[0], make.count(60), aim=Aim((1.0, 10.0), (1e-12, 1e-1), 0.1)
+            make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((1.0, 10.0), (1e-12, 1e-1), 0.1)
         )
         yield make.ask(kind, scene, o, d, hit=5)
 
@@ -283,7 +283,7 @@ def skinny(make: Maker) -> Iterator[Question]:
         )
         scene = make.scene([shape])
         aim = Aim((50.0, 600.0), (1e-6, 2e-3), 0.6)
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(60), aim=aim)
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(60), aim=aim)
         yield make.ask("skinny", scene, o, d, hit=15, miss=5)
 
 
