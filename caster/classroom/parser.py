@@ -16,7 +16,7 @@ from caster.classroom.grammar import (
     ValueFormat,
     tokens_of,
 )
-from caster.description.errors import listed, suggestion
+from caster.description.errors import join_words, suggestion
 
 MAX_NESTING = 64  # of blocks; each level takes a few frames of Python's stack
 
@@ -41,7 +41,7 @@ class Parser:
             if name in found:
                 self._error(token, f"{token.text} occurs twice; the first is in line {found[name].at.line}")
             found.setdefault(name, node)
-        for name, required in (("Camera", listed(CAMERAS)), ("Group", "Group, which holds the objects")):
+        for name, required in (("Camera", join_words(CAMERAS)), ("Group", "Group, which holds the objects")):
             if name not in found:
                 self._error(FILE_START, f"the scene needs a block {required}")
         return found
@@ -131,11 +131,11 @@ class Parser:
         if token.text == "}":
             self._error(token, "a '}' too many: no block is open")
         elif token.text == "{":
-            self._error(token, f"{where}: expected {listed(known)}, got '{{'")
+            self._error(token, f"{where}: expected {join_words(known)}, got '{{'")
             self.position -= 1
             self._skip_braces()
         elif token.number is not None:
-            self._error(token, f"{where}: expected {listed(known)}, got the number {token.text}")
+            self._error(token, f"{where}: expected {join_words(known)}, got the number {token.text}")
             self._skip_numbers()
         else:
             hint = suggestion(token.text, known) or f" (known: {', '.join(known)})"

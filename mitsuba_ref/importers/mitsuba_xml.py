@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from caster.description.diagnostics import Diagnostic, diagnostics_of
-from caster.description.errors import FileMissing, SceneError, listed
+from caster.description.errors import FileMissing, SceneError, join_words
 from caster.scene.files import MeshFolders, resolve_mesh_files
 from caster.scene.model import Scene
 from mitsuba_ref.importers.appearance import add_emitter
@@ -150,10 +150,12 @@ def _add_all(out: SceneBuilder, path: str) -> None:
     if usable:
         add_sensor(out, usable[0])
     else:
-        there = f", got {listed((node.kind for node in sensors), 'and')}" if sensors else ""
+        there = f", got {join_words((node.kind for node in sensors), 'and')}" if sensors else ""
         position = sensors[0].position if sensors else SourcePosition(path, 1, 1)
         document.errors.append(
-            ImportDiagnostic(position, f"needs a sensor of a supported kind: {listed(CAMERA_KINDS)}{there}")
+            ImportDiagnostic(
+                position, f"needs a sensor of a supported kind: {join_words(CAMERA_KINDS)}{there}"
+            )
         )
     _add_rest(out, usable[:1])
 

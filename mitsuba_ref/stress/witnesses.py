@@ -77,7 +77,7 @@ def prepare_setting(setting: Setting) -> PreparedSetting:
 
 def cast_by_bvh(ready: PreparedSetting) -> Observation:
     """The public cast, on the packed float32 geometry."""
-    ready.scene.kept["packed"] = ready.packed
+    ready.scene.derived["packed"] = ready.packed
     hits = cast(ready.scene, ready.o, ready.d)
     return Observation(hits.t, scene_prim_ids(ready.packed, hits.shape_id, hits.prim_id))
 

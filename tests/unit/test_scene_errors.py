@@ -110,8 +110,8 @@ ONE_LINERS = [
     (
         "look_at equals eye",
         camera("pinhole", "look_at = [0, 0, 5.0]"),
-        "4:1: camera (pinhole): look_at must be another point than eye, so that there is a direction to "
-        "look in, "
+        "4:1: camera (pinhole): look_at must be another point than eye, so that the viewing direction is "
+        "defined, "
         "got [0, 0, 5]",
     ),
     (

@@ -25,7 +25,7 @@ def random_boxes(make: Maker, offsets: tuple[float, ...] = (0.0, 1e6)) -> Iterat
                 cube = shape_of("cube", make.rng, 1.0, place, sides)
                 boxes.append(cube if turned else Cube(to_world=[{"scale": sides}, {"translate": place}]))
             scene = make.scene(boxes)
-            packed = scene.kept["packed"].kinds[0].prims
+            packed = scene.derived["packed"].kinds[0].prims
             count = make.count(120)
             corners = packed.vertices[packed.faces[make.rng.integers(0, len(packed.faces), count)]]
             share = make.rng.choice([0.0, 0.5, 0.3], (count, 1))
@@ -53,7 +53,7 @@ def trees() -> int:
         ):
             rays = scaled_rays(question)
             tree, every = (
-                find_nearest(question.scene.kept["packed"], rays, how) for how in ("bvh", "brute-force")
+                find_nearest(question.scene.derived["packed"], rays, how) for how in ("bvh", "brute-force")
             )
             assert tree.t.tobytes() == every.t.tobytes() and (tree.prim == every.prim).all(), question.name
             count += len(question.o)
@@ -75,7 +75,7 @@ def on_a_slab_plane(make: Maker, zero: float) -> Iterator[Question]:
     """Origins in the planes of box sides, and no motion across them: 0 times infinity in a naive slab test."""
     for name, mesh in (("boxes", many_boxes(make)), ("a closed ball", mesh_of(*scaled_ball(make)))):
         scene = make.scene([mesh])
-        vertices = scene.kept["packed"].parts[0].vertices
+        vertices = scene.derived["packed"].parts[0].vertices
         count = make.count(120)
         o, aim = (vertices[make.rng.integers(0, len(vertices), count)] for _ in range(2))
         axis = make.rng.integers(0, 3, count)
@@ -113,7 +113,7 @@ def same_zero() -> int:
             on_a_slab_plane(Maker(64, precision), -0.0),
             strict=True,
         ):
-            packed = plus.scene.kept["packed"]
+            packed = plus.scene.derived["packed"]
             first, second = (find_nearest(packed, scaled_rays(q)) for q in (plus, minus))
             assert first.t.tobytes() == second.t.tobytes() and (first.prim == second.prim).all()
             count += int((np.signbit(minus.d) & (minus.d == 0.0)).any(axis=1).sum())
@@ -124,7 +124,7 @@ def hardly_moving(make: Maker) -> Iterator[Question]:
     """Components so small that 1 / d is infinite; flat boxes; along edges and in the planes of sides of a cube."""
     least = 2.0**-149 if make.single else 2.0**-1074
     for scene in (make.scene([many_boxes(make)]), make.scene([Icosphere(subdivisions=1)])):
-        o, d = rays_at(make, scene.kept["packed"].parts[0], make.count(80))
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(80))
         tiny = make.rng.random(d.shape) < 0.4
         d = np.where(tiny, make.rng.choice([least, -least], d.shape), d)
         yield make.ask(
