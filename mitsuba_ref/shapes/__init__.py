@@ -1,4 +1,8 @@
-"""The registry of shapes and primitive kinds on the judge's side: one entry for every shape of caster.shapes.SHAPES."""
+"""The registry of shapes and primitive kinds on the judge's side: one entry for every shape of caster.shapes.SHAPES.
+
+A plug-in is a module that calls `register`. Programs import it; the commands also load every module that an installed
+distribution names as an entry point of the group "mitsuba_ref.plugins".
+"""
 
 from typing import Any
 

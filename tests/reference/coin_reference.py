@@ -1,0 +1,131 @@
+"""The judge's side of coin_plugin.py."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from coin_plugin import Coin, Coins
+
+from caster.shapes.disk import Disks
+from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
+from mitsuba_ref.error_model.intersections import ErrorModel, Intersections
+from mitsuba_ref.error_model.rounding_groups import by_normal
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, scaled, shifted, sub
+from mitsuba_ref.oracle.interface import (
+    NO_INTERSECTION,
+    Contact,
+    ExactKind,
+    LineIntersections,
+    next_above,
+    next_below,
+)
+from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.shapes import disk, register
+from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
+from mitsuba_ref.shapes.targets import Rng, SurfacePoints, random_length, random_point
+
+
+def to_xml(out: ShapeWriter, shape: Coin, part: Coins) -> list[XmlElement]:
+    """Mitsuba's unit disk under a uniform scale."""
+    return [out.native(shape, "disk", part.center[0], part.radius[0] * np.eye(3))]
+
+
+def expected_coin(shape: Coin, part: Coins) -> Iterator[ExpectedNumbers]:
+    yield up_to_rounding("center", part.center[0], shape.center)
+    yield up_to_rounding("radius", part.radius[0], shape.radius)
+
+
+# ---- the error model: that of Mitsuba's disk
+
+
+def as_disks(prims: Coins) -> Disks:
+    r = prims.radius[:, None, None]
+    return Disks(prims.center, r * np.eye(3), np.eye(3) / r)
+
+
+def intersect(
+    prims: Coins, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
+) -> tuple[Intersections, ...]:
+    return disk.intersect(as_disks(prims), k, o, d, ku)
+
+
+def bounds(prims: Coins) -> tuple[np.ndarray, np.ndarray]:
+    reach = prims.radius[:, None] * np.array([1.0, 1.0, 0.0])
+    return prims.center - reach, prims.center + reach
+
+
+# ---- exact arithmetic: every number a whole number times a power of two
+
+
+class IntegerCoin(NamedTuple):
+    """Centre and radius times 2^k."""
+
+    center: Integers3
+    radius: int
+    k: int
+
+
+def prepare(prims: Coins, k: int) -> IntegerCoin:
+    (x, y, z, radius), scale = scaled([*prims.center[k].tolist(), float(prims.radius[k])])
+    return IntegerCoin((x, y, z), radius, scale)
+
+
+def intersect_exactly(coin: IntegerCoin, ray: IntegerRay) -> LineIntersections:
+    """t = f.z / d.z for f from the origin to the centre; there, x^2 + y^2 against r^2, all times d.z^2."""
+    scale = max(coin.k, ray.ko)
+    f = sub(shifted(coin.center, scale - coin.k), shifted(ray.o, scale - ray.ko))
+    if not ray.d[2]:
+        return NO_INTERSECTION if f[2] else LineIntersections((), (Contact("edge_on", None, None),))
+    x, y = (f[2] * ray.d[i] - f[i] * ray.d[2] for i in (0, 1))
+    beyond = x * x + y * y - ((coin.radius << (scale - coin.k)) * ray.d[2]) ** 2
+    if beyond > 0:
+        return NO_INTERSECTION
+    return LineIntersections(((Root(f[2], 0, 0, ray.d[2], ray.kd - scale), "inside" if beyond else "rim"),))
+
+
+def boxes(prims: Coins) -> tuple[np.ndarray, np.ndarray]:
+    """Rounded outwards."""
+    low, high = bounds(prims)
+    return next_below(low), next_above(high)
+
+
+# ---- what the fuzzer draws and aims at, what reproducers write, what Mitsuba is known to get wrong
+
+
+def random_fields(rng: Rng, lattice: bool) -> Fields:
+    return {"center": random_point(rng, lattice), "radius": random_length(rng, lattice)}
+
+
+def surface_points(prims: Coins, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+    return disk.on_disks(as_disks(prims), k, rng, sort)
+
+
+def describe(part: Coins, k: int) -> Fields:
+    return {"type": "coin", "center": part.center[k].tolist(), "radius": float(part.radius[k])}
+
+
+def defect_view(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+    return DefectView(cosine=abs_cosine(np.array([0.0, 0.0, 1.0]), d))
+
+
+COINS = PrimitiveReference(
+    Coins,
+    ErrorModel(intersect, bounds, exact=ExactKind(boxes, prepare, intersect_exactly)),
+    describe,
+    surface_points,
+    rounding_groups=(by_normal,),
+    known_defects=(STARTS_ON_FLAT, GRAZED_FLAT),
+    defect_view=defect_view,
+)
+register(
+    ShapeReference(
+        Coin,
+        to_xml,
+        (COINS,),
+        expected_coin,
+        random_fields,
+        groups=frozenset({"flat", "small"}),
+        analytic=True,
+    )
+)

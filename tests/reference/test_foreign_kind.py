@@ -1,0 +1,90 @@
+"""A primitive kind from outside of the tree goes through every command, and mistakes in it are found.
+
+The coin's two sides are tests/unit/coin_plugin.py and coin_reference.py, which docs/adding-a-shape.md describes.
+"""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from edited_tree import ROOT, edit, run_with
+
+COINS = """
+[film]
+width = 24
+height = 17
+
+[camera]
+type = "pinhole"
+eye = [0.3, 0.4, 4]
+look_at = [0, 0, 0]
+
+[[light]]
+type = "point"
+position = [2, 3, 4]
+intensity = [9, 9, 9]
+""" + "".join(
+    f'[[shape]]\ntype = "coin"\ncenter = [{x}, 0.25, {z}]\nradius = {r}\n'
+    for x, z, r in ((-0.5, 0.0, 0.75), (0.5, 0.5, 0.5), (0.25, -1.0, 2.0))
+)
+
+
+@pytest.fixture
+def coins(tmp_path) -> Path:
+    """A folder with an installed distribution: the kind on both sides, and a scene."""
+    shutil.copy(ROOT / "tests/unit/coin_plugin.py", tmp_path)
+    shutil.copy(ROOT / "tests/reference/coin_reference.py", tmp_path)
+    (tmp_path / "coins.toml").write_text(COINS, encoding="utf-8")
+    about = tmp_path / "coins-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: coins\nVersion: 1.0\n")
+    groups = "[caster.plugins]\ncoins = coin_plugin\n[mitsuba_ref.plugins]\ncoins = coin_reference\n"
+    (about / "entry_points.txt").write_text(groups)
+    return tmp_path
+
+
+def test_a_foreign_kind_is_rendered_judged_reported_and_probed(coins):
+    rendered = run_with(
+        coins, "render", str(coins / "coins.toml"), "-o", str(coins / "out.exr"), module="caster"
+    )
+    assert (rendered.returncode, rendered.stderr) == (0, "")
+    found = run_with(
+        coins,
+        "validate",
+        str(coins / "coins.toml"),
+        "--html",
+        str(coins / "report"),
+        "--json",
+        str(coins / "verdict.json"),
+    )
+    assert (found.returncode, found.stderr) == (0, ""), found.stdout
+    assert "PASS  coins" in found.stdout and (coins / "report/index.html").stat().st_size > 10_000
+    (scene,) = json.loads((coins / "verdict.json").read_text())["scenes"]
+    assert scene["statistics"]["biases"][0]["kind"] == "Coins"
+    probed = run_with(coins, "probe", str(coins / "coins.toml"), "12", "8")
+    assert (probed.returncode, probed.stderr) == (0, "")
+    assert "coins.toml: agree" in probed.stdout and "hit             shape-1" in probed.stdout
+
+
+def test_a_foreign_kind_is_fuzzed(coins):
+    found = run_with(coins, "fuzz", "--rays", "600", "--shape", "coin", "--out", str(coins / "found"))
+    assert (found.returncode, found.stderr) == (0, ""), found.stdout
+    assert re.search(r"^coin +600 ", found.stdout, re.MULTILINE) and " 0 wrong" in found.stdout
+    flat = run_with(coins, "fuzz", "--examples", "2", "--family", "planes", "--out", str(coins / "found"))
+    assert flat.returncode == 0, flat.stdout
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("rounded(np.array([self.radius]))", "rounded(np.array([1.001 * self.radius]))", "geometry: "),
+        ("return point_at(o, t, d), n, n", "return point_at(o, 1.001 * t, d), n, n", "position: "),
+        ("n = (0.0, 0.0, 1.0)", "n = (0.0, 0.6, 0.8)", "normal: "),
+    ],
+)
+def test_a_mistake_in_a_foreign_kind_is_found(coins, old, new, says):
+    edit(coins, "coin_plugin.py", old, new)
+    found = run_with(coins, "validate", str(coins / "coins.toml"))
+    assert found.returncode == 1 and "FAIL  coins" in found.stdout and says in found.stdout
