@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn, TextIO
 
@@ -18,8 +18,8 @@ INTERRUPT_GRACE_SECONDS = (
     20.0  # seconds for the scenes that are being judged to end, and to be written down, after an interruption
 )
 CHILD_SOURCE = (
-    "import sys; sys.path[:] = {path!r}; from mitsuba_ref.subjects.supervisor import looked_after; "
-    "looked_after({fd})"
+    "import sys; sys.path[:] = {path!r}; from mitsuba_ref.__main__ import main; "
+    "from mitsuba_ref.subjects.supervisor import looked_after; looked_after({fd}, main)"
 )
 
 
@@ -56,14 +56,12 @@ def _exit_text(code: int) -> str:
     return f"exit {code}" if code >= 0 else f"by {exit_name(code)}"
 
 
-def looked_after(fd: int) -> NoReturn:
+def looked_after(fd: int, main: Callable[[Sequence[str]], int]) -> NoReturn:
     """The command line of this process, in the child; its exit code goes through fd before the process ends.
 
     sys.exit is heard by `main`; os._exit and C's exit() end the process before its code is told. What it exits with
     does not count: what the candidate left for the end of the process may change that.
     """
-    from mitsuba_ref.__main__ import main
-
     sys.stdout = results = _result_stream()
     code = main(sys.argv[1:])
     os.write(fd, b"%d" % code)
