@@ -14,17 +14,16 @@ import performance_plots
 import performance_targets as targets
 from pages import WIDTH, write_page
 
-from mitsuba_ref.bench import table
 from mitsuba_ref.bench.contestants import BY_KEY
 from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
-from mitsuba_ref.bench.result import Row, Run, SceneResult, Sweep
+from mitsuba_ref.bench.result import COLUMNS, Row, Run, SceneResult, Sweep, rows
 from mitsuba_ref.bench.scoring import EXACT_RAYS_PER_SORT
 from mitsuba_ref.bench.work import SHADING
 from mitsuba_ref.experiment.results import markdown, number, read_result
 
 PAGE, IMAGE_FOLDER, NOTES = "performance.md", "performance", "performance-notes.md"
 MIN_ROUNDS = 7  # alternations; a page of fewer says so
-RIGHT_ALIGNED = "|---|" + "---:|" * (len(table.COLUMNS) - 1)
+RIGHT_ALIGNED = "|---|" + "---:|" * (len(COLUMNS) - 1)
 
 HEAD = """# Run time against error
 
@@ -162,7 +161,7 @@ def overview(run: Run) -> Iterator[str]:
 def section(scene: SceneResult) -> Iterator[str]:
     yield f"## {scene.name}\n"
     yield f"{scene.title[0].upper()}{scene.title[1:]}; {scene.primitives:,} primitives.\n"
-    yield markdown(table.rows(scene), rule=RIGHT_ALIGNED)
+    yield markdown(rows(scene), rule=RIGHT_ALIGNED)
     yield ""
 
 

@@ -57,7 +57,7 @@ def of_mitsuba(key: str, title: str, entry: str, asks: tuple[str, ...], **option
 
 
 def of_picture(key: str, title: str, mode: str) -> Contestant:
-    return of_mitsuba(key, title, PICTURE, (FILM,), mode=mode, variant=variants.LLVM)
+    return of_mitsuba(key, title, INTEGRATOR, (FILM,), mode=mode, variant=variants.LLVM)
 
 
 def of_shading(key: str, title: str, *aovs: str, shadows: bool = True) -> Contestant:
@@ -65,7 +65,7 @@ def of_shading(key: str, title: str, *aovs: str, shadows: bool = True) -> Contes
     return Contestant(key, title, OURS, OWN, (SHADING,), options)
 
 
-RAW, PICTURE, OWN = "mitsuba_llvm:Raw", "mitsuba_aov:Picture", "ours:Ours"
+RAW, INTEGRATOR, OWN = "mitsuba:RayIntersect", "mitsuba:Integrator", "own:Ours"
 
 AOVS = ("depth", "normal", "diffuse")
 
@@ -109,7 +109,7 @@ CONTESTANTS = (
     of_mitsuba(
         "aov-robust",
         "Mitsuba LLVM, robust, AOV integrator",
-        PICTURE,
+        INTEGRATOR,
         (FILM,),
         mode=ROBUST,
         variant=variants.LLVM,
@@ -117,7 +117,7 @@ CONTESTANTS = (
     of_mitsuba(
         "aov-default",
         "Mitsuba LLVM, default, AOV integrator",
-        PICTURE,
+        INTEGRATOR,
         (FILM,),
         mode=DEFAULT,
         variant=variants.LLVM,
@@ -126,7 +126,7 @@ CONTESTANTS = (
         "scalar-aov",
         "Mitsuba scalar, robust, AOV integrator",
         MITSUBA,
-        PICTURE,
+        INTEGRATOR,
         (FILM,),
         {"mode": ROBUST, "variant": variants.SCALAR},
         variant=variants.SCALAR,
@@ -136,16 +136,16 @@ CONTESTANTS = (
         "scalar-loop",
         "Mitsuba scalar, robust, loop in Python",
         MITSUBA,
-        "mitsuba_loop:Loop",
+        "mitsuba:ScalarLoop",
         ALL_TASKS,
         {"mode": ROBUST},
         variant=variants.SCALAR,
         first=32,
     ),
-    Contestant("open3d", "Open3D", PEER, "open3d_peer:Open3D", ALL_TASKS, package="open3d"),
-    Contestant("embreex", "embreex", PEER, "embreex_peer:Embreex", ALL_TASKS, package="embreex"),
-    Contestant("trimesh", "trimesh + embreex", PEER, "embreex_peer:Trimesh", ALL_TASKS, package="trimesh"),
-    Contestant("copy", "copying the images", MACHINE, "copying:Copying", (FILM,)),
+    Contestant("open3d", "Open3D", PEER, "peers:Open3D", ALL_TASKS, package="open3d"),
+    Contestant("embreex", "embreex", PEER, "peers:Embreex", ALL_TASKS, package="embreex"),
+    Contestant("trimesh", "trimesh + embreex", PEER, "peers:Trimesh", ALL_TASKS, package="trimesh"),
+    Contestant("copy", "copying the images", MACHINE, "own:Copying", (FILM,)),
 )
 BY_KEY = {contestant.key: contestant for contestant in CONTESTANTS}
 

@@ -13,8 +13,7 @@ from caster import __version__
 from caster.scene.model import Scene
 from mitsuba_ref.bench import scenes
 from mitsuba_ref.bench.contestants import BY_KEY, Contestant, contestants_for, processors
-from mitsuba_ref.bench.entries.copying import CHANNELS
-from mitsuba_ref.bench.entries.ours import BYTES
+from mitsuba_ref.bench.entries.own import BYTES_PER_CHANNEL, CHANNELS
 from mitsuba_ref.bench.measuring import Progress, Settings, Start, start_process, time_scene
 from mitsuba_ref.bench.result import Run, SceneResult, Series, Sweep
 from mitsuba_ref.bench.scenes import BenchScene
@@ -166,7 +165,10 @@ def empty_run(scenes: Sequence[BenchScene], settings: Settings) -> Run:
     """A run that has timed nothing yet."""
     told = {name: value for name, value in asdict(settings).items() if name != "patience"}
     return Run(
-        told, machine_properties(), tuple(scene.name for scene in scenes), bytes_of_pixel=CHANNELS * BYTES
+        told,
+        machine_properties(),
+        tuple(scene.name for scene in scenes),
+        bytes_of_pixel=CHANNELS * BYTES_PER_CHANNEL,
     )
 
 

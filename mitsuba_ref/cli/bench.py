@@ -92,10 +92,10 @@ def ours_ran(scene: SceneResult) -> bool:
 
 
 def show(scene: SceneResult, progress: options.Progress, args: argparse.Namespace) -> None:
-    from mitsuba_ref.bench import table
+    from mitsuba_ref.bench.result import as_text
 
     progress.clear()
-    print(f"{table.as_text(scene)}\n", file=options.table_stream(args), flush=True)
+    print(f"{as_text(scene)}\n", file=options.table_stream(args), flush=True)
 
 
 def show_earlier(args: argparse.Namespace) -> int:
@@ -113,7 +113,7 @@ def show_earlier(args: argparse.Namespace) -> int:
 
 def report(done: Run, args: argparse.Namespace) -> None:
     """The JSON file, if any, and a last line."""
-    from mitsuba_ref.bench.table import summary
+    from mitsuba_ref.bench.result import summary
     from mitsuba_ref.experiment.results import write_result
 
     if args.json:

@@ -20,7 +20,7 @@ import mitsuba_ref.bench.entries
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32, as_given
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.bench import measuring, run, scenes, table
+from mitsuba_ref.bench import measuring, run, scenes
 from mitsuba_ref.bench.contestants import BY_KEY, CONTESTANTS, Contestant, contestants_for
 from mitsuba_ref.bench.measuring import ContestantEnded, ContestantProcess, Settings, time_scene
 from mitsuba_ref.bench.result import (
@@ -30,6 +30,7 @@ from mitsuba_ref.bench.result import (
     Score,
     Series,
     Sweep,
+    as_text,
     fitted_slope,
     ratio,
 )
@@ -238,7 +239,7 @@ def test_whoever_dies_takes_nobody_along():
     assert len(ours.seconds) == 3 and ours.why == ""
     assert len(raw.seconds) == 1 and raw.why == "died: SIGSEGV" and raw.score is None
     assert open3d.seconds == () and open3d.why == "died: SIGSEGV"
-    assert "died: SIGSEGV" in table.as_text(found) and found.ratio("raw-robust") == 1.0
+    assert "died: SIGSEGV" in as_text(found) and found.ratio("raw-robust") == 1.0
     assert all(fake.closed for fake in fakes.values())
 
 
@@ -253,7 +254,7 @@ def test_who_cannot_run_says_why(monkeypatch):
 # --- processes
 
 
-WORK = Work("/nowhere", FILM, 1, "ours:Ours")
+WORK = Work("/nowhere", FILM, 1, "own:Ours")
 ENDS = {
     "hangs": ("import time; time.sleep(60)", "no answer within 0.5 s"),
     "dies": ("import os, sys; sys.stdin.readline(); print('last words'); sys.stdout.flush(); os.abort()",

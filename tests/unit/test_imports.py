@@ -160,7 +160,7 @@ RULES = (
         "mitsuba_ref",
         "a peer is imported by its entry alone, in a process of its own",
         never=("open3d", "embreex", "trimesh"),
-        except_in=("mitsuba_ref.bench.entries.open3d_peer", "mitsuba_ref.bench.entries.embreex_peer"),
+        except_in=("mitsuba_ref.bench.entries.peers",),
     ),
     Rule(
         "mitsuba_ref.oracle",

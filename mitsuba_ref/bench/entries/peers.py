@@ -1,10 +1,8 @@
-"""Embree through embreex, straight and as trimesh uses it; triangles, one thread."""
+"""Other ray casters of triangles from Python: embreex, trimesh and Open3D; each is imported by its own class."""
 
 from typing import Any
 
 import numpy as np
-from embreex import rtcore_scene
-from embreex.mesh_construction import TriangleMesh
 
 from mitsuba_ref.bench.work import (
     ANY,
@@ -21,16 +19,19 @@ NO_HIT = -1
 
 
 class Embreex:
-    """`EmbreeScene.run` with all it gives."""
+    """Embree through embreex: `EmbreeScene.run` with all outputs; one thread."""
 
     def __init__(self, work: Work) -> None:
-        self.work = work
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+
+        self.work, self.new_scene, self.add_mesh = work, rtcore_scene.EmbreeScene, TriangleMesh
         self.vertices, self.faces = given_mesh(work.folder)
 
     def build(self, size: int) -> None:
-        self.scene = rtcore_scene.EmbreeScene()
-        TriangleMesh(self.scene, self.vertices, self.faces)
-        self.answer(*FIRST_RAY)  # the tree grows with it
+        self.scene = self.new_scene()
+        self.add_mesh(self.scene, self.vertices, self.faces)
+        self.answer(*FIRST_RAY)  # builds the tree
         self.size = size
 
     def take_rays(self) -> None:
@@ -55,7 +56,7 @@ class Embreex:
 
 
 class Trimesh:
-    """`intersects_location`, the first hit of each ray, and from it depth and normal."""
+    """`intersects_location` of trimesh with embreex: the first hit, and from it t and normal."""
 
     def __init__(self, work: Work) -> None:
         import trimesh
@@ -93,3 +94,44 @@ class Trimesh:
         t[rays] = ((places - o[rays]) * along).sum(axis=1) / (along * along).sum(axis=1)
         n[rays] = self.normals[faces]
         return t
+
+
+class Open3D:
+    """RaycastingScene: Embree, t and normal of triangles."""
+
+    def __init__(self, work: Work) -> None:
+        import open3d
+
+        self.work, self.open3d = work, open3d
+        self.vertices, self.faces = given_mesh(work.folder)
+
+    def build(self, size: int) -> None:
+        self.scene = self.open3d.t.geometry.RaycastingScene(nthreads=self.work.threads)
+        self.scene.add_triangles(self._tensor(self.vertices), self._tensor(self.faces.astype(np.uint32)))
+        self._cast(self._rays(*FIRST_RAY))  # builds the tree
+        self.size = size
+
+    def take_rays(self) -> None:
+        self.rays = self._rays(*given_rays(self.work.folder, self.size))
+
+    def cast(self) -> int:
+        self._cast(self.rays)
+        return int(self.rays.shape[0])
+
+    def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        if self.work.asks == ANY:
+            return blocked(self._cast(self._rays(o, d)))
+        return self._cast(self._rays(o, d)).astype(np.float64)
+
+    def _cast(self, rays: Any) -> np.ndarray:
+        if self.work.asks == ANY:
+            return self.scene.test_occlusions(rays, 0.0, SHADOW_END, nthreads=self.work.threads).numpy()
+        found = self.scene.cast_rays(rays, nthreads=self.work.threads)
+        found["primitive_normals"].numpy()  # no copy, and so it costs nothing
+        return found["t_hit"].numpy()
+
+    def _rays(self, o: np.ndarray, d: np.ndarray) -> Any:
+        return self._tensor(np.hstack([o, d]))
+
+    def _tensor(self, array: np.ndarray) -> Any:
+        return self.open3d.core.Tensor(array)
