@@ -352,7 +352,7 @@ def picture(root: Path = ROOT) -> str:
     if upward:
         words = [f"{a} > {b} ({count})" for (a, b), count in upward.items()]
         notes.append("Against the flow, and not drawn:")
-        notes += [", ".join(words[i : i + 3]) for i in range(0, len(words), 3)]
+        notes += [", ".join(words[i : i + 2]) for i in range(0, len(words), 2)]
     return drawing(boxes, {edge: edges[edge] for edge in sorted(shown)}, notes)
 
 
