@@ -1,4 +1,4 @@
-"""The registry of references: one for every camera of caster.cameras.CAMERAS (a test demands it)."""
+"""The registry of cameras on the judge's side: one entry for every camera of caster.cameras.CAMERAS."""
 
 from mitsuba_ref.cameras import orthographic, pinhole, without_sensor
 

@@ -1,4 +1,4 @@
-"""What the judge has to know of a camera: its formula, written a second time, and Mitsuba's sensor where it has one."""
+"""Declaration of cameras on the judge's side: rays computed a second time, and Mitsuba's sensor if there is one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class CameraRays(NamedTuple):
 
 
 class ClipRange(NamedTuple):
-    """Where a sensor that needs a near and a far plane may put them without cutting anything off."""
+    """Near and far planes that cut nothing off, for sensors that need them."""
 
     near: float
     far: float
@@ -39,7 +39,7 @@ def clip_planes(camera: Any, limits: ClipRange) -> dict[str, float]:
 
 
 def no_sensor(camera: Any, film: Film, limits: ClipRange) -> XmlElement | None:
-    """Mitsuba lacks this camera: its rays are handed over."""
+    """For a camera that Mitsuba lacks: its rays are sent instead."""
     return None
 
 
@@ -99,7 +99,7 @@ def eye_origins(camera: Camera, count: int) -> np.ndarray:
 
 
 def rays_from_eye(camera: Camera, d: np.ndarray, defined: np.ndarray | None = None) -> CameraRays:
-    """Rays from the eye without near or far; where `seen` is False there are none."""
+    """Rays from the eye without near or far; where `defined` is False there are none."""
     n = len(d)
     t_max = np.full(n, np.inf) if defined is None else np.where(defined, np.inf, -1.0)
     return CameraRays(eye_origins(camera, n), d, np.zeros(n), t_max)

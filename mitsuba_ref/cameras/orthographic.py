@@ -21,7 +21,7 @@ from mitsuba_ref.reference.xml_writer import XmlElement, matrix_element
 
 
 def rays(camera: Orthographic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
-    """Parallel rays, from a window as wide as the camera says and as high as its pixels are square."""
+    """Parallel rays, from a window of the camera's width whose pixels are square."""
     pixel = camera.width / film.width
     right, up, forward = camera_axes(camera)
     o = eye_origins(camera, len(x))

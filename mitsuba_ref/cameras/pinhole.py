@@ -21,7 +21,7 @@ from mitsuba_ref.reference.xml_writer import XmlElement, matrix_element
 
 
 def half_extents(camera: Pinhole, film: Film) -> tuple[float, float]:
-    """Half width and half height of the picture at distance 1."""
+    """Half width and half height of the image plane at distance 1."""
     tangent = float(np.tan(np.deg2rad(camera.fov / 2.0)))
     width, height = float(film.width), float(film.height)
     side = {
@@ -35,7 +35,7 @@ def half_extents(camera: Pinhole, film: Film) -> tuple[float, float]:
 
 
 def rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
-    """Through the point of the picture at (2 s - 1) tan, s the share of the film; near and far are planes."""
+    """Rays through points (2 s - 1) tan of the image plane, s the fraction of the film; near and far are planes."""
     across, above = half_extents(camera, film)
     px, py = camera.principal_point
     right = (2.0 * (x / film.width + px) - 1.0) * across

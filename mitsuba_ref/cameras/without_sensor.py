@@ -1,4 +1,4 @@
-"""Fisheye: Mitsuba has none, so its rays are handed over."""
+"""Cameras without a Mitsuba sensor: fisheye, panorama, parabolic and single ray; their rays are sent instead."""
 
 import numpy as np
 
@@ -35,9 +35,6 @@ def random_fisheye(rng: np.random.Generator, size: float, view: RandomView) -> F
 FISHEYE = CameraReference(Fisheye, fisheye_rays, random_fields=random_fisheye)
 
 
-# Panorama: Mitsuba has none, so its rays are handed over.
-
-
 def panorama_rays(camera: Panorama, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
     """A full turn across the film, half a turn from top to bottom, the view in the middle."""
     azimuth = 2.0 * np.pi * (x - film.width / 2.0) / film.width
@@ -47,9 +44,6 @@ def panorama_rays(camera: Panorama, film: Film, x: np.ndarray, y: np.ndarray) ->
 
 
 PANORAMA = CameraReference(Panorama, panorama_rays)
-
-
-# Parabolic: Mitsuba has none, so its rays are handed over.
 
 
 def parabolic_rays(camera: Parabolic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
@@ -63,9 +57,6 @@ def parabolic_rays(camera: Parabolic, film: Film, x: np.ndarray, y: np.ndarray) 
 
 
 PARABOLIC = CameraReference(Parabolic, parabolic_rays)
-
-
-# Ray: no camera that Mitsuba has; the ray is handed over as it is.
 
 
 def ray_rays(camera: Ray, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:

@@ -43,7 +43,7 @@ class DefectFeatures:
     where: frozenset[str]  # of the members of the exact tie set
     flags: frozenset[str]  # of the exact answer
     t: float  # of the reference, inf on a miss
-    # a primitive of the shape it names is met at t = 0: exactly, or of a stand-in, up to its rounding
+    # a primitive of the shape it names is hit at t = 0: exactly, or of a stand-in, up to its rounding
     at_zero: bool
     # of the views of both sides' primitives: the least, but beyond_corners and without_area of the reference's alone
     cosine: float

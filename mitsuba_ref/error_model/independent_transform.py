@@ -1,4 +1,4 @@
-"""to_world a second time, from its definition, so that an error in composing it cannot hide on both sides."""
+"""World-space transforms computed a second time: to_world from its definition, and helpers for expected numbers."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -65,9 +65,8 @@ def _looking(origin: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarr
     return _affine(np.column_stack([left, np.cross(forward, left), forward]), origin)
 
 
-# Shapes in the world a second time: from the description and its matrix, in other formulas than the caster's.
-#
-# Both sides trace the numbers that the caster packs, so no picture shows an error in packing. These claims do.
+# Expected packed numbers: from the description and its matrix, in other formulas than the caster's. Both sides trace
+# the numbers that the caster packs, so no image shows an error in packing; this comparison does.
 
 
 class ExpectedNumbers(NamedTuple):

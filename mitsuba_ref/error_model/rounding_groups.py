@@ -1,6 +1,6 @@
 """Group keys of pixels that share one rounding of the reference (docs/method.md, "Bias").
 
-Means of such groups tell a bias from the roundings that a primitive's numbers suffer once, for all rays.
+Means over such groups separate a bias from the roundings that a primitive's numbers suffer once, for all rays.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ def by_normal(_prims: Any, _k: np.ndarray, n: np.ndarray, _o: np.ndarray, _d: np
 def by_corner(
     axis: int, prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray
 ) -> np.ndarray:
-    """Faces on rings and grids: what is rounded is one coordinate of many corners, as seen from the ray's origin."""
+    """Faces on rings and grids: what is rounded is one coordinate of many corners, relative to the ray's origin."""
     corner: np.ndarray = np.abs(prims.vertices[prims.faces[k, 0], axis])
     return corner[:, None]
 
@@ -38,17 +38,17 @@ def by_matrix(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.
 
 
 def by_approach(prims: Any, k: np.ndarray, _n: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Balls are solved in float64, but from the point nearest to the centre, which lies at a t rounded to float32."""
+    """Spheres are solved in float64, but from the point nearest to the centre, at a t that is rounded to float32."""
     nearest: np.ndarray = dot(prims.center[k] - o, d) / dot(d, d)
     return nearest.astype(np.float32)[:, None]
 
 
 def by_center(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """Balls in float32 throughout, as the LLVM variant has them: what is rounded is the centre from the origin."""
+    """Spheres in float32 throughout, by the LLVM variant: what is rounded is the centre relative to the origin."""
     center: np.ndarray = prims.center[k]
     return center
 
 
 def single_group(_prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """A kind of which nobody has said what is rounded for many pixels at once: it can tell nothing."""
+    """One group: for kinds that declare no shared rounding, of which no bias is tested."""
     return np.zeros((len(k), 1))

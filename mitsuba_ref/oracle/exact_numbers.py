@@ -1,4 +1,4 @@
-"""From float64 to whole numbers on a common power of two, and vectors of them."""
+"""Exact numbers: integers on a common power of two, and roots of linear and quadratic equations."""
 
 import math
 from collections.abc import Iterable
@@ -54,9 +54,6 @@ def shifted(a: Integers3, bits: int) -> Integers3:
     return a[0] << bits, a[1] << bits, a[2] << bits
 
 
-# Roots of linear and quadratic equations with whole coefficients, compared without rounding.
-
-
 Number = Union["Root", int, float, Fraction]
 
 FIRST_BITS = 64  # of a square root, behind the point; doubled until both ends round to the same float
@@ -84,7 +81,7 @@ def sign_with_roots(a: int, b: int, r: int, c: int, s: int) -> int:
 
 
 def is_number(x: Number) -> bool:
-    """Whether it has a place on the line: all but NaN."""
+    """Whether x is comparable: all but NaN."""
     return not (isinstance(x, float) and math.isnan(x))
 
 

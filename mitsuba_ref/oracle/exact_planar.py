@@ -1,4 +1,4 @@
-"""Planes and disks: where a linear equation vanishes."""
+"""Exact planar surfaces: planes and disks, by linear equations in integers."""
 
 from typing import Any, NamedTuple
 

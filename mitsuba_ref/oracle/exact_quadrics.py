@@ -1,4 +1,4 @@
-"""Images of unit shapes under p -> center + to_world p, by the exact inverse of to_world."""
+"""Exact quadrics: spheres, ellipsoids and cylinders, and unit shapes under the exact inverse of their matrix."""
 
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from mitsuba_ref.oracle.interface import (
 
 
 class Affine(NamedTuple):
-    """Centre 2^-k and the rows of adj(to_world 2^k), signs turned so that the determinant is >= 0."""
+    """Centre 2^-k and the rows of adj(to_world 2^k), signs changed so that the determinant is >= 0."""
 
     center: Integers3
     adjugate: tuple[Integers3, Integers3, Integers3]
@@ -35,7 +35,7 @@ class Affine(NamedTuple):
 
 
 class ObjectRay(NamedTuple):
-    """A ray seen by a unit shape, magnified: (o + s d) / size, where t = s 2^e."""
+    """A ray in the object space of a unit shape, magnified: (o + s d) / size, where t = s 2^e."""
 
     o: Integers3
     d: Integers3
@@ -97,9 +97,6 @@ def usable_affine(prims: Any) -> np.ndarray:
     return np.isfinite(prims.center).all(axis=1) & np.isfinite(prims.to_world).all(axis=(1, 2))
 
 
-# Spheres, ellipsoids and cylinders: where a quadratic equation vanishes.
-
-
 SINGULAR_MATRIX = LineIntersections((), (Contact("degenerate", None, None),))
 
 
@@ -128,10 +125,10 @@ def prepare_sphere(prims: Any, k: int) -> IntegerSphere:
     return IntegerSphere((x, y, z), radius, scale)
 
 
-def intersect_sphere(ball: IntegerSphere, ray: IntegerRay) -> LineIntersections:
-    scale = max(ball.k, ray.ko)
-    away = sub(shifted(ray.o, scale - ray.ko), shifted(ball.center, scale - ball.k))
-    return _closed(line_sphere_roots(away, ray.d, ball.radius << (scale - ball.k), ray.kd - scale))
+def intersect_sphere(sphere: IntegerSphere, ray: IntegerRay) -> LineIntersections:
+    scale = max(sphere.k, ray.ko)
+    away = sub(shifted(ray.o, scale - ray.ko), shifted(sphere.center, scale - sphere.k))
+    return _closed(line_sphere_roots(away, ray.d, sphere.radius << (scale - sphere.k), ray.kd - scale))
 
 
 def intersect_ellipsoid(ellipsoid: Affine, ray: IntegerRay) -> LineIntersections:
@@ -145,13 +142,13 @@ def _closed(roots: list[Root]) -> LineIntersections:
     return LineIntersections(tuple((root, where) for root in roots))
 
 
-def intersect_cylinder(tube: Affine, ray: IntegerRay) -> LineIntersections:
+def intersect_cylinder(cylinder: Affine, ray: IntegerRay) -> LineIntersections:
     """The circle in x and y, and of its roots those with 0 <= z <= size."""
-    if not tube.determinant:
+    if not cylinder.determinant:
         return SINGULAR_MATRIX
-    o, d, size, e = rod = to_object_space(tube, ray)
+    o, d, size, e = local = to_object_space(cylinder, ray)
     if not (d[0] or d[1]):
-        return _along_cylinder_wall(rod)
+        return _along_cylinder_wall(local)
     roots = line_sphere_roots((o[0], o[1], 0), (d[0], d[1], 0), size, e)
     where = "tangent" if len(roots) == 1 else "inside"
     found = []

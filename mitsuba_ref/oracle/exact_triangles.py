@@ -1,4 +1,4 @@
-"""Triangles by the signs of three determinants."""
+"""Exact ray-triangle intersection by the signs of three determinants."""
 
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ import numpy as np
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, cross, dot, scaled, shifted, sub
 from mitsuba_ref.oracle.interface import NO_INTERSECTION, Contact, ExactKind, LineIntersections
 
-# A face with a coordinate as large as this is no face to Embree, and so to nobody here.
+# A face with a coordinate as large as this is dropped by Embree, and so by the oracle.
 LARGEST_COORDINATE = 1.844e18
 
 WHERE = ("inside", "edge", "vertex")  # by how many of the edge functions vanish
@@ -30,7 +30,7 @@ def prepare_triangle(prims: Any, k: int) -> IntegerTriangle:
 
 
 def intersect_triangle(face: IntegerTriangle, ray: IntegerRay) -> LineIntersections:
-    """o + t d with corners a, b, c seen from o: t d.N = a.N with the normal N, and a.N = a.(b x c), d.N = U + V + W."""
+    """t of corners a, b, c relative to o: t d.N = a.N with the normal N, and a.N = a.(b x c), d.N = U + V + W."""
     scale = max(face.k, ray.ko)
     o = shifted(ray.o, scale - ray.ko)
     a, b, c = (sub(shifted(v, scale - face.k), o) for v in face.v)
@@ -52,25 +52,27 @@ def _edge_on(
 ) -> LineIntersections:
     """The ray lies in the triangle's plane: no hit, but it may run along the triangle, from `first` to `last`.
 
-    Seen along d all corners lie on one line through the ray, at places s. The ray meets the corners at s = 0, and
-    the edges from s < 0 to s > 0.
+    Projected along d, all corners lie on one line through the ray, at offsets s. The ray crosses corners with s = 0,
+    and edges from s < 0 to s > 0.
     """
     axis = next(i for i in range(3) if ray.d[i])
     flat = [cross(corner, ray.d) for corner in corners]
     line = next((f for f in flat if any(f)), (0, 0, 0))
-    places = [dot(f, line) for f in flat]
+    offsets = [dot(f, line) for f in flat]
     steps = [
         Fraction(corner[axis], ray.d[axis]) for corner in corners
-    ]  # t, at places off the ray: of their feet
-    met = [step for place, step in zip(places, steps, strict=True) if place == 0]
+    ]  # t of the feet of corners beside the ray
+    crossed = [step for offset, step in zip(offsets, steps, strict=True) if offset == 0]
     for i, j in ((0, 1), (1, 2), (2, 0)):
-        if places[i] * places[j] < 0:
-            met.append((places[j] * steps[i] - places[i] * steps[j]) / (places[j] - places[i]))
-    if not met:
+        if offsets[i] * offsets[j] < 0:
+            crossed.append((offsets[j] * steps[i] - offsets[i] * steps[j]) / (offsets[j] - offsets[i]))
+    if not crossed:
         return NO_INTERSECTION
     a, b, c = corners
     why = "edge_on" if any(cross(sub(b, a), sub(c, a))) else "degenerate"
-    first, last = (Root(t.numerator, 0, 0, t.denominator, ray.kd - scale) for t in (min(met), max(met)))
+    first, last = (
+        Root(t.numerator, 0, 0, t.denominator, ray.kd - scale) for t in (min(crossed), max(crossed))
+    )
     return LineIntersections((), (Contact(why, first, last),))
 
 

@@ -1,4 +1,4 @@
-"""What the oracle has to be told of a kind of primitive."""
+"""Exact kinds: what a primitive kind supplies to the oracle, and what the oracle returns."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,18 +10,18 @@ from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root
 
 
 class Contact(NamedTuple):
-    """Something on the ray's way that is no hit: `why` is "edge_on", "degenerate" or "dropped"."""
+    """A contact of a ray with a primitive that is no hit: `why` is "edge_on", "degenerate" or "dropped"."""
 
     why: str
-    first: Root | None  # the t where the ray comes to it, and where it leaves it; None: within its box
+    first: Root | None  # the interval of t; None: anywhere within its box
     last: Root | None
 
 
 class LineIntersections(NamedTuple):
-    """What one ray has to do with one primitive."""
+    """Intersections of one line with one primitive."""
 
     roots: tuple[tuple[Root, str], ...] = ()  # (t, where) for any t, ascending, each once
-    touched: tuple[Contact, ...] = ()
+    contacts: tuple[Contact, ...] = ()
 
 
 NO_INTERSECTION = LineIntersections()
@@ -51,10 +51,10 @@ class ExactKind(NamedTuple):
     # (prepared primitive, ray) -> roots and touches
     intersect: Callable[[Any, IntegerRay], LineIntersections]
 
-    # (prims, k (m,), o (m, 3), d (m, 3)) -> (m,) bool, False only where ray i has nothing to do with primitive k[i]
+    # (prims, k (m,), o (m, 3), d (m, 3)) -> (m,) bool, False only where ray i surely misses primitive k[i]
     may_intersect: Callable[[Any, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
 
-    # prims -> (n,) bool: all but primitives with numbers that mean nothing, so that no ray can be asked about them
+    # prims -> (n,) bool: all but primitives with numbers that mean nothing, which no ray can be intersected with
     usable: Callable[[Any], np.ndarray] = all_true
 
     # prims -> (n,) bool: all but primitives that are left out of every scene, as faces with a corner that is nowhere
@@ -70,10 +70,7 @@ def next_above(x: np.ndarray) -> np.ndarray:
     return np.nextafter(x, np.inf)
 
 
-# What the oracle says, and what it does not answer.
-
-
-class OutsideDomain(ValueError):  # noqa: N818 - a place, not a mistake of the program
+class OutsideDomain(ValueError):  # noqa: N818 - a state of the input, not a fault of the program
     """A ray or a primitive with a number that is not finite, a direction of no length, a radius below 0."""
 
 
@@ -88,12 +85,12 @@ class ExactHit:
 
 @dataclass(frozen=True)
 class ExactAnswer:
-    """What one ray meets first."""
+    """The first hit of one ray."""
 
     t: Root | None  # None: a miss
     ties: tuple[ExactHit, ...]  # all hits with exactly this t, by prim
 
-    # What the ray met on its way, not later than t: "edge_on" (it runs along a flat primitive or a cylinder's wall),
+    # Contacts along the ray, not later than t: "edge_on" (it runs along a flat primitive or a cylinder's wall),
     # "degenerate" (it touches a triangle without area, or the box of a primitive without an inverse), "dropped" (it
     # would have hit a face that is too large; or some face of the scene is nowhere); and "tangent", if a hit is one.
     flags: frozenset[str]
@@ -109,7 +106,7 @@ class ExactAnswer:
 
 
 def check_rays(o: np.ndarray, d: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> None:
-    """Raises OutsideDomain, naming the first ray (n, 3), (n, 3), (n,), (n,) that cannot be asked about."""
+    """Raise OutsideDomain, naming the first of the rays (n, 3), (n, 3), (n,), (n,) that is outside the domain."""
     fits = np.isfinite(o).all(axis=1) & np.isfinite(d).all(axis=1) & (d != 0.0).any(axis=1)
     bad = np.flatnonzero(~fits | np.isnan(t_min) | np.isnan(t_max))
     if len(bad):

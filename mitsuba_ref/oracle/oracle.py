@@ -1,4 +1,4 @@
-"""The oracle: what a ray meets first, decided in whole numbers, without any rounding."""
+"""Exact oracle: the first hit of a ray, computed in integers without any rounding."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -24,10 +24,10 @@ __all__ = ["ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", "Root", "exact_
 
 
 class Oracle:
-    """Answers about the primitives of one scene, as they are packed."""
+    """Exact first hits and roots on the packed primitives of one scene."""
 
     def __init__(self, packed: Packed, stand_ins: Sequence[Any] | None = None) -> None:
-        """stand_ins: other arrays in place of those of packed.kinds: what the reference traces (Model.kinds).
+        """stand_ins: arrays that replace those of packed.kinds: what the reference traces (SceneModel.kinds).
 
         Raises OutsideDomain for a primitive with a number that is not finite (a face is dropped instead), and
         LookupError for a kind that has no exact arithmetic.
@@ -41,7 +41,7 @@ class Oracle:
     def first_hit(
         self, o: Iterable[float], d: Iterable[float], t_min: float = 0.0, t_max: float = math.inf
     ) -> ExactAnswer:
-        """What the ray o + t d, three floats each, meets first at t_min < t <= t_max.
+        """The first hit of the ray o + t d, three floats each, at t_min < t <= t_max.
 
         Raises OutsideDomain for a ray that is not finite or has no direction.
         """
@@ -55,7 +55,7 @@ class Oracle:
         t_min: np.ndarray | float = 0.0,
         t_max: np.ndarray | float = math.inf,
     ) -> list[ExactAnswer]:
-        """The same for rays (n, 3), (n, 3), with one t_min and t_max for all or (n,) of them; faster by the ray.
+        """First hits of rays (n, 3), (n, 3), with one t_min and t_max for all or (n,) of them; faster per ray.
 
         Raises OutsideDomain, naming the first ray that is not finite or has no direction.
         """
@@ -69,16 +69,16 @@ class Oracle:
     def _first(
         self, ray: IntegerRay, span: tuple[float, float], candidates: Iterable[CandidatePrimitive]
     ) -> ExactAnswer:
-        """The first hit among candidates, which come in the order of the t before which they are not met."""
+        """The first hit among candidates, which are sorted by a lower bound of t."""
         best: Root | None = None
         ties: dict[int, ExactHit] = {}
-        touched: list[Contact] = []
+        contacts: list[Contact] = []
         for part, k, near in candidates:
             if best is not None and best < near:
                 break
-            met = part.intersect(k, ray)
-            touched += met.touched
-            t, where = next((root for root in met.roots if root[0] > span[0]), (None, ""))
+            crossed = part.intersect(k, ray)
+            contacts += crossed.contacts
+            t, where = next((root for root in crossed.roots if root[0] > span[0]), (None, ""))
             if t is None or t > span[1]:
                 continue
             order = -1 if best is None else t.compare(best)
@@ -89,7 +89,7 @@ class Oracle:
                 ties.setdefault(prim, ExactHit(prim, t, where))
         flags = (
             self._always
-            | contacts_before(touched, span, best)
+            | contacts_before(contacts, span, best)
             | {hit.where for hit in ties.values()} & {"tangent"}
         )
         return ExactAnswer(best, tuple(ties[prim] for prim in sorted(ties)), flags)
@@ -104,19 +104,19 @@ class Oracle:
         line = np.array([[*o]], np.float64), np.array([[*d]], np.float64)
         check_rays(*line, np.zeros(1), np.zeros(1))
         ray = integer_ray(*(vector[0].tolist() for vector in line))
-        met = [part.intersect(k, ray) for part, k in self.primitives.numbered(prim)]
-        found = {t: ExactHit(prim, t, where) for roots, _ in met for t, where in roots}
+        crossed = [part.intersect(k, ray) for part, k in self.primitives.numbered(prim)]
+        found = {t: ExactHit(prim, t, where) for roots, _ in crossed for t, where in roots}
         return tuple(found[t] for t in sorted(found))
 
 
 def contacts_before(
-    touched: Iterable[Contact], span: tuple[float, float], best: Root | None
+    contacts: Iterable[Contact], span: tuple[float, float], best: Root | None
 ) -> frozenset[str]:
-    """What was touched after t_min and not after the first hit, or else t_max."""
+    """Kinds of contacts after t_min and not after the first hit, or else t_max."""
     end = span[1] if best is None else best
     return frozenset(
         why
-        for why, first, last in touched
+        for why, first, last in contacts
         if first is None or last is None or (first <= end and last > span[0])
     )
 

@@ -1,4 +1,4 @@
-"""Which boxes a ray passes, in float64 but never too few."""
+"""Index of primitives: a tree of bounding boxes, traversed in float64 with padding, which never misses a candidate."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -59,25 +59,25 @@ class BoxTree:
         """
         count = rays.o.shape[1]
         top = self.levels[-1][0].shape[1]
-        ray, place = np.repeat(np.arange(count), top), np.tile(np.arange(top), count)
+        ray, index = np.repeat(np.arange(count), top), np.tile(np.arange(top), count)
         near = np.zeros(0)
         for depth in range(len(self.levels) - 1, -1, -1):
             low, high = self.levels[depth]
-            met, near = slab_test(rays, ray, low[:, place], high[:, place])
-            ray, place, near = ray[met], place[met], near[met]
+            crossed, near = slab_test(rays, ray, low[:, index], high[:, index])
+            ray, index, near = ray[crossed], index[crossed], near[crossed]
             if depth:
                 if len(ray) * BRANCHING_FACTOR > MAX_RAY_BOX_PAIRS and count > 1:
                     return None
-                ray, place = group_members(ray, place, self.levels[depth - 1][0].shape[1])
-        return BoxCrossings(ray, self.order[place], near)
+                ray, index = group_members(ray, index, self.levels[depth - 1][0].shape[1])
+        return BoxCrossings(ray, self.order[index], near)
 
 
 def group_members(ray: np.ndarray, group: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Each pair of a ray and a group, as pairs with the members of the group."""
-    place = (group[:, None] * BRANCHING_FACTOR + np.arange(BRANCHING_FACTOR)).ravel()
+    index = (group[:, None] * BRANCHING_FACTOR + np.arange(BRANCHING_FACTOR)).ravel()
     ray = np.repeat(ray, BRANCHING_FACTOR)
-    there = place < count
-    return ray[there], place[there]
+    there = index < count
+    return ray[there], index[there]
 
 
 def slab_test(
@@ -94,8 +94,8 @@ def slab_test(
     beside = ((d == 0.0) & ((o < low) | (o > high))).any(axis=0)  # there, entry and leave are NaN
     near = np.fmax.reduce(entry, axis=0, initial=-np.inf)
     far = np.fmin.reduce(leave, axis=0, initial=np.inf)
-    met: np.ndarray = ~(beside | (near > far) | (far <= rays.t_min[ray]) | (near > rays.t_max[ray]))
-    return met, near
+    crossed: np.ndarray = ~(beside | (near > far) | (far <= rays.t_min[ray]) | (near > rays.t_max[ray]))
+    return crossed, near
 
 
 def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -115,16 +115,13 @@ def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.argsort(code, kind="stable")
 
 
-# All primitives of a scene in one list, and which of them a ray may have to do with.
-
-
 class PrimitiveArray(NamedTuple):
     """All primitives of one kind."""
 
     kind: ExactKind
     prims: Any
     ids: np.ndarray  # (n,) the number of each in the scene
-    ready: dict[int, Any]  # those that were asked before, in whole numbers
+    ready: dict[int, Any]  # prepared primitives, by row
 
     def intersect(self, k: int, ray: IntegerRay) -> LineIntersections:
         if k not in self.ready:
@@ -133,7 +130,7 @@ class PrimitiveArray(NamedTuple):
 
 
 class CandidatePrimitive(NamedTuple):
-    """A primitive that one ray may meet, but not at any t < near."""
+    """A primitive that one ray may intersect, but not at any t < near."""
 
     part: PrimitiveArray
     k: int
@@ -141,10 +138,10 @@ class CandidatePrimitive(NamedTuple):
 
 
 class PrimitiveIndex:
-    """Parts one after the other; a place is a number in this list."""
+    """All primitives of a scene, array after array; an index counts through this list."""
 
     def __init__(self, parts: Sequence[PrimitiveArray]) -> None:
-        """Raises OutsideDomain for primitives that no ray can be asked about."""
+        """Raises OutsideDomain for primitives with numbers that are outside the domain."""
         for part in parts:
             check_usable(part)
         self.parts = tuple(parts)
@@ -154,8 +151,8 @@ class PrimitiveIndex:
         boxes = [(np.zeros((0, 3)), np.zeros((0, 3))), *(part.kind.boxes(part.prims) for part in parts)]
         low, high = (np.concatenate(bounds) for bounds in zip(*boxes, strict=True))
         bounded = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
-        self.boxed = np.flatnonzero(self.present & bounded)  # places
-        self.boundless = np.flatnonzero(self.present & ~bounded)  # places of those that any ray may meet
+        self.boxed = np.flatnonzero(self.present & bounded)  # indices
+        self.boundless = np.flatnonzero(self.present & ~bounded)  # of primitives that any ray may intersect
         self.tree = BoxTree(low[self.boxed], high[self.boxed])
 
     def numbered(self, prim: int) -> Iterator[tuple[PrimitiveArray, int]]:
@@ -166,7 +163,7 @@ class PrimitiveIndex:
                     yield part, k
 
     def candidates(self, rays: RayColumns) -> Iterator[list[CandidatePrimitive]]:
-        """For each ray what it may meet at t_min < t <= t_max, in the order of `near`; never too few."""
+        """For each ray the primitives it may intersect at t_min < t <= t_max, sorted by `near`; never too few."""
         for start in range(0, rays.o.shape[1], RAYS_PER_CHUNK):
             yield from self._candidates(RayColumns(*(a[..., start : start + RAYS_PER_CHUNK] for a in rays)))
 
@@ -176,10 +173,10 @@ class PrimitiveIndex:
             for half in (slice(None, count // 2), slice(count // 2, None)):
                 yield from self._candidates(RayColumns(*(a[..., half] for a in rays)))
             return
-        ray, place, near = self._pairs(rays, crossings)
-        order = np.lexsort([place, near, ray])
-        part = np.searchsorted(self.first, place, side="right") - 1
-        k = place - self.first[part]
+        ray, index, near = self._pairs(rays, crossings)
+        order = np.lexsort([index, near, ray])
+        part = np.searchsorted(self.first, index, side="right") - 1
+        k = index - self.first[part]
         columns = (column[order].tolist() for column in (part, k, near))
         rows = [CandidatePrimitive(self.parts[part], k, near) for part, k, near in zip(*columns, strict=True)]
         ends = np.searchsorted(ray[order], np.arange(count + 1)).tolist()
@@ -187,23 +184,23 @@ class PrimitiveIndex:
             yield rows[start:end]
 
     def _pairs(self, rays: RayColumns, crossings: BoxCrossings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(ray, place, near), (m,) each."""
-        ray, place = crossings.ray, self.boxed[crossings.box]
-        kept = self._may_meet(rays, ray, place)
+        """(ray, index, near), (m,) each."""
+        ray, index = crossings.ray, self.boxed[crossings.box]
+        kept = self._may_intersect(rays, ray, index)
         count, more = rays.o.shape[1], len(self.boundless)
         return (
             np.concatenate([ray[kept], np.repeat(np.arange(count), more)]),
-            np.concatenate([place[kept], np.tile(self.boundless, count)]),
+            np.concatenate([index[kept], np.tile(self.boundless, count)]),
             np.concatenate([crossings.near[kept], np.full(count * more, -np.inf)]),
         )
 
-    def _may_meet(self, rays: RayColumns, ray: np.ndarray, place: np.ndarray) -> np.ndarray:
+    def _may_intersect(self, rays: RayColumns, ray: np.ndarray, index: np.ndarray) -> np.ndarray:
         kept = np.ones(len(ray), bool)
         for part, first, end in zip(self.parts, self.first, self.first[1:], strict=False):
-            rows = np.flatnonzero((place >= first) & (place < end))
+            rows = np.flatnonzero((index >= first) & (index < end))
             if part.kind.may_intersect is not None and len(rows):
                 o, d = rays.o[:, ray[rows]].T, rays.d[:, ray[rows]].T
-                kept[rows] = part.kind.may_intersect(part.prims, place[rows] - first, o, d)
+                kept[rows] = part.kind.may_intersect(part.prims, index[rows] - first, o, d)
         return kept
 
 

@@ -1,4 +1,4 @@
-"""The rays that both sides trace: ours, from the near plane on, in float32."""
+"""Shared rays: the caster's camera rays from the near plane on, in float32, which both sides trace."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ class SharedRays(NamedTuple):
 
 
 def shared_rays(scene: Scene) -> SharedRays:
-    """The camera's rays. A renderer has no t_min, so a ray starts where the near plane cuts it."""
+    """Camera rays of a scene. Mitsuba has no t_min, so a ray starts where the near plane cuts it."""
     rays = camera_rays(scene)
     o = rays.o + rays.t_min[:, None] * rays.d
     left = np.where(rays.t_max < 0.0, -1.0, rays.t_max - rays.t_min)

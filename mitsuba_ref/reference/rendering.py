@@ -142,8 +142,8 @@ def trace_reference(
 
 def reference_result(scene: Scene, answer: TraceResponse) -> ReferenceResult:
     """A response in the terms of its scene."""
-    place = {name: index for index, name in enumerate(shape_ids(scene))}
-    table = np.array([*(place.get(name, -1) for name in answer.names), -1], np.int32)
+    index_of = {name: index for index, name in enumerate(shape_ids(scene))}
+    table = np.array([*(index_of.get(name, -1) for name in answer.names), -1], np.int32)
     radiance = np.zeros(3)
     for light in scene.lights:
         if light.type == "ambient":

@@ -162,7 +162,7 @@ def main(folder: Path) -> int:
 
 
 def serve_folders(replies: int) -> None:
-    """The child's side of a ResidentSession: response folder after folder. replies: the pipe's descriptor."""
+    """The child's side of a ResidentSession: answer folder after folder. replies: the pipe's descriptor."""
     serve(lambda folder: REFUSED if main(Path(folder)) else DONE, replies)
 
 

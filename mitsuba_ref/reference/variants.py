@@ -158,8 +158,8 @@ def _candidates() -> Iterator[str]:
     if os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE):
         return iter([os.environ[LIBLLVM_ENVIRONMENT_VARIABLE]])
     own = filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
-    places = [*LIBLLVM_PATTERNS, *(f"{folder}/libLLVM*.so*" for folder in own)]
-    found = {os.path.realpath(path) for place in places for path in glob.glob(place)}
+    patterns = [*LIBLLVM_PATTERNS, *(f"{folder}/libLLVM*.so*" for folder in own)]
+    found = {os.path.realpath(path) for pattern in patterns for path in glob.glob(pattern)}
     return iter(sorted(filter(_is_library, found), key=_version, reverse=True))
 
 

@@ -1,4 +1,4 @@
-"""Triangles -> binary PLY, the way every reader agrees on: little endian, float32, triangles only."""
+"""Writer of Mitsuba scenes: XML elements and binary PLY files, in the float32 numbers that both sides trace."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -37,10 +37,7 @@ def ply_bytes(part: Any) -> bytes:
     return header.encode("ascii") + vertices.tobytes() + faces.tobytes()
 
 
-# Scene -> Mitsuba XML and binary PLY, in the very float32 numbers that both sides trace.
-
-
-# typeshed tells elements and comments apart by what their tag is; a document holds both.
+# In typeshed, elements and comments differ by the type of their tag; a document holds both.
 if TYPE_CHECKING:
     XmlElement: TypeAlias = Element[Any]
 else:
@@ -49,7 +46,7 @@ else:
 
 @dataclass(frozen=True)
 class SceneExport:
-    """What Mitsuba loads: the XML and the mesh files next to it. `notes` say what is not as in the scene."""
+    """A scene for Mitsuba: XML and mesh files next to it. notes: what differs from the scene."""
 
     xml: str
     meshes: dict[str, bytes]
@@ -76,7 +73,7 @@ class ShapeWriter:
     notes: list[str] = field(default_factory=list)
 
     def native(self, shape: Shape, plugin: str, center: np.ndarray, linear: np.ndarray) -> XmlElement:
-        """A plugin of Mitsuba's own, placed by one matrix."""
+        """A plugin of Mitsuba's own under one matrix."""
         element = Element("shape", type=plugin, id=self.name)
         element.append(matrix_element(center, linear))
         element.append(self.material(shape))
@@ -172,7 +169,7 @@ def bsdf_element(material: Diffuse) -> XmlElement:
 
 
 def emitter_elements(scene: Scene) -> list[XmlElement]:
-    """Point and directional lights. Ambient light is added apart on both sides, so Mitsuba is not told of it."""
+    """Point and directional lights. Ambient light is added separately on both sides, so it is not exported."""
     elements: list[XmlElement] = []
     for light in scene.lights:
         if light.type == "ambient":

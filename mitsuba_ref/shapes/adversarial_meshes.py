@@ -22,9 +22,9 @@ def octahedron() -> MeshArrays:
 
 
 def dented_icosphere() -> MeshArrays:
-    ball = tessellate_icosphere(0)
-    shares = np.random.default_rng(5).uniform(0.6, 1.0, (len(ball.vertices), 1))
-    return ball.vertices * shares, ball.faces
+    mesh = tessellate_icosphere(0)
+    shares = np.random.default_rng(5).uniform(0.6, 1.0, (len(mesh.vertices), 1))
+    return mesh.vertices * shares, mesh.faces
 
 
 def fan_of_slivers() -> MeshArrays:
@@ -44,7 +44,7 @@ def pinched_sheet() -> MeshArrays:
 
 
 def doubled_square() -> MeshArrays:
-    """The same square three times: as given, turned over, and with its corners written down anew."""
+    """The same square three times: as given, reversed, and with duplicated vertices."""
     vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
     faces = [(0, 1, 2), (0, 2, 3), (2, 1, 0), (3, 2, 0), (4, 5, 6), (4, 6, 7)]
     return np.vstack([vertices, vertices]), np.array(faces)

@@ -1,4 +1,4 @@
-"""Cylinder: Mitsuba's cylinder, or an instance of one where it is stretched; and its error model."""
+"""Cylinders: Mitsuba's cylinder, or an instance of one where it is stretched; error model and targets."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -82,7 +82,7 @@ def polar_decomposition(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def intersect(
     prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 ) -> tuple[Intersections, ...]:
-    """Ray i with tube k[i]: the unit circle in the x, y of object space, then the ends."""
+    """Ray i with cylinder k[i]: the unit circle in the x, y of object space, then the ends."""
     to_object = prims.to_object[k]
     rays = rays_in_object_space(prims.center[k], to_object, o, d)
     flat = np.array([1.0, 1.0, 0.0])

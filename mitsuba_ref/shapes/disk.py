@@ -1,4 +1,4 @@
-"""Disk: Mitsuba's disk, which takes any matrix; and its error model."""
+"""Disks: Mitsuba's disk, which takes any matrix; error model and targets."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,7 @@
 """Plane: Mitsuba has none, so it gets a patch of triangles, cut to the rays.
 
-A plain large rectangle would do badly: its float32 corners tilt it, by more the larger it is, and rays that meet the
-plane nearby would pay for those that meet it at the horizon. The patch is a square with rings of trapezoids around
+A single large rectangle would be inaccurate: its float32 corners tilt it, by more the larger it is, and hits nearby
+would have the error of hits at the horizon. The patch is a square with rings of trapezoids around
 it, each twice as large, so that the corners around a hit are about as far away as the hit itself.
 """
 
@@ -42,10 +42,10 @@ from mitsuba_ref.shapes.targets import (
     random_point,
 )
 
-PATCH_RINGS = 24  # 2^24 times the square: beyond that, float32 does not tell the hit from the horizon
+PATCH_RINGS = 24  # 2^24 times the square: beyond that, float32 does not separate the hit from the horizon
 LARGEST_PATCH_COORDINATE = 1e10  # Embree's triangles are right up to about here (docs/method.md, "Domain")
 SQUARE_CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-PATCH_ROTATION = 0.6  # radians; keeps the patch's edges off the rows and columns of pictures
+PATCH_ROTATION = 0.6  # radians; keeps the patch's edges off the rows and columns of pixels
 
 
 class Patches(NamedTuple):
@@ -60,7 +60,7 @@ class Patches(NamedTuple):
 
 
 def patches(part: Planes, o: np.ndarray, d: np.ndarray) -> Patches:
-    """A patch for each plane, around where the rays meet it."""
+    """A patch for each plane, around its hits by the rays."""
     rows = [_patch(normal, point, o, d) for normal, point in zip(part.normal, part.point, strict=True)]
     return Patches(*(np.stack(column) for column in zip(*rows, strict=True)))
 

@@ -1,4 +1,4 @@
-"""What the error models of sphere, ellipsoid, disk and cylinder share (docs/method.md, "Quadrics")."""
+"""Error propagation through object space, for spheres, ellipsoids, disks and cylinders (docs/method.md, "Quadrics")."""
 
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ class ObjectRays(NamedTuple):
 def rays_in_object_space(
     center: np.ndarray, to_object: np.ndarray, o: np.ndarray, d: np.ndarray
 ) -> ObjectRays:
-    """Rays (m, 3) seen by primitives with center (m, 3) and inverse matrix (m, 3, 3)."""
+    """Rays (m, 3) in the object space of primitives with center (m, 3) and inverse matrix (m, 3, 3)."""
     rows = np.sqrt(np.einsum("ijk,ijk->ij", to_object, to_object))
     offset = np.abs(mat_vec_rows(to_object, center))
     return ObjectRays(

@@ -1,4 +1,4 @@
-"""Sphere: to Mitsuba's sphere, or an instance of one where it is stretched; and its error model."""
+"""Spheres and ellipsoids: Mitsuba's sphere, or an instance of one where it is stretched; error model and targets."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -64,7 +64,7 @@ def to_xml(out: ShapeWriter, shape: Sphere, part: Any) -> list[XmlElement]:
 def intersect(
     prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 ) -> tuple[Intersections, ...]:
-    """Ray i with ball k[i]: near root, far root."""
+    """Ray i with sphere k[i]: near root, far root."""
     center, r = prims.center[k], prims.radius[k]
     middle, distance, s = sphere_roots(o - center, d, r)
     return tuple(_meeting(center, r, o, d, (middle, distance, s), side, ku) for side in (-1.0, 1.0))
@@ -96,7 +96,7 @@ def _meeting(
 def meet_ellipsoid(
     prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 ) -> tuple[Intersections, ...]:
-    """Ray i with ellipsoid k[i]: the unit ball in object space, where the ray arrives rounded.
+    """Ray i with ellipsoid k[i]: the unit sphere in object space, into which the ray is transformed with rounding.
 
     Mitsuba 3.9.1 moves a ray's origin to where it passes the centre, so that little cancels; but it takes the
     distance to there for the parameter. Where d is longer than 1 in object space, it overshoots, and rounds there.
@@ -115,7 +115,7 @@ def meet_ellipsoid(
         slide = np.sqrt(np.maximum(size * size - dot(q, rays.d) ** 2, 0.0))
         n, n_error = world_normal(to_object, q, error + slide * t_error, ku)
         possible, certain = distance - 1.0 <= error, 1.0 - distance > error
-        # Mitsuba pulls the point onto the unit ball along its radius, which may be far longer in the world.
+        # Mitsuba pulls the point onto the unit sphere along its radius, which may be far longer in the world.
         away = error + np.abs(dot(q, rays.d)) * t_error + 0.5 * (slide * t_error) ** 2
         pulled = norm(mat_vec_rows(prims.to_world[k], q)) * away
         p_error = position_error(o, d, t, t_error, ku) + pulled

@@ -15,7 +15,7 @@ BESIDE_DECADES = (-16.0, -2.0)  # decades of how far outside, in sizes of the pr
 
 
 class SurfacePoints(NamedTuple):
-    """One row a place. Computed in float64, so on the primitive up to rounding; exactly so on the lattice."""
+    """Points on surfaces, one a row, in float64: on the primitive up to rounding, exactly so on the lattice."""
 
     p: np.ndarray  # (m, 3)
     along: np.ndarray  # (m, 3) a direction within the surface there: of the edge, the rim or a tangent
@@ -29,7 +29,7 @@ SurfaceSampler = Callable[[Any, np.ndarray, Rng, str], SurfacePoints]
 
 
 def to_world_points(prims: Any, k: np.ndarray, unit: UnitPoints) -> SurfacePoints:
-    """A unit shape's places under p -> center + to_world p."""
+    """Points of a unit shape under p -> center + to_world p."""
     p, along, n = unit
     to_world, to_object = prims.to_world[k], prims.to_object[k]
     moved = prims.center[k] + np.einsum("ijk,ik->ij", to_world, p)

@@ -1,4 +1,4 @@
-"""How far Mitsuba may be off on a triangle (docs/method.md, "Triangles")."""
+"""Error model of triangles: bounds on t, position and normals of Mitsuba's hits (docs/method.md, "Triangles")."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ from mitsuba_ref.error_model.intersections import (
 )
 from mitsuba_ref.oracle.exact_triangles import TRIANGLES
 
-# Where the relative error of n.d reaches this, float32 cannot tell on which side of edge-on the ray passes.
+# Where the relative error of n.d reaches this, float32 does not resolve on which side of edge-on the ray passes.
 UNRESOLVABLE = 0.5
 
 
@@ -58,7 +58,7 @@ def intersect_ours(
 ) -> tuple[Intersections, ...]:
     """The same for ours, whose position is held to o + t d, where a ray from afar is rounded more than the corners."""
     (at,) = intersect(prims, k, o, d, ku)
-    with np.errstate(invalid="ignore"):  # a needle whose barycentrics nobody knows
+    with np.errstate(invalid="ignore"):  # a needle whose barycentrics are not resolved
         return (at._replace(p_error=at.p_error + position_error(o, d, at.t, at.t_error, ku)),)
 
 
@@ -105,7 +105,7 @@ def _edge_functions(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(m, 3) U, V, W = d.(b x c), ... and how far rounding may move each.
 
-    Three sources: corners seen from the origin are rounded, each component by u of itself, which moves U by
+    Three sources: corners relative to the origin are rounded, each component by u of itself, which moves U by
     |c||b x d| + |b||c x d|; Embree forms U from the difference and the sum of two corners (Pluecker), whose products
     round; and its robust mode accepts |U + V + W| ulps beyond an edge.
     """

@@ -27,7 +27,7 @@ def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
     wrong = meeting = 0
     for i in range(n):
         met = arithmetic.intersect(arithmetic.prepare(prims, i), integer_ray(o[i].tolist(), d[i].tolist()))
-        first = [t for t, _ in met.roots] + [touch.first for touch in met.touched if touch.first is not None]
+        first = [t for t, _ in met.roots] + [touch.first for touch in met.contacts if touch.first is not None]
         meeting += bool(first)
         wrong += any(not kept[i] or t < near[i] for t in first)
     return wrong, meeting, int(n - kept.sum())

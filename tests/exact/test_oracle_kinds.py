@@ -11,6 +11,7 @@ from oracle_aims import KINDS, SCALES, aim, packed
 from oracle_witness import Solution
 
 from mitsuba_ref.oracle import exact_numbers, exact_planar, exact_quadrics, exact_triangles
+from mitsuba_ref.oracle.exact_quadrics import to_object_space
 from mitsuba_ref.oracle.oracle import Oracle, Root, exact_kinds
 
 COUNT = 120  # pairs of a kind and a scale
@@ -106,12 +107,12 @@ FAULTS = {
         "height",
         lambda t, o, d: exact_numbers.sign_with_root(o + t.p * d, t.q * d, t.r),
     ),
-    "a mirror turns the tube around": ("Cylinders", exact_quadrics, "abs", lambda x: x),
+    "a mirror image reverses the cylinder": ("Cylinders", exact_quadrics, "abs", lambda x: x),
     "the inverse is not transposed": (
         "Ellipsoids",
         exact_quadrics,
-        "dot",
-        lambda a, b: a[0] * b[0] + a[1] * b[2] + a[2] * b[1],
+        "to_object_space",
+        lambda by, ray: to_object_space(by._replace(adjugate=tuple(zip(*by.adjugate, strict=True))), ray),
     ),
     "both roots are the far one": (
         "Spheres",
