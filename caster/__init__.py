@@ -1,7 +1,7 @@
-"""A standalone ray caster: scenes in, depth, normals and shading out.
+"""A ray caster in float64: depth, normals and shading of scenes.
 
-Public names are imported when they are first used, so that `import caster` loads no compiler. Shapes, cameras
-and lights come from their registries: whatever is registered there can be had here.
+Public names are imported on first access, so that `import caster` loads no compiler. They include every registered
+shape, camera and light.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""The equidistant fisheye: the angle from the axis grows evenly with the distance from the image centre."""
+"""The equidistant fisheye: the angle from the axis is proportional to the distance from the image centre."""
 
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -24,7 +24,7 @@ __all__ = ["Fisheye", "FisheyeRays"]
 
 
 class FisheyeRays(NamedTuple):
-    """The fisheye camera as its kernel reads it."""
+    """Parameters of the fisheye camera for kernels."""
 
     eye: Vec3  # float64
     right: Vec3  # unit
@@ -32,7 +32,7 @@ class FisheyeRays(NamedTuple):
     forward: Vec3  # unit
     circle: Vec3  # image circle: centre x, centre y, radius, in pixels
     half_angle: float  # radians from the axis to the rim
-    bend: float  # no second derivative of the picture is larger within NEARBY of the film
+    bend: float  # bound of second derivatives of the projection within MAX_HULL_ANGLE of the film
 
 
 class Fisheye(Camera):
@@ -66,16 +66,15 @@ def _ray(camera: Any, x: float, y: float) -> Any:
     return camera.eye, unit_or_forward(camera, d, inside), 0.0, math.inf if inside else -1.0
 
 
-# Nearer to straight behind, where the picture of one direction is a whole circle, `project_bounding_sphere`
-# knows no bounds.
+# Closer to straight backwards, which projects to a whole circle, `project_bounding_sphere` returns no bounds.
 MAX_PROJECTED_ANGLE = 3.1  # radians from the axis
 
 
 @implement(project_bounding_sphere, FisheyeRays)
 def _project_ball(camera: Any, center: Any, r: float) -> Any:
-    """An ellipse around the picture of the centre, and a bound for how the mapping bends it.
+    """Bounding box of an ellipse around the projected centre, widened by a bound of the distortion.
 
-    Picture and direction are F and p; p may be `reach` from the centre c. Along the great circle from c to p,
+    F is the projection and p a direction; p may be `reach` from the centre c. Along the great circle from c to p,
     F(p) = F(c) + dF(v) + R with |v| <= reach, where dF stretches v by 1 away from the axis and by angle / sin(angle)
     across that, and |R| <= bend reach^2 / 2.
     """
@@ -101,17 +100,15 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
 ANGLE_ERROR = 2.0**-40  # radians; roundings of angles are below 2^-48
 MIN_AXIS_SINE = (
     2.0**-100
-)  # sine of an angle that moves no picture; squares of less may have lost bits to underflow
-MIN_CURVATURE_ANGLE = (
-    0.5  # radians, below which `bend` is taken from there: it grows with the angle, and is 0 / 0 at 0
-)
+)  # sine of an angle below all rounding of the projection; squares of less may underflow
+MIN_CURVATURE_ANGLE = 0.5  # radians; the bound is monotonic and 0 / 0 at 0, so smaller angles use this one
 
 
 @inlined
 def curvature_bound(angle: float) -> float:
-    """The largest second derivative of the picture along a great circle, up to so far from the axis.
+    """Bound of the second derivative of the projection along great circles, up to an angle from the axis.
 
-    In polar coordinates, a for the angle and w for the way around the axis, a great circle at speed 1 has
+    In polar coordinates, a for the angle from the axis and w for the azimuth, a great circle at speed 1 has
     a'' = sin a cos a w'^2 and w'' = -2 cot a a' w'. The second derivative of a (cos w, sin w) is then
     w'^2 (sin a cos a - a) outwards and 2 a' w' (1 - a cot a) around, with |w'| <= 1 / sin a and |a' w'| <= 1 / 2 sin a.
     """
@@ -133,12 +130,13 @@ def _project(camera: Any, p: Any) -> Any:
     return x + share * place[0], y - share * place[1], MAX_STRETCH * pixels / distance, distance, True
 
 
-# Around the axis, a small step is stretched by angle / sin(angle), 75 at FARTHEST; twice that for one that is not.
+# Around the axis, a small step is stretched by angle / sin(angle), 75 at MAX_PROJECTED_ANGLE; twice that for a
+# finite step.
 MAX_STRETCH = 150.0
 
 
 @implement(distortion_bound, FisheyeRays)
 def _bent(camera: Any, extent: float) -> Any:
-    """Angles are no larger than distances in the picture, which is shrunk nowhere; see camera_circle.MORE."""
+    """Angles are at most the distances in the image over pixels per radian; see wide_angle.BULGE_FACTOR."""
     pixels = camera.circle[2] / camera.half_angle
     return hull_distortion_bound(extent / pixels, camera.bend * pixels)

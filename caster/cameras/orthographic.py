@@ -1,4 +1,4 @@
-"""The orthographic camera: every ray has the same direction."""
+"""The orthographic camera: all rays are parallel."""
 
 import math
 from typing import Annotated, Any, Literal, NamedTuple
@@ -14,7 +14,7 @@ __all__ = ["Orthographic", "OrthographicRays"]
 
 
 class OrthographicRays(NamedTuple):
-    """The orthographic camera as its kernels read it."""
+    """Parameters of the orthographic camera for kernels."""
 
     eye: Vec3  # float64, centre of the window
     right: Vec3  # unit
@@ -27,7 +27,7 @@ class OrthographicRays(NamedTuple):
 
 
 class Orthographic(Camera):
-    """Parallel rays from a window `width` scene units wide around the eye; depth counts from the window."""
+    """Parallel rays from a window `width` scene units wide around the eye; depth is the distance from the window."""
 
     type: Literal["orthographic"] = "orthographic"
     width: Positive = 2.0

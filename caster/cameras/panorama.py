@@ -1,4 +1,4 @@
-"""The equirectangular panorama: longitude across, latitude up."""
+"""The equirectangular panorama."""
 
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -17,13 +17,13 @@ from caster.kernels.raster.wide_angle import (
 
 __all__ = ["Panorama", "PanoramaRays"]
 
-# The sine of half of a ball's longitudes is its radius over the level distance. Where it nears 1, the angle is many
-# times as sensitive as the quotient, which is off by a few u: so it is made so much larger.
+# The sine of half the range of longitudes of a sphere is its radius over the horizontal distance of its centre. Near 1,
+# the angle is far more sensitive than the quotient, whose error is a few u: the quotient is widened by this factor.
 ASIN_SENSITIVITY = 1.0 + 2.0**-40
 
 
 class PanoramaRays(NamedTuple):
-    """The panorama camera as its kernel reads it."""
+    """Parameters of the panorama camera for kernels."""
 
     eye: Vec3  # float64
     right: Vec3  # unit
@@ -33,7 +33,7 @@ class PanoramaRays(NamedTuple):
 
 
 class Panorama(Camera):
-    """All directions: the centre of the film looks forward, its side borders meet behind, up is on top."""
+    """All directions: the centre of the film looks forward, its side borders backwards, the upper border up."""
 
     type: Literal["panorama"] = "panorama"
     shares_origin: ClassVar[bool] = True
@@ -57,7 +57,7 @@ def _ray(camera: Any, x: float, y: float) -> Any:
 
 @implement(project_bounding_sphere, PanoramaRays)
 def _project_ball(camera: Any, center: Any, r: float) -> Any:
-    """Rows from the least to the greatest latitude; of columns all, if it holds a pole or lies behind the eye."""
+    """Rows between the extreme latitudes; all columns if the sphere contains a pole or crosses the seam."""
     place, distance, valid = sphere_in_camera_space(camera, center, r)
     if not valid:
         return unknown_projection(distance - r)
@@ -75,8 +75,8 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
     return x - wide * reach, top, x + wide * reach, bottom, distance - r, True
 
 
-# Points nearer to a pole or to straight behind have no picture, but the balls around primitives do. What is NEARBY such
-# a point lies no more than 0.25 of longitude aside, so nothing reaches across the seam.
+# Points closer to a pole or to the seam are not projected; bounding spheres of primitives are. Within MAX_HULL_ANGLE of
+# a projected point, longitudes differ by at most 0.25, so that no hull crosses the seam.
 MAX_LATITUDE_SINE, MAX_LONGITUDE = math.sin(math.pi / 3.0), math.pi - 0.3
 
 
@@ -91,16 +91,16 @@ def _project(camera: Any, p: Any) -> Any:
     return x, y, MAX_STRETCH * max(wide, high) / distance, distance, True
 
 
-# A degree of longitude is at least half as long as one of latitude there; twice that for a step that is not small.
+# A degree of longitude is at least half as long as one of latitude there; twice that for a finite step.
 MAX_STRETCH = 4.0
 
 
 @implement(distortion_bound, PanoramaRays)
 def _bent(camera: Any, extent: float) -> Any:
-    """Angles are no larger than distances in the picture; see camera_circle.MORE.
+    """Angles are at most distances in the image; see wide_angle.BULGE_FACTOR.
 
     Along great circles the second derivative of the longitude is at most sin a / cos^2 a at latitude a, and that of the
-    latitude tan a: 5.4 and 2.3 at pi / 3 + NEARBY.
+    latitude tan a: 5.4 and 2.3 at pi / 3 + MAX_HULL_ANGLE.
     """
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
     return hull_distortion_bound(extent / min(wide, high), math.hypot(5.4 * wide, 2.3 * high))

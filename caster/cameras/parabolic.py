@@ -1,4 +1,4 @@
-"""The parabolic camera: a hemisphere seen in a parabolic mirror."""
+"""The parabolic camera: a hemisphere reflected in a parabolic mirror."""
 
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -21,7 +21,7 @@ __all__ = ["Parabolic", "ParabolicRays"]
 
 
 class ParabolicRays(NamedTuple):
-    """The parabolic camera as its kernel reads it."""
+    """Parameters of the parabolic camera for kernels."""
 
     eye: Vec3  # float64
     right: Vec3  # unit
@@ -31,9 +31,9 @@ class ParabolicRays(NamedTuple):
 
 
 class Parabolic(Camera):
-    """The hemisphere in front of the eye as a paraboloid mirror shows it; outside its circle there is no ray.
+    """The hemisphere in front of the eye, reflected in a paraboloid; pixels outside its circle have no ray.
 
-    The image point (x, y) of the unit disk sees (2 x, 2 y, 1 - x^2 - y^2) / (1 + x^2 + y^2) (Heidrich and
+    The image point (x, y) of the unit disk maps to (2 x, 2 y, 1 - x^2 - y^2) / (1 + x^2 + y^2) (Heidrich and
     Seidel 1998, dual paraboloid maps).
     """
 
@@ -56,7 +56,7 @@ def _ray(camera: Any, x: float, y: float) -> Any:
 
 @implement(project_bounding_sphere, ParabolicRays)
 def _project_ball(camera: Any, center: Any, r: float) -> Any:
-    """A circle: the mapping is the stereographic projection, which keeps circles.
+    """Bounding box of a circle: the stereographic projection maps circles to circles.
 
     At angle a from the axis it is tan(a / 2) from the centre. The tangent of the sum of two angles is
     (s + t) / (1 - s t) for their own tangents s and t.
@@ -64,9 +64,9 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
     place, distance, valid = sphere_in_camera_space(camera, center, r)
     if not valid:
         return unknown_projection(distance - r)
-    if place[2] < -r:  # all of it is behind the eye
+    if place[2] < -r:  # entirely behind the eye
         return off_film(distance - r)
-    # its centre is at most 90 + 28 degrees from the axis, so no divisor is near 0
+    # its centre is at most 90 + 28 degrees from the axis, so divisors are bounded away from 0
     aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
     share = r / distance
     middle, wide = aside / (distance + place[2]), share / (1.0 + math.sqrt(1.0 - share * share))
@@ -89,17 +89,17 @@ def _project(camera: Any, p: Any) -> Any:
     return x + share * place[0], y - share * place[1], MAX_STRETCH * pixels / distance, distance, True
 
 
-# The cosine of the angle from the axis at which `project` ends, 169 degrees: r radii from the middle, it is
-# (1 - r^2) / (1 + r^2), so r < 10 and a small step is stretched by (1 + r^2) / 2; eight times that for a step that is
-# not. Nearer to straight behind, where distance + place[2] is all rounding, a quotient by it could be anything.
+# The least cosine of the angle from the axis that `project` accepts, 169 degrees: at r radii from the centre it is
+# (1 - r^2) / (1 + r^2), so r < 10 and a small step is stretched by (1 + r^2) / 2; eight times that for a finite step.
+# Closer to straight backwards, distance + place[2] is dominated by rounding.
 MIN_AXIS_COSINE, MAX_STRETCH = -0.98, 401.0
 
 
 @implement(distortion_bound, ParabolicRays)
 def _bent(camera: Any, extent: float) -> Any:
-    """Angles are at most twice the distances in the picture, in radii, since nothing is shrunk by more than 2.
+    """Angles are at most twice the distances in the image, in radii, since the projection shrinks by at most 2.
 
-    Along great circles the second derivative of the picture is r (1 + r^2) / 2 at r radii from the middle, at most 1.25
-    for what is within NEARBY of the film, where r < tan(pi / 4 + NEARBY / 2); see camera_circle.MORE.
+    Along great circles the second derivative of the projection is r (1 + r^2) / 2 at r radii from the centre, at most
+    1.25 within MAX_HULL_ANGLE of the film, where r < tan(pi / 4 + MAX_HULL_ANGLE / 2); see wide_angle.BULGE_FACTOR.
     """
     return hull_distortion_bound(2.0 * extent / camera.circle[2], 1.25 * camera.circle[2])

@@ -1,4 +1,4 @@
-"""The pinhole camera: every ray starts in the eye."""
+"""The pinhole (perspective) camera."""
 
 import math
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
@@ -12,16 +12,16 @@ from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_
 
 __all__ = ["Pinhole", "PinholeRays"]
 
-# A point is projected only where its depth is more than this share of its distance (the sum of magnitudes): there the
-# rounding of its position moves the picture by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
+# A point is projected only if its depth exceeds this share of its l1 distance: then the rounding of its position moves
+# the projection by less than 2^-53 * 1e6 = 1e-10 of the image plane's unit.
 MIN_DEPTH_SHARE = 1e-6
 
-# And more than this, whose inverse is a number.
+# And if it exceeds this, whose inverse is finite.
 MIN_INVERTIBLE_DEPTH = 2.0**-1000
 
 
 class PinholeRays(NamedTuple):
-    """The pinhole camera as its kernels read it."""
+    """Parameters of the pinhole camera for kernels."""
 
     eye: Vec3  # float64
     right: Vec3  # unit, to the right in the image
@@ -37,8 +37,8 @@ class PinholeRays(NamedTuple):
 class Pinhole(Camera):
     """A perspective camera. `fov` is measured along `fov_axis` of the whole film, aspect from its size.
 
-    `principal_point` moves the window by fractions of the film. Nothing nearer than the plane at `near` or
-    farther than the plane at `far` is seen; depth is measured from the eye all the same.
+    `principal_point` shifts the window by fractions of the film. `near` and `far` are clipping planes; depth is
+    measured from the eye.
     """
 
     type: Literal["pinhole"] = "pinhole"
@@ -79,7 +79,7 @@ class Pinhole(Camera):
 def _ray(camera: Any, x: float, y: float) -> Any:
     across = (2.0 * (x / camera.size[0] + camera.shift[0]) - 1.0) * camera.half[0]
     above = (1.0 - 2.0 * (y / camera.size[1] + camera.shift[1])) * camera.half[1]
-    # right, up and forward being unit vectors across each other, this is how long their sum is
+    # the length of the sum, since right, up and forward are orthonormal
     length = math.sqrt(across * across + above * above + 1.0)
     sideways = add(scaled(across, camera.right), scaled(above, camera.up))
     d = scaled(1.0 / length, add(sideways, camera.forward))
@@ -113,11 +113,11 @@ def _project_ball(camera: Any, center: Any, r: float) -> Any:
     return wide * low + across, above - tall * up, wide * high + across, above - tall * down, depth - r, True
 
 
-# Between these, the products of two lengths in `tangents` are numbers that have lost nothing.
+# Between these, products of two lengths in `tangents` neither overflow nor underflow.
 MIN_SQUARABLE_LENGTH, MAX_SQUARABLE_LENGTH = 2.0**-400, 2.0**400
 
-# In `tangents`, z^2 - r^2 as a product of two sums is off by 3 u, the root by 3 u, the sum of the two terms by 4 u of
-# their magnitudes: 12 u, and the quotient's rounding.
+# In `tangents`, the errors are: z^2 - r^2 as a product of two sums 3 u, the root 3 u, the sum of the two terms 4 u of
+# their magnitudes: 12 u, and the rounding of the quotient.
 TANGENT_ERROR = 16.0 * U
 
 

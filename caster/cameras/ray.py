@@ -1,4 +1,4 @@
-"""One ray, for every pixel: no picture, but a single question asked to the bit, as reproducers need it."""
+"""A single ray for every pixel, exact to the bit, for reproducers."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,12 +14,12 @@ from caster.kernels.protocol import camera_ray
 
 __all__ = ["Ray", "SingleRay"]
 
-# Directions of 2^-PLAIN to 2^PLAIN have squares, and t times such a length is a number wherever the scene is one.
+# Directions with exponents up to this have finite, nonzero squares, and so have their products with t.
 MAX_DIRECTION_EXPONENT = 100
 
 
 class SingleRay(NamedTuple):
-    """The ray as its kernel reads it."""
+    """Parameters of the ray camera for kernels."""
 
     o: tuple[float, float, float]  # float64
     d: tuple[float, float, float]  # float64, of any length
@@ -29,8 +29,8 @@ class SingleRay(NamedTuple):
 class Ray(Description):
     """The ray origin + t direction, 0 < t <= t_max, cast by every pixel.
 
-    The numbers are taken as they are: the direction is not brought to length 1, and zeros keep their signs, which
-    1 / direction depends on. Depth is the distance from the origin.
+    Numbers are used unchanged: the direction is not normalized, and zeros keep their signs, which 1 / direction
+    depends on. Depth is the distance from the origin.
     """
 
     type: Literal["ray"] = "ray"
@@ -57,18 +57,18 @@ class Ray(Description):
 
     @property
     def eye(self) -> tuple[float, float, float]:
-        """Where it starts, by the name that other cameras have for it."""
+        """The origin, under the name that other cameras use."""
         return self.origin
 
     @property
     def up(self) -> tuple[float, float, float]:
-        """Across the ray: along the axis that it moves least on."""
+        """The coordinate axis most perpendicular to the ray."""
         least = min(range(3), key=lambda axis: abs(self.direction[axis]))
         x, y, z = (float(axis == least) for axis in range(3))
         return x, y, z
 
     def pack(self, width: int, height: int) -> SingleRay:
-        """As given; a direction beyond PLAIN is brought to about 1 by a power of two, and t then counts in that."""
+        """Unchanged, but directions beyond MAX_DIRECTION_EXPONENT are scaled by a power of two, and t_max with them."""
         t_max, d = math.inf if self.t_max is None else self.t_max, np.array(self.direction)
         exponent = int(np.frexp(np.abs(d).max())[1])
         if abs(exponent) > MAX_DIRECTION_EXPONENT:
@@ -79,7 +79,7 @@ class Ray(Description):
 
 
 def _is_negative(written: Any) -> bool:
-    """Whether a zero is written with a minus, as a number or as a hex float."""
+    """Whether a zero is negative, as a number or as a hex float."""
     if isinstance(written, str):
         return written.startswith("-")
     return math.copysign(1.0, float(written)) < 0.0

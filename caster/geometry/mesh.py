@@ -1,4 +1,4 @@
-"""A triangle mesh: its arrays, the normals it gets when it brings none, and what makes one unusable."""
+"""Triangle meshes: arrays, generated vertex normals, validation and triangulation of polygons."""
 
 import math
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ Ints = NDArray[np.int32]
 
 
 class Mesh(NamedTuple):
-    """Triangles that share vertices; everything is per vertex and in object space.
+    """An indexed triangle mesh in object space with per-vertex attributes.
 
     vertices: (n, 3), scene units. faces: (m, 3), indices of vertices, counter-clockwise seen from outside.
     normals: (n, 3), unit length, or None. uv: (n, 2) or None.
@@ -25,15 +25,15 @@ class Mesh(NamedTuple):
     uv: Floats | None = None
 
 
-# What a vertex gets that no face with an area touches: Mitsuba's choice, so that both sides see the same.
+# Normal of a vertex without a face of positive area: Mitsuba's choice, so that both sides agree.
 NO_NORMAL = (1.0, 0.0, 0.0)
 
 
 def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
-    """The mean of the unit normals of the faces around each vertex, weighted by their angle there.
+    """Vertex normals: the angle-weighted mean of the unit normals of adjacent faces.
 
-    vertices: (n, 3); faces: (m, 3) within range. Gives (n, 3) of unit length, (1, 0, 0) where no face with an
-    area and finite corners touches the vertex. Call it on vertices in world space: angles change under a stretch.
+    vertices: (n, 3); faces: (m, 3) within range. Returns (n, 3) unit vectors, (1, 0, 0) at vertices without a finite
+    face of positive area. Call it in world space: non-uniform scaling changes angles.
     Source: Thuermer and Wuethrich, Computing Vertex Normals from Polygonal Facets (1998), as Mitsuba does.
     """
     vertices = np.asarray(vertices, np.float64)
@@ -49,15 +49,15 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 def normalize_rows(vectors: Floats) -> Floats:
-    """Each row of (n, 3) brought to length 1; rows of zeros stay zeros."""
+    """Each row of (n, 3) normalized; rows of zeros stay zero."""
     rows = _rescale_rows(vectors)
     length = np.sqrt(np.sum(rows * rows, axis=1, keepdims=True))
     return rows / np.where(length == 0.0, 1.0, length)
 
 
 def check_mesh(mesh: Mesh, where: str) -> None:
-    """Refuse a mesh that cannot be cast. Faces without an area pass, and vertices that are not finite: such faces are
-    never hit (caster/geometry/rejected.py counts them).
+    """Validate a mesh. Degenerate faces and vertices that are not finite are valid: such faces are rejected when packed
+    (rejected.py).
 
     Raises SceneError that starts with `where` and names the first bad vertex, face or normal.
     """
@@ -75,16 +75,18 @@ def check_mesh(mesh: Mesh, where: str) -> None:
 
 
 def format_row(numbers: Any) -> str:
-    """(1, 0.5, nan): a row of numbers for an error message."""
+    """A row of numbers for an error message: (1, 0.5, nan)."""
     return "(" + ", ".join(f"{float(x):g}" for x in numbers) + ")"
 
 
 def _weighted_normals(corners: Floats) -> Floats:
-    """(m, 3, 3) corners of faces -> (m, 3, 3): for each, the face's unit normal times the angle there."""
+    """For each corner of faces (m, 3, 3), the unit normal of the face times the angle at the corner: (m, 3, 3)."""
     edges = np.roll(corners, -1, axis=1) - corners  # edge i runs from corner i to the next one
     edges = _rescale_rows(edges.reshape(-1, 9)).reshape(-1, 3, 3)
     cross = np.cross(edges[:, 0], edges[:, 1])
-    sine = np.sqrt(np.sum(cross * cross, axis=1, keepdims=True))  # times two edge lengths, as the cosine is
+    sine = np.sqrt(
+        np.sum(cross * cross, axis=1, keepdims=True)
+    )  # scaled by two edge lengths, like the cosine
     cosine = -np.sum(edges * np.roll(edges, 1, axis=1), axis=2)
     angle = np.arctan2(sine, cosine)
     weighted: Floats = normalize_rows(cross)[:, None, :] * angle[:, :, None]
@@ -92,7 +94,7 @@ def _weighted_normals(corners: Floats) -> Floats:
 
 
 def _rescale_rows(rows: Floats) -> Floats:
-    """Rows scaled by a power of two, which is exact, so that their squares neither overflow nor vanish."""
+    """Rows scaled exactly, by powers of two, so that their squares neither overflow nor underflow."""
     largest = np.max(np.abs(rows), axis=1, initial=0.0)
     exponent = np.frexp(largest)[1]
     scaled: Floats = np.ldexp(rows, -exponent[:, None])
@@ -128,16 +130,13 @@ def _check_not_zero(normals: Floats, where: str) -> None:
         )
 
 
-# Polygons of any size, as fans of triangles.
-
-
 Indices = NDArray[np.int64]
 
 
 def triangle_fans(sizes: Indices) -> Indices:
-    """Where the corners of the triangles are in a flat list of the polygons' corners.
+    """Triangulate polygons as fans: indices into the flat list of all polygons' corners.
 
-    sizes: (k,) corners of each polygon, all >= 3. Gives (m, 3): for each polygon (first, i, i + 1), in order.
+    sizes: (k,) corners of each polygon, all >= 3. Returns (m, 3): for each polygon (first, i, i + 1), in order.
     """
     first_corner = np.cumsum(sizes) - sizes
     triangles = sizes - 2
@@ -148,7 +147,7 @@ def triangle_fans(sizes: Indices) -> Indices:
 
 
 def check_integer(shape: str, name: str, value: int, low: int, high: float = math.inf) -> None:
-    """Refuse anything but a whole number from `low` to `high`; the upper limits keep meshes within memory."""
+    """Validate an integer from `low` to `high`. Raises SceneError; the upper limits bound memory."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         limits = f">= {low}" if high == math.inf else f"from {low} to {high}"
         raise SceneError(f"{shape}: {name} must be a whole number {limits}, got {value!r}")

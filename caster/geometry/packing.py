@@ -1,4 +1,4 @@
-"""Scene -> arrays: a NamedTuple of arrays for each kind of primitive, and where each shape's went."""
+"""Packing: a scene as one NamedTuple of arrays per primitive kind, with the numbering of its primitives."""
 
 import contextlib
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ __all__ = ["Packed", "Triangles", "concatenate_parts", "pack", "packed", "primit
 
 @dataclass(frozen=True)
 class Kind:
-    """All primitives of one kind, with their numbers in the scene."""
+    """All primitives of one kind, and their numbers in the scene."""
 
     prims: Any
     ids: np.ndarray  # (n,) int32
@@ -35,27 +35,27 @@ class Kind:
         return bool(hull_size(self.prims) > 0)
 
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
-        """(low, high) corners, (n, 3) each; they are not kept, as that may be many millions."""
+        """Bounding boxes as (low, high) corners, (n, 3) each; not cached, since there may be millions."""
         low, high = np.empty((len(self.ids), 3)), np.empty((len(self.ids), 3))
         bounding_boxes(self.prims, low, high, 0, len(self.ids))
         return low, high
 
     @cached_property
     def extent(self) -> float:
-        """Largest |coordinate| of any box."""
+        """The largest |coordinate| of any bounding box."""
         low, high = self.boxes()
         return float(max(-low.min(), low.max(), -high.min(), high.max()))
 
 
 @dataclass(frozen=True)
 class Packed:
-    """A scene as the kernels read it. Primitives are numbered through the scene, shape by shape."""
+    """A scene as kernels read it. Primitives are numbered consecutively, shape by shape."""
 
     kinds: tuple[Kind, ...]
-    parts: tuple[Any, ...]  # each shape's own arrays, before they were joined with others of their kind
-    first: np.ndarray  # (shapes + 1,) int64, number of each shape's first primitive
-    kind_of: np.ndarray  # (shapes,) int64, place of the shape's kind in `kinds`
-    start: np.ndarray  # (shapes,) int64, place of its first primitive within the kind
+    parts: tuple[Any, ...]  # the arrays of each shape, before concatenation by kind
+    first: np.ndarray  # (shapes + 1,) int64, number of the first primitive of each shape
+    kind_of: np.ndarray  # (shapes,) int64, index of the shape's kind in `kinds`
+    start: np.ndarray  # (shapes,) int64, index of its first primitive within the kind
 
     def shape_of(self, prim: np.ndarray) -> np.ndarray:
         """Shape index of each primitive number, -1 for -1; int32."""
@@ -64,7 +64,7 @@ class Packed:
         return (np.searchsorted(self.first, prim, side="right") - 1).astype(np.int32)
 
     def place_of(self, prim: int) -> tuple[Kind, int]:
-        """The kind that a primitive number belongs to, and its place within the kind."""
+        """The kind of a primitive, and its index within the kind."""
         shape = int(self.shape_of(np.array(prim)))
         return self.kinds[self.kind_of[shape]], int(prim - self.first[shape] + self.start[shape])
 
@@ -75,7 +75,7 @@ class Packed:
 
 
 def pack(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
-    """World-space arrays of all shapes, every number passed through `rounded`.
+    """Pack all shapes into world-space arrays, with `rounded` applied to the numbers that define the geometry.
 
     Raises SceneError for a shape whose numbers do not stay finite.
     """
@@ -94,14 +94,14 @@ def pack(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
 
 
 def packed(scene: ShapeCollection) -> Packed:
-    """The same of a scene as it is, made once."""
+    """The unrounded packing of a scene, cached with it."""
     if "packed" not in scene.derived:
         scene.derived["packed"] = pack(scene)
     return scene.derived["packed"]
 
 
 def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:
-    """Arrays of one shape, all finite."""
+    """Pack one shape. Raises SceneError unless all numbers are finite."""
     part: Any = None
     with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
         part = scene.shapes[i].pack(rounded)
@@ -113,13 +113,13 @@ def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:
 
 
 def primitive_count(part: Any) -> int:
-    """How many primitives an array tuple holds."""
+    """Number of primitives of a NamedTuple of arrays."""
     return len(part.faces if isinstance(part, Triangles) else part[0])
 
 
 def concatenate_parts(parts: Sequence[Any]) -> Any:
-    """One array tuple out of several of the same kind; faces keep pointing at their own vertices."""
-    if len(parts) == 1:  # its own arrays, unless kernels for others would have to be compiled for them
+    """Concatenate arrays of one kind; indices of faces are shifted to their vertices."""
+    if len(parts) == 1:  # the same arrays, unless kernels would need another specialisation for their layout
         return type(parts[0])(*(np.require(array, None, ("C", "A", "W")) for array in parts[0]))
     if isinstance(parts[0], Triangles):
         shift = np.concatenate([[0], np.cumsum([len(part.vertices) for part in parts])])

@@ -1,4 +1,4 @@
-"""Faces that no ray can hit: which kinds there are, and how many (docs/scene-format.md, "Faces that cannot be hit")."""
+"""Counts of rejected faces: not finite, too far out or degenerate (docs/scene-format.md, "Rejected faces")."""
 
 from collections.abc import Mapping
 from fractions import Fraction
@@ -8,21 +8,19 @@ import numpy as np
 
 from caster.geometry.world_space import Rounding, ShapeCollection, as_given, is_usable, world_vertices
 
-# A component of a cross product of two differences is off by at most 4 u of the magnitudes it is made of; u = 2^-53.
-# Products that underflow are off by 2^-1074, far less than TINY.
+# The error of a component of a cross product of two differences is at most 4 u of its terms' magnitudes; u = 2^-53.
+# The error of products that underflow is 2^-1074, far below CROSS_UNDERFLOW.
 CROSS_RELATIVE_ERROR, CROSS_UNDERFLOW = 5.0 * 2.0**-53, 2.0**-1000
 
-FACES_PER_CHUNK = (
-    1 << 16
-)  # faces looked at together: what is found of each takes some 300 bytes, and there may be millions
+FACES_PER_CHUNK = 1 << 16  # faces; temporaries take some 300 bytes each, and there may be millions
 
 
 class RejectedFaces(NamedTuple):
-    """Numbers of faces of one shape; each face counts once, in the first that fits."""
+    """Rejected faces of one shape; each face counts once, in the first category that applies."""
 
-    not_finite: int  # a corner is not finite
-    too_large: int  # a coordinate is placing.LARGEST_COORDINATE or more
-    without_area: int  # exactly: its corners lie on one line
+    not_finite: int  # a vertex is not finite
+    too_large: int  # a coordinate is world_space.LARGEST_COORDINATE or more
+    without_area: int  # exactly: its vertices are collinear
 
     @property
     def total(self) -> int:
@@ -34,7 +32,7 @@ class RejectedFaces(NamedTuple):
 
 
 def rejected_faces(scene: ShapeCollection, rounded: Rounding = as_given) -> Mapping[str, RejectedFaces]:
-    """By the name of the shape, for shapes that have such faces."""
+    """Counts by shape name, for shapes that have rejected faces."""
     names = scene.shape_names()
     counts = {names[i]: _rejected_of_shape(shape, rounded) for i, shape in enumerate(scene.shapes)}
     return {name: count for name, count in counts.items() if count.total}
@@ -55,7 +53,7 @@ def _rejected_of_shape(shape: Any, rounded: Rounding) -> RejectedFaces:
 def _count_rejected(
     faces: np.ndarray, vertices: np.ndarray, finite: np.ndarray, usable: np.ndarray
 ) -> np.ndarray:
-    """The numbers of a RejectedFaces. finite, usable: (v,) bool, of the vertices."""
+    """The counts of RejectedFaces as an array. finite, usable: (v,) bool, of the vertices."""
     sound, good = finite[faces].all(axis=1), usable[faces].all(axis=1)
     flat = _count_degenerate(vertices[faces[good]])
     return np.array([(~sound).sum(), (sound & ~good).sum(), flat])
@@ -79,5 +77,5 @@ def _is_degenerate(face: list[list[float]]) -> bool:
 
 
 def in_words(scene: ShapeCollection) -> str:
-    """For people; "" where there are none."""
+    """The counts as text; "" if there are none."""
     return "; ".join(f"{name}: {count}" for name, count in rejected_faces(scene).items())

@@ -1,9 +1,8 @@
-"""From a description to numbers in world space: the numbers that are cast, exported and judged.
+"""Transforms of geometry to world space: the numbers that are traced, exported and judged.
 
-Every shape packs itself through a `Rounding`. `as_given` keeps float64; `as_float32` rounds each number that
-defines the geometry (corner, centre, radius, matrix entry) once, so that a float32 renderer which is handed
-those numbers traces the same geometry bit for bit. What follows from them (inverses, normals) is float64
-either way.
+Every shape packs itself with a `Rounding`. `as_given` keeps float64; `as_float32` rounds each number that defines the
+geometry (vertex, centre, radius, matrix entry) once, so that a float32 renderer traces bit-identical geometry. Derived
+numbers (inverses, normals) are float64 in both cases.
 """
 
 import math
@@ -23,7 +22,7 @@ Rounding = Callable[[np.ndarray], np.ndarray]
 
 
 class ShapeCollection(Protocol):
-    """What packing reads of a scene."""
+    """The part of a scene that packing reads."""
 
     @property
     def shapes(self) -> tuple[Shape, ...]: ...
@@ -35,12 +34,12 @@ class ShapeCollection(Protocol):
 
 
 # A product of a dozen rotations and uniform scales leaves its columns orthogonal and equally long to about
-# 12 * 8 u of their length, u = 2^-53; a stretch anybody means is far larger.
+# 12 * 8 u of their length, u = 2^-53; intended non-uniform scales are far larger.
 SIMILARITY_RTOL = 128 * 2.0**-53
 
 
-# Embree leaves out, silently, a triangle with a corner that is not finite or this far out (its FLT_LARGE). So do we,
-# and count it (left_out.py).
+# Embree silently rejects a triangle with a vertex that is not finite or this far out (its FLT_LARGE). So do we, and
+# count it (rejected.py). Scene units.
 LARGEST_COORDINATE = 1.844e18
 
 
@@ -53,15 +52,15 @@ def as_float32(numbers: np.ndarray) -> np.ndarray:
 
 
 def is_similarity(linear: np.ndarray) -> bool:
-    """Whether a 3x3 matrix keeps angles: rotation, mirroring and one scale."""
-    ratios = linear / np.abs(linear).max()  # whose squares neither overflow nor vanish
+    """Whether a 3x3 matrix is a similarity: rotation, reflection and uniform scale."""
+    ratios = linear / np.abs(linear).max()  # squares neither overflow nor underflow
     gram = ratios.T @ ratios
     size = np.trace(gram) / 3.0
     return bool(np.all(np.abs(gram - size * np.eye(3)) <= SIMILARITY_RTOL * size))
 
 
 def similarity_scale(linear: np.ndarray) -> float:
-    """By how much such a matrix stretches: exact for a mere scale, and twice that for twice the matrix."""
+    """The scale of a similarity: exact for a pure scale, and homogeneous under powers of two."""
     largest = float(np.abs(linear).max())
     ratios = linear / largest
     return largest * math.sqrt(float((ratios * ratios).sum()) / 3.0)
@@ -75,13 +74,13 @@ def is_mirrored(matrix: np.ndarray) -> bool:
 def affine_arrays(
     center: np.ndarray, linear: np.ndarray, rounded: Rounding
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(center, to_world, to_object) of one primitive, each with a leading axis of 1."""
+    """(center, to_world, to_object) of one image of a unit shape, each with a leading axis of 1."""
     to_world = rounded(linear)
     return rounded(center)[None], to_world[None], inverse(to_world)[None]
 
 
 def inverse(m: np.ndarray) -> np.ndarray:
-    """The inverse of a 3x3 matrix, every entry rounded once. Raises LinAlgError where it has none in float64."""
+    """The inverse of a 3x3 matrix, every entry rounded once. Raises LinAlgError if it does not exist in float64."""
     if not np.isfinite(m).all():
         raise np.linalg.LinAlgError("not finite")
     rows = [[Fraction(x) for x in row] for row in m.tolist()]
@@ -103,11 +102,11 @@ def inverse(m: np.ndarray) -> np.ndarray:
 
 
 def transform_mesh(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_normals: bool) -> Triangles:
-    """A mesh in world space. Where it has no normals and wants some, they are generated there.
+    """Transform a mesh to world space; missing vertex normals are generated there unless `face_normals`.
 
-    A mirrored matrix turns each face around, so that outside stays outside: normals travel by the inverse
-    transpose, for every shape. Faces that are left out stay as ones without area, so that the others keep their
-    numbers. Raises LinAlgError where no corner stays finite.
+    A mirroring matrix reverses the orientation of faces, since normals transform by the inverse transpose for every
+    shape. Rejected faces become degenerate, so that the numbering is unchanged. Raises LinAlgError if no vertex stays
+    finite.
     """
     vertices = world_vertices(mesh, matrix, rounded)
     if not np.isfinite(vertices).any():
@@ -129,23 +128,23 @@ def transform_mesh(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_norma
 
 
 def world_vertices(mesh: Mesh, matrix: np.ndarray, rounded: Rounding) -> np.ndarray:
-    """(n, 3) in world space; not finite where the mesh's are not, or where they get too large."""
+    """(n, 3) vertices in world space; not finite where the mesh's are not, or on overflow."""
     with np.errstate(all="ignore"):
         return rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])
 
 
 def is_usable(vertices: np.ndarray) -> np.ndarray:
-    """(n,) bool: corners that a face may have."""
+    """(n,) bool: finite vertices within LARGEST_COORDINATE."""
     usable: np.ndarray = (np.abs(vertices) < LARGEST_COORDINATE).all(axis=1)  # false for NaN
     return usable
 
 
 def _collapse_rejected(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same with finite numbers: an unusable corner moves to one that is not, and its faces shrink to a point."""
+    """Replace unusable vertices by a usable one and collapse their faces to a point."""
     usable = is_usable(vertices)
     if usable.all():
         return vertices, faces
-    place = int(np.argmax(usable))  # the first; any will do, since nothing can be hit there
+    place = int(np.argmax(usable))  # any will do: a degenerate face is never hit
     stand_in = vertices[place] if usable[place] else np.zeros(3)
     kept = usable[faces].all(axis=1, keepdims=True)
     return np.where(usable[:, None], vertices, stand_in), np.where(kept, faces, place)
@@ -159,17 +158,14 @@ def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: 
     return np.divide(turned, length, out=turned, where=length > 0.0)
 
 
-# What every shape made of triangles shares: it says which mesh, the rest follows.
-
-
 class MeshShape(Shape):
-    """Triangles; smooth unless `face_normals`, with normals of its own or generated ones (angle-weighted)."""
+    """Base of shapes that are triangle meshes; smooth unless `face_normals`."""
 
     face_normals: bool = False
 
     def mesh(self) -> Mesh:
-        """The triangles in object space."""
-        raise NotImplementedError  # every subclass in the registry has one (tests/unit/test_registries.py)
+        """The mesh in object space."""
+        raise NotImplementedError
 
     def pack(self, rounded: Rounding) -> Triangles:
         return transform_mesh(self.mesh(), self.matrix, rounded, self.face_normals)

@@ -1,4 +1,4 @@
-"""Writes tables as TOML, one key a line."""
+"""Scenes as text: TOML, canonical JSON and fingerprints."""
 
 import hashlib
 import json
@@ -17,7 +17,7 @@ BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def format_toml(data: Mapping[str, Any], order: Iterable[str]) -> str:
-    """TOML of the tables named in `order`; floats are written so that they read back to the bit."""
+    """TOML of the tables named in `order`; floats round-trip exactly."""
     return "\n".join(line for name in order if name in data for line in _tables(name, data[name]))
 
 
@@ -52,21 +52,18 @@ def _value(value: Any) -> str:
         return "{ " + ", ".join(f"{_key(key)} = {_value(item)}" for key, item in value.items()) + " }"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_value, value)) + "]"
-    return repr(value)  # of a float: the shortest digits that read back as this very one
+    return repr(value)  # of a float: the shortest digits that round-trip
 
 
 def _string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-# A scene as data and as text: JSON for machines and fingerprints, TOML for people.
-
-
 SECTION_ORDER = ("film", "camera", "shading", "light", "material", "shape", "check")
 
 
 def canonical_json(scene: BaseModel, folder: Path | None) -> str:
-    """All of the scene, keys sorted, on one line. Files in `folder` are named relative to it."""
+    """The whole scene on one line with sorted keys. Paths of files in `folder` are relative to it."""
     return _sorted_json(_named_from(folder, scene.model_dump(by_alias=True, exclude_none=True)))
 
 
@@ -80,7 +77,7 @@ def fingerprint(scene: BaseModel) -> str:
 
 
 def to_toml(scene: BaseModel, folder: Path | None) -> str:
-    """The scene as TOML, without what is default anyway. Files in `folder` are named relative to it."""
+    """The scene as TOML without default values. Paths of files in `folder` are relative to it."""
     data = scene.model_dump(by_alias=True, exclude_none=True)
     brief = scene.model_dump(by_alias=True, exclude_none=True, exclude_defaults=True)
     for key in {"camera", "light", "shape"} & brief.keys():

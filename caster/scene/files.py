@@ -19,24 +19,24 @@ __all__ = ["MeshFolders", "load_scene", "resolve_mesh_files"]
 
 
 def _mesh_shape(kind: Any) -> Any:
-    """The shape of that `type` if it reads a mesh file, else None."""
+    """The shape class of that `type` if it reads a mesh file, else None."""
     return next((cls for cls in SHAPES if type_name(cls) == kind and hasattr(cls, "load")), None)
 
 
 class MeshFolders(NamedTuple):
-    """The folder of the scene, and further folders whose meshes it may use."""
+    """Folders that mesh files of a scene may be in: its own, and those of --mesh-dir."""
 
     folder: Path
     mesh_dirs: tuple[Path, ...]
 
     def resolve(self, file: str) -> Path | None:
-        """Where the file is, or None if that is out of reach. Links are followed before it is decided."""
+        """The absolute path, or None if it is in none of the folders. Symbolic links are resolved first."""
         path = (self.folder / file).resolve()
         allowed = (self.folder, *self.mesh_dirs)
         return path if any(path.is_relative_to(folder.resolve()) for folder in allowed) else None
 
     def refusal(self, file: str) -> str:
-        """What to tell about a file out of reach."""
+        """Message for a file in none of the folders."""
         mesh_dir = os.path.dirname(os.path.normpath(self.folder / file)) or "."
         allowed = "in the scene's folder, below it, or below a folder given by --mesh-dir"
         return f"must lie {allowed}, got {format_value(file)}: add --mesh-dir {mesh_dir}"
@@ -45,9 +45,9 @@ class MeshFolders(NamedTuple):
 def resolve_mesh_files(
     data: Any, reach: MeshFolders, model: Model
 ) -> tuple[Any, list[Diagnostic], list[Diagnostic]]:
-    """Data with absolute mesh paths, (1) problems with meshes and (2) meshes that are missing.
+    """Data with absolute mesh paths, diagnostics of invalid meshes, and those of missing ones.
 
-    Each mesh is read here; its shape keeps what was read, so it is not parsed twice.
+    Each mesh is read here; its shape caches the result.
     """
     problems: list[Diagnostic] = []
     missing: list[Diagnostic] = []
@@ -91,7 +91,7 @@ SCENE_FORMATS: dict[str, SceneFormat] = {".toml": "toml", ".json": "json"}
 
 
 def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str]] = ()) -> Scene:
-    """Read a scene file, .toml or .json, and the meshes it names.
+    """Read a scene file, .toml or .json, and its meshes.
 
     Meshes are found relative to the scene file, in its folder, below it, or below one of mesh_dirs.
     Raises FileMissing for a file that cannot be read, SceneError with every error and its line for the rest.
@@ -113,7 +113,7 @@ def scene_from_text(
     folder: str | PathLike[str] = ".",
     mesh_dirs: Iterable[str | PathLike[str]] = (),
 ) -> Scene:
-    """A scene from the text of a scene file. origin: what errors call it; folder: where its meshes are."""
+    """A scene from the text of a scene file. origin: its name in errors; folder: of relative mesh paths."""
     data, problems = parse(text, kind, origin)
     reach = MeshFolders(Path(folder), tuple(Path(mesh_dir) for mesh_dir in mesh_dirs))
     data, unusable, missing = resolve_mesh_files(data, reach, Scene)
@@ -130,7 +130,7 @@ def scene_from_text(
 
 
 def scene_schema() -> dict[str, Any]:
-    """The JSON Schema (2020-12) of scene files, for editors. It knows keys, types and ranges."""
+    """JSON Schema (2020-12) of scene files, for editors: keys, types and ranges."""
     schema = Scene.model_json_schema(by_alias=True)
     schema["properties"]["$schema"] = {"type": "string"}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

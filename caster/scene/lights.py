@@ -1,4 +1,4 @@
-"""Lights: how much arrives at a point, and from where."""
+"""Light sources."""
 
 from typing import Literal
 
@@ -10,7 +10,7 @@ __all__ = ["Ambient", "Point"]
 
 
 class Point(fields.Light):
-    """A point that shines evenly in all directions. `intensity` in power per solid angle (W/sr)."""
+    """An isotropic point light. `intensity` in power per solid angle (W/sr)."""
 
     type: Literal["point"] = "point"
     position: Vec3
@@ -21,7 +21,7 @@ class Point(fields.Light):
 
 
 class Directional(fields.Light):
-    """Parallel light that travels along `direction`; a surface across it receives `irradiance` (W/m^2)."""
+    """Parallel light along `direction`; a perpendicular surface receives `irradiance` (W/m^2)."""
 
     type: Literal["directional"] = "directional"
     direction: UnitVec3
@@ -33,7 +33,7 @@ class Directional(fields.Light):
 
 
 class Ambient(fields.Light):
-    """The same `radiance` from everywhere (W/(m^2 sr)); it casts no shadow."""
+    """Constant `radiance` from all directions (W/(m^2 sr)), without shadows."""
 
     type: Literal["ambient"] = "ambient"
     radiance: RGB

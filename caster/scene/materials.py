@@ -1,4 +1,4 @@
-"""Materials: how surfaces send light back."""
+"""Materials."""
 
 from typing import Literal
 
@@ -8,9 +8,9 @@ __all__ = ["Diffuse"]
 
 
 class Diffuse(Description):
-    """Lambert's law: the same radiance in all directions, `reflectance` of what arrives.
+    """A Lambertian surface that reflects the fraction `reflectance` of incident light.
 
-    A one-sided surface is black from behind, that is where its shading normal points away.
+    A one-sided surface is black where its shading normal points away from the viewer.
     """
 
     type: Literal["diffuse"] = "diffuse"

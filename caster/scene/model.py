@@ -1,4 +1,4 @@
-"""What a scene holds apart from its geometry: the film, how to shade, and how closely to check."""
+"""The scene model: film, shading, checks, and validation across elements."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -38,7 +38,7 @@ Window = Annotated[tuple[Index, Index, Index, Index], BeforeValidator(_corners)]
 
 
 class Film(Description):
-    """The picture in pixels. `crop` = [x0, y0, x1, y1] is the part to render; x1, y1 are just outside."""
+    """Size of the image in pixels. `crop` = [x0, y0, x1, y1] is the window to render, x1 and y1 exclusive."""
 
     width: Pixels = 256
     height: Pixels = 256
@@ -61,11 +61,11 @@ class Film(Description):
 
     @property
     def window(self) -> tuple[int, int, int, int]:
-        """The part to render, x0, y0, x1, y1: the crop, or all of the film."""
+        """The window to render, x0, y0, x1, y1: the crop, or the whole film."""
         return self.crop or (0, 0, self.width, self.height)
 
     def resized(self, width: int, height: int) -> Self:
-        """The same picture in other pixels; the crop goes along, outwards to whole pixels."""
+        """A film of another resolution; the crop is scaled and rounded outwards to whole pixels."""
         crop = self.crop and (
             self.crop[0] * width // self.width,
             self.crop[1] * height // self.height,
@@ -75,43 +75,43 @@ class Film(Description):
         return type(self)(width=width, height=height, crop=crop)
 
     def cropped(self, crop: Sequence[int]) -> Self:
-        """The same film with this part of it to render."""
+        """The same film with another crop window."""
         return type(self)(width=self.width, height=self.height, crop=tuple(crop))
 
 
 class Shading(Description):
-    """How `diffuse` is computed."""
+    """Options of the AOV `diffuse`."""
 
     shadows: bool = True
 
 
 class Check(Description):
-    """How much of the derived bound a comparison may use: 1 is all of it and no more."""
+    """Tolerance of one AOV in comparisons with the reference, in multiples of the derived bound."""
 
     ratio: PositiveNumber = 1.0
 
 
-# How the elements of a scene fit together, also while some of them are wrong in themselves.
-
-
-Findings = Iterator[tuple[DataPath, str]]  # a path, and what to say after its name
+Findings = Iterator[tuple[DataPath, str]]  # a path, and the message after its name
 
 
 def cross_element_errors(data: Any) -> Findings:
-    """Unknown materials, names given twice, checks of no AOV; in a Scene or in what is to become one."""
+    """Errors across elements: unknown materials, duplicate names, checks of unknown AOVs.
+
+    data: a Scene, or the input data of one, which may have other errors.
+    """
     yield from _unknown_materials(data)
     yield from _repeated_names(data)
     yield from _unknown_checks(data)
 
 
 def _elements(data: Any, key: str) -> tuple[str, Any]:
-    """(how the data spells the key, what it holds)"""
+    """(the spelling of the key in the data, its value)"""
     spelled = key if child_of(data, key) is not None else PLURAL[key]
     return spelled, child_of(data, spelled)
 
 
 def _texts(data: Any, key: str) -> Iterator[tuple[DataPath, str]]:
-    """(path, text) of a key of each shape; "" where it is no text."""
+    """(path, value) of a key of each shape; "" if the value is not a string."""
     spelled, shapes = _elements(data, "shape")
     for i, shape in enumerate(shapes if isinstance(shapes, (list, tuple)) else ()):
         value = child_of(shape, key)
@@ -140,18 +140,15 @@ def _unknown_checks(data: Any) -> Findings:
     spelled, checks = _elements(data, "check")
     if not isinstance(checks, Mapping) or not checks:
         return
-    from caster.aovs import BY_NAME  # which imports the scene
+    from caster.aovs import BY_NAME
 
     for name in map(str, checks):
         if name not in BY_NAME:
             yield (spelled, name), f"unknown AOV{suggestion(name, BY_NAME)} (known: {', '.join(BY_NAME)})"
 
 
-# The scene: what its author wrote, checked as a whole.
-
-
 def one_of(registry: Sequence[type[Description]]) -> Any:
-    """The type of a field that holds one of these descriptions, told apart by `type`."""
+    """Field type for one of these descriptions, discriminated by `type`."""
     return Annotated[Union[tuple(registry)], Field(discriminator="type")]  # noqa: UP007 - a tuple has no |
 
 
@@ -166,8 +163,8 @@ else:
 class Scene(Description):
     """A film, a camera, lights, and shapes with their materials.
 
-    Scene files say `light`, `material`, `shape` and `check`; Python may also say `lights`, `materials`,
-    `shapes` and `checks`. Raises SceneError with all that is wrong.
+    Keys in scene files are `light`, `material`, `shape` and `check`; Python also accepts the plural field names.
+    Raises SceneError with all validation errors.
     """
 
     ELEMENTS: ClassVar[Mapping[str, int]] = {
@@ -196,67 +193,67 @@ class Scene(Description):
 
     @classmethod
     def problems_across(cls, data: Any) -> list[Diagnostic]:
-        """How the elements do not fit together, in a Scene or in what one is to be made of."""
+        """Diagnostics of `cross_element_errors` in a Scene or in input data."""
         return [value_diagnostic(path, text, data, cls) for path, text in cross_element_errors(data)]
 
     @property
     def derived(self) -> dict[str, Any]:
-        """A place for what has been computed from this scene; it is not part of the scene."""
+        """Cache of data computed from the scene, such as packed arrays; not part of the scene."""
         return self._derived
 
     def material_of(self, shape: Shape) -> Diffuse:
-        """The material of one of the shapes."""
+        """The material of a shape; the default material if it names none."""
         return self.materials[shape.material] if shape.material else DEFAULT
 
     def shape_names(self) -> list[str]:
-        """One name per shape: its own, or shape-<index>."""
+        """The name of each shape, shape-<index> if it has none."""
         return [shape.name or f"shape-{i}" for i, shape in enumerate(self.shapes)]
 
     def with_film(
         self, *, width: int | None = None, height: int | None = None, crop: Sequence[int] | None = None
     ) -> Self:
-        """A copy with another film. A crop that is not given keeps its share of the picture."""
+        """A copy with another film. Unless a crop is given, the crop is scaled with the film."""
         film = self.film.resized(
             self.film.width if width is None else width, self.film.height if height is None else height
         )
         copy = self.model_copy(update={"film": film if crop is None else film.cropped(crop)})
-        copy._derived = self._derived  # the shapes, packed: they do not know of the film
+        copy._derived = self._derived  # packed shapes, which do not depend on the film
         return copy
 
     def canonical_json(self) -> str:
-        """The scene with all defaults, keys sorted, numbers exact: equal scenes, equal text. It loads again.
+        """JSON with defaults, sorted keys and exact numbers: equal scenes have equal text. It can be loaded again.
 
         Mesh files in the scene's folder are named relative to it.
         """
         return canonical_json(self, self._folder)
 
     def sha256(self) -> str:
-        """A fingerprint of the scene and of the bytes of its mesh files. Raises FileMissing."""
+        """SHA-256 of the scene and of the bytes of its mesh files. Raises FileMissing."""
         return fingerprint(self)
 
     def to_toml(self) -> str:
-        """A scene file that loads as this very scene: numbers exact, defaults left out.
+        """TOML that loads as an equal scene: exact numbers, defaults omitted.
 
         Mesh files in the scene's folder are named relative to it, others by their whole path.
         """
         return to_toml(self, self._folder)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """A copy with other values, checked like the first ones; mesh files stay where they are."""
+        """A validated copy with other values; relative mesh paths keep their folder."""
         copy = super().model_copy(update=update, deep=deep)
         copy._folder = self._folder
         return copy
 
     def __eq__(self, other: object) -> bool:
-        """Whether all that was described is equal; where it was read and what was computed does not count."""
+        """Equality of all fields; the folder and cached data do not count."""
         if not isinstance(other, Scene):
             return NotImplemented
         return all(getattr(self, name) == getattr(other, name) for name in type(self).model_fields)
 
-    __hash__ = None  # type: ignore[assignment]  # materials are a dict; sha256() tells scenes apart
+    __hash__ = None  # type: ignore[assignment]  # materials are a dict; sha256() identifies scenes
 
     def __getstate__(self) -> dict[Any, Any]:
-        """What goes to another process: not what has been computed from the scene."""
+        """State for pickling, without cached data."""
         return super().__getstate__() | {"__pydantic_private__": {"_folder": self._folder, "_derived": {}}}
 
 

@@ -1,4 +1,4 @@
-"""Where in the text of a scene file a value is. Used only when there is an error to show."""
+"""Text of scene files: parsing, positions of values, and excerpts for error messages."""
 
 import json
 import re
@@ -18,7 +18,7 @@ DataPath = tuple[str | int, ...]
 
 
 class Span(NamedTuple):
-    """Part of a line; line and column count characters from 1."""
+    """A range of characters in a line; line and column are 1-based."""
 
     line: int
     column: int
@@ -26,14 +26,14 @@ class Span(NamedTuple):
 
 
 class Positions:
-    """Where each value of a valid TOML or JSON text begins. A key stands for its value."""
+    """Positions of all values of a valid TOML or JSON text; the position of a value is that of its key."""
 
     def __init__(self, text: str, kind: str) -> None:
         self._lines = text.encode().split(b"\n")
         tree = _tree(text, kind)
         found = [] if tree.has_error else list((_toml if kind == "toml" else _json)(tree))
         self._nodes = {path: (first, last) for path, first, last in found}
-        for path, first, last in found:  # a table that has no header of its own begins with its first key
+        for path, first, last in found:  # an implicit table begins at its first key
             for steps in range(1, len(path)):
                 self._nodes.setdefault(path[:steps], (first, last))
         times = Counter(path for path, _, _ in found if isinstance(path[-1], str))
@@ -41,7 +41,7 @@ class Positions:
         self.repeated = [path for path in again if not any(path[:n] in again for n in range(len(path)))]
 
     def of(self, path: DataPath) -> Span:
-        """The span of a path through the data, or of the nearest table around it."""
+        """The span of a path through the data, or of the nearest enclosing table."""
         while path and path not in self._nodes:
             path = path[:-1]
         return self._span(*self._nodes[path]) if path else Span(1, 1, 1)
@@ -64,14 +64,12 @@ def _tree(text: str, kind: str) -> Any:
 
 
 def _strict(text: str) -> str:
-    """JSON without Python's NaN and Infinity, everything in its old place."""
+    """JSON with NaN and Infinity replaced by numbers of the same length."""
     number = {"NaN": "111", "Infinity": "11111111"}
     return re.sub(r'"(?:[^"\\]|\\.)*"|NaN|Infinity', lambda found: number.get(found[0], found[0]), text)
 
 
-LocatedNodes = Iterator[
-    tuple[DataPath, Any, Any]
-]  # a path, and the first and last node of what stands for it
+LocatedNodes = Iterator[tuple[DataPath, Any, Any]]  # a path, and the first and last node of its position
 
 
 def _toml(document: Any) -> LocatedNodes:
@@ -103,7 +101,7 @@ def _header_path(keys: list[str], is_array: bool, last: dict[DataPath, int]) -> 
 
 
 def _keys(node: Any) -> list[str]:
-    """The parts of a key, without quotes: a."b c".d is three."""
+    """The parts of a dotted key, unquoted: three for a."b c".d."""
     table: Any = tomllib.loads(f"{node.text.decode()} = 0")
     keys = []
     while isinstance(table, dict):
@@ -147,15 +145,12 @@ def _json_inside(value: Any, path: DataPath) -> LocatedNodes:
             yield from _json_inside(item, (*path, i))
 
 
-# The text of scene files: into plain data, and errors back to the line they are in.
-
-
 SceneFormat = Literal["toml", "json"]
-MAX_LINE_CHARACTERS = 100  # characters of a line that are shown around the place of an error
+MAX_LINE_CHARACTERS = 100  # of a line in an excerpt
 
 
 def read_text(path: str | PathLike[str]) -> str:
-    """The text of a scene file of any kind. Raises FileMissing, or SceneError for bytes that are no UTF-8."""
+    """Read a text file in UTF-8. Raises FileMissing, or SceneError if it is not UTF-8."""
     try:
         return Path(path).read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -166,7 +161,7 @@ def read_text(path: str | PathLike[str]) -> str:
 
 
 def parse(text: str, kind: SceneFormat, origin: str) -> tuple[Any, list[Diagnostic]]:
-    """The data of a TOML or JSON text, and problems that JSON itself does not see. Raises SceneError."""
+    """Parse TOML or JSON; also returns diagnostics of duplicate JSON keys. Raises SceneError."""
     try:
         return (tomllib.loads(text), []) if kind == "toml" else _parse_json(text)
     except RecursionError:
@@ -176,7 +171,7 @@ def parse(text: str, kind: SceneFormat, origin: str) -> tuple[Any, list[Diagnost
 
 
 def format_diagnostics(problems: Sequence[Diagnostic], text: str, kind: SceneFormat, origin: str) -> str:
-    """All problems in the order of their lines, each with the line itself."""
+    """All diagnostics ordered by position, each with an excerpt of its line."""
     positions = Positions(text, kind)
     located = sorted(((positions.of(path), said) for path, said in problems), key=lambda found: found[0][:2])
     return "\n".join(format_excerpt(span, said, text, origin) for span, said in located)
@@ -193,7 +188,7 @@ def _parse_json(text: str) -> tuple[Any, list[Diagnostic]]:
     data = json.loads(text, object_pairs_hook=table)
     repeated = Positions(text, "json").repeated if repeats else []
     if isinstance(data, dict):
-        data.pop("$schema", None)  # for editors
+        data.pop("$schema", None)  # read by editors only
     return data, [Diagnostic(path, f"the key '{path[-1]}' is there twice") for path in repeated]
 
 
@@ -218,12 +213,12 @@ def _error_position(error: ValueError, text: str) -> tuple[int, int, str]:
 
 
 def format_excerpt(span: Span, sentence: str, text: str, origin: str) -> str:
-    """file:line:column: the sentence, below it the line itself, and marks below the place."""
+    """`file:line:column: message`, followed by the line and a marker below the span."""
     lines = text.split("\n")
     line = lines[span.line - 1].rstrip("\r") if span.line <= len(lines) else ""
     start = max(0, span.column - 1 - MAX_LINE_CHARACTERS // 2) if len(line) > MAX_LINE_CHARACTERS else 0
     part = line[start : start + MAX_LINE_CHARACTERS]
-    before = re.sub(r"[^\t]", " ", line[start : span.column - 1])  # tabs stay, so that the marks stand below
+    before = re.sub(r"[^\t]", " ", line[start : span.column - 1])  # tabs are kept for alignment
     marks = "^" * min(span.length, max(len(part) - len(before), 1))
     number = f"{span.line:3}"
     head = f"{origin}:{span.line}:{span.column}: {sentence}"

@@ -1,4 +1,4 @@
-"""A cube; under to_world a box."""
+"""The cube; with to_world a box or parallelepiped."""
 
 from typing import Literal
 
@@ -35,7 +35,7 @@ CUBE_MESH = _sides()
 
 
 class Cube(Shape):
-    """The cube [-1, 1]^3 as twelve triangles, flat on every side; placed by to_world."""
+    """The cube [-1, 1]^3 as twelve flat-shaded triangles."""
 
     type: Literal["cube"] = "cube"
 

@@ -1,4 +1,4 @@
-"""An open tube."""
+"""Cylinder walls without caps."""
 
 import math
 from fractions import Fraction
@@ -67,7 +67,7 @@ __all__ = ["Cylinder", "Cylinders"]
 
 
 class Cylinders(NamedTuple):
-    """Images of the unit tube x^2 + y^2 = 1, 0 <= z <= 1 under p -> center + to_world p."""
+    """Images of the unit cylinder x^2 + y^2 = 1, 0 <= z <= 1 under p -> center + to_world p."""
 
     center: np.ndarray  # (n, 3) float64
     to_world: np.ndarray  # (n, 3, 3) float64
@@ -97,7 +97,7 @@ class Cylinder(Shape):
         return Cylinders(*affine_arrays(center, linear @ self._own_axes(), rounded))
 
     def _own_axes(self) -> np.ndarray:
-        """Columns: two radii across the axis, and the axis; right-handed."""
+        """Columns: two radii perpendicular to the axis, and the axis; right-handed."""
         axis = np.array(self.p1) - np.array(self.p0)
         along = axis / np.linalg.norm(axis)
         if along[0] == along[1] == 0.0 and along[2] > 0.0:
@@ -117,7 +117,7 @@ def _numbers(prims: Any, k: int) -> Any:
 
 @implement(prepare, Cylinders)
 def _prepare(prims: Any, prim: Any, o: Any) -> Any:
-    """(to_object, the wall there, the origin's height and its error, by how much d is off there over its size)."""
+    """(to_object, QuadricSetup, height of the origin, its error, errors of d per l1 norm across and along the axis)."""
     center, m, across_off, along_off = prim
     f, error = to_object_space(m, sub(o, center))
     return (
@@ -151,7 +151,7 @@ def _passes(prims: Any, pre: Any, d: Any) -> bool:
 
 @inlined
 def clip_to_height(hit: tuple[float, float], axis: tuple[float, float, float, float]) -> tuple[float, float]:
-    """The hit if z = f + t e is sure to be in [0, 1], MISS if sure not to be; axis: f, its error, e, its error."""
+    """The hit if z = f + t e certainly is in [0, 1], MISS if it certainly is not; axis: f, its error, e, its error."""
     there = hit[0] < math.inf
     t, error = hit[0] if there else 0.0, hit[1]
     f, f_error, e, e_off = axis

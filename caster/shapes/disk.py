@@ -1,4 +1,4 @@
-"""A filled circle; under a to_world that stretches it, a filled ellipse."""
+"""Disks; with a non-uniform to_world, ellipses."""
 
 import math
 from fractions import Fraction
@@ -67,7 +67,7 @@ class Disks(NamedTuple):
 
 
 class Disk(Shape):
-    """The unit disk in the plane z = 0, facing +z, visible from both sides; placed by to_world."""
+    """The unit disk in the plane z = 0 with normal +z, visible from both sides."""
 
     type: Literal["disk"] = "disk"
 
@@ -83,7 +83,7 @@ def _numbers(prims: Any, k: int) -> Any:
 
 @implement(prepare, Disks)
 def _prepare(prims: Any, prim: Any, o: Any) -> Any:
-    """(to_object, o in object space, how far off that is, by how much d is off there over its size)."""
+    """(to_object, o in object space, its error, error of d there per l1 norm)."""
     center, m, e_off = prim
     f, error = to_object_space(m, sub(o, center))
     return m, f, error, e_off
@@ -91,7 +91,7 @@ def _prepare(prims: Any, prim: Any, o: Any) -> Any:
 
 @implement(intersect, Disks)
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
-    """Where z = 0; sure of being within the rim where x^2 + y^2 differs from 1 by more than its error."""
+    """Intersection with z = 0; inside or outside is certain if x^2 + y^2 differs from 1 by more than its error."""
     m, f, f_error, e_off = pre
     e, d1 = rows_times_vec(m, d), l1_norm(d)
     slope_off = e_off[2] * d1 + TINY
@@ -114,7 +114,7 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
 
 @implement(surely_misses, Disks)
 def _passes(prims: Any, pre: Any, d: Any) -> bool:
-    return False  # to know it takes nearly all of `intersect`
+    return False  # a cheaper test than `intersect` does not exist
 
 
 @implement(same_geometry, Disks)

@@ -17,9 +17,9 @@ __all__ = ["Heightfield", "tessellate_heightfield"]
 MAX_RESOLUTION = 4096  # 33,554,432 faces
 MAX_WAVES = 64
 
-VERTICES_PER_CHUNK = 1 << 16  # vertices made together: the steps in between take some 200 bytes each
+VERTICES_PER_CHUNK = 1 << 16  # vertices; temporaries take some 200 bytes each
 
-# Waves across the square: fewer than one looks flat, and more than a dozen need a fine grid.
+# Periods across the square: fewer than one look flat, more than a dozen need a fine grid.
 MIN_PERIODS_ACROSS, MAX_PERIODS_ACROSS = 1.0, 12.0
 
 
@@ -52,7 +52,7 @@ def _fill(mesh: Mesh, waves: list["_Wave"], size: float, resolution: int, rows: 
 
 
 class _Wave(NamedTuple):
-    """height * sin(kx x + ky y + phase)"""
+    """The wave height * sin(kx x + ky y + phase)."""
 
     kx: float
     ky: float
@@ -70,8 +70,8 @@ def _check(size: float, resolution: int, amplitude: float, waves: int, seed: int
 
 
 def _draw(size: float, amplitude: float, waves: int, seed: int) -> list[_Wave]:
-    """Longer waves are higher, so that all are about as steep. The heights add up to the amplitude."""
-    draw = Random(seed).random  # unlike NumPy's generators, promised never to change
+    """Random waves of about equal steepness: amplitudes are proportional to wavelengths and add up to `amplitude`."""
+    draw = Random(seed).random  # unlike NumPy's generators, guaranteed never to change
     across = [MIN_PERIODS_ACROSS * (MAX_PERIODS_ACROSS / MIN_PERIODS_ACROSS) ** draw() for _ in range(waves)]
     scale = amplitude / sum(1.0 / n for n in across)
     result = []
@@ -83,7 +83,7 @@ def _draw(size: float, amplitude: float, waves: int, seed: int) -> list[_Wave]:
 
 
 def _surface(x: Floats, y: Floats, waves: list[_Wave]) -> tuple[Floats, Floats]:
-    """z, and the normal (-dz/dx, -dz/dy, 1) brought to length 1."""
+    """z and the unit normal, (-dz/dx, -dz/dy, 1) normalized."""
     z, slope_x, slope_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
     for wave in waves:
         angle = wave.kx * x + wave.ky * y + wave.phase
@@ -106,7 +106,7 @@ def _faces(resolution: int) -> Ints:
 
 
 class Heightfield(MeshShape):
-    """A square of side `size` around the origin in x and y, its height a seeded sum of sine waves."""
+    """A square terrain of side `size` around the origin, its height a seeded sum of sine waves."""
 
     type: Literal["heightfield"] = "heightfield"
     size: Positive = 2.0

@@ -40,7 +40,7 @@ def tessellate_icosphere(subdivisions: int) -> Mesh:
 
 
 def _split(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
-    """Each face in four: the middle of an edge is one new vertex for both of its faces."""
+    """Split each face in four; the two faces of an edge share its new midpoint."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     edges, middle = np.unique(ends, axis=0, return_inverse=True)
     middles = normalize_rows(vertices[edges[:, 0]] + vertices[edges[:, 1]])
@@ -55,7 +55,7 @@ def _quarters(faces: Ints, middles: NDArray[np.int64]) -> Ints:
 
 
 class Icosphere(MeshShape):
-    """The unit sphere as an icosahedron whose faces are split in four `subdivisions` times."""
+    """The unit sphere, tessellated: an icosahedron subdivided `subdivisions` times."""
 
     type: Literal["icosphere"] = "icosphere"
     subdivisions: Annotated[int, Field(ge=0, le=8)] = 3

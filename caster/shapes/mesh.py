@@ -12,21 +12,21 @@ __all__ = ["MeshFile"]
 
 
 class MeshFile(MeshShape):
-    """Triangles of a file; its vertex normals are used where it has them, unless face_normals."""
+    """Triangles of a mesh file; vertex normals are those of the file, or generated, unless face_normals."""
 
     type: Literal["mesh"] = "mesh"
     file: str
 
     def load(self) -> Mesh:
-        """Read the file, once as long as it does not change. Raises SceneError, FileMissing."""
+        """Read the file; cached until it changes. Raises SceneError, FileMissing."""
         try:
             stamp = os.stat(self.file)
         except OSError:
-            return load_mesh(self.file)  # which says what is wrong
+            return load_mesh(self.file)  # raises the error
         return _loaded(self.file, stamp.st_mtime_ns, stamp.st_size)
 
     def mesh(self) -> Mesh:
-        """What `load` reads, in object space."""
+        """The mesh of the file, in object space."""
         return self.load()
 
 

@@ -1,4 +1,4 @@
-"""An infinite plane."""
+"""Infinite planes."""
 
 import math
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ class Planes(NamedTuple):
 
 
 class Plane(Shape):
-    """The plane through `point` across `normal`, or all p with normal . p = `offset` (normal made unit)."""
+    """The plane through `point` with `normal`, or all p with normal . p = `offset` for the unit normal."""
 
     type: Literal["plane"] = "plane"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"offset": 0.0}
@@ -76,7 +76,7 @@ class Plane(Shape):
         return Planes(rounded(turned / np.linalg.norm(turned))[None], rounded(placed)[None])
 
 
-# A dot product is off by 3 u of its terms' magnitudes, by 4 u with the rounding of the difference in it.
+# The error of a dot product is 3 u of its terms' magnitudes, 4 u with the rounding of the difference in it.
 PRODUCT_ERROR = 5.0 * U
 
 
@@ -102,12 +102,12 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     t = height / slope
     error = 2.0 * (height_off + abs(t) * slope_off) / abs(slope) + 2.0 * U * abs(t)
     t, error = certain_in_range(t, error, t_min, t_max)
-    return filter_result(steep, all_products_zero(n, d), t, error)  # without terms it is exactly edge-on
+    return filter_result(steep, all_products_zero(n, d), t, error)  # exactly edge-on
 
 
 @implement(surely_misses, Planes)
 def _passes(prims: Any, pre: Any, d: Any) -> bool:
-    return False  # nearly all rays meet a plane, in front or behind
+    return False  # nearly all lines intersect a plane
 
 
 @implement(same_geometry, Planes)

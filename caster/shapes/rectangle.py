@@ -1,4 +1,4 @@
-"""A flat square; under to_world a rectangle or a parallelogram."""
+"""The square; with to_world a rectangle or parallelogram."""
 
 from typing import Literal
 
@@ -16,7 +16,7 @@ FACES = np.array([[0, 1, 3], [1, 2, 3]], np.int32)
 
 
 class Rectangle(Shape):
-    """The square [-1, 1]^2 in the plane z = 0, facing +z, as two triangles; placed by to_world."""
+    """The square [-1, 1]^2 in the plane z = 0 with normal +z, as two triangles."""
 
     type: Literal["rectangle"] = "rectangle"
 

@@ -1,4 +1,4 @@
-"""A sphere; under a to_world that stretches it, an ellipsoid."""
+"""Spheres; with a non-uniform to_world, ellipsoids."""
 
 import math
 from fractions import Fraction
@@ -71,15 +71,15 @@ __all__ = ["Ellipsoids", "Sphere", "Spheres"]
 
 
 class Spheres(NamedTuple):
-    """Balls in world space."""
+    """Spheres in world space."""
 
     center: np.ndarray  # (n, 3) float64
     radius: np.ndarray  # (n,) float64
-    turn: np.ndarray  # (n, 3, 3) float64, rotation from world to the sphere's own axes, for uv
+    turn: np.ndarray  # (n, 3, 3) float64, rotation from world to object space, for uv
 
 
 class Ellipsoids(NamedTuple):
-    """Images of the unit ball at the origin under p -> center + to_world p."""
+    """Images of the unit sphere at the origin under p -> center + to_world p."""
 
     center: np.ndarray  # (n, 3) float64
     to_world: np.ndarray  # (n, 3, 3) float64
@@ -87,7 +87,7 @@ class Ellipsoids(NamedTuple):
 
 
 class Sphere(Shape):
-    """All points at `radius` from `center`. The normal points outwards, under mirrored transforms too."""
+    """All points at distance `radius` from `center`. The normal points outwards, under mirroring transforms as well."""
 
     type: Literal["sphere"] = "sphere"
     center: Vec3 = (0.0, 0.0, 0.0)
@@ -105,7 +105,7 @@ class Sphere(Shape):
 
 @jit
 def spherical_uv(q: Any) -> tuple[float, float]:
-    """uv of a point of the unit ball: turns around z, and the angle from +z over pi."""
+    """uv of a point of the unit sphere: azimuth as a fraction of a turn, polar angle over pi."""
     return turn_fraction(q[1], q[0]), math.acos(min(max(q[2], -1.0), 1.0)) / math.pi
 
 
@@ -186,7 +186,7 @@ def _numbers_ellipsoid(prims: Any, k: int) -> Any:
 
 @implement(prepare, Ellipsoids)
 def _prepare_ellipsoid(prims: Any, prim: Any, o: Any) -> Any:
-    """(to_object, the unit ball in object space, by how much d is off there over its size)."""
+    """(to_object, QuadricSetup of the unit sphere, error of d in object space per l1 norm)."""
     center, m, d_error = prim
     f, error = to_object_space(m, sub(o, center))
     return m, quadric_setup(f, 1.0, l1_norm(error)), d_error

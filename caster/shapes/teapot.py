@@ -1,8 +1,9 @@
-"""Martin Newell's teapot: 32 bicubic Bezier patches.
+"""Martin Newell's teapot, tessellated from 32 bicubic Bezier patches.
 
 Source: the data set that M. E. Newell published (University of Utah, 1975; 28 patches), in the form in use
-since: z up, lower than the real pot, four patches added for a bottom, 306 control points. Here its numbers
-stand without repetition: the turned parts are quarter turns of a profile, handle and spout are mirrored in y.
+since: z up, lower than the real pot, four patches added for a bottom, 306 control points. The
+tables below omit symmetric parts: surfaces of revolution are quarter turns of a profile, handle and spout are mirrored
+in y.
 """
 
 from typing import Annotated, Literal
@@ -24,7 +25,7 @@ KNOB_BULGE = 0.45 / 0.8
 
 Profile = tuple[tuple[float, float], ...]
 
-# (radius, z) from inside over the top to outside, so down the body and out along the bottom.
+# (radius, z), ordered from inside over the top to outside: down the body and out along the bottom.
 RIM: Profile = ((1.4, 2.4), (1.3375, 2.53125), (1.4375, 2.53125), (1.5, 2.4))
 BODY: Profile = ((1.5, 2.4), (1.75, 1.875), (2.0, 1.35), (2.0, 0.9))
 FOOT: Profile = ((2.0, 0.9), (2.0, 0.45), (1.5, 0.225), (1.5, 0.15))

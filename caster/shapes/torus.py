@@ -61,7 +61,7 @@ PartCount = Annotated[int, Field(ge=3, le=4096)]
 
 
 class Torus(MeshShape):
-    """A tube of radius minor_radius around a circle of radius major_radius in the plane z = 0."""
+    """The torus of tube radius minor_radius around a circle of radius major_radius in the plane z = 0."""
 
     type: Literal["torus"] = "torus"
     major_radius: Positive = 1.0

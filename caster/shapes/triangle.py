@@ -1,4 +1,4 @@
-"""One triangle."""
+"""Single triangles, and the edge distances of the triangle kind."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
@@ -27,7 +27,7 @@ __all__ = ["Triangle"]
 
 
 class Triangle(Shape):
-    """Three corners; the normal (v1 - v0) x (v2 - v0) looks at you where they run counter-clockwise."""
+    """Three vertices; the normal is (v1 - v0) x (v2 - v0)."""
 
     type: Literal["triangle"] = "triangle"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"vertices": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))}

@@ -1,4 +1,4 @@
-"""Mesh files: OBJ and PLY, read strictly, because a face that is lost in silence is a wrong picture."""
+"""Readers of mesh files, OBJ and PLY. Strict: a face lost silently is a wrong image."""
 
 from collections.abc import Callable
 from os import PathLike
@@ -13,7 +13,7 @@ FORMATS: dict[str, Callable[[bytes, str], Mesh]] = {".obj": parse_obj, ".ply": p
 
 
 def load_mesh(path: str | PathLike[str]) -> Mesh:
-    """Read a mesh file: Wavefront OBJ or PLY (ascii, binary of either byte order), chosen by its ending.
+    """Read a mesh file: Wavefront OBJ or PLY (ascii, binary of either byte order), selected by its suffix.
 
     Polygons become fans of triangles around their first corner. Normals come out with unit length, None where
     the file has none; the v of an OBJ's uv is turned over (1 - v), as Mitsuba does it.
@@ -43,5 +43,5 @@ def _bytes_of(where: str) -> bytes:
         return Path(where).read_bytes()
     except OSError as error:
         raise FileMissing(f"{where}: cannot read this mesh file: {error.strerror or error}") from error
-    except ValueError as error:  # a path with a NUL character in it
+    except ValueError as error:  # a NUL character in the path
         raise FileMissing(f"{where!r}: cannot read this mesh file: {error}") from error

@@ -1,4 +1,7 @@
-"""Corners of OBJ faces, v/vt/vn with an index each, and how they become vertices."""
+"""Reader of Wavefront OBJ files.
+
+All objects and groups of a file become one mesh; materials, lines, points and free-form surfaces are ignored.
+"""
 
 from collections.abc import Iterator
 
@@ -9,11 +12,11 @@ from caster.description.errors import SceneError
 from caster.geometry.mesh import Floats, Mesh, format_row, triangle_fans, vertex_normals
 from caster.geometry.mesh_files.plain_text import read_plain_obj
 
-Corner = tuple[int, int, int]  # v, vt, vn counted from 0; -1 where there is none
+Corner = tuple[int, int, int]  # 0-based indices v, vt, vn; -1 if absent
 
 
 def read_corner(word: bytes, counts: Corner) -> Corner:
-    """b"3/-1", with counts of (v, vt, vn), -> (2, last vt, -1). Raises ValueError that says what is wrong."""
+    """b"3/-1", with counts of (v, vt, vn), -> (2, last vt, -1). Raises ValueError with a message."""
     parts = word.split(b"/")
     if len(parts) > 3 or not parts[0] or b"_" in word:
         raise ValueError(f"expected a corner v, v/vt, v//vn or v/vt/vn, got {quote_bytes(word)}")
@@ -43,7 +46,7 @@ def join_corners(
     words: list[bytes],
     sizes: list[int],
 ) -> Mesh:
-    """The mesh of polygons whose corners are `words`, `sizes` of them at a time."""
+    """The mesh of polygons with `sizes` corners each; `words` are all corners in order."""
     table = np.array(list(known.values()), np.int64).reshape(-1, 3)
     number = {word: k for k, word in enumerate(known)}
     row = np.fromiter((number[word] for word in words), np.int64, len(words))
@@ -63,12 +66,12 @@ def join_corners(
 def join_table(
     positions: Floats, uv: Floats, normals: Floats, corners: NDArray[np.int64], sizes: NDArray[np.int64]
 ) -> Mesh:
-    """The same, of corners (words, 3) of v, vt, vn each."""
+    """The same for corners as an array (corners, 3) of v, vt, vn."""
     triangles = np.arange(len(corners)).reshape(-1, 3) if np.all(sizes == 3) else triangle_fans(sizes)
     by_position = corners[triangles, 0].astype(np.int32)
     if np.all(corners[:, 1:] < 0):
         return Mesh(positions, by_position)
-    # One whole number for each combination, in the order of (v, vt, vn): where it fits, sorting is much faster.
+    # One integer key per combination, ordered like (v, vt, vn): sorting integers is much faster.
     bases = len(positions), len(uv) + 1, len(normals) + 1
     if bases[0] * bases[1] * bases[2] < 2**62:
         number = (corners[:, 0] * bases[1] + corners[:, 1] + 1) * bases[2] + corners[:, 2] + 1
@@ -87,7 +90,7 @@ def join_table(
 def _normals_of(
     used: NDArray[np.int64], normals: Floats, positions: Floats, faces: NDArray[np.int32]
 ) -> Floats | None:
-    """The file's normals; where only some corners have one, the others get generated ones."""
+    """The normals of the file; generated ones for corners without, if some have one."""
     absent = used[:, 2] < 0
     if absent.all():
         return None
@@ -108,16 +111,11 @@ def _uv_of(used: NDArray[np.int64], uv: Floats) -> Floats | None:
 
 
 def quote_bytes(text: bytes) -> str:
-    """Text of a file, shortened, for an error message."""
+    """Bytes of a file as quoted text for a message, truncated."""
     return repr(text[:60].decode("ascii", "backslashreplace"))
 
 
-# Wavefront OBJ: one pass over the statements, then arrays.
-#
-# All objects and groups of a file become one mesh; materials, lines, points and free surfaces are left out.
-
-
-# Statements that draw no triangle. A word that is not OBJ at all is an error: it may be a face, misspelt.
+# Statements without triangles. An unknown keyword is an error: it may be a misspelt face.
 WITHOUT_TRIANGLES = frozenset(
     b"vp p l o g s mg usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj ctech "
     b"stech cstype deg bmat step curv curv2 surf parm trim hole scrv sp end con call csh".split()
@@ -138,7 +136,7 @@ def parse_obj(data: bytes, where: str) -> Mesh:
 
 
 def parse_any_obj(data: bytes, where: str) -> Mesh:
-    """The same, statement by statement."""
+    """The same in Python, statement by statement, with errors that name the line."""
     obj = _Obj(where)
     for line, words in _statements(data):
         obj.add(line, words)
@@ -146,7 +144,7 @@ def parse_any_obj(data: bytes, where: str) -> Mesh:
 
 
 class _Rows:
-    """The numbers of all statements of one kind, and the lines they are on."""
+    """Numbers of all statements with one keyword, and their lines."""
 
     def __init__(self, keyword: str, needs: int, width: int) -> None:
         self.keyword, self.needs, self.width = keyword, needs, width
@@ -157,20 +155,20 @@ class _Rows:
         numbers = _numbers(words, f"{where}:{line}")
         if len(numbers) < self.needs:
             raise SceneError(f"{where}:{line}: {self.keyword} needs {self.needs} numbers, got {len(numbers)}")
-        self.rows.append([*numbers, 0.0][: self.width])  # a vt may have one number only
+        self.rows.append([*numbers, 0.0][: self.width])  # vt may have one number
         self.lines.append(line)
 
     def array(self, where: str) -> Floats:
         rows = np.array(self.rows, np.float64).reshape(-1, self.width)
         bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-        if len(bad) and self.keyword != "v":  # faces with such a corner are left out later, and counted
+        if len(bad) and self.keyword != "v":  # faces with such a vertex are rejected later
             line, got = self.lines[bad[0]], format_row(rows[bad[0]])
             raise SceneError(f"{where}:{line}: {self.keyword} must be finite numbers, got {got}")
         return rows
 
 
 class _Obj:
-    """What the statements read so far amount to."""
+    """State of the reader: numbers and faces so far."""
 
     def __init__(self, where: str) -> None:
         self.where = where
@@ -200,7 +198,7 @@ class _Obj:
             self._make_absolute(len(words))
 
     def _make_absolute(self, count: int) -> None:
-        """Negative indices count back from the statement they are in: settle them while that is known."""
+        """Resolve negative indices, which count back from the current statement."""
         so_far = self._counts()
         for k in range(len(self.corners) - count, len(self.corners)):
             corner = self._corner(self.corners[k], so_far)
@@ -248,6 +246,6 @@ def _numbers(words: list[bytes], where: str) -> list[float]:
         numbers = list(map(float, words))
     except ValueError as error:
         raise SceneError(f"{where}: expected numbers, got {quote_bytes(b' '.join(words))}") from error
-    if b"_" in b"".join(words):  # Python would read 1_000 as a thousand
+    if b"_" in b"".join(words):  # Python accepts 1_000
         raise SceneError(f"{where}: expected numbers, got {quote_bytes(b' '.join(words))}")
     return numbers

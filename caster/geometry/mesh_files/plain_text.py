@@ -1,4 +1,4 @@
-"""Mesh files that are plain text, read by kernels; None for any other, which is then read with words for its faults.
+"""Fast readers of well-formed text mesh files; None for any other file, which the Python readers then diagnose.
 
 Both ways give the same bits (tests/unit/test_mesh_plain_text.py).
 """
@@ -18,23 +18,21 @@ from caster.geometry.mesh_files.text_kernels import (
 )
 from caster.jit.kernel_cache import COMPILED
 
-MAX_UNCERTAIN_NUMBERS = (
-    4096  # numbers of one kind that may need more care; with more of them the file is read slowly
-)
+MAX_UNCERTAIN_NUMBERS = 4096  # per kind; files with more are read in Python
 
 
 class ObjArrays:
-    """Statements of an OBJ file as arrays."""
+    """The statements of an OBJ file as arrays."""
 
     def __init__(self, counts: NDArray[np.int64]) -> None:
         v, vt, vn, f, words = counts.tolist()
         self.rows: tuple[Floats, Floats, Floats] = (np.empty((v, 3)), np.zeros((vt, 2)), np.empty((vn, 3)))
         self.sizes = np.empty(f, np.int64)
-        self.corners = np.empty((words, 3), np.int64)  # v, vt, vn counted from 0, -1 for none
+        self.corners = np.empty((words, 3), np.int64)  # 0-based v, vt, vn; -1 if absent
 
 
 def read_plain_obj(data: bytes) -> ObjArrays | None:
-    """What a plain OBJ file says."""
+    """Read an OBJ file with common statements only."""
     if not COMPILED or b"\\" in data:
         return None
     text, counts = np.frombuffer(data, np.uint8), np.zeros(5, np.int64)
@@ -50,7 +48,7 @@ def read_plain_obj(data: bytes) -> ObjArrays | None:
 
 
 def read_plain_rows(data: bytes, at: int, count: int, width: int) -> tuple[Floats, int] | None:
-    """`count` lines of `width` numbers, and where the next one begins."""
+    """Read `count` lines of `width` numbers; also returns the offset of the next line."""
     rows, odd = np.empty((count, width)), _uncertain_table()
     end = read_real_rows(np.frombuffer(data, np.uint8), at, width, POWERS_OF_TEN, rows, 0, odd)
     if end == PARSE_FAILED or end > len(data) or not _is_line_start(data, end):
@@ -62,9 +60,9 @@ def read_plain_rows(data: bytes, at: int, count: int, width: int) -> tuple[Float
 def read_plain_lists(
     data: bytes, at: int, count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int] | None:
-    """`count` lines of a number and so many whole ones: how many each, all of them, where the next line begins."""
+    """Read `count` lines of a list: sizes, all values, and the offset of the next line."""
     sizes = np.empty(count, np.int64)
-    values = np.empty((len(data) - at) // 2, np.int64)  # a digit and a blank each, at least
+    values = np.empty((len(data) - at) // 2, np.int64)  # at least a digit and a blank each
     end = read_integer_lists(np.frombuffer(data, np.uint8), at, sizes, values)
     if end == PARSE_FAILED or not _is_line_start(data, end):
         return None

@@ -1,4 +1,4 @@
-"""PLY: the elements `vertex` and `face` of a file become a mesh; everything else in it is passed over."""
+"""Reader of PLY files: the elements `vertex` and `face` become a mesh; others are ignored."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ def parse_ply(data: bytes, where: str) -> Mesh:
 
 
 def _floats(table: Table, names: tuple[str, ...], where: str) -> Floats:
-    """(n, len(names)) of the columns `names`, all of which must be there."""
+    """(n, len(names)) of the columns `names`, all required."""
     columns = [table.columns.get(name) for name in names]
     scalars = [column for column in columns if isinstance(column, np.ndarray)]
     if len(scalars) < len(names):
@@ -40,7 +40,7 @@ def _floats(table: Table, names: tuple[str, ...], where: str) -> Floats:
         raise SceneError(f"{where}: expected the properties {expected} of element 'vertex', got {got}")
     rows = np.stack([np.asarray(column, np.float64) for column in scalars], axis=1)
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-    if len(bad) and names != POSITION:  # faces with such a corner are left out later, and counted
+    if len(bad) and names != POSITION:  # faces with such a vertex are rejected later
         place, got = table.place(where, int(bad[0])), format_row(rows[bad[0]])
         raise SceneError(f"{place}: {', '.join(names)} of vertex {bad[0]} must be finite numbers, got {got}")
     return rows

@@ -1,4 +1,4 @@
-"""The body of a binary PLY file. Rows of one size are read at once; otherwise row by row."""
+"""Bodies of PLY files, binary and ascii, as tables of columns."""
 
 from typing import NamedTuple
 
@@ -33,7 +33,7 @@ class _Body:
         self.count_types = [np.dtype(byte_order + (p.count_type or "u1")) for p in element.properties]
 
     def read_at_once(self, at: int) -> tuple[Columns, int] | None:
-        """All rows, if they are there and their lists are as long as the first row's; else None."""
+        """All rows at once if all lists have the length of the first row's; else None."""
         count = self.element.rows
         sizes = self._row(at, 0)[1] if count else [0] * len(self.types)
         row = self._row_type(sizes)
@@ -50,7 +50,7 @@ class _Body:
         return columns, end
 
     def _row_type(self, sizes: list[int]) -> np.dtype[np.void]:
-        """Fields are numbered, as properties may have any name."""
+        """NumPy type of one row. Fields are numbered, since properties may have any name."""
         fields: list[tuple[str, np.dtype[np.generic], tuple[int, ...]]] = []
         for k, p in enumerate(self.element.properties):
             if p.count_type:
@@ -59,7 +59,7 @@ class _Body:
         return np.dtype(fields)
 
     def read_rows(self, at: int) -> tuple[Columns, int]:
-        """Row by row, as the length of one list says where the next property starts."""
+        """Row by row: the length of a list determines the offset of the next property."""
         chunks: list[list[bytes]] = [[] for _ in self.types]
         sizes: list[list[int]] = [[] for _ in self.types]
         for row in range(self.element.rows):
@@ -74,7 +74,7 @@ class _Body:
         return columns, at
 
     def _row(self, at: int, row: int) -> tuple[list[int], list[int], int]:
-        """(where the values of each property start, how many they are, where the row ends)."""
+        """(offsets of the values of each property, their counts, end of the row)."""
         starts, sizes = [], []
         for k, p in enumerate(self.element.properties):
             size = 1
@@ -108,7 +108,7 @@ class _Body:
         )
 
 
-# The body of an ascii PLY file: one line a row. All numbers come out as float64, exact up to 2^53.
+# Ascii bodies: one line per row; all numbers are float64, exact up to 2^53.
 
 
 class _Line(NamedTuple):
@@ -122,7 +122,7 @@ def read_ascii(data: bytes, header: Header, where: str) -> dict[str, Table]:
 
 
 def _read_plain(data: bytes, header: Header) -> dict[str, Table] | None:
-    """The same of rows of numbers, and of rows that are one list of whole numbers, a line each without a gap."""
+    """The same by kernels, for rows of numbers or of a single list, one line each; None otherwise."""
     if not COMPILED:
         return None
     at, line, tables = header.end, header.end_line, {}
@@ -145,7 +145,7 @@ def _plain_columns(data: bytes, at: int, element: Element) -> tuple[Columns, int
 
 
 def read_any_ascii(data: bytes, header: Header, where: str) -> dict[str, Table]:
-    """The same, line by line."""
+    """The same in Python, line by line."""
     numbered = enumerate(data[header.end :].splitlines(), header.end_line)
     lines = [_Line(number, words) for number, text in numbered if (words := text.split())]
     start = 0
@@ -178,7 +178,7 @@ def _numbers(rows: list[_Line], where: str) -> list[float]:
 
 
 def _number(word: bytes) -> float:
-    if b"_" in word:  # Python would read 1_000 as a thousand
+    if b"_" in word:  # Python accepts 1_000
         raise ValueError
     return float(word)
 
@@ -200,7 +200,7 @@ def _scalars(rows: list[_Line], numbers: list[float], element: Element, where: s
 
 
 def _with_lists(rows: list[_Line], numbers: list[float], element: Element, where: str) -> Columns:
-    """Row by row, as the length of one list says where the next property starts."""
+    """Row by row: the length of a list determines the offset of the next property."""
     found: dict[str, list[float]] = {p.name: [] for p in element.properties}
     sizes: dict[str, list[int]] = {p.name: [] for p in element.properties if p.count_type}
     at = 0
@@ -225,7 +225,7 @@ def _column(values: list[float], sizes: list[int] | None) -> Column | Lists:
 
 
 def _size(numbers: list[float], at: int, end: int, row: _Line, p: Property, where: str) -> int:
-    """The length of the list that starts at `at`: a whole number that the rest of the line can hold."""
+    """The length of the list at `at`, an integer not beyond the rest of the line."""
     size = numbers[at] if at < end else 0.0
     if at < end and 0.0 <= size <= end - at - 1 and size.is_integer():
         return int(size)

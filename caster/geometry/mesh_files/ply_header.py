@@ -1,4 +1,4 @@
-"""What a PLY element holds once read, whatever it was encoded in."""
+"""The header of a PLY file, and the tables that its elements are read into."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from caster.description.errors import SceneError
 
-Column = NDArray[Any]  # one value a row
+Column = NDArray[Any]  # one value per row
 
 
 class Lists(NamedTuple):
-    """A list property: how many values each row has, and all values in one array."""
+    """A list property: number of values per row, and all values in one array."""
 
     sizes: NDArray[np.int64]
     values: Column
@@ -23,20 +23,17 @@ Columns = dict[str, Column | Lists]
 
 
 class Table(NamedTuple):
-    """The columns of an element by name; the line of each row, where the encoding has lines."""
+    """The columns of an element by name; line numbers of rows for ascii files."""
 
     columns: Columns
     lines: Sequence[int] | None
 
     def place(self, where: str, row: int) -> str:
-        """Where a row is, for an error message."""
+        """The position of a row for an error message."""
         return where if self.lines is None else f"{where}:{self.lines[row]}"
 
 
-# The header of a PLY file: which elements follow, how many, with which properties, in which encoding.
-
-
-# The types of the format, under both of their names, as NumPy codes without a byte order.
+# Type names of the format as NumPy codes without byte order.
 TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
@@ -47,7 +44,7 @@ FORMATS = "ascii, binary_little_endian or binary_big_endian"
 
 
 class Property(NamedTuple):
-    """One value of a row, or a list of them if it has a type for their count."""
+    """A scalar property, or a list property if count_type is set."""
 
     name: str
     type: str
@@ -55,7 +52,7 @@ class Property(NamedTuple):
 
 
 class Element(NamedTuple):
-    """A table: so many `rows` of `properties`."""
+    """A table of `rows` rows of `properties`."""
 
     name: str
     rows: int
@@ -72,7 +69,7 @@ class Header(NamedTuple):
 
 
 def parse_header(data: bytes, where: str) -> Header:
-    """Raises SceneError with `where`:line if the header is not one of PLY 1.0."""
+    """Parse the header of PLY 1.0. Raises SceneError with `where`:line."""
     draft = _Draft()
     line = 0
     for line, end, words in _lines(data, where):
@@ -86,7 +83,7 @@ def parse_header(data: bytes, where: str) -> Header:
 
 
 def _lines(data: bytes, where: str) -> Iterator[tuple[int, int, list[str]]]:
-    """(line number, byte after the line, words), after the line that says ply."""
+    """(line number, offset after the line, words) of the lines after the magic line."""
     magic = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if magic is None:
         got = data[:8].decode("ascii", "backslashreplace")
@@ -101,7 +98,7 @@ def _lines(data: bytes, where: str) -> Iterator[tuple[int, int, list[str]]]:
 
 
 class _Draft:
-    """The header as read so far. Its methods raise ValueError that says expected and got."""
+    """State of the header parser. Methods raise ValueError with expected and got."""
 
     def __init__(self) -> None:
         self.byte_order: str | None = None

@@ -1,7 +1,7 @@
-"""Numbers in text, one byte after the other: what mesh files hold many of.
+"""Kernels that parse numbers and OBJ statements in bytes of text.
 
-Only plain text is read: `-1.25e-3` and the like, between blanks. Whatever else there is makes a reader give up, and the
-file is then read slowly (caster/mesh_files), with the same numbers and with words for what is wrong.
+They accept common syntax such as `-1.25e-3`, separated by blanks. On anything else they return PARSE_FAILED, and the
+Python readers parse the file with the same result and report its errors.
 """
 
 from typing import Any
@@ -14,12 +14,12 @@ BLANK, TAB, NEWLINE, RETURN, HASH, SLASH = 32, 9, 10, 13, 35, 47
 PLUS, MINUS, POINT, ZERO = 43, 45, 46, 48
 PARSE_FAILED = -1
 
-# Powers of ten that are float64 exactly.
+# Powers of ten that are exact in float64.
 POWERS_OF_TEN = np.array([float(10**k) for k in range(23)])
-MAX_INT64_DIGITS = 18  # so that all of them are an int64
+MAX_INT64_DIGITS = 18  # decimal digits that fit an int64
 MAX_EXACT_INTEGER = 2**53
 
-# hi and lo as `rounded` has them: q2 is off by less than 4 roundings of itself, and so little must not matter.
+# The error of `rest` in `round_decimal` is below 4 of its roundings; a change by that must not change the result.
 DECIMAL_RELATIVE_ERROR = 2.0**-50
 
 SPLITTER = 2.0**27 + 1.0
@@ -37,11 +37,11 @@ def two_product(a: float, b: float) -> Any:
 
 @inlined
 def round_decimal(digits: int, power: int, powers: Any) -> Any:
-    """(x, sure): digits * 10^power correctly rounded, for 0 <= digits < 10^18 and |power| <= 22; or not sure of it."""
+    """(x, sure): digits * 10^power correctly rounded if sure, for 0 <= digits < 10^18 and |power| <= 22."""
     if digits <= MAX_EXACT_INTEGER:
         return (float(digits) * powers[power] if power >= 0 else float(digits) / powers[-power]), True
     high = float(digits)
-    low = float(digits - int(high))  # both of them, and their difference, are whole numbers that fit
+    low = float(digits - int(high))  # both are integers within int64, and so is their difference
     if power >= 0:
         q, rest = two_product(high, powers[power])
         rest += low * powers[power]
@@ -67,13 +67,13 @@ def at_line_end(text: Any, at: int) -> bool:
 
 @inlined
 def is_word_end(text: Any, at: int) -> bool:
-    """Whether a word may end here."""
+    """Whether the byte ends a word."""
     return at_line_end(text, at) or text[at] == BLANK or text[at] == TAB
 
 
 @inlined
 def next_line(text: Any, at: int) -> int:
-    """Where the line after this end of a line begins; PARSE_FAILED for a lone carriage return."""
+    """Offset of the next line, from the end of a line; PARSE_FAILED for a lone carriage return."""
     if at >= len(text):
         return at
     if text[at] == RETURN:
@@ -85,7 +85,7 @@ def next_line(text: Any, at: int) -> int:
 
 @inlined
 def parse_integer(text: Any, at: int) -> Any:
-    """(number, where it ends) of digits; PARSE_FAILED for none, or for more than 18."""
+    """(number, end) of a run of digits; PARSE_FAILED for none or more than 18."""
     start, number = at, 0
     while at < len(text) and ZERO <= text[at] <= ZERO + 9:
         number = number * 10 + (int(text[at]) - ZERO)
@@ -95,12 +95,12 @@ def parse_integer(text: Any, at: int) -> Any:
 
 @inlined
 def parse_real(text: Any, at: int, powers: Any) -> Any:
-    """(x, where it ends, sure of it); PARSE_FAILED as the end for what is no plain number."""
+    """(x, end, sure): x is correctly rounded if sure; end is PARSE_FAILED for other syntax."""
     negative = at < len(text) and text[at] == MINUS
     if at < len(text) and (text[at] == MINUS or text[at] == PLUS):
         at += 1
     digits, count, significant, power = 0, 0, 0, 0
-    behind = False  # the point
+    behind = False  # the decimal point
     while at < len(text):
         c = int(text[at])
         if ZERO <= c <= ZERO + 9:
@@ -134,17 +134,17 @@ def parse_real(text: Any, at: int, powers: Any) -> Any:
 
 @jit
 def end_line(text: Any, at: int) -> int:
-    """Where the next line begins, if nothing but blanks is left of this one; else PARSE_FAILED."""
+    """Offset of the next line if the rest of this one is blank, else PARSE_FAILED."""
     at = skip_blanks(text, at)
     return next_line(text, at) if at_line_end(text, at) else PARSE_FAILED
 
 
 @jit
 def read_real_rows(text: Any, at: int, width: int, powers: Any, rows: Any, start: int, odd: Any) -> int:
-    """Lines of `width` numbers into rows (n, width), n of them; return where the next line begins, or PARSE_FAILED.
+    """Parse n lines of `width` numbers into rows (n, width); offset of the next line, or PARSE_FAILED.
 
-    odd: (m, 3) int64 for numbers that have to be read with more care: odd[0, 0] counts them, each further row is its
-    place in `rows` and where it begins and ends.
+    odd: (m, 3) int64, the numbers that are not sure: odd[0, 0] is their count, each further row the index in `rows`,
+    start and end of one.
     """
     for k in range(start, len(rows)):
         for c in range(width):
@@ -164,7 +164,7 @@ def read_real_rows(text: Any, at: int, width: int, powers: Any, rows: Any, start
 
 @inlined
 def record_uncertain(odd: Any, place: int, start: int, stop: int) -> bool:
-    """Write down a number that has to be read with more care; False if there is no room left."""
+    """Record a number that is not sure; False if the table is full."""
     n = odd[0, 0] + 1
     if n >= len(odd):
         return False
@@ -174,7 +174,7 @@ def record_uncertain(odd: Any, place: int, start: int, stop: int) -> bool:
 
 @jit
 def read_integer_lists(text: Any, at: int, sizes: Any, values: Any) -> int:
-    """Lines of a count and so many whole numbers, len(sizes) of them; where the next line begins, or PARSE_FAILED."""
+    """Parse len(sizes) lines of a count and as many integers; offset of the next line, or PARSE_FAILED."""
     used = 0
     for k in range(len(sizes)):
         size, at = parse_integer(text, skip_blanks(text, at))
@@ -194,7 +194,7 @@ def read_integer_lists(text: Any, at: int, sizes: Any, values: Any) -> int:
     return at
 
 
-# The statements of an OBJ file that is plain text, in two passes: how many there are, then their numbers.
+# OBJ statements in two passes: counts, then numbers.
 
 
 def code_of(word: bytes) -> int:
@@ -207,7 +207,7 @@ IGNORED_KEYWORDS = tuple(code_of(word) for word in (b"o", b"g", b"s", b"usemtl",
 
 @inlined
 def read_keyword(text: Any, at: int) -> Any:
-    """(code of the word that begins here, where it ends); PARSE_FAILED as the end for a long one."""
+    """(code, end) of the word at `at`; end is PARSE_FAILED for a long one."""
     code, shift = 0, 0
     while not is_word_end(text, at) and text[at] != HASH:
         if shift > 48:
@@ -227,7 +227,7 @@ def rest_of_line(text: Any, at: int) -> int:
 
 @jit
 def count_obj(text: Any, counts: Any) -> int:
-    """counts: v, vt, vn, f, and words after f. PARSE_FAILED where a statement is none of the common ones."""
+    """Count statements into counts (v, vt, vn, f, corners). PARSE_FAILED for an uncommon statement."""
     at = 0
     while at < len(text):
         at = skip_blanks(text, at)
@@ -257,7 +257,7 @@ def count_obj(text: Any, counts: Any) -> int:
 
 @inlined
 def read_number_row(text: Any, at: int, least: int, powers: Any, row: Any, k: int, odd: Any) -> int:
-    """The numbers of a statement, at least so many, into row[k]; where the line ends, or PARSE_FAILED."""
+    """Parse at least `least` numbers into row[k]; end of the line, or PARSE_FAILED."""
     width, count = row.shape[1], 0
     while True:
         at = skip_blanks(text, at)
@@ -276,7 +276,7 @@ def read_number_row(text: Any, at: int, least: int, powers: Any, row: Any, k: in
 
 @inlined
 def read_corner(text: Any, at: int, counts: Any, corner: Any, n: int) -> int:
-    """v, v/vt, v//vn or v/vt/vn into corner[n], counted from 0, -1 for none; where it ends, or PARSE_FAILED."""
+    """Parse v, v/vt, v//vn or v/vt/vn into corner[n], 0-based, -1 if absent; end, or PARSE_FAILED."""
     for c in range(3):
         corner[n, c] = -1
     for c in range(3):
@@ -290,16 +290,16 @@ def read_corner(text: Any, at: int, counts: Any, corner: Any, n: int) -> int:
         at += 1
         if c == 2 or (
             is_word_end(text, at) or text[at] == HASH
-        ):  # v/ and v/vt/ are left to those who have words for it
+        ):  # v/ and v/vt/ are diagnosed by the Python reader
             return PARSE_FAILED
     return at if is_word_end(text, at) or (at < len(text) and text[at] == HASH) else PARSE_FAILED
 
 
 @jit
 def read_obj(text: Any, powers: Any, counts: Any, rows: Any, sizes: Any, corners: Any, odd: Any) -> int:
-    """Fill rows = (v, vt, vn), with odd = three of what `text.read_real_rows` has; PARSE_FAILED for what is not plain.
+    """Parse all statements into rows = (v, vt, vn), with odd of `read_real_rows` for each; PARSE_FAILED for others.
 
-    sizes (f,): corners of each face; corners (words, 3): v, vt, vn of each, counted from 0, -1 for none.
+    sizes (f,): corners per face; corners (words, 3): 0-based v, vt, vn, -1 if absent.
     """
     at, v, vt, vn, f, n = 0, 0, 0, 0, 0, 0
     while at < len(text):
