@@ -1,4 +1,4 @@
-"""One reference EXR: Mitsuba's images of a scene, with all that says where they come from, and a digest of it all."""
+"""An approved reference EXR: Mitsuba's images of a scene with provenance and digest, and changes between two."""
 
 import hashlib
 import json
@@ -23,19 +23,12 @@ from mitsuba_ref.reference.rendering import aovs_of, trace_reference
 from mitsuba_ref.report import class_colors
 from mitsuba_ref.subjects.ours import cast_ours, pair_images
 
-# Beside the images, what the judge said of each pixel on approval: on edges and ties another answer is right as well.
+# The class of each pixel on approval: on edges and ties another answer is right as well.
 CLASS_CHANNEL = "class.I"
 AMBIGUOUS_CLASSES = tuple(CLASS_CODE[name] for name in (*EXCUSED, TIE))
 
-AOVS = (
-    "hit",
-    "depth",
-    "normal",
-    "shading_normal",
-    "position",
-    "diffuse",
-    "shape_id",
-)  # no uv: planes have stand-ins
+# Without uv, since planes are replaced by finite shapes.
+AOVS = ("hit", "depth", "normal", "shading_normal", "position", "diffuse", "shape_id")
 
 PREFIX = "caster/reference/"
 DIGEST = PREFIX + "sha256"
@@ -46,7 +39,7 @@ SCENE_JSON = "caster/scene_json"
 
 
 class UnusableReference(SceneError):  # noqa: N818 - the file is the subject
-    """A stored reference that says nothing about this scene any more; str() says why, and the way out."""
+    """A stored reference that does not hold for this scene; str() states why, and what to do."""
 
     exit_code = 1
 
@@ -61,15 +54,15 @@ class Reference:
     film: Window
 
     def digest(self) -> str:
-        """SHA-256 of every pixel and every word but the digest itself."""
-        told = hashlib.sha256()
+        """SHA-256 of every pixel and attribute except the digest itself."""
+        sha256 = hashlib.sha256()
         words = {key: value for key, value in self.about.items() if key != DIGEST}
-        told.update(json.dumps([sorted(words.items()), self.window, self.film]).encode())
+        sha256.update(json.dumps([sorted(words.items()), self.window, self.film]).encode())
         for name, plane in sorted(self.channels.items()):
-            told.update(
+            sha256.update(
                 f"\n{name} {plane.dtype} {plane.shape}\n".encode() + np.ascontiguousarray(plane).tobytes()
             )
-        return told.hexdigest()
+        return sha256.hexdigest()
 
     def write(self, path: Path) -> None:
         """The same reference gives the same bytes. Raises OutputError."""
@@ -103,7 +96,7 @@ def to_stored_type(plane: np.ndarray) -> np.ndarray:
 
 
 def load_reference(path: Path) -> Reference:
-    """What a file holds. Raises FileMissing, UnreadableExr, and UnusableReference where it was altered since."""
+    """Read a reference. Raises FileMissing, UnreadableExr, and UnusableReference where it was altered since."""
     exr = read_exr(path)
     found = Reference(exr.channels, exr.provenance, exr.data_window, exr.display_window)
     if DIGEST not in exr.provenance:
@@ -114,7 +107,7 @@ def load_reference(path: Path) -> Reference:
 
 
 def check_matches_scene(found: Reference, scene: Scene, variant: str | None) -> None:
-    """Raise UnusableReference where it is of another state of the scene, or by another variant than demanded."""
+    """Raise UnusableReference for another state of the scene, or another variant than required."""
     if found.about.get(SCENE_HASH) != scene.sha256():
         raise UnusableReference(f"stale: {describe_scene_changes(found, scene)} since it was approved")
     if variant is not None and found.about.get(VARIANT) != variant:
@@ -122,7 +115,7 @@ def check_matches_scene(found: Reference, scene: Scene, variant: str | None) -> 
 
 
 def describe_scene_changes(found: Reference, scene: Scene) -> str:
-    """The parts of a scene file that are not as they were; or mesh files, which the scene file only names."""
+    """The parts of a scene file that have changed; or mesh files, which the scene file only names."""
     try:
         before, now = json.loads(found.about[SCENE_JSON]), json.loads(scene.canonical_json())
     except (KeyError, ValueError):
@@ -133,16 +126,13 @@ def describe_scene_changes(found: Reference, scene: Scene) -> str:
     return f"{', '.join(parts)} of the scene {'has' if len(parts) == 1 else 'have'} changed"
 
 
-# What is different between a stored reference and a fresh one, channel by channel, to the bit.
-
-
 @dataclass(frozen=True)
 class ChannelChange:
-    """One channel."""
+    """Difference of one channel, to the bit."""
 
     channel: str
-    pixels: int  # that have other bits
-    largest: float  # difference of finite values; inf where one is not finite and the other is, nan where just bits are
+    pixels: int  # with other bits
+    largest: float  # difference; inf where only one is finite
     x: int
     y: int  # where that is, on the film
 
@@ -162,7 +152,7 @@ def channel_changes(before: Reference, now: Reference) -> tuple[ChannelChange, .
 
 
 def difference(old: np.ndarray, new: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(h, w) how far apart; for ids, whose size means nothing, 1."""
+    """(h, w) absolute difference; 1 for ids, whose difference has no meaning."""
     if new.dtype == np.uint32:
         return other.astype(np.float64)
     with np.errstate(invalid="ignore"):

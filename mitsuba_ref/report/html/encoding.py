@@ -1,6 +1,6 @@
-"""Arrays as text: bytes of equal weight together, deflated, in base64. What goes in comes out to the bit.
+"""Arrays and thumbnails as text: bytes of equal weight grouped, deflated, in base64; lossless.
 
-mitsuba_ref/report/html/page/arrays.js is the way back.
+mitsuba_ref/report/html/page/arrays.js decodes the arrays.
 """
 
 import base64
@@ -12,16 +12,16 @@ import numpy as np
 from caster.image.image_files import encode_image
 from caster.rendering.images import Aovs
 
-Packed = dict[str, Any]  # {"type": "f4", "z": text}, and "delta" or "xor" where that was done before
+Packed = dict[str, Any]  # {"type": "f4", "z": text}, and "delta" or "xor" for the step before
 
-ZLIB_LEVEL = 4  # of zlib: takes 0.6 of the time of its usual 6, and 1.02 of the room
-DROPPED_MANTISSA_BITS = 12  # bits of a float32 that `coarse` drops: what is left tells one part in 2^11
+ZLIB_LEVEL = 4  # takes 0.6 of the time of the default 6, for 1.02 of the size
+DROPPED_MANTISSA_BITS = 12  # of a float32 by `coarse`: a resolution of one part in 2^11 remains
 
 
 def packed(values: np.ndarray, like: np.ndarray | None = None) -> Packed:
     """(n,) numbers or (n, c), whose channels follow one another.
 
-    like: values of the same shape which these are nearly equal to, as floats. Their bits are taken off.
+    like: nearly equal floats of the same shape, with whose bits these are XORed.
     """
     values = _in_a_row(values)
     bits = values.view(f"<u{values.itemsize}")
@@ -80,19 +80,15 @@ def _deflated(bits: np.ndarray) -> str:
     return base64.b64encode(zlib.compress(planes.tobytes(), ZLIB_LEVEL)).decode("ascii")
 
 
-# A small picture of a scene.
+# ---- thumbnails ----
 
-
-MAX_WIDTH, MAX_HEIGHT = (
-    96,
-    72,
-)  # at most, in pixels: shown at half of that, sharp on a screen of twice the density
+MAX_WIDTH, MAX_HEIGHT = 96, 72  # pixels: shown at half of that, sharp on a screen of twice the density
 COLOR_LEVELS = 32  # of each colour: such a PNG is half as large as one of 256
 BACKGROUND = (40, 44, 52)
 
 
 def thumbnail(aovs: Aovs) -> str:
-    """The diffuse picture, the normals of one that is dark or not given, or else depth, as a data URI."""
+    """A small image as a data URI: diffuse, normals if that is dark or missing, else depth."""
     image = _shades(aovs)
     small = _halved(np.where(aovs.hit[..., None], image, np.array(BACKGROUND) / 255.0))
     levels = np.round(np.round(small * (COLOR_LEVELS - 1)) * (255 / (COLOR_LEVELS - 1))).astype(np.uint8)
@@ -114,17 +110,17 @@ def _shades(aovs: Aovs) -> np.ndarray:
 
 
 def _depth_as_gray(aovs: Aovs) -> np.ndarray:
-    """Depth, where nothing else is given."""
+    """Depth as gray, near is light."""
     depth = aovs["depth"]
-    told = depth[np.isfinite(depth)]
-    near, far = (told.min(), told.max()) if len(told) else (0.0, 0.0)
+    finite = depth[np.isfinite(depth)]
+    near, far = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
     with np.errstate(invalid="ignore"):
         gray = np.nan_to_num(1.0 - 0.85 * (depth - near) / (far - near or 1.0), nan=0.0)
     return np.repeat(np.clip(gray, 0.0, 1.0)[..., None], 3, axis=-1)
 
 
 def _halved(image: np.ndarray) -> np.ndarray:
-    """The mean of blocks of pixels, so many that it fits."""
+    """Means of blocks of pixels, as large as needed to fit."""
     height, width, _ = image.shape
     step = max(1, -(-width // MAX_WIDTH), -(-height // MAX_HEIGHT))
     padded = np.pad(image, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")

@@ -1,4 +1,4 @@
-"""What is known of single pixels in words: why they have their class, and the exact answers."""
+"""The data of one scene on the report's page, in parts: verdict, findings of each pixel, and both images."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
@@ -13,13 +13,11 @@ from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.report.html.encoding import coarse, narrowest, packed, rounded, thumbnail
 from mitsuba_ref.report.html.evidence import Evidence
 
-MAX_PIXELS_WITH_REASON = (
-    1 << 16
-)  # pixels of a scene whose class is given a reason, the failing first: half a second of work
+MAX_PIXELS_WITH_REASON = 1 << 16  # of a scene, failing ones first: half a second of work
 
 
 class TextTable:
-    """Texts by number."""
+    """Distinct texts, numbered."""
 
     def __init__(self) -> None:
         self.numbers: dict[str, int] = {}
@@ -31,29 +29,29 @@ class TextTable:
         return np.array([self.number(text) for text in texts], np.int32)
 
 
-def reasons(seen: Evidence) -> dict[str, Any]:
-    """Rows of the picture that do not plainly agree, failing ones first, and a sentence for each."""
-    judgement = seen.judgement
+def reasons(evidence: Evidence) -> dict[str, Any]:
+    """Rows of pixels that are not in class `agree`, failing ones first, with a reason for each."""
+    judgement = evidence.judgement
     rows = np.flatnonzero(judgement.classes != CLASS_CODE[AGREE])
     unlisted = np.array([judgement.cases.get(int(row), 0) is None for row in rows], bool)
     fails = judgement.is_class(*FAILING)[rows] | unlisted
     rows = rows[np.argsort(~fails, kind="stable")]
-    said, texts = rows[:MAX_PIXELS_WITH_REASON], TextTable()
-    why = texts.numbers_of(seen.why(int(row)) for row in said)
+    explained, texts = rows[:MAX_PIXELS_WITH_REASON], TextTable()
+    why = texts.numbers_of(evidence.why(int(row)) for row in explained)
     return {
-        "rows": packed(said.astype(np.int32)),
+        "rows": packed(explained.astype(np.int32)),
         "why": packed(why),
         "texts": list(texts.numbers),
-        "always": {CLASSES.index(name): text for name, text in seen.always.items()},
-        "left_out": len(rows) - len(said),
+        "always": {CLASSES.index(name): text for name, text in evidence.always.items()},
+        "left_out": len(rows) - len(explained),
     }
 
 
-def exact_answers(seen: Evidence) -> dict[str, Any]:
-    """What exact arithmetic said, of each pixel that it was asked about."""
-    exact = seen.judgement.exact
+def exact_answers(evidence: Evidence) -> dict[str, Any]:
+    """The exact answer of each adjudicated pixel."""
+    exact = evidence.judgement.exact
     texts = TextTable()
-    words = texts.numbers_of(_answer_text(seen, answer) for answer in exact.answers)
+    words = texts.numbers_of(_answer_text(evidence, answer) for answer in exact.answers)
     return {
         "rows": packed(exact.rows.astype(np.int32)),
         "t": packed(np.array([_exact_t(answer) for answer in exact.answers], np.float64)),
@@ -64,8 +62,8 @@ def exact_answers(seen: Evidence) -> dict[str, Any]:
     }
 
 
-def _answer_text(seen: Evidence, answer: ExactAnswer | None) -> str:
-    return format_exact_hit(seen.scene, seen.packed, answer)
+def _answer_text(evidence: Evidence, answer: ExactAnswer | None) -> str:
+    return format_exact_hit(evidence.scene, evidence.packed, answer)
 
 
 def _exact_t(answer: ExactAnswer | None) -> float:
@@ -75,12 +73,9 @@ def _exact_t(answer: ExactAnswer | None) -> float:
     return np.inf if answer.t is None else float(answer.t)
 
 
-# What the page is told about one scene, in parts: its verdict, what is known of each pixel, and both pictures.
+UNLISTED_CODE = len(CLASSES)  # a class of the page: the reference is wrong in no known way, which fails
 
-
-UNLISTED_CODE = len(CLASSES)  # a class of the page's own: the reference is wrong in no known way, which fails
-
-# Pictures in the order in which they are given up last where space is short; "ratio" is the worst of all checks.
+# Layers, the most important first, where not all fit into one file; "ratio" is the largest of all checks.
 PIXEL_LAYERS = ("ids", "ratio", "depth", "normal", "diffuse", "shading_normal", "position")
 FLOAT_LAYERS = ("depth", "normal", "diffuse", "shading_normal", "position")
 
@@ -93,57 +88,57 @@ class SceneRecord(NamedTuple):
     thumbnail: str  # PNG as a data URI
 
 
-def scene_record(verdict: SceneVerdict, seen: Evidence, *, exact: bool) -> SceneRecord:
-    """exact: both pictures to the bit and every bound; otherwise as float32, which takes a third of the space."""
-    hit = seen.ours.hit.ravel() + 2 * seen.reference.hit.ravel()
+def scene_record(verdict: SceneVerdict, evidence: Evidence, *, exact: bool) -> SceneRecord:
+    """exact: both images to the bit and every bound; otherwise as float32, a third of the size."""
+    hit = evidence.ours.hit.ravel() + 2 * evidence.reference.hit.ravel()
     about = {
         "verdict": verdict.to_dict(),
-        "window": list(seen.scene.film.window),
-        "shapes": list(seen.scene.shape_names()),
+        "window": list(evidence.scene.film.window),
+        "shapes": list(evidence.scene.shape_names()),
         "exactly": exact,
-        "class": packed(classes(seen)),
+        "class": packed(classes(evidence)),
         "hit": packed(hit.astype(np.uint8)),
-        "reasons": reasons(seen),
-        "exact": exact_answers(seen),
+        "reasons": reasons(evidence),
+        "exact": exact_answers(evidence),
     }
     if exact:
-        judgement = seen.judgement
+        judgement = evidence.judgement
         others = [name for name in judgement.names if name not in FLOAT_LAYERS]
         about["shares"] = {name: packed(coarse(judgement.ratio(name))) for name in others}
-    return SceneRecord(about, dict(layers(seen, exact=exact)), thumbnail(seen.ours))
+    return SceneRecord(about, dict(layers(evidence, exact=exact)), thumbnail(evidence.ours))
 
 
-def classes(seen: Evidence) -> np.ndarray:
+def classes(evidence: Evidence) -> np.ndarray:
     """(n,) uint8 class of each pixel, UNLISTED_CODE among them."""
-    found = seen.judgement.classes.astype(np.uint8)
-    unlisted = [row for row, case in seen.judgement.cases.items() if case is None]
+    found = evidence.judgement.classes.astype(np.uint8)
+    unlisted = [row for row, case in evidence.judgement.cases.items() if case is None]
     found[unlisted] = np.where(found[unlisted] == CLASS_CODE[REFERENCE_WRONG], UNLISTED_CODE, found[unlisted])
     return found
 
 
-def layers(seen: Evidence, *, exact: bool) -> Iterator[tuple[str, dict[str, Any]]]:
-    """What there is of LAYERS: an AOV may be missing on either side."""
-    judgement = seen.judgement
-    yield "ids", ids(seen, exact=exact)
+def layers(evidence: Evidence, *, exact: bool) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The available layers: an AOV may be missing on either side."""
+    judgement = evidence.judgement
+    yield "ids", ids(evidence, exact=exact)
     worst = np.max([judgement.ratio(name) for name in judgement.names], axis=0)
     yield "ratio", {"ratio": packed(coarse(worst))}
     for name in FLOAT_LAYERS:
-        if name in seen.ours and name in seen.reference:
-            sides = values(aov_rows(seen.ours, name), aov_rows(seen.reference, name), exact=exact)
-            yield name, sides | (bounds(seen, name) if exact else {})
+        if name in evidence.ours and name in evidence.reference:
+            sides = values(aov_rows(evidence.ours, name), aov_rows(evidence.reference, name), exact=exact)
+            yield name, sides | (bounds(evidence, name) if exact else {})
 
 
 def values(ours: np.ndarray, reference: np.ndarray, *, exact: bool) -> dict[str, Any]:
-    """Both sides, ours as what its bits differ by."""
+    """Both sides, ours as the XOR of the bits."""
     if exact:
         return {"reference": packed(narrowest(reference)), "ours": packed(ours, narrowest(reference))}
     return {"reference": packed(rounded(reference)), "ours": packed(rounded(ours), rounded(reference))}
 
 
-def bounds(seen: Evidence, name: str) -> dict[str, Any]:
+def bounds(evidence: Evidence, name: str) -> dict[str, Any]:
     """Error over bound of the check of this name, and that bound, if there is one."""
-    bound = seen.bound(name)
-    found = {"ratio": packed(coarse(seen.judgement.ratio(name)))}
+    bound = evidence.bound(name)
+    found = {"ratio": packed(coarse(evidence.judgement.ratio(name)))}
     if bound.between is not None:
         found["bound"] = packed(coarse(bound.between))
     if bound.alone is not None:
@@ -153,9 +148,9 @@ def bounds(seen: Evidence, name: str) -> dict[str, Any]:
     return found
 
 
-def ids(seen: Evidence, *, exact: bool) -> dict[str, Any]:
-    """Shape, and primitive within its shape, of both sides, -1 on a miss; and t, where depth does not say it all."""
-    found = {name: packed(numbers.astype(np.int32)) for name, numbers in seen.ids().items()}
-    t = seen.t()
+def ids(evidence: Evidence, *, exact: bool) -> dict[str, Any]:
+    """Shape, and primitive within it, of both sides, -1 on a miss; and t, where depth does not determine it."""
+    found = {name: packed(numbers.astype(np.int32)) for name, numbers in evidence.ids().items()}
+    t = evidence.t()
     sides = {} if t is None else values(*t, exact=exact)
     return found | {f"t_{side}": each for side, each in sides.items()}
