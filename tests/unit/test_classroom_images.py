@@ -184,7 +184,7 @@ def test_the_command_writes_its_pictures_and_lists_what_it_left_out(tmp_path, mo
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
-        ("-input s.txt", 2, "nothing to draw: expected at least one of -output, -depth, -normals"),
+        ("-input s.txt", 2, "nothing to render: expected at least one of -output, -depth, -normals"),
         ("-input s.txt -output o.jpg", 2, "-output o.jpg: expected a name that ends in .png or .tga"),
         ("-input s.txt -depth 3 2 d.png", 2, "-depth 3 2 d.png: expected NEAR < FAR"),
         ("-input s.txt -depth a 2 d.png", 2, "-depth a 2 d.png: expected two numbers and a file name"),
