@@ -59,7 +59,7 @@ def test_its_size_is_what_the_page_says():
             "t, np.tile(normal",
             "rays: 38400 hits: 38400 hit by one of the two alone: 6378\n",
         ),
-        ("v = np.cross(u, w)", "v = np.array(up)", "pixels of the picture beyond 1e-12 of their depth: "),
+        ("v = np.cross(u, w)", "v = np.array(up)", "pixels of the image beyond 1e-12 of their depth: "),
         ("return t, p / radius", "return t, p", "normals beyond 1e-12: "),
         ("beta + gamma <= 1.0", "beta + gamma <= 2.0", "t beyond 1e-12 of it: "),
     ],
