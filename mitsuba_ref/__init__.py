@@ -10,14 +10,24 @@ if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
     from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
     from mitsuba_ref.reference.rendering import render_reference
-    from mitsuba_ref.runner.validation import validate
+    from mitsuba_ref.runner.validation import Validation, validate
 
-__all__ = ["Reading", "SceneVerdict", "Tolerances", "Verdict", "compare_exr", "render_reference", "validate"]
+__all__ = [
+    "Reading",
+    "SceneVerdict",
+    "Tolerances",
+    "Validation",
+    "Verdict",
+    "compare_exr",
+    "render_reference",
+    "validate",
+]
 
 _HOMES = {
     "Reading": "exr_compare.two_files",
     "SceneVerdict": "judge.verdict",
     "Tolerances": "exr_compare.two_files",
+    "Validation": "runner.validation",
     "Verdict": "judge.verdict",
     "compare_exr": "exr_compare.two_files",
     "render_reference": "reference.rendering",

@@ -17,13 +17,13 @@ from playwright.sync_api import Browser, sync_playwright
 
 from caster import load_scene
 from caster.rendering.hits import RayHits
-from mitsuba_ref.judge import classification
 from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.report.html.html_report import HtmlReport, write_report
 from mitsuba_ref.runner import scene_runner
-from mitsuba_ref.runner.candidate_validation import validate_candidate
+from mitsuba_ref.runner.validation import validate_scene
+from mitsuba_ref.subjects import ours
 from mitsuba_ref.subjects.ours import cast_ours
-from mitsuba_ref.subjects.subject import parse_candidate
+from mitsuba_ref.subjects.requests import parse_candidate
 
 HERE = Path(__file__).parent
 SCENES = HERE.parents[1] / "scenes"
@@ -58,7 +58,7 @@ def main() -> None:
 
 
 def report_into(folder: Path) -> Path:
-    classification.cast_ours = faulty_view
+    ours.cast_ours = faulty_view
     files = sorted(SCENES.glob("*.toml"))
     entries = [scene_runner.SceneEntry(load_scene(file), file.stem, f"scenes/{file.name}") for file in files]
     report = HtmlReport(folder, len(entries))
@@ -71,7 +71,7 @@ def report_into(folder: Path) -> Path:
 def candidate_report_into(folder: Path) -> Path:
     """Run from the top of the tree, where the candidate is found."""
     path = f"scenes/{INSIDE}.toml"
-    verdict = validate_candidate(parse_candidate(CANDIDATE), load_scene(path), INSIDE, path, keep=True)
+    verdict = validate_scene(load_scene(path), INSIDE, path, subject=parse_candidate(CANDIDATE), keep=True)
     return write_report(folder, [replace(verdict, options=("--candidate", CANDIDATE))], 1)  # as it was typed
 
 

@@ -14,7 +14,7 @@ from caster.description.errors import SceneError
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
     from mitsuba_ref.runner.scene_runner import SceneEntry
-    from mitsuba_ref.subjects.subject import Candidate
+    from mitsuba_ref.subjects.subject import Subject
 
 # Stated here as well, since loading the judge loads the kernels (tests/unit/test_cli_help.py compares).
 CANDIDATE_SECONDS = 300.0
@@ -105,7 +105,7 @@ def add_candidate(
     )
 
 
-def requested_candidate(args: argparse.Namespace) -> Candidate | None:
+def requested_candidate(args: argparse.Namespace) -> Subject | None:
     """The candidate of --candidate; None: our caster is judged. Raises SceneError for one that cannot be used."""
     if args.candidate is None:
         alone = {
@@ -119,7 +119,7 @@ def requested_candidate(args: argparse.Namespace) -> Candidate | None:
         raise SceneError(
             "--resume: not with --candidate, whose program may have changed since; judge all scenes, or use shards"
         )
-    from mitsuba_ref.subjects.subject import parse_candidate
+    from mitsuba_ref.subjects.requests import parse_candidate
 
     return parse_candidate(args.candidate, args.candidate_precision, args.candidate_timeout)
 

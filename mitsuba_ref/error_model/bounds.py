@@ -1,6 +1,5 @@
 """How far the reference may be off at each pixel, at the primitive that we say is hit there."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -70,44 +69,6 @@ def nearest_root(met: PairIntersections, t: np.ndarray) -> Intersections:
     order = np.lexsort([np.where(np.isnan(away), np.inf, away), met.pair])
     first = order[np.r_[True, np.diff(met.pair[order]) != 0]] if len(order) else order
     return met.at.take(first)
-
-
-# Both sides' pictures of one scene, pixel by pixel, with the bounds that hold between them.
-
-
-@dataclass(frozen=True)
-class PixelPairs:
-    """What every check looks at: n pixels, row by row."""
-
-    ours: Aovs
-    reference: Aovs
-    bounds: Bounds
-    t_ours: np.ndarray  # (n,) float64 lengths of d, inf on a miss
-    length: np.ndarray  # (n,) of each ray's d
-    point: np.ndarray  # (n, 3) o + t d at our own hits
-
-    def pair(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """(ours, the reference's) of one AOV, (n,) or (n, c)."""
-        return aov_rows(self.ours, name), aov_rows(self.reference, name)
-
-    @property
-    def hits(self) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) bool each."""
-        return self.ours.hit.ravel(), self.reference.hit.ravel()
-
-    @property
-    def both_hit(self) -> np.ndarray:
-        ours, reference = self.hits
-        return ours & reference
-
-    def larger_error_ratio(
-        self, name: str, bound: np.ndarray, own: np.ndarray, own_bound: np.ndarray
-    ) -> np.ndarray:
-        """(n,) where both hit, the larger of two shares of bounds: ours from the reference, and ours from our own
-        primitive's value (n, 3); 0 elsewhere."""
-        share = error_over_bound(row_distance(*self.pair(name)), bound)
-        alone = error_over_bound(row_distance(aov_rows(self.ours, name), own), own_bound)
-        return np.where(self.both_hit, np.maximum(share, alone), 0.0)
 
 
 def aov_rows(aovs: Aovs, name: str) -> np.ndarray:

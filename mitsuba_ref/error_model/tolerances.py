@@ -4,3 +4,12 @@
 # however many and however large they are (Hoeffding): 7.5e-6 for 5. No |z| exceeds the root of the number of groups.
 LARGEST_Z = 5.0
 MIN_GROUPS = int(LARGEST_Z**2) + 1  # with fewer, no bias whatever could fail
+
+# Where normals are not bounded any closer than this, float32 says nothing useful of the pixel: an angle of 3.6 degrees.
+LARGEST_USEFUL_NORMAL_ERROR = 2.0**-4
+
+# A hypothesis of the diagnosis is reported where it predicts the number to this share of itself: far beyond rounding
+# in float32, far below any of the faults that are told apart. No pixel passes or fails by it.
+MATCH_RTOL = 1e-4
+DISTINCT_RTOL = 10 * MATCH_RTOL  # two numbers that are so far apart are not alike
+MAJORITY = 0.5  # what is reported of all wrong t at once has to be true of more of them than this

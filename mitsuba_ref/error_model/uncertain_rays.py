@@ -12,26 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from caster.scene.model import Scene
-from mitsuba_ref.error_model.intersections import KU, Intersections, norm, unit
+from mitsuba_ref.error_model.intersections import Intersections, norm, unit
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel, with_edges
-from mitsuba_ref.reference.rendering import camera_reference
-from mitsuba_ref.subjects.answer import Answer
 
 RAYS_PER_RING, RING_RADII = 8, (1.0,)
 REFINED_RAYS_PER_RING, REFINED_RING_RADII = 16, (0.4, 0.7, 1.0)  # where an answer is disputed
 # A primitive may lie between the nine rays if it is no larger than a few of the circles that they stand for: which of
 # several such is hit, nobody can say.
 UNRESOLVED_SIZE_IN_CIRCLES = 8.0
-
-
-def seen_by(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
-    """The model that a candidate is held to."""
-    if not answer.own_camera:
-        return model
-    turn = KU * camera_reference(scene.camera).amplification(scene.camera, scene.film)
-    reach = float(np.abs(scene.camera.eye).max()) + getattr(scene.camera, "width", 0.0)
-    return UncertainRaysModel(model.packed, model.parts, model.kinds, model.models, turn, turn * reach)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from caster import __version__
 from caster.description.errors import FileMissing, SceneError
 from caster.image.channels import aovs_to_channels, channels_to_aovs, provenance
 from caster.image.exr import UnreadableExr, write_exr
-from caster.rendering.images import evaluate, film_window
+from caster.rendering.images import film_window
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import PixelPairs, aov_rows, reference_bounds
+from mitsuba_ref.error_model.bounds import aov_rows, reference_bounds
 from mitsuba_ref.error_model.exr_tolerances import COLOR_RTOL, Tolerances
 from mitsuba_ref.error_model.intersections import KU
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
@@ -37,10 +37,10 @@ from mitsuba_ref.exr_compare.approved_reference import (
     to_stored_type,
 )
 from mitsuba_ref.exr_compare.two_files import compare_exr
-from mitsuba_ref.judge.comparison import compare
+from mitsuba_ref.judge.comparison import PixelPairs, compare
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import shared_rays
-from mitsuba_ref.subjects.ours import cast_ours
+from mitsuba_ref.subjects.ours import answer_of_view, cast_ours
 
 COLORS = ("R", "G", "B")
 
@@ -164,14 +164,17 @@ def compare_with_reference(
     is within the bounds that `validate` derives; (h, w) bool: its lighting is, too)."""
     rays = shared_rays(scene)
     view, window = cast_ours(scene, rays), film_window(scene)
-    ours = evaluate(view, AOVS, window)
+    answer = answer_of_view(scene, view, AOVS)
+    ours = answer.images
+    assert ours is not None
     model = model_of(scene, view.packed, rays)
     o, d = rays.o.astype(np.float64), rays.d.astype(np.float64)
     t = view.nearest.t
     bounds = reference_bounds(model, view.nearest.prim, o, d, t)
     with np.errstate(invalid="ignore"):
         point = o + t[:, None] * d
-    pixels = PixelPairs(ours, channels_to_aovs(before.channels), bounds, t, np.linalg.norm(d, axis=1), point)
+    before_aovs = channels_to_aovs(before.channels)
+    pixels = PixelPairs(ours, before_aovs, bounds, answer, np.linalg.norm(d, axis=1), point)
     geometry = compare(pixels, scene.checks).agrees
     light = geometry & lighting_agrees(
         scene, pixels, ShadingPoints(point, d, aov_rows(ours, "shape_id"), bounds.at)

@@ -16,12 +16,13 @@ from caster.rendering.images import film_window
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.scene_model import model_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge
+from mitsuba_ref.judge.comparison import pair_images
 from mitsuba_ref.judge.verdict import EXCUSED, TIE
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.rendering import aovs_of, trace_reference
 from mitsuba_ref.report import class_colors
-from mitsuba_ref.subjects.ours import cast_ours, pair_images
+from mitsuba_ref.subjects.ours import answer_of_view, cast_ours
 
 # The class of each pixel on approval: on edges and ties another answer is right as well.
 CLASS_CHANNEL = "class.I"
@@ -80,7 +81,9 @@ def render_fresh(scene: Scene, path: str, *, variant: str | None, command: str) 
         return witness
     shape = film_window(scene).height, film_window(scene).width
     images = aovs_of(witness, rays, shape, AOVS)
-    classes = Judge(scene, model, pair_images(scene, rays, view, witness)).judge().classes
+    classes = (
+        Judge(scene, model, pair_images(scene, rays, answer_of_view(scene, view), witness)).judge().classes
+    )
     versions = witness.answer.versions
     versions = versions | {"libllvm": Path(versions.get("libllvm", "none")).name, "command": command}
     about = provenance(scene, __version__, Path(path).name)

@@ -1,16 +1,19 @@
-"""Who is right where brackets are not enough: our answer against exact arithmetic, pixel by pixel."""
+"""Adjudication: the subject against exact arithmetic, at the pixels where bounds alone do not decide."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.error_model.bounds import Bounds, nearest_root
+from mitsuba_ref.error_model.bounds import nearest_root, row_distance
 from mitsuba_ref.error_model.bracket import Claims
-from mitsuba_ref.error_model.intersections import KU, norm
+from mitsuba_ref.error_model.intersections import KU, Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
+from mitsuba_ref.subjects.answer import Answer
 
 # Agreeing pixels of a scene, away from edges, that are held to exact arithmetic all the same: a tenth of a second.
 AGREEING_PIXELS_ADJUDICATED = 1024
@@ -19,13 +22,11 @@ ADJUDICATION_SEED = 2
 
 @dataclass(frozen=True)
 class Adjudication:
-    """What the oracle says of some pixels, and how ours compares; one row a pixel that was asked about."""
+    """The exact answers at some pixels, and the subject's error from them; one row an adjudicated pixel."""
 
-    rows: np.ndarray  # (m,) their places in the picture, ascending
+    rows: np.ndarray  # (m,) of the image, ascending
     answers: Sequence[ExactAnswer | None]  # m of them; None: the oracle gave none
-    share: (
-        np.ndarray
-    )  # (m,) |our t - the exact one| over its bound; inf where hit, miss or primitive is another
+    ratio: np.ndarray  # (m,) the subject's error over its bound; inf where hit, miss or primitive is another
 
     @property
     def answered(self) -> np.ndarray:
@@ -34,26 +35,26 @@ class Adjudication:
 
     @property
     def right(self) -> np.ndarray:
-        """(m,) bool: ours is the exact answer."""
-        return self.answered & (self.share <= 1.0)
+        """(m,) bool: the subject has the exact answer."""
+        return self.answered & (self.ratio <= 1.0)
 
     @property
     def wrong(self) -> np.ndarray:
-        """(m,) bool: it is not."""
-        return self.answered & ~(self.share <= 1.0)
+        """(m,) bool: it has another one."""
+        return self.answered & ~(self.ratio <= 1.0)
 
     @cached_property
     def place(self) -> dict[int, int]:
-        """Row of the picture -> row here."""
+        """Row of the image -> row here."""
         return {int(row): i for i, row in enumerate(self.rows)}
 
     def of(self, row: int) -> ExactAnswer | None:
-        """What the oracle says of a row of the picture, if it was asked."""
+        """The exact answer at a row of the image, if it was adjudicated."""
         i = self.place.get(int(row))
         return None if i is None else self.answers[i]
 
     def are_right(self, rows: np.ndarray) -> np.ndarray:
-        """(len(rows),) bool: ours is exactly right at these rows of the picture; False where nobody asked."""
+        """(len(rows),) bool: the subject is exactly right at these rows of the image; False where not adjudicated."""
         return np.isin(rows, self.rows[self.right])
 
 
@@ -83,29 +84,6 @@ def has_hit_neighbor(hit: np.ndarray) -> np.ndarray:
     return near
 
 
-def adjudicate(
-    oracle: Oracle,
-    rays: tuple[np.ndarray, np.ndarray, np.ndarray],
-    ours: tuple[np.ndarray, np.ndarray],
-    bounds: Bounds,
-    rows: np.ndarray,
-) -> Adjudication:
-    """Ask about the pixels `rows`. rays: o (n, 3), d (n, 3), t_max (n,); ours: t (n,), prim (n,).
-
-    Where t_max is negative there is no ray, and so no answer.
-    """
-    o, d, t_max = rays
-    t, prim = ours
-    rows = rows[t_max[rows] >= 0.0]
-    answers = oracle_answers(oracle, o[rows], d[rows], t_max[rows])
-    error = bounds.own.t_error[rows]
-    share = [
-        np.inf if answer is None else exact_error_ratio(answer, int(prim[i]), float(t[i]), float(bound))
-        for answer, i, bound in zip(answers, rows, error, strict=True)
-    ]
-    return Adjudication(rows, answers, np.array(share, np.float64))
-
-
 def oracle_answers(
     oracle: Oracle, o: np.ndarray, d: np.ndarray, t_max: np.ndarray
 ) -> Sequence[ExactAnswer | None]:
@@ -122,18 +100,84 @@ def oracle_answers(
         ]
 
 
-def exact_error_ratio(answer: ExactAnswer, prim: int, t: float, bound: float) -> float:
-    """How far ours is from the exact answer, over the bound of float64 on t (KU_OURS times the ray's condition).
+class ExactRatios(NamedTuple):
+    """The subject's error from the exact answer, over its bound; one row an adjudicated pixel."""
 
-    0 where float64 does not resolve the crossing, edge-on up to its rounding: which primitive is hit is all there is
-    to check. inf where that differs, or hit and miss.
+    best: np.ndarray  # (m,) at the member of the tie set that fits best; inf where hit and miss differ
+    of_first: np.ndarray  # (m,) bool: the first member fits, or nothing is hit
+
+
+def ratios_of_named(
+    answers: Sequence[ExactAnswer | None], prim: np.ndarray, t: np.ndarray, bound: np.ndarray
+) -> ExactRatios:
+    """Of a subject that names its primitives: the first member of the tie set alone is right; of t."""
+    ratios = [
+        np.inf if answer is None else exact_error_ratio(answer, int(prim[i]), float(t[i]), float(bound[i]))
+        for i, answer in enumerate(answers)
+    ]
+    best = np.array(ratios, np.float64)
+    return ExactRatios(best, best <= 1.0)
+
+
+def exact_error_ratio(answer: ExactAnswer, prim: int, t: float, bound: float) -> float:
+    """|t - the exact one| over the subject's bound on t at that primitive.
+
+    0 where rounding does not resolve the crossing, edge-on: which primitive is hit is all there is to check. inf where
+    that differs, or hit and miss.
     """
     if answer.t is None or prim != answer.prim:
         return 0.0 if answer.prim == prim else np.inf
     if np.isposinf(bound) and np.isfinite(t):
         return 0.0
-    off = answer.t.off(t) if np.isfinite(t) else np.inf
-    return 0.0 if off == 0.0 else off / bound if bound > 0.0 else np.inf
+    error = answer.t.off(t) if np.isfinite(t) else np.inf
+    return 0.0 if error == 0.0 else error / bound if bound > 0.0 else np.inf
+
+
+# (m,) indices of pixels, (m,) primitives, (m,) t -> the intersections as the subject may see them
+IntersectionsNear = Callable[[np.ndarray, np.ndarray, np.ndarray], Intersections]
+
+
+def ratios_of_any_tie(
+    answers: Sequence[ExactAnswer | None], answer: Answer, near: IntersectionsNear
+) -> ExactRatios:
+    """Of a subject that names no primitives: every member of the tie set is right; of t and the normal.
+
+    Where rounding cannot resolve t, the normal alone is compared. answer: to the same pixels.
+    """
+    hit = answer.hit
+    missed = np.array([exact is not None and exact.t is None for exact in answers], bool)
+    best = np.where(missed & ~hit, 0.0, np.inf)
+    first = best == 0.0
+    members = [(i, each) for i, exact in enumerate(answers) if exact and hit[i] for each in exact.ties]
+    if not members:
+        return ExactRatios(best, first)
+    owner = np.array([i for i, _ in members], np.int64)
+    prim = np.array([each.prim for _, each in members])
+    exact_t = np.array([float(each.t) for _, each in members])
+    t = answer.t[owner]
+    error = np.array(
+        [
+            each.t.off(float(value)) if np.isfinite(value) else np.inf
+            for (_, each), value in zip(members, t, strict=True)
+        ]
+    )
+    at = near(owner, prim, exact_t)
+    ratio = _ratio(error, at.t_error + np.broadcast_to(answer.t_rounding, answer.t.shape)[owner])
+    if answer.n is not None:
+        bound = np.minimum(at.n_error, LARGEST_USEFUL_NORMAL_ERROR)
+        ratio = np.maximum(ratio, _ratio(row_distance(answer.n[owner], at.n), bound))
+    np.minimum.at(best, owner, ratio)
+    begins = np.r_[True, np.diff(owner) != 0]
+    first[owner[begins]] = ratio[begins] <= 1.0
+    return ExactRatios(best, first)
+
+
+def _ratio(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """error / bound; 0 where there is no bound to hold to, inf where the error is no number."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        ratio = np.where(error == 0.0, 0.0, error / bound)
+    ratio = np.where(np.isposinf(bound) & np.isfinite(error), 0.0, ratio)
+    return np.where(np.isnan(ratio), np.inf, ratio)
 
 
 def claims_other_tie(

@@ -1,23 +1,48 @@
-"""The class of every pixel: bounds, then exact arithmetic on who is right, then the bracket of what float32 may say."""
+"""The class of every pixel of a subject: comparison within bounds, exact arithmetic where that may matter, brackets.
 
+One judge for every subject (docs/method.md, "Classes"). A pixel where everything agrees within its bound is `agree`.
+Elsewhere, at edges, and at a sample of the rest, exact arithmetic decides first whether the subject is right, and then
+whether float32 rounding allows what Mitsuba answers. A subject whose own visibility is rounded is excused where its
+rounding allows its answer; our caster claims exact visibility, and is not.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from time import perf_counter
 
 import numpy as np
 
-from caster.rendering.images import Aovs
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import PixelPairs, aov_rows, reference_bounds
-from mitsuba_ref.error_model.bracket import Bracket, Claims
-from mitsuba_ref.error_model.intersections import KU, KU_OURS
-from mitsuba_ref.error_model.scene_model import SceneModel, model_of
-from mitsuba_ref.judge.adjudication import Adjudication, adjudicate, claims_other_tie, needs_adjudication
-from mitsuba_ref.judge.comparison import Comparison, check_allowances, compare
+from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, row_distance
+from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Bracket, Claims
+from mitsuba_ref.error_model.intersections import KU, Intersections
+from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
+from mitsuba_ref.error_model.uncertain_rays import UncertainRaysModel
+from mitsuba_ref.judge.adjudication import (
+    Adjudication,
+    ExactRatios,
+    claims_other_tie,
+    needs_adjudication,
+    oracle_answers,
+    ratios_of_any_tie,
+    ratios_of_named,
+)
+from mitsuba_ref.judge.comparison import (
+    ImagePair,
+    PixelPairs,
+    SelfCheck,
+    check_allowances,
+    compare,
+    fails_self_check,
+    inconsistent_aovs,
+    pair_images,
+    self_checks,
+)
 from mitsuba_ref.judge.defect_features import FeatureMeasurement
 from mitsuba_ref.judge.diffuse import DiffuseComparison, diffuse_within_float64, judge_diffuse, shading_points
 from mitsuba_ref.judge.known_defects import defect_of
-from mitsuba_ref.judge.self_checks import SelfCheck, fails_self_check, inconsistent_aovs, self_checks
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,
@@ -29,21 +54,20 @@ from mitsuba_ref.judge.verdict import (
     UNDECIDED,
     WRONG,
 )
-from mitsuba_ref.oracle.oracle import Oracle
+from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.rays import SharedRays, shared_rays
-from mitsuba_ref.reference.rendering import trace_reference
+from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
-from mitsuba_ref.subjects.ours import ImagePair, cast_ours, pair_images
+from mitsuba_ref.subjects.ours import OURS
+from mitsuba_ref.subjects.requests import SubjectResponse, request_answer
+from mitsuba_ref.subjects.subject import Subject
 
 CLASS_CODE = {name: code for code, name in enumerate(CLASSES)}
+EXACT = "exact"  # the subject against exact arithmetic, beside the checks of judge/comparison.py
 
-AGREEING_PIXELS_SHADED = (
-    4096  # agreeing pixels of a scene whose shadows are held to float64's bracket: a tenth of a second
-)
-
-# Where normals are not bounded any closer than this, float32 says nothing useful of the pixel: an angle of 3.6 degrees.
-LARGEST_USEFUL_NORMAL_ERROR = 2.0**-4
+# Agreeing pixels of a scene whose diffuse values are held to float64's bracket as well: a tenth of a second.
+AGREEING_PIXELS_SHADED = 4096
 
 
 @dataclass(frozen=True)
@@ -51,58 +75,95 @@ class Judgement:
     """One row a pixel."""
 
     classes: np.ndarray  # (n,) index into CLASSES
-    comparison: Comparison
-    shading: DiffuseComparison
+    ratios: Mapping[str, np.ndarray]  # (n,) error over bound of each check, `exact` included
+    allowed: Mapping[str, float]  # the scene's own shares of bounds
     exact: Adjudication
-    exact_ratio: (
-        np.ndarray
-    )  # (n,) share of the bound between our t and the exact one; inf where ours is wrong
     cases: dict[
         int, int | None
-    ]  # pixel where the reference is wrong -> number in mitsuba_ref/judge/known_defects.py, if listed
-    exact_seconds: float  # what the adjudication took
-
-    def ratio(self, name: str) -> np.ndarray:
-        """(n,) error over bound of a check, `diffuse` and `exact` included."""
-        apart = {"diffuse": self.shading.ratio, EXACT: self.exact_ratio}
-        return apart[name] if name in apart else self.comparison.ratios[name]
+    ]  # pixel where the reference is wrong -> number of the known defect, if listed
+    exact_seconds: float  # spent on exact arithmetic
 
     @property
     def names(self) -> tuple[str, ...]:
-        return (*self.comparison.ratios, "diffuse", EXACT)
+        return tuple(self.ratios)
+
+    def ratio(self, name: str) -> np.ndarray:
+        """(n,) error over bound of a check."""
+        return self.ratios[name]
 
     def excess(self, name: str) -> np.ndarray:
         """(n,) error over what the scene allows of the bound."""
-        return self.ratio(name) / self.comparison.allowed.get(name, 1.0)
+        return self.ratios[name] / self.allowed.get(name, 1.0)
 
     def is_class(self, *names: str) -> np.ndarray:
         """(n,) bool: pixels of one of these classes."""
         return np.isin(self.classes, [CLASS_CODE[name] for name in names])
 
-
-EXACT = "exact"  # ours against exact arithmetic, beside the checks of mitsuba_ref.judge.checks
+    def is_right(self, row: int) -> bool:
+        """Whether the subject has the exact answer at a row that was adjudicated."""
+        place = self.exact.place.get(row)
+        return place is not None and bool(self.exact.right[place])
 
 
 class Judge:
-    """One scene's pair of pictures, about to be judged."""
+    """One scene, and what a subject and the reference answer along the same rays."""
 
-    def __init__(self, scene: Scene, model: SceneModel, pair: ImagePair):
-        self.scene, self.model, self.pair = scene, model, pair
+    def __init__(self, scene: Scene, model: SceneModel, pair: ImagePair, view: SceneModel | None = None):
+        """view: the model as the subject may see it, if not `model`."""
+        self.scene, self.model, self.pair, self.view = scene, model, pair, view or model
+        self.answer, self.result = pair.answer, pair.result
         self.o, self.d = pair.rays.o.astype(np.float64), pair.rays.d.astype(np.float64)
         self.t_max = pair.rays.t_max.astype(np.float64)
-        self.bounds = reference_bounds(model, pair.prim, self.o, self.d, pair.t)
+        self.hit = pair.subject.hit.ravel()
+        self.reference_prim = reference_prims(self.result, model)
+        # The primitive at which the subject is held to bounds: its own, or if it names none, the reference's.
+        self.names_prims = self.answer.prim is not None
+        self.prim = self.reference_prim if self.answer.prim is None else self.answer.prim
+        lines, t = (self.o, self.d), self.answer.t if self.names_prims else self.result.t
+        at = intersections_at(model, self.prim, lines, t, KU, ours=False)
+        self.bounds = Bounds(self._as_subject(self.prim, lines, t), at)
         with np.errstate(invalid="ignore"):
-            self.point = self.o + pair.t[:, None] * self.d
-        # No rounding excuses a picture that contradicts itself.
-        self.contradictions = inconsistent_aovs(scene, model.packed, pair)
-        self.coherent = ~np.any(list(self.contradictions.values()), axis=0)
+            self.point = self.o + self.answer.t[:, None] * self.d
+        self.pixels = PixelPairs(
+            pair.subject, pair.reference, self.bounds, self.answer, pair.length, self.point
+        )
+        # No rounding excuses images that contradict themselves.
+        self.inconsistent = inconsistent_aovs(scene, model.packed, pair)
+
+    def _as_subject(
+        self, prim: np.ndarray, lines: tuple[np.ndarray, np.ndarray], t: np.ndarray
+    ) -> Intersections:
+        answer = self.answer
+        return intersections_at(self.view, prim, lines, t, answer.ku, ours=not answer.as_exported)
+
+    def near(self, rows: np.ndarray, prim: np.ndarray, t: np.ndarray) -> Intersections:
+        """Intersections of some rays with these primitives as the subject may see them, the root nearest to t."""
+        return self._as_subject(prim, (self.o[rows], self.d[rows]), t)
+
+    @property
+    def n(self) -> np.ndarray | None:
+        """(n, 3) the subject's geometric normals, if it gives any."""
+        return (
+            aov_rows(self.pair.subject, "normal")
+            if self.answer.n is None and self.names_prims
+            else self.answer.n
+        )
 
     @cached_property
-    def ours(self) -> Bracket:
-        return Bracket(self.model, KU_OURS, ours=True)
+    def consistent(self) -> np.ndarray:
+        """(n,) bool."""
+        found: np.ndarray = ~np.any([self.hit & False, *self.inconsistent.values()], axis=0)
+        return found
 
     @cached_property
-    def theirs(self) -> Bracket:
+    def bracket(self) -> Bracket:
+        """What rounding allows the subject."""
+        view = self.view.refined() if isinstance(self.view, UncertainRaysModel) else self.view
+        return Bracket(view, self.answer.ku, ours=not self.answer.as_exported)
+
+    @cached_property
+    def reference_bracket(self) -> Bracket:
+        """What rounding allows Mitsuba."""
         return Bracket(self.model, KU, ours=False)
 
     @cached_property
@@ -110,150 +171,229 @@ class Judge:
         return Oracle(self.model.packed)
 
     @cached_property
-    def held(self) -> tuple[SelfCheck, ...]:
-        """Our own quantities, and what float64 allows of them."""
-        return tuple(self_checks(self.pair, self.bounds, self.point))
+    def self_checks(self) -> tuple[SelfCheck, ...]:
+        """The subject's own quantities, and what float64 allows of them."""
+        return tuple(self_checks(self.pixels))
 
     def judge(self) -> Judgement:
-        """Geometry first, then the diffuse AOV. Raises SceneError for a [check] that nothing would heed."""
-        check_allowances(self.scene.checks)
-        pair, bounds = self.pair, self.bounds
-        pixels = PixelPairs(pair.ours, pair.reference, bounds, pair.t, pair.length, self.point)
-        comparison = compare(pixels, self.scene.checks)
-        vague = pixels.both_hit & ~(
-            np.maximum(bounds.at.n_error, bounds.at.sh_error) <= LARGEST_USEFUL_NORMAL_ERROR
-        )
-        plain = comparison.agrees & self.coherent & ~vague
+        """Geometry first, then the diffuse AOV. Raises SceneError for a [check] that has no effect."""
+        allowances = self.scene.checks if self.names_prims else {}
+        check_allowances(allowances)
+        comparison = compare(self.pixels, allowances)
+
+        # Step 1: plain agreement. Images that contradict themselves, and invalid answers, agree with nothing.
+        vague, fits, broken = self._is_vague(), self._reference_fits(), self.answer.is_broken
+        agreeing = comparison.agrees & self.consistent & ~broken & fits & ~vague
+
+        # Step 2: exact arithmetic, where it may matter and at some pixels where it should not.
         start = perf_counter()
-        exact = self._adjudicate(plain)
+        exact, nearest = self._adjudicate(agreeing)
         seconds = perf_counter() - start
-        classes = np.where(plain, CLASS_CODE[AGREE], CLASS_CODE[UNDECIDED])
+
+        # Step 3: the class of what is disputed where the subject is exactly right, then of where it is not.
+        classes = np.where(agreeing, CLASS_CODE[AGREE], CLASS_CODE[UNDECIDED])
         # What the derived bounds let pass, but the scene's own stricter ones do not, has no excuse.
-        disputed = ~plain & self.coherent & (vague | ~comparison.derived)
+        disputed = ~agreeing & self.consistent & (vague | ~comparison.derived | ~fits)
+        self._classify_reference(classes, disputed, vague, exact)
+        other_tie = exact.right & disputed[exact.rows] & ~nearest.of_first
+        classes[exact.rows[other_tie]] = CLASS_CODE[TIE]
+        classes[fails_self_check(self.self_checks, len(classes)) & self.consistent] = CLASS_CODE[WRONG]
+        classes[exact.rows[~exact.answered]] = CLASS_CODE[UNDECIDED]
+        self._classify_inexact(classes, exact)
+        classes[broken | ((self.t_max < 0.0) & self.hit)] = CLASS_CODE[WRONG]
+
+        # Step 4: light, where the subject gives it.
+        ratios = dict(comparison.ratios)
+        if "diffuse" in self.pair.subject:
+            ratios["diffuse"] = self._classify_diffuse(classes, comparison.allowed["diffuse"]).ratio
+        ratios[EXACT] = np.zeros(len(classes))
+        ratios[EXACT][exact.rows] = np.where(exact.answered, exact.ratio, 0.0)
+        for name, where in self.inconsistent.items():
+            ratios[name][where] = np.inf
+        for ratio in ratios.values():
+            ratio[broken] = np.inf
+        cases = self._known_cases(np.flatnonzero(classes == CLASS_CODE[REFERENCE_WRONG]), agreeing, exact)
+        return Judgement(classes, ratios, comparison.allowed, exact, cases, seconds)
+
+    def _is_vague(self) -> np.ndarray:
+        """(n,) bool: where normals are bounded so loosely that their agreement says nothing."""
+        at, own = self.bounds.at, self.bounds.own
+        error = np.maximum(at.n_error, at.sh_error) if self.names_prims else own.n_error
+        return self.pixels.both_hit & ~(error <= LARGEST_USEFUL_NORMAL_ERROR)
+
+    def _is_unresolved(self) -> np.ndarray:
+        """(n,) bool: where t has no bound at the primitive in question."""
+        at = self.bounds.at if self.names_prims else self.bounds.own
+        return self.hit & (self.prim >= 0) & ~np.isfinite(at.t_error)
+
+    def _reference_fits(self) -> np.ndarray:
+        """(n,) bool: Mitsuba's answer lies on the primitive it names, so that a subject may be held to that one."""
+        if self.names_prims:
+            return np.ones(len(self.t_max), bool)
+        at, result = self.bounds.at, self.result
+        with np.errstate(invalid="ignore"):
+            fits = at.possible & (np.abs(result.t - at.t) <= at.t_error) & (result.t > 0.0)
+            fits &= row_distance(aov_rows(self.pair.reference, "normal"), at.n) <= at.n_error
+        return np.where(result.hit, fits, True)
+
+    def _adjudicate(self, agreeing: np.ndarray) -> tuple[Adjudication, ExactRatios]:
+        """The subject against exact arithmetic."""
+        certain = self.bounds.at.certain
+        if not self.answer.exact_visibility:
+            certain = certain & self.bounds.own.certain
+        rows = needs_adjudication(agreeing, self.hit, certain, self.pair.shape)
+        rows = rows[self.t_max[rows] >= 0.0]
+        answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows])
+        answer = self.answer
+        if answer.prim is not None:
+            nearest = ratios_of_named(
+                answers, answer.prim[rows], answer.t[rows], self.bounds.own.t_error[rows]
+            )
+        else:
+            nearest = ratios_of_any_tie(answers, answer.rows(rows), lambda of, *at: self.near(rows[of], *at))
+        return Adjudication(rows, answers, nearest.best), nearest
+
+    def _classify_reference(
+        self, classes: np.ndarray, disputed: np.ndarray, vague: np.ndarray, exact: Adjudication
+    ) -> None:
+        """What becomes of Mitsuba's answer at disputed pixels where the subject is exactly right."""
         rows = np.flatnonzero(disputed)
         rows = rows[exact.are_right(rows)]
-        if len(rows):
-            classes[rows] = self._settle(rows, vague[rows], exact)
-        classes[fails_self_check(self.held) & self.coherent] = CLASS_CODE[WRONG]
-        classes[exact.rows[~exact.answered]] = CLASS_CODE[UNDECIDED]
-        classes[exact.rows[exact.wrong]] = CLASS_CODE[WRONG]
-        shading = self._shade(classes, comparison.allowed["diffuse"])
-        ratio = np.zeros(len(classes))
-        ratio[exact.rows] = np.where(exact.answered, exact.share, 0.0)
-        cases = self._cases(np.flatnonzero(classes == CLASS_CODE[REFERENCE_WRONG]), plain, exact)
-        judgement = Judgement(classes, comparison, shading, exact, ratio, cases, seconds)
-        for name, where in self.contradictions.items():
-            judgement.ratio(name)[where] = np.inf
-        return judgement
-
-    def _adjudicate(self, plain: np.ndarray) -> Adjudication:
-        """Ours against exact arithmetic wherever it may matter, and at some pixels where it should not."""
-        pair = self.pair
-        rows = needs_adjudication(plain, pair.prim >= 0, self.bounds.at.certain, pair.ours.hit.shape)
-        rays = (self.o, self.d, self.t_max)
-        return adjudicate(self.oracle, rays, (pair.t, pair.prim), self.bounds, rows)
-
-    def _settle(self, rows: np.ndarray, vague: np.ndarray, exact: Adjudication) -> np.ndarray:
-        """The class of disputed pixels where ours is exactly right."""
-        o, d = self.o[rows], self.d[rows]
-        claims = self._claims(self.pair.reference, self.pair.witness.t, rows)
-        theirs = self.theirs.judge(o, d, self.t_max[rows], claims)
+        if not len(rows):
+            return
+        o, d, claims = self.o[rows], self.d[rows], self._reference_claims(rows)
+        found = self.reference_bracket.judge(o, d, self.t_max[rows], claims)
         # No numbers within the bounds give a hit at the origin itself: a ray begins beyond it.
-        allowed = theirs.allowed & ((claims.shape < 0) | (claims.t > 0.0))
-        beyond = self.pair.ours.hit.ravel()[rows] & ~self.bounds.resolved[rows]
-        classes = np.full(len(rows), CLASS_CODE[REFERENCE_WRONG])
-        classes[(theirs.open & ~allowed) | (allowed & (vague | beyond))] = CLASS_CODE[OUT_OF_DOMAIN]
-        classes[allowed & ~(vague | beyond)] = CLASS_CODE[EXPLAINED]
+        allowed = found.allowed & ((claims.shape < 0) | (claims.t > 0.0))
+        useless = vague[rows] | self._is_unresolved()[rows]
+        classes[rows] = CLASS_CODE[REFERENCE_WRONG]
+        classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CLASS_CODE[OUT_OF_DOMAIN]
+        classes[rows[allowed & ~useless]] = CLASS_CODE[EXPLAINED]
         answers = [exact.of(row) for row in rows]
-        classes[claims_other_tie(self.model, o, d, claims, answers, LARGEST_USEFUL_NORMAL_ERROR)] = (
-            CLASS_CODE[TIE]
+        tied = claims_other_tie(self.model, o, d, claims, answers, LARGEST_USEFUL_NORMAL_ERROR)
+        classes[rows[tied]] = CLASS_CODE[TIE]
+
+    def _classify_inexact(self, classes: np.ndarray, exact: Adjudication) -> None:
+        """Where the subject is not exactly right: wrong, unless rounding may decide its visibility and allows it."""
+        rows = exact.rows[exact.wrong]
+        classes[rows] = CLASS_CODE[WRONG]
+        if self.answer.exact_visibility or not len(rows):
+            return
+        claims = self._subject_claims(rows)
+        found = self.bracket.judge(self.o[rows], self.d[rows], self.t_max[rows], claims)
+        allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | (claims.t > 0.0))
+        lost = np.zeros(len(rows), bool)
+        if isinstance(self.view, UncertainRaysModel):
+            answers: Sequence[ExactAnswer | None] = [exact.of(row) for row in rows]
+            prim = np.array([-1 if answer is None else answer.prim for answer in answers])
+            t = np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
+            lost = self.view.is_unresolved(prim, self.d[rows], t)
+        classes[rows[found.open | lost]] = CLASS_CODE[OUT_OF_DOMAIN]
+        classes[rows[allowed]] = CLASS_CODE[EXPLAINED]
+
+    def _subject_claims(self, rows: np.ndarray) -> Claims:
+        """What the subject answers at some pixels: of a shape only whether one is hit, no position."""
+        answer = self.answer.rows(rows)
+        shape = np.where(answer.hit, ANY_SHAPE, CLAIMED_MISS)
+        return Claims(
+            answer.t, shape, NOT_CLAIMED if answer.n is None else answer.n, t_rounding=answer.t_rounding
         )
-        return classes
 
-    def _claims(self, aovs: Aovs, t: np.ndarray, rows: np.ndarray) -> Claims:
+    def _reference_claims(self, rows: np.ndarray) -> Claims:
         names = ("shape_id", "normal", "shading_normal", "position")
-        return Claims(t[rows], *(aov_rows(aovs, name)[rows] for name in names))
+        return Claims(self.result.t[rows], *(aov_rows(self.pair.reference, name)[rows] for name in names))
 
-    def _shade(self, classes: np.ndarray, allowed: float) -> DiffuseComparison:
+    def _classify_diffuse(self, classes: np.ndarray, allowed: float) -> DiffuseComparison:
         """Judge diffuse where geometry agrees by Mitsuba's lights, elsewhere by float64 alone; classes change."""
-        hit = self.pair.ours.hit.ravel()
-        agreeing = np.flatnonzero((classes == CLASS_CODE[AGREE]) & hit)
-        shading = judge_diffuse(self.scene, self.pair, self.bounds, agreeing, (self.ours, self.theirs))
-        beyond = shading.ratio > allowed
-        disputed = beyond & (shading.ratio > 1.0) & ~shading.unresolvable & ~shading.explained
+        agreeing = np.flatnonzero((classes == CLASS_CODE[AGREE]) & self.hit)
+        brackets = self.bracket, self.reference_bracket
+        diffuse = judge_diffuse(self.scene, self.pair, self.bounds, agreeing, brackets)
+        beyond = diffuse.ratio > allowed
+        disputed = beyond & (diffuse.ratio > 1.0) & ~diffuse.unresolvable & ~diffuse.explained
         classes[beyond] = CLASS_CODE[UNDECIDED]
-        classes[beyond & (shading.ratio > 1.0) & shading.unresolvable] = CLASS_CODE[OUT_OF_DOMAIN]
-        classes[beyond & shading.explained] = CLASS_CODE[EXPLAINED]
-        testable = hit & np.isfinite(self.bounds.own.t_error)
-        alone = np.flatnonzero((self._by_ourselves(classes) | disputed) & testable)
+        classes[beyond & (diffuse.ratio > 1.0) & diffuse.unresolvable] = CLASS_CODE[OUT_OF_DOMAIN]
+        classes[beyond & diffuse.explained] = CLASS_CODE[EXPLAINED]
+        testable = self.hit & np.isfinite(self.bounds.own.t_error)
+        alone = np.flatnonzero((self._held_to_float64(classes) | disputed) & testable)
         if len(alone):
-            values = aov_rows(self.pair.ours, "diffuse")[alone]
+            values = aov_rows(self.pair.subject, "diffuse")[alone]
             own = shading_points(self.pair, self.bounds.own, alone)
-            right = diffuse_within_float64(self.scene, own, self.pair.prim[alone], values, self.ours)
+            right = diffuse_within_float64(self.scene, own, self.prim[alone], values, self.bracket)
             classes[alone[right & disputed[alone]]] = CLASS_CODE[REFERENCE_WRONG]
             classes[alone[~right]] = CLASS_CODE[WRONG]
-            shading.ratio[alone[~right]] = np.inf
-        return shading
+            diffuse.ratio[alone[~right]] = np.inf
+        return diffuse
 
-    def _by_ourselves(self, classes: np.ndarray) -> np.ndarray:
+    def _held_to_float64(self, classes: np.ndarray) -> np.ndarray:
         """(n,) bool: pixels whose diffuse value is held to float64: all but those that agree, and some of them.
 
         Mitsuba's coarse shadows could be copied, and would agree with it.
         """
         agreeing = np.flatnonzero(classes == CLASS_CODE[AGREE])
         chosen = np.isin(classes, [CLASS_CODE[name] for name in JUDGED_WITHOUT_REFERENCE])
-        chosen[
-            np.random.default_rng(1).choice(
-                agreeing, min(AGREEING_PIXELS_SHADED, len(agreeing)), replace=False
-            )
-        ] = True
+        count = min(AGREEING_PIXELS_SHADED, len(agreeing))
+        chosen[np.random.default_rng(1).choice(agreeing, count, replace=False)] = True
         return chosen
 
-    def _cases(self, rows: np.ndarray, plain: np.ndarray, exact: Adjudication) -> dict[int, int | None]:
-        """Which known case each pixel is where the reference is wrong. Wrong light on a right surface is none."""
+    def _known_cases(
+        self, rows: np.ndarray, agreeing: np.ndarray, exact: Adjudication
+    ) -> dict[int, int | None]:
+        """Which known defect each pixel is where the reference is wrong. Wrong light on a right surface is none."""
         cases: dict[int, int | None] = {int(row): None for row in rows}
-        rows = rows[~plain[rows]]
+        rows = rows[~agreeing[rows]]
         if len(rows):
             answers = [answer for answer in map(exact.of, rows) if answer is not None]
-            claims = self._claims(self.pair.reference, self.pair.witness.t, rows)
             lines = self.o[rows], self.d[rows], self.t_max[rows]
-            prims = [self.reference_prim(int(row)) for row in rows]
-            measured = FeatureMeasurement(self.model, self.oracle).all_of(lines, claims, answers, prims)
-            cases |= {int(row): defect_of(each) for row, each in zip(rows, measured, strict=True)}
+            prims = [int(prim) for prim in self.reference_prim[rows]]
+            measurement = FeatureMeasurement(self.model, self.oracle)
+            features = measurement.all_of(lines, self._reference_claims(rows), answers, prims)
+            cases |= {int(row): defect_of(each) for row, each in zip(rows, features, strict=True)}
         return cases
 
-    def reference_prim(self, row: int) -> int:
-        """The number in the scene of what Mitsuba says is hit, -1 on a miss.
 
-        Of a shape with a stand-in, whose triangles Mitsuba counts by itself, the first primitive.
-        """
-        shape = int(aov_rows(self.pair.reference, "shape_id")[row])
-        if shape < 0:
-            return -1
-        first, last = (int(n) for n in self.model.packed.first[shape : shape + 2])
-        prim = first + int(self.pair.witness.answer.prim[row])
-        return prim if first <= prim < last else first
+def reference_prims(result: ReferenceResult, model: SceneModel) -> np.ndarray:
+    """(n,) the number in the scene of the primitive that Mitsuba names, -1 on a miss.
 
-
-# A scene brought before the judge: both sides' answers along the same rays.
+    Of a shape with a stand-in, whose triangles Mitsuba counts by itself, the first primitive.
+    """
+    shape = result.shape_id
+    first, last = model.packed.first[shape], model.packed.first[shape + 1]
+    prim = first + result.answer.prim
+    prim = np.where((prim >= first) & (prim < last), prim, first)
+    return np.where(result.hit & (shape >= 0), prim, -1).astype(np.int32)
 
 
-def judge_of(
+def scene_judge(
     scene: Scene,
+    subject: Subject = OURS,
     *,
     whole: SharedRays | None = None,
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
 ) -> Judge | Crash:
-    """The judge of the film's window, or how Mitsuba ended without an answer.
+    """The judge of a subject in the film's window, or how Mitsuba ended without an answer.
 
-    whole: the rays that stand-ins are cut to, if they are others than the window's own. ask: the way to Mitsuba.
-    Raises SceneError for a scene that cannot be judged.
+    whole: the rays that stand-ins are cut to, if they are others than the window's own. send: the way to Mitsuba.
+    Raises SceneError for a scene that cannot be judged, NoAnswer where the subject gives none.
     """
-    rays = shared_rays(scene)
-    view = cast_ours(scene, rays)
-    model = model_of(scene, view.packed, rays if whole is None else whole)
-    witness = trace_reference(scene, model, rays, timeout=timeout, send=send)
-    if isinstance(witness, Crash):
-        return witness
-    return Judge(scene, model, pair_images(scene, rays, view, witness))
+    return judge_of(request_answer(subject, scene, whole=whole), timeout=timeout, send=send)
+
+
+def judge_of(
+    response: SubjectResponse,
+    *,
+    timeout: float = DEFAULT_TIMEOUT,
+    send: SendRequest = send_request,
+    known: ImagePair | None = None,
+) -> Judge | Crash:
+    """The judge of a subject's response. known: Mitsuba's answer, which is used if it is about the same rays."""
+    scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
+    if known is not None and all(map(np.array_equal, rays, known.rays)):
+        result: ReferenceResult | Crash = known.result
+    else:
+        lights = answer.images is not None
+        result = trace_reference(scene, model, rays, lights=lights, timeout=timeout, send=send)
+    if isinstance(result, Crash):
+        return result
+    pair = pair_images(scene, rays, answer, result)
+    return Judge(scene, model, pair, response.view)

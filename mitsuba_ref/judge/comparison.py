@@ -1,17 +1,248 @@
-"""Ours and the reference's pictures -> a Comparison: numbers, no opinion."""
+"""Comparison of a subject with the reference, pixel by pixel: error over bound of every quantity, and self-checks.
 
-from collections.abc import Mapping
+A subject that names the primitive it hits, as our caster does, is compared with the reference's own image within
+float32's bounds at that primitive, and with that primitive itself, worked out anew, within the bounds of its own
+precision. Any other subject is compared with the primitive that the reference names, within bounds of its precision.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from caster.description.errors import SceneError
-from caster.scene.model import Check
-from mitsuba_ref.error_model.bounds import PixelPairs
-from mitsuba_ref.judge.checks import CHECKS
+from caster.geometry.packing import Packed
+from caster.rendering.images import Aovs, film_window
+from caster.scene.model import Check, Scene
+from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
+from mitsuba_ref.error_model.intersections import KU_OURS
+from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
+from mitsuba_ref.subjects.answer import NOT_FINITE, Answer
+from mitsuba_ref.subjects.ours import COMPARED_AOVS
 
 # The quantities with a bound that a scene's own [check.AOV] may make stricter or laxer; the others are exact.
 BOUNDED_AOVS = ("depth", "position", "normal", "shading_normal", "diffuse")
+
+# What each AOV holds on a miss, a second time; all others hold 0.
+MISS_VALUES = {"depth": np.inf, "shape_id": -1, "prim_id": -1}
+
+
+# The reference's, of what a subject may be compared with that answers t and n alone.
+CLAIMED_AOVS = ("depth", "position", "normal", "shading_normal", "shape_id")
+
+
+@dataclass(frozen=True)
+class ImagePair:
+    """The answers of a subject and of the reference along the same rays, and both as images of one scene."""
+
+    rays: SharedRays
+    answer: Answer
+    subject: Aovs  # the AOVs that the subject gives, and no others
+    reference: Aovs  # at least the same
+    result: ReferenceResult
+
+    @cached_property
+    def length(self) -> np.ndarray:
+        """(n,) of each ray's d."""
+        length: np.ndarray = np.linalg.norm(self.rays.d.astype(np.float64), axis=1)
+        return length
+
+    @property
+    def t(self) -> np.ndarray:
+        """(n,) the subject's."""
+        return self.answer.t
+
+    @property
+    def prim(self) -> np.ndarray:
+        """(n,) that the subject names, numbered through the scene; -1 on a miss, and of a subject that names none."""
+        return np.full(len(self.t), -1, np.int32) if self.answer.prim is None else self.answer.prim
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        height, width = self.subject.hit.shape
+        return height, width
+
+    @property
+    def any_hit(self) -> np.ndarray:
+        """(n,) bool: hit by either side."""
+        return self.subject.hit.ravel() | self.result.hit
+
+
+def pair_images(scene: Scene, rays: SharedRays, answer: Answer, result: ReferenceResult) -> ImagePair:
+    """Both answers as images under the same names."""
+    window = film_window(scene)
+    shape = window.height, window.width
+    subject = _images_of(answer, rays, shape) if answer.images is None else answer.images
+    names = CLAIMED_AOVS if answer.images is None else COMPARED_AOVS
+    return ImagePair(rays, answer, subject, aovs_of(result, rays, shape, names), result)
+
+
+def _images_of(answer: Answer, rays: SharedRays, shape: tuple[int, int]) -> Aovs:
+    """t and n as images; depth counts from the eye, as the reference's. A normal that is not finite is NaN."""
+    with np.errstate(over="ignore"):
+        depth = rays.start + answer.t * np.linalg.norm(rays.d.astype(np.float64), axis=1)
+    images = {"depth": depth.reshape(shape)}
+    if answer.n is not None:
+        none = answer.broken.get(NOT_FINITE, np.zeros(len(answer.t), bool))
+        images["normal"] = np.where(none[:, None], np.nan, answer.n).reshape(*shape, 3)
+    return Aovs(images, answer.hit.reshape(shape))
+
+
+@dataclass(frozen=True)
+class PixelPairs:
+    """What a check reads: both sides' images, n pixels row by row, and the bounds that hold between them."""
+
+    subject: Aovs
+    reference: Aovs
+    bounds: Bounds
+    answer: Answer  # of the subject
+    length: np.ndarray  # (n,) of each ray's d
+    point: np.ndarray  # (n, 3) o + t d at the subject's hits
+
+    def pair(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """(the subject's, the reference's) values of one AOV, (n,) or (n, c)."""
+        return aov_rows(self.subject, name), aov_rows(self.reference, name)
+
+    @property
+    def hits(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) bool each."""
+        return self.subject.hit.ravel(), self.reference.hit.ravel()
+
+    @property
+    def both_hit(self) -> np.ndarray:
+        subject, reference = self.hits
+        return subject & reference
+
+    def larger_error_ratio(
+        self, name: str, bound: np.ndarray, own: np.ndarray, own_bound: np.ndarray
+    ) -> np.ndarray:
+        """(n,) where both hit, the larger of two error ratios: from the reference, and from the value (n, 3) of the
+        subject's own primitive; 0 elsewhere."""
+        between = error_over_bound(row_distance(*self.pair(name)), bound)
+        alone = error_over_bound(row_distance(aov_rows(self.subject, name), own), own_bound)
+        return np.where(self.both_hit, np.maximum(between, alone), 0.0)
+
+
+class QuantityCheck(NamedTuple):
+    """How one quantity is compared at every pixel."""
+
+    name: str
+    ratio: Callable[[PixelPairs], np.ndarray]  # (n,) error over bound
+    bound: Callable[[PixelPairs], np.ndarray] | None = None  # (n,) between both sides; None: compared exactly
+
+
+def mask_ratio(pixels: PixelPairs) -> np.ndarray:
+    """0 where both hit or both miss, else inf: the bracket has to allow it."""
+    subject, reference = pixels.hits
+    return np.where(subject == reference, 0.0, np.inf)
+
+
+def shape_id_ratio(pixels: PixelPairs) -> np.ndarray:
+    """0 where both name the same shape, else inf: the bracket has to allow it."""
+    subject, reference = pixels.pair("shape_id")
+    return np.where(subject == reference, 0.0, np.inf)
+
+
+def surface_ratio(pixels: PixelPairs) -> np.ndarray:
+    """|t - t of the primitive in question, worked out anew| / bound at hits; inf beside the primitive, 0 on misses.
+
+    All other bounds belong to that primitive, so that naming a wrong one would make them worthless.
+    """
+    own, answer = pixels.bounds.own, pixels.answer
+    with np.errstate(invalid="ignore"):
+        error = np.abs(answer.t - own.t)
+    ratio = np.where(own.possible, error_over_bound(error, own.t_error + answer.t_rounding), np.inf)
+    return np.where(pixels.hits[0], ratio, 0.0)
+
+
+def depth_bound(pixels: PixelPairs) -> np.ndarray:
+    """The bound of t at the primitive, in scene units, and one rounding of our own sum of start and t |d|."""
+    depth, _ = pixels.pair("depth")
+    with np.errstate(invalid="ignore"):
+        return pixels.bounds.at.t_error * pixels.length + KU_OURS * np.abs(depth)
+
+
+def depth_ratio(pixels: PixelPairs) -> np.ndarray:
+    """|difference| / bound where both hit."""
+    subject, reference = pixels.pair("depth")
+    with np.errstate(invalid="ignore"):
+        error = np.abs(subject - reference)
+    return np.where(pixels.both_hit, error_over_bound(error, depth_bound(pixels)), 0.0)
+
+
+def position_bound(pixels: PixelPairs) -> np.ndarray:
+    """The bound of t along the ray, and what Mitsuba does to a position afterwards (barycentrics on triangles, a pull
+    onto the wall of a cylinder); one bound for each kind of primitive."""
+    return pixels.bounds.at.p_error
+
+
+def position_ratio(pixels: PixelPairs) -> np.ndarray:
+    return pixels.larger_error_ratio(
+        "position", position_bound(pixels), pixels.point, pixels.bounds.own.p_error
+    )
+
+
+def normal_bound(pixels: PixelPairs) -> np.ndarray:
+    return pixels.bounds.at.n_error
+
+
+def normal_ratio(pixels: PixelPairs) -> np.ndarray:
+    """Of unit vectors: one of another length, or reversed, differs by far more than any bound."""
+    own = pixels.bounds.own
+    return pixels.larger_error_ratio("normal", normal_bound(pixels), own.n, own.n_error)
+
+
+def shading_normal_bound(pixels: PixelPairs) -> np.ndarray:
+    return pixels.bounds.at.sh_error
+
+
+def shading_normal_ratio(pixels: PixelPairs) -> np.ndarray:
+    own = pixels.bounds.own
+    return pixels.larger_error_ratio("shading_normal", shading_normal_bound(pixels), own.sh_n, own.sh_error)
+
+
+# Of a subject that names its primitive.
+CHECKS = (
+    QuantityCheck("mask", mask_ratio),
+    QuantityCheck("shape_id", shape_id_ratio),
+    QuantityCheck("on_surface", surface_ratio),
+    QuantityCheck("depth", depth_ratio, depth_bound),
+    QuantityCheck("position", position_ratio, position_bound),
+    QuantityCheck("normal", normal_ratio, normal_bound),
+    QuantityCheck("shading_normal", shading_normal_ratio, shading_normal_bound),
+)
+
+
+def depth_to_named_surface(pixels: PixelPairs) -> np.ndarray:
+    """As `surface_ratio`, at the primitive that the reference names."""
+    return np.where(pixels.both_hit, surface_ratio(pixels), 0.0)
+
+
+def normal_of_named_surface(pixels: PixelPairs) -> np.ndarray:
+    """|difference| / bound from the normal of the primitive that the reference names."""
+    own, n = pixels.bounds.own, pixels.answer.n
+    assert n is not None  # checks_of
+    return np.where(pixels.both_hit, error_over_bound(row_distance(n, own.n), own.n_error), 0.0)
+
+
+# Of a subject that names none.
+SURFACE_CHECKS = (
+    QuantityCheck("mask", mask_ratio),
+    QuantityCheck("depth", depth_to_named_surface),
+    QuantityCheck("normal", normal_of_named_surface),
+)
+
+
+def checks_of(answer: Answer) -> Iterator[QuantityCheck]:
+    """The checks of the quantities that an answer has."""
+    if answer.prim is not None:
+        yield from CHECKS
+        return
+    yield from (check for check in SURFACE_CHECKS if check.name != "normal" or answer.n is not None)
 
 
 @dataclass(frozen=True)
@@ -34,16 +265,94 @@ class Comparison:
 
 def compare(pixels: PixelPairs, checks: Mapping[str, Check]) -> Comparison:
     """All checks. checks: the scene's own [check.AOV]."""
-    ratios = {check.NAME: check.ratio(pixels) for check in CHECKS}
+    ratios = {check.name: check.ratio(pixels) for check in checks_of(pixels.answer)}
     return Comparison(
         ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")}
     )
 
 
 def check_allowances(checks: Mapping[str, Check]) -> None:
-    """Raise SceneError for a [check.AOV] that nothing would heed."""
+    """Raise SceneError for a [check.AOV] that has no effect."""
     for name in checks:
         if name not in BOUNDED_AOVS:
             raise SceneError(
                 f"check.{name}: is compared exactly or not at all; there are bounds of {', '.join(BOUNDED_AOVS)}"
             )
+
+
+class SelfCheck(NamedTuple):
+    """One quantity of the subject, held to the primitive that it names, in float64."""
+
+    name: str
+    error: np.ndarray  # (n,) distance from the primitive's own value
+    bound: np.ndarray  # (n,) what float64 allows
+    counts: np.ndarray  # (n,) bool: where it is held to that
+
+    @property
+    def fails(self) -> np.ndarray:
+        """(n,) bool."""
+        found: np.ndarray = self.counts & ~(self.error <= self.bound)
+        return found
+
+    def fails_at(self, row: int) -> bool:
+        return bool(self.counts[row]) and not self.error[row] <= self.bound[row]
+
+
+def self_checks(pixels: PixelPairs) -> Iterator[SelfCheck]:
+    """Normals and position where the subject hits, also where the reference does not; none of one without a primitive.
+
+    Where float64 does not resolve t, the point and the shading normal, which follow from it, are not held to anything;
+    the geometric normal is.
+    """
+    prim = pixels.answer.prim
+    if prim is None:
+        return
+    own, hit = pixels.bounds.own, prim >= 0
+    resolved = hit & np.isfinite(own.t_error)
+    for name, value, bound, counts in (
+        ("normal", own.n, own.n_error, hit),
+        ("shading_normal", own.sh_n, own.sh_error, resolved),
+        ("position", pixels.point, own.p_error, resolved),
+    ):
+        yield SelfCheck(name, row_distance(aov_rows(pixels.subject, name), value), bound, counts)
+
+
+def fails_self_check(checks: Sequence[SelfCheck], count: int) -> np.ndarray:
+    """(count,) bool: pixels where something is farther from the subject's own primitive than float64 allows."""
+    found: np.ndarray = np.any([np.zeros(count, bool), *(check.fails for check in checks)], axis=0)
+    return found
+
+
+def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str, np.ndarray]:
+    """Where the AOVs of a subject that names its primitives contradict its hits, (n,) bool, by check.
+
+    No rounding excuses this: not finite on a hit, a value on a miss, a depth, mask, primitive or albedo that does not
+    follow from the hit.
+    """
+    if pair.answer.prim is None:
+        return {}
+    subject, hit = pair.subject, np.isfinite(pair.t)
+    found = {name: ~_fits_mask(subject, name, hit) for name in COMPARED_AOVS}
+    found["depth"] |= hit & ~_depth_follows(pair)
+    found["mask"] = (subject.hit.ravel() != hit) | (aov_rows(subject, "hit") != hit)
+    shape = aov_rows(subject, "shape_id")
+    prim_id = np.where(hit, pair.answer.prim - packed.first[np.maximum(shape, 0)], MISS_VALUES["prim_id"])
+    found["shape_id"] |= aov_rows(subject, "prim_id") != prim_id
+    colors = np.array([scene.material_of(each).reflectance for each in scene.shapes]).reshape(-1, 3)
+    albedo = np.where(hit[:, None], colors[shape], 0.0) if len(colors) else np.zeros((len(hit), 3))
+    found["diffuse"] |= (aov_rows(subject, "albedo") != albedo).any(axis=1)
+    return found
+
+
+def _fits_mask(aovs: Aovs, name: str, hit: np.ndarray) -> np.ndarray:
+    values = aov_rows(aovs, name).reshape(len(hit), -1)
+    on_hit, on_miss = np.isfinite(values).all(axis=1), (values == MISS_VALUES.get(name, 0)).all(axis=1)
+    return np.where(hit, on_hit, on_miss)
+
+
+def _depth_follows(pair: ImagePair) -> np.ndarray:
+    """Depth is the distance from the eye: where the ray starts, and t of its lengths; rounded three times."""
+    expected = pair.rays.start + pair.t * pair.length
+    with np.errstate(invalid="ignore"):
+        close: np.ndarray = np.abs(aov_rows(pair.subject, "depth") - expected) <= KU_OURS * np.abs(expected)
+    return close

@@ -1,6 +1,6 @@
-"""What is wrong with a candidate: sentences, each with the pixels it is true of, by trying what people get wrong.
+"""Diagnosis of a subject's failing pixels: sentences, each with the pixels it is true of, by testing common mistakes.
 
-Nothing here decides whether a pixel passes; it only says of those that do not what their numbers look like.
+Nothing here decides whether a pixel passes; it only says of those that fail what their numbers look like.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,34 +11,41 @@ import numpy as np
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import row_distance
 from mitsuba_ref.error_model.intersections import dot, norm, unit
-from mitsuba_ref.judge.candidate_judge import CandidateJudge, CandidateJudgement
-from mitsuba_ref.judge.classification import CLASS_CODE
+from mitsuba_ref.error_model.tolerances import (
+    DISTINCT_RTOL,
+    LARGEST_USEFUL_NORMAL_ERROR,
+    MAJORITY,
+    MATCH_RTOL,
+)
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
+from mitsuba_ref.judge.explanations import open_reason, subject_name
 from mitsuba_ref.judge.pixel_shift import MAX_DIAGNOSED_PIXELS, WrongPixels, find_pixel_shift, wrong_pixels
 from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 
-# A supposition is told where it predicts the number to this share of itself: far beyond rounding in float32, far below
-# any of the faults that are told apart here.
-MATCH_RTOL = 1e-4
-DISTINCT_RTOL = 10 * MATCH_RTOL  # two numbers that are so far apart are not alike
-MAJORITY = 0.5  # what is said of all wrong t at once has to be true of more of them than this
-
 
 class Diagnosis(NamedTuple):
-    """Each sentence and the rows of the picture, ascending, that it is true of; each failing row has one."""
+    """Each sentence and the rows of the image, ascending, that it is true of; each failing row has one."""
 
     said: Mapping[str, np.ndarray]
 
-    def of(self, row: int) -> str:
-        """The sentence of one row."""
-        return next(what for what, rows in self.said.items() if row in rows)
+    def by_row(self) -> dict[int, str]:
+        """The sentence of each failing row."""
+        return {int(row): what for what, rows in self.said.items() for row in rows}
 
 
-def diagnose(judge: CandidateJudge, judgement: CandidateJudgement) -> Diagnosis:
-    """The first sentence that is true of each pixel that fails, in the order of `suppositions`."""
+def failing_rows(judgement: Judgement) -> np.ndarray:
+    """Rows of the image that fail, ascending: by their class, or because the reference is wrong in an unknown way."""
+    unlisted = np.array([row for row, case in judgement.cases.items() if case is None], np.int64)
+    return np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
+
+
+def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
+    """The first sentence that is true of each pixel that fails, in the order of `hypotheses`."""
     said: dict[str, np.ndarray] = {}
-    left = judgement.is_class(*FAILING)
-    unlisted = [row for row, case in judgement.cases.items() if case is None]
-    left[unlisted] = True
+    left = np.zeros(len(judge.t_max), bool)
+    left[failing_rows(judgement)] = True
+    if not left.any():
+        return Diagnosis(said)
 
     def say(what: str, rows: np.ndarray) -> None:
         mine = rows[left[rows]]
@@ -50,62 +57,67 @@ def diagnose(judge: CandidateJudge, judgement: CandidateJudgement) -> Diagnosis:
         say(what, rows)
     for why, broken in judge.answer.broken.items():
         say(f"no answer: {why}", np.flatnonzero(broken))
-    say("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.answer.hit))
-    of_mitsuba = judgement.classes == CLASS_CODE[REFERENCE_WRONG]
-    say("the candidate is right, and Mitsuba wrong in no known way", np.flatnonzero(of_mitsuba))
-    say("exact arithmetic gave no answer", np.flatnonzero(judgement.classes == CLASS_CODE[UNDECIDED]))
+    say("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.hit))
+    of_mitsuba = np.flatnonzero(judgement.classes == CLASS_CODE[REFERENCE_WRONG])
+    say(f"{subject_name(judge)} is right, and Mitsuba wrong in no known way", of_mitsuba)
+    for row in np.flatnonzero(left & (judgement.classes == CLASS_CODE[UNDECIDED])):
+        say(open_reason(judge, judgement, int(row)), np.array([row]))
     wrong = np.flatnonzero(left & (judgement.classes == CLASS_CODE[WRONG]))
-    if len(wrong):
-        failing = wrong_pixels(judge, judgement, wrong)
-        for what, rows in hypotheses(judge, failing):
+    exact = judgement.exact
+    inexact = np.intersect1d(wrong, exact.rows[exact.wrong])
+    if len(inexact):
+        for what, rows in hypotheses(judge, wrong_pixels(judge, judgement, inexact)):
             say(what, rows)
+    for what, rows in _wrong_surface(judge, judgement, wrong[left[wrong]]):
+        say(what, rows)
     say("not what is there, in no way that is recognised", np.flatnonzero(left))
     return Diagnosis(said)
 
 
-def _marked_misses(judge: CandidateJudge) -> Iterator[tuple[str, np.ndarray]]:
-    """A number in the place of inf: the same one wherever Mitsuba misses."""
-    rows = np.flatnonzero(~judge.witness.hit & (judge.t_max >= 0.0))
+def _marked_misses(judge: Judge) -> Iterator[tuple[str, np.ndarray]]:
+    """A number in place of inf: the same one wherever Mitsuba misses."""
+    rows = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0))
     t = judge.answer.t[rows]
     if len(rows) > 1 and np.isfinite(t[0]) and (t == t[0]).all():
         yield marked_miss(float(t[0])), rows
 
 
 def marked_miss(t: float) -> str:
-    """The sentence about a number in the place of inf."""
+    """The sentence about a number in place of inf."""
     return f"t is {t:.7g} where nothing is hit; a miss has t inf"
 
 
-def hypotheses(judge: CandidateJudge, failing: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    """(sentence, rows it is true of), what says most first."""
-    if (shift := find_pixel_shift(judge, failing)) is not None:
+def hypotheses(judge: Judge, wrong: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
+    """(sentence, rows it is true of) where the exact answer is another one, the most comprehensive first."""
+    if (shift := find_pixel_shift(judge, wrong)) is not None:
         where = f"({shift.x:+.2f}, {shift.y:+.2f}) of a pixel to the right and down"
-        yield f"seen from beside the pixels' centres, by {where}", failing.rows
-    yield from _wrong_hits(judge, failing)
-    hit = judge.answer.hit[failing.rows] & failing.hit
-    there = failing.take(hit)
+        yield f"seen from beside the pixels' centres, by {where}", wrong.rows
+    yield from _wrong_hits(judge, wrong)
+    there = wrong.take(judge.hit[wrong.rows] & wrong.hit)
     if len(there.rows):
         yield from _wrong_t(judge, there)
+        yield from _wrong_prim(judge, there)
         yield from _wrong_normal(judge, there)
 
 
-def _wrong_hits(judge: CandidateJudge, failing: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    rows, says = failing.rows, judge.answer.hit[failing.rows]
-    missed = rows[~says & failing.hit]
-    everything = len(judge.answer.t) > 1 and not judge.answer.hit.any()  # of one pixel, that says nothing
+def _wrong_hits(judge: Judge, wrong: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
+    rows, hit = wrong.rows, judge.hit[wrong.rows]
+    missed = rows[~hit & wrong.hit]
+    everything = len(judge.answer.t) > 1 and not judge.hit.any()  # of one pixel, that says nothing
     if len(missed) and not everything:
-        at = np.flatnonzero(~says & failing.hit)
+        at = np.flatnonzero(~hit & wrong.hit)
         lines = judge.o[missed], judge.d[missed]
-        met = judge.model.intersect(failing.prim[at], *lines, judge.answer.ku, ours=True)
+        met = judge.model.intersect(wrong.prim[at], *lines, judge.answer.ku, ours=True)
         begins_inside = np.unique(met.pair[(met.at.t < 0.0) & met.at.possible])
         what = "missed: the surface's first root is behind the ray's origin, and the second one was not tried"
         yield what, missed[begins_inside]
     if len(missed):
-        yield ("the candidate misses everything" if everything else "missed; exact arithmetic hits"), missed
-    yield "a hit; exact arithmetic misses", rows[says & ~failing.hit]
+        all_missed = f"{subject_name(judge)} misses everything"
+        yield all_missed if everything else "missed; exact arithmetic hits", missed
+    yield "a hit; exact arithmetic misses", rows[hit & ~wrong.hit]
 
 
-def _wrong_t(judge: CandidateJudge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
+def _wrong_t(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
     """Rows where t is not what it should be."""
     t, d = judge.answer.t[f.rows], judge.d[f.rows]
     t_rounding = np.broadcast_to(judge.answer.t_rounding, judge.answer.t.shape)[f.rows]
@@ -130,38 +142,62 @@ def _wrong_t(judge: CandidateJudge, f: WrongPixels) -> Iterator[tuple[str, np.nd
     yield "a surface that lies behind the first one", f.rows[behind]
     for some, word in ((off & (share < 0.0), "before"), (off & (share > 0.0), "behind")):
         if some.any():
-            yield (
-                f"t is off: {word} what is hit, by {_range_text(np.abs(share[some]))} of itself",
-                f.rows[some],
-            )
+            what = f"t is off: {word} what is hit, by {_range_text(np.abs(share[some]))} of itself"
+            yield what, f.rows[some]
+
+
+def _wrong_prim(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
+    """Rows where t is right, and another primitive is named."""
+    if judge.answer.prim is not None:
+        yield (
+            "another primitive than the first one, at the same t",
+            f.rows[judge.answer.prim[f.rows] != f.prim],
+        )
 
 
 def _matches_factor(t: np.ndarray, right: np.ndarray, factor: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """(m,) bool: t looks like `factor` times what is right; where the factor is nearly 1, only if others show it."""
+    """(m,) bool: t is like `factor` times what is right; where the factor is nearly 1, only if others show it."""
     fits = off & _close(t, right * factor)
     telling = fits & (np.abs(factor - 1.0) > DISTINCT_RTOL)
     return fits if telling.sum() > MAJORITY * off.sum() else telling
 
 
-def _wrong_normal(judge: CandidateJudge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    """Rows where t is right."""
-    n = judge.answer.n
+def _wrong_normal(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
+    """Rows where t is right and the normal is not."""
+    n = judge.n
     if n is None:
         return
     n = n[f.rows]
+    error = row_distance(n, f.at.n)
+    off = ~(error <= np.minimum(f.at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
     towards = dot(f.at.n, judge.d[f.rows]) > 0.0
-    opposite = row_distance(n, -f.at.n) <= MATCH_RTOL
+    opposite = off & (row_distance(n, -f.at.n) <= MATCH_RTOL)
     yield (
         "the normal is turned towards the ray; geometric normals point outside, whoever looks",
         f.rows[opposite & towards],
     )
     yield "the normal is turned round", f.rows[opposite]
-    shading = (row_distance(n, f.at.sh_n) <= MATCH_RTOL) & (row_distance(f.at.sh_n, f.at.n) > DISTINCT_RTOL)
+    shading = off & (row_distance(n, f.at.sh_n) <= MATCH_RTOL)
+    shading &= row_distance(f.at.sh_n, f.at.n) > DISTINCT_RTOL
     yield "the interpolated normal in place of the geometric one", f.rows[shading]
-    off = row_distance(n, f.at.n)
-    off = off[np.isfinite(off)]
-    if len(off):
-        yield f"the normal is off by {_range_text(off)} of its length", f.rows
+    finite = error[off & np.isfinite(error)]
+    if len(finite):
+        yield f"the normal is off by {_range_text(finite)} of its length", f.rows[off]
+
+
+def _wrong_surface(judge: Judge, judgement: Judgement, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Rows where the primitive and t are right: what else of the subject is beyond float64's bounds there."""
+    if not judge.names_prims or not len(rows):
+        return
+    at = judge.bounds.own.take(rows)
+    yield from _wrong_normal(
+        judge, WrongPixels(rows, at.possible, judge.answer.t[rows], judge.prim[rows], at)
+    )
+    failing = {check.name: check.fails[rows] for check in judge.self_checks}
+    if "diffuse" in judgement.ratios:
+        failing["diffuse"] = ~(judgement.ratios["diffuse"][rows] <= 1.0)
+    what = "beyond what float64 rounding allows at the primitive that is hit, in {}"
+    yield from ((what.format(name), rows[where]) for name, where in failing.items())
 
 
 def _range_text(sizes: np.ndarray) -> str:
@@ -176,17 +212,17 @@ def _close(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return near
 
 
-def _other_root(judge: CandidateJudge, f: WrongPixels, t: np.ndarray) -> np.ndarray:
+def _other_root(judge: Judge, f: WrongPixels, t: np.ndarray) -> np.ndarray:
     """(m,) bool: t is a root of the same primitive, though not the first."""
     met = judge.model.intersect(f.prim, judge.o[f.rows], judge.d[f.rows], judge.answer.ku, ours=True)
     found = np.zeros(len(t), bool)
     with np.errstate(invalid="ignore"):
-        fits = _close(t[met.pair], met.at.t) & ~_close(met.at.t, f.t[met.pair]) & met.at.possible
-    found[met.pair[fits]] = True
+        matches = _close(t[met.pair], met.at.t) & ~_close(met.at.t, f.t[met.pair]) & met.at.possible
+    found[met.pair[matches]] = True
     return found
 
 
-def _hits_other_surface(judge: CandidateJudge, f: WrongPixels, t: np.ndarray) -> np.ndarray:
+def _hits_other_surface(judge: Judge, f: WrongPixels, t: np.ndarray) -> np.ndarray:
     """(m,) bool: some other surface on the ray is at t."""
     rows = f.rows[:MAX_DIAGNOSED_PIXELS]
     possible = judge.bracket.possible_hits(judge.o[rows], judge.d[rows], judge.t_max[rows])

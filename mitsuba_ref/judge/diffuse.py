@@ -1,4 +1,4 @@
-"""The diffuse AOV: is ours the sum of what Mitsuba's lights give, up to bounds and to shadows that may differ?"""
+"""Comparison of the diffuse AOV: the sum of Mitsuba's lights, up to bounds and to shadows that may differ."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from mitsuba_ref.error_model.lambert import (
     certain_lights,
     smallest_error_ratio,
 )
-from mitsuba_ref.subjects.ours import ImagePair
+from mitsuba_ref.judge.comparison import ImagePair
 
 
 class DiffuseComparison(NamedTuple):
@@ -37,9 +37,13 @@ class LightAnswers(NamedTuple):
 
 
 def judge_diffuse(
-    scene: Scene, pair: ImagePair, bounds: Bounds, rows: np.ndarray, brackets: tuple[Bracket, Bracket]
+    scene: Scene,
+    pair: ImagePair,
+    bounds: Bounds,
+    rows: np.ndarray,
+    brackets: tuple[Bracket, Bracket],
 ) -> DiffuseComparison:
-    """Judge the pixels `rows`, where geometry agrees; brackets: ours and the reference's."""
+    """Compare the pixels `rows`, where geometry agrees; brackets: the subject's and the reference's."""
     count = len(pair.t)
     ratio, explained, unresolvable = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
     lights = _lights(scene, pair, bounds.at, rows)
@@ -79,7 +83,7 @@ def shading_points(pair: ImagePair, at: Intersections, rows: np.ndarray) -> Shad
     """Our hits at some pixels, with the bounds `at`."""
     d = pair.rays.d[rows].astype(np.float64)
     p = pair.rays.o[rows].astype(np.float64) + pair.t[rows, None] * d
-    return ShadingPoints(p, d, aov_rows(pair.ours, "shape_id")[rows], at.take(rows))
+    return ShadingPoints(p, d, aov_rows(pair.subject, "shape_id")[rows], at.take(rows))
 
 
 def _lit(scene: Scene, hit: ShadingPoints, ku: float) -> list[LightContribution]:
@@ -90,8 +94,8 @@ def _lit(scene: Scene, hit: ShadingPoints, ku: float) -> list[LightContribution]
 
 def _lights(scene: Scene, pair: ImagePair, at: Intersections, rows: np.ndarray) -> LightAnswers:
     each = _lit(scene, shading_points(pair, at, rows), KU)
-    visible = pair.witness.visible[:, rows]
-    given = np.where(visible[..., None], pair.witness.unshadowed[:, rows], 0.0)
+    visible = pair.result.visible[:, rows]
+    given = np.where(visible[..., None], pair.result.unshadowed[:, rows], 0.0)
     error = np.where(visible[..., None], _stacked([lit.error for lit in each], rows), 0.0)
     return LightAnswers(each, given, error, visible)
 
@@ -102,7 +106,9 @@ def _stacked(values: list[np.ndarray], rows: np.ndarray) -> np.ndarray:
 
 
 def _share(pair: ImagePair, rows: np.ndarray, choices: LightChoices) -> np.ndarray:
-    return smallest_error_ratio(aov_rows(pair.ours, "diffuse")[rows], pair.witness.ambient[rows], choices, KU)
+    return smallest_error_ratio(
+        aov_rows(pair.subject, "diffuse")[rows], pair.result.ambient[rows], choices, KU
+    )
 
 
 def _choices(

@@ -1,20 +1,26 @@
-"""What each witness says of a pixel, in words: shape and t, in decimal and to the bit."""
+"""Answers of a pixel as text: shape and t, in decimal and to the bit, of every witness."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.classification import Judge, Judgement
-from mitsuba_ref.judge.known_defects import defect_name
-from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED
-from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
+from mitsuba_ref.judge.explanations import format_defect
+from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG
+from mitsuba_ref.oracle.oracle import ExactAnswer
+from mitsuba_ref.subjects.answer import Answer
 
 MAX_TIES_SHOWN = 6  # members of an exact tie set on one line; JSON has all
+AOVS_SHOWN = (
+    "position",
+    "normal",
+    "shading_normal",
+    "diffuse",
+)  # beside shape and depth, if they are compared
 
 
 class TieMember(NamedTuple):
@@ -64,51 +70,104 @@ def _flags_text(answer: ExactAnswer) -> str:
     return f" ({', '.join(sorted(answer.flags))} on the way)" if answer.flags else ""
 
 
-def decimal_and_hex(value: float) -> str:
-    """Decimal and hex."""
-    return f"{value!r} {value.hex()}"
+def exact_answer(judge: Judge, judgement: Judgement, row: int) -> ExactAnswer | None:
+    """The exact answer at a row, computed now if it was not before; none where there is no ray."""
+    known = judgement.exact.of(row)
+    if known is not None or judge.t_max[row] < 0.0:
+        return known
+    return judge.oracle.first_hit(judge.o[row], judge.d[row], 0.0, float(judge.t_max[row]))
 
 
-def format_side(judge: Judge, row: int, *, ours: bool) -> str:
-    """One side's answer on one line, without its AOVs."""
+class PixelText(NamedTuple):
+    """The answers at one pixel as text."""
+
+    subject: str
+    reference: str
+    exact: str
+
+
+def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> PixelText:
+    """Of one row of the image; check: the one whose values are shown, of a subject that gives more than t and n."""
+    exact = format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))
+    if judge.names_prims:
+        subject, reference = (
+            _aovs_text(judge.scene, aovs, check, row) for aovs in (judge.pair.subject, judge.pair.reference)
+        )
+        return PixelText(subject, reference, exact)
+    ray = f"along o ({format_numbers(judge.o[row])}), d ({format_numbers(judge.d[row])})"
+    subject = f"{format_answer(judge.answer, row)}, {ray}"
+    return PixelText(subject, _reference_text(judge, row), exact + _exact_normal_text(judge, judgement, row))
+
+
+def _aovs_text(scene: Scene, aovs: Any, check: str, row: int) -> str:
+    """Shape and depth, and the value that was compared."""
+    shape = int(aov_rows(aovs, "shape_id")[row])
+    name = scene.shape_names()[shape] if shape >= 0 else "miss"
+    text = f"{name} at depth {float(aov_rows(aovs, 'depth')[row])!r}"
+    if check in AOVS_SHOWN:
+        values = aov_rows(aovs, check)[row]
+        value = ", ".join(f"{v:.9g}" if check != "position" else repr(float(v)) for v in values)
+        text += f", {check} ({value})"
+    return text
+
+
+def format_answer(answer: Answer, row: int) -> str:
+    """t to the bit and the normal, and what of it is invalid."""
+    parts = [f"t {decimal_and_hex(float(answer.t[row]))}" if answer.hit[row] else "miss"]
+    if answer.n is not None and answer.hit[row]:
+        parts.append(f"n ({format_numbers(answer.n[row])})")
+    parts += [why for why, rows in answer.broken.items() if rows[row]]
+    return ", ".join(parts)
+
+
+def _reference_text(judge: Judge, row: int) -> str:
+    result = judge.result
+    shape = int(result.shape_id[row])
+    if shape < 0:
+        return "miss"
+    n = format_numbers(aov_rows(judge.pair.reference, "normal")[row])
+    return f"{judge.scene.shape_names()[shape]} at t {decimal_and_hex(float(result.t[row]))}, n ({n})"
+
+
+def _exact_normal_text(judge: Judge, judgement: Judgement, row: int) -> str:
+    """Normals are not exact: float64's at the surface that is hit exactly."""
+    answer = judgement.exact.of(row)
+    if answer is None or answer.t is None or judge.n is None:
+        return ""
+    at = judge.near(np.array([row]), np.array([answer.prim]), np.array([float(answer.t)]))
+    return f", n ({format_numbers(at.n[0])})"
+
+
+def format_primitive(judge: Judge, row: int, *, subject: bool) -> str:
+    """The primitive that one side names, and its t, without AOVs."""
     pair, packed = judge.pair, judge.model.packed
-    prim = int(pair.prim[row]) if ours else judge.reference_prim(row)
+    prim = int(pair.prim[row] if subject else judge.reference_prim[row])
     if prim < 0:
         return "miss"
-    t = float(pair.t[row] if ours else pair.witness.t[row])
-    shape = judge.scene.shape_names()[int(packed.shape_of(np.array([prim]))[0])]
-    return f"{shape}, prim {int(packed.index_in_shape(np.array([prim]))[0])} at t {decimal_and_hex(t)}"
-
-
-def format_defect(case: int | None) -> str:
-    """A case with its number."""
-    return (
-        f"case {case}: {defect_name(case)}"
-        if case is not None
-        else f"{UNLISTED}: none of the cases that are known"
-    )
+    t = float(pair.t[row] if subject else pair.result.t[row])
+    which = np.array([prim])
+    shape = judge.scene.shape_names()[int(packed.shape_of(which)[0])]
+    return f"{shape}, prim {int(packed.index_in_shape(which)[0])} at t {decimal_and_hex(t)}"
 
 
 def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str) -> Sequence[str]:
-    """Comment for a reproducer of a row of the picture: who says what, and how to see it again."""
+    """Comment of a reproducer of a row of the image: every answer, and how to see it again."""
     return list(_header_lines(judge, judgement, row, source))
 
 
 def _header_lines(judge: Judge, judgement: Judgement, row: int, source: str) -> Iterator[str]:
     pair, verdict = judge.pair, CLASSES[int(judgement.classes[row])]
-    versions = pair.witness.answer.versions
+    versions = pair.result.answer.versions
     yield f"One ray that caster and Mitsuba {versions.get('mitsuba', '')} were judged on: {verdict}."
     yield ""
     yield f"from:      {source}"
-    if verdict == REFERENCE_WRONG:
-        yield f"class:     {verdict}, {format_defect(judgement.cases.get(row))}"
-    else:
-        yield f"class:     {verdict}"
+    defect = f", {format_defect(judgement.cases.get(row))}" if verdict == REFERENCE_WRONG else ""
+    yield f"class:     {verdict}{defect}"
     yield f"exact:     {format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))}"
-    yield f"caster:    {format_side(judge, row, ours=True)}"
-    yield f"Mitsuba:   {format_side(judge, row, ours=False)}"
+    yield f"caster:    {format_primitive(judge, row, subject=True)}"
+    yield f"Mitsuba:   {format_primitive(judge, row, subject=False)}"
     if judgement.ratio("diffuse")[row] > 1.0:
-        for name, aovs in (("caster", pair.ours), ("Mitsuba", pair.reference)):
+        for name, aovs in (("caster", pair.subject), ("Mitsuba", pair.reference)):
             yield f"{name + ':':<11}diffuse {format_float32s(aov_rows(aovs, 'diffuse')[row])}"
     yield f"origin:    {format_float32s(pair.rays.o[row])}"
     yield f"direction: {format_float32s(pair.rays.d[row])}"
@@ -120,32 +179,15 @@ def _header_lines(judge: Judge, judgement: Judgement, row: int, source: str) -> 
     yield ""
 
 
-class Asking(Protocol):
-    """Who judges, ours or a candidate: float64 rays, and the oracle for them."""
-
-    o: np.ndarray
-    d: np.ndarray
-    t_max: np.ndarray
-
-    @property
-    def oracle(self) -> Oracle: ...
-
-
-class Answered(Protocol):
-    """What was judged, with the exact answers that it rests on."""
-
-    @property
-    def exact(self) -> Adjudication: ...
-
-
-def exact_answer(judge: Asking, judgement: Answered, row: int) -> ExactAnswer | None:
-    """The exact answer of a row, asked for now if it was not before; none where there is no ray."""
-    known = judgement.exact.of(row)
-    if known is not None or judge.t_max[row] < 0.0:
-        return known
-    return judge.oracle.first_hit(judge.o[row], judge.d[row], 0.0, float(judge.t_max[row]))
+def decimal_and_hex(value: float) -> str:
+    return f"{value!r} {value.hex()}"
 
 
 def format_float32s(values: Any) -> str:
     """Decimals, in float32's shortest digits, of a few numbers."""
     return "  ".join(str(np.float32(value)) for value in values)
+
+
+def format_numbers(values: np.ndarray) -> str:
+    """Decimals, nine digits, of a few numbers."""
+    return ", ".join(f"{value:.9g}" for value in values)

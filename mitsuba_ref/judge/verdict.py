@@ -6,7 +6,6 @@ judge/classification.py, how they are shown is in report/.
 
 import math
 from dataclasses import field
-from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, PlainSerializer, TypeAdapter, computed_field
@@ -288,16 +287,6 @@ class Verdict:
         """Versions that judged the scenes, each once."""
         each = [", ".join(f"{k} {v}" for k, v in scene.versions.items()) for scene in self.scenes]
         return tuple(dict.fromkeys(filter(None, each)))
-
-    def write_html(self, path: str | Path) -> Path:
-        """A report into a folder, or into one file if `path` ends in .html; returns the file to open.
-
-        Scenes that come from mitsuba_ref.validate have their images; of others there is a row of the list alone.
-        Raises OutputError.
-        """
-        from mitsuba_ref.report.html.html_report import write_report
-
-        return write_report(path, self.scenes, self.asked)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, as in verdict.json."""

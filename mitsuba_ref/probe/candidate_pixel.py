@@ -8,26 +8,22 @@ import numpy as np
 
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, row_distance
-from mitsuba_ref.judge.candidate_formatting import failure_hints, format_answer
-from mitsuba_ref.judge.candidate_judge import CandidateJudge, CandidateJudgement, intersections_near
-from mitsuba_ref.judge.candidate_reasons import reason
-from mitsuba_ref.judge.classification import EXACT
+from mitsuba_ref.judge.aggregate import failure_hints
+from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of
+from mitsuba_ref.judge.comparison import ImagePair
 from mitsuba_ref.judge.diagnosis import diagnose, marked_miss
-from mitsuba_ref.judge.explanations import exceeded_bounds, not_compared
+from mitsuba_ref.judge.explanations import exceeded_bounds, not_compared, reason
+from mitsuba_ref.judge.formatting import format_answer
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, in_ulps, ratio_to_bound
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
-from mitsuba_ref.report.candidate_images import candidate_aovs
 from mitsuba_ref.subjects.answer import Answer, NoAnswer
-from mitsuba_ref.subjects.ours import ImagePair
 from mitsuba_ref.subjects.requests import SubjectResponse, one_of, request_answer
-from mitsuba_ref.subjects.subject import Candidate
+from mitsuba_ref.subjects.subject import Subject
 
 
-def errors_from_exact(judge: CandidateJudge, exact: ExactAnswer | None) -> dict[str, Any]:
+def errors_from_exact(judge: Judge, exact: ExactAnswer | None) -> dict[str, Any]:
     """How far t and the normal are from those of the exact answer, at the member of a tie that fits best.
 
     In units of the last place (t), as a share of its length (the normal), and of their bounds.
@@ -37,7 +33,7 @@ def errors_from_exact(judge: CandidateJudge, exact: ExactAnswer | None) -> dict[
         return {}
     prim = np.array([each.prim for each in exact.ties])
     row = np.zeros(len(prim), int)
-    at = intersections_near(judge, row, prim, np.full(len(prim), float(exact.t)))
+    at = judge.near(row, prim, np.full(len(prim), float(exact.t)))
     off = exact.t.off(t) * -exact.t.compare(t)
     t_share = [
         ratio_to_bound(abs(off), float(bound)) for bound in at.t_error + np.ravel(judge.answer.t_rounding)[0]
@@ -58,7 +54,7 @@ def errors_from_exact(judge: CandidateJudge, exact: ExactAnswer | None) -> dict[
     }
 
 
-def exceeded_factors(judge: CandidateJudge, off: Mapping[str, Any], ratios: Mapping[str, float]) -> str:
+def exceeded_factors(judge: Judge, off: Mapping[str, Any], ratios: Mapping[str, float]) -> str:
     """By what factors: from the exact answer if there is one, else from Mitsuba's."""
     if judge.answer.is_broken[0]:
         return ""
@@ -67,7 +63,7 @@ def exceeded_factors(judge: CandidateJudge, off: Mapping[str, Any], ratios: Mapp
     return exceeded_bounds(shares)
 
 
-def as_witness(judge: CandidateJudge, judgement: CandidateJudgement, off: Mapping[str, Any]) -> WitnessAnswer:
+def as_witness(judge: Judge, judgement: Judgement, off: Mapping[str, Any]) -> WitnessAnswer:
     """Beside ours and Mitsuba. off: from the exact answer."""
     answer = judge.answer
     broken = [*answer.broken]
@@ -122,7 +118,7 @@ class CandidatePixel:
 
 
 def probe_candidate(
-    candidate: Candidate, scene: Scene, pixel: tuple[int, int], pair: ImagePair
+    candidate: Subject, scene: Scene, pixel: tuple[int, int], pair: ImagePair
 ) -> CandidatePixel:
     """Ask and judge. pair: ours and Mitsuba's answers along this pixel's ray. Raises SceneError."""
     x, y = pixel
@@ -136,29 +132,21 @@ def probe_candidate(
     except NoAnswer as error:
         saying = WitnessAnswer(CANDIDATE, "", -1, np.nan, problem="no answer")
         return CandidatePixel(candidate.name, UNDECIDED, problem=str(error), saying=saying)
-    here = heard.scene.with_film(crop=(x, y, x + 1, y + 1))
-    rays = one_of(heard.rays, row)
-    witness = _witness(here, heard, rays, pair)
-    if isinstance(witness, Crash):
-        problem = witness.message
-        return CandidatePixel(candidate.name, UNDECIDED, problem=problem)
-    judge = CandidateJudge(here, heard.model, rays, witness, heard.answer.at(row))
+    here = heard._replace(
+        scene=heard.scene.with_film(crop=(x, y, x + 1, y + 1)),
+        rays=one_of(heard.rays, row),
+        answer=heard.answer.rows(slice(row, row + 1)),
+    )
+    judge = judge_of(here, known=pair)
+    if isinstance(judge, Crash):
+        return CandidatePixel(candidate.name, UNDECIDED, problem=judge.message)
     return _judged(candidate.name, judge, heard)
 
 
-def _witness(
-    scene: Scene, heard: SubjectResponse, rays: SharedRays, pair: ImagePair
-) -> ReferenceResult | Crash:
-    """What Mitsuba says; it is asked again only where the XML has a far plane that the scene has not."""
-    if all(np.array_equal(mine, known) for mine, known in zip(rays, pair.rays, strict=True)):
-        return pair.witness
-    return trace_reference(scene, heard.model, rays, lights=False)
-
-
-def _judged(name: str, judge: CandidateJudge, heard: SubjectResponse) -> CandidatePixel:
+def _judged(name: str, judge: Judge, heard: SubjectResponse) -> CandidatePixel:
     judgement, answer = judge.judge(), judge.answer
     verdict = CLASSES[int(judgement.classes[0])]
-    said = {int(row): what for what, rows in diagnose(judge, judgement).said.items() for row in rows}
+    said = diagnose(judge, judgement).by_row()
     if said and _marks_a_miss(judge, heard.answer.t):
         said[0] = marked_miss(float(answer.t[0]))
     exact = judgement.exact.of(0)
@@ -184,15 +172,15 @@ def _judged(name: str, judge: CandidateJudge, heard: SubjectResponse) -> Candida
     )
 
 
-def _marks_a_miss(judge: CandidateJudge, everywhere: np.ndarray) -> bool:
+def _marks_a_miss(judge: Judge, everywhere: np.ndarray) -> bool:
     """Whether t is a number in the place of inf: Mitsuba misses, and other rays have the very same one."""
     t = judge.answer.t[0]
-    return bool(np.isfinite(t) and not judge.witness.hit[0] and (everywhere == t).sum() > 1)
+    return bool(np.isfinite(t) and not judge.result.hit[0] and (everywhere == t).sum() > 1)
 
 
-def _answer_record(judge: CandidateJudge) -> dict[str, Any]:
+def _answer_record(judge: Judge) -> dict[str, Any]:
     """Numbers as they are; a normal of length 1, NaN where it was not finite."""
-    aovs = candidate_aovs(judge)
+    aovs = judge.pair.subject
     given = {"t": judge.answer.t} | {
         name: aov_rows(aovs, name) for name in ("depth", "normal") if name in aovs
     }
@@ -202,8 +190,8 @@ def _answer_record(judge: CandidateJudge) -> dict[str, Any]:
     }
 
 
-def _not_judged(judge: CandidateJudge, exact: ExactAnswer | None) -> dict[str, str]:
-    hits = bool(judge.answer.hit[0]), bool(judge.witness.hit[0])
+def _not_judged(judge: Judge, exact: ExactAnswer | None) -> dict[str, str]:
+    hits = bool(judge.answer.hit[0]), bool(judge.result.hit[0])
     found = not_compared(*hits, "the candidate", ("depth", "normal"))
     if judge.answer.n is None:
         found["normal"] = "the candidate gives none"

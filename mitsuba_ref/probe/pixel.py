@@ -11,8 +11,9 @@ from caster.rendering.images import Aovs
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.bracket import latest_hits
-from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
-from mitsuba_ref.judge.explanations import not_judged, reason_with_factors
+from mitsuba_ref.judge.classification import Judge, Judgement, scene_judge
+from mitsuba_ref.judge.diagnosis import diagnose
+from mitsuba_ref.judge.explanations import full_reason, not_judged
 from mitsuba_ref.judge.formatting import exact_answer, tie_members
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, json_number
 from mitsuba_ref.oracle.oracle import ExactAnswer
@@ -21,7 +22,7 @@ from mitsuba_ref.probe.witnesses import WitnessAnswer, witness_answers, witness_
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.subjects.ours import COMPARED_AOVS
-from mitsuba_ref.subjects.subject import Candidate
+from mitsuba_ref.subjects.subject import Subject
 
 
 @dataclass(frozen=True)
@@ -82,13 +83,13 @@ class ProbeEvidence(NamedTuple):
     judgement: Judgement
 
 
-def probe(scene: Scene, x: int, y: int, candidate: Candidate | None = None) -> PixelVerdict:
+def probe(scene: Scene, x: int, y: int, candidate: Subject | None = None) -> PixelVerdict:
     """Judge one pixel, of a candidate as well if there is one. Raises SceneError for one outside the film."""
     return probe_with_evidence(scene, x, y, candidate)[0]
 
 
 def probe_with_evidence(
-    scene: Scene, x: int, y: int, candidate: Candidate | None = None
+    scene: Scene, x: int, y: int, candidate: Subject | None = None
 ) -> tuple[PixelVerdict, ProbeEvidence | Crash]:
     """The same, with what it rests on."""
     film = scene.film
@@ -99,7 +100,7 @@ def probe_with_evidence(
         scene.with_film(crop=(0, 0, film.width, film.height))
     )  # stand-ins are cut to all rays
     asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
-    judge = judge_of(scene, whole=whole)
+    judge = scene_judge(scene, whole=whole)
     if isinstance(judge, Crash):
         problem = judge.message
         return PixelVerdict(
@@ -115,14 +116,14 @@ def probe_with_evidence(
         y,
         CLASSES[int(judgement.classes[0])],
         _ray(pair.rays),
-        _answer(scene, pair.ours, pair.t),
-        _answer(scene, pair.reference, pair.witness.t),
+        _answer(scene, pair.subject, pair.t),
+        _answer(scene, pair.reference, pair.result.t),
         _exact(judge, exact),
         {name: share for name, share in _ratios(judgement).items() if name not in left},
         left,
         tuple(_possible(scene, judge)),
-        pair.witness.answer.versions,
-        why=reason_with_factors(judge, judgement, 0),
+        pair.result.answer.versions,
+        why=full_reason(judge, judgement, diagnose(judge, judgement).by_row(), 0),
         case=_case(judgement),
         witnesses=said if theirs is None or theirs.saying is None else (theirs.saying, *said),
         candidate=theirs,
@@ -162,7 +163,7 @@ def _ratios(judgement: Judgement) -> dict[str, float]:
 
 def _possible(scene: Scene, judge: Judge) -> Iterator[PossibleHit]:
     """Every primitive that the reference may hit, nearest first."""
-    rays, bracket, packed = judge.pair.rays, judge.theirs, judge.model.packed
+    rays, bracket, packed = judge.pair.rays, judge.reference_bracket, judge.model.packed
     t_max = rays.t_max.astype(np.float64)
     found = bracket.possible_hits(rays.o.astype(np.float64), rays.d.astype(np.float64), t_max)
     certain = np.isfinite(latest_hits(found, t_max))

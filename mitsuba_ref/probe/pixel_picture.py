@@ -14,7 +14,7 @@ from caster.geometry.world_space import as_float32
 from caster.rendering.hits import trace
 from caster.rendering.images import trace_film
 from caster.scene.model import MAX_FILM_SIDE, Scene
-from mitsuba_ref.judge.classification import CLASS_CODE, Judge, judge_of
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge, scene_judge
 from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
@@ -77,11 +77,11 @@ def draw_classes(ax: Any, scene: Scene, x: int, y: int) -> dict[str, str]:
     x0, y0 = max(0, x - AROUND), max(0, y - AROUND)
     x1, y1 = min(film.width, x + AROUND + 1), min(film.height, y + AROUND + 1)
     whole = shared_rays(scene.with_film(crop=(0, 0, film.width, film.height)))  # as `probe` does
-    judge = judge_of(scene.with_film(crop=(x0, y0, x1, y1)), whole=whole)
+    judge = scene_judge(scene.with_film(crop=(x0, y0, x1, y1)), whole=whole)
     if isinstance(judge, Crash):
         classes, hit = np.full((y1 - y0, x1 - x0), CLASS_CODE[UNDECIDED]), np.ones((y1 - y0, x1 - x0), bool)
     else:
-        hit = (judge.pair.ours.hit.ravel() | judge.pair.witness.hit).reshape(judge.pair.ours.hit.shape)
+        hit = judge.pair.any_hit.reshape(judge.pair.shape)
         classes = judge.judge().classes.reshape(hit.shape)
     seen = {}
     for row, column in np.ndindex(hit.shape):

@@ -46,7 +46,7 @@ class WitnessAnswer:
 def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
     """All witnesses of the ray of a window of one pixel."""
     exact = () if answer is None else (_exact(judge, answer),)
-    given = judge.pair.witness.answer
+    given = judge.pair.result.answer
     ours = _surface(judge, int(judge.pair.prim[0]))
     theirs = dict(other_variant_answers(judge, given.versions["variant"]))
     theirs[given.versions["variant"], "robust"] = given

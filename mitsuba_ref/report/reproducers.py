@@ -17,8 +17,8 @@ from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.error_model.scene_model import reference_of
-from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, judge_of
-from mitsuba_ref.judge.formatting import format_side, reproducer_header
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, scene_judge
+from mitsuba_ref.judge.formatting import format_primitive, reproducer_header
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import pixel_of
@@ -88,16 +88,18 @@ def reproducer(judge: Judge, row: int, *, lit: bool = False) -> Reproducer:
 def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
     """Numbers of the primitives that float32 may hit, that are hit exactly, and that either side names."""
     o, d, t_max = judge.o[row : row + 1], judge.d[row : row + 1], judge.t_max[row : row + 1]
-    found = set(judge.theirs.possible_hits(o, d, t_max).prim.tolist())
+    found = set(judge.reference_bracket.possible_hits(o, d, t_max).prim.tolist())
     for answer in judge.oracle.first_hits(o, d, 0.0, t_max):
         found |= {hit.prim for hit in answer.ties}
-    found |= {int(judge.pair.prim[row]), judge.reference_prim(row)}
+    found |= {int(judge.pair.prim[row]), int(judge.reference_prim[row])}
     if lit and judge.pair.prim[row] >= 0:
         for light in judge.scene.lights:
             if light.type != "ambient":
                 to_light, reach = direction_to_light(light, judge.point[row : row + 1])
                 found |= set(
-                    judge.theirs.possible_hits(judge.point[row : row + 1], to_light, reach).prim.tolist()
+                    judge.reference_bracket.possible_hits(
+                        judge.point[row : row + 1], to_light, reach
+                    ).prim.tolist()
                 )
     return found - {-1}
 
@@ -174,14 +176,14 @@ def write_reproducer(
 
 def reproduces(found: Reproducer, judge: Judge, judgement: Judgement, row: int) -> tuple[bool, str]:
     """(whether class and Mitsuba's answer come out the same, that in words)."""
-    again = judge_of(found.scene)
+    again = scene_judge(found.scene)
     if isinstance(again, Crash):
         return False, f"Checked:   Mitsuba ended without an answer on this file ({again.exit})."
     verdict, before = (CLASSES[int(code)] for code in (again.judge().classes[0], judgement.classes[row]))
-    t, t_before = float(again.pair.witness.t[0]), float(judge.pair.witness.t[row])
+    t, t_before = float(again.pair.result.t[0]), float(judge.pair.result.t[row])
     if verdict == before and (t == t_before or (np.isnan(t) and np.isnan(t_before))):
         return True, "Checked:   this file alone gives the same class, and the same t of Mitsuba."
-    told = f"class {verdict}, Mitsuba: {format_side(again, 0, ours=False)}"
+    told = f"class {verdict}, Mitsuba: {format_primitive(again, 0, subject=False)}"
     return (
         False,
         f"Checked:   NOT THE SAME from this file alone, so what else is in the scene matters: {told}.",

@@ -1,30 +1,56 @@
-"""A scene through both sides to its verdict."""
+"""Validation of one scene: a subject and Mitsuba along the same rays, to its verdict."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from caster.rendering.images import Aovs, film_window
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.aggregate import class_counts, defect_counts, largest_ratios
-from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of
-from mitsuba_ref.judge.explanations import reason_with_factors
-from mitsuba_ref.judge.formatting import exact_answer, format_exact
+from mitsuba_ref.judge.aggregate import (
+    NEVER_GIVEN,
+    class_counts,
+    defect_counts,
+    failing_by_check,
+    failure_at,
+    failure_hints,
+    findings,
+    largest_ratios,
+    listed_failures,
+    quantities_not_given,
+)
+from mitsuba_ref.judge.classification import judge_of
+from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.scene_checks.bias import check_bias, error_statistics
-from mitsuba_ref.judge.scene_checks.render_checks import CHECKS_WITHOUT_REFERENCE, check_sensor
-from mitsuba_ref.judge.verdict import CLASSES, FAILING, MAX_LISTED_FAILURES, Failure, SceneVerdict, Verdict
+from mitsuba_ref.judge.scene_checks.render_checks import (
+    CHECKS_OF_OUR_CASTER,
+    CHECKS_OF_SHARED_INPUT,
+    check_sensor,
+)
+from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.report.class_images import write_images
-from mitsuba_ref.report.html.evidence_of_ours import EvidenceOfOurs
+from mitsuba_ref.report.html.evidence import Evidence
+from mitsuba_ref.report.html.html_report import write_report
 from mitsuba_ref.report.replay import with_replay
 from mitsuba_ref.report.reproducers import StoredReproducers, write_reproducers
+from mitsuba_ref.subjects.answer import NoAnswer
+from mitsuba_ref.subjects.function import function_subject
+from mitsuba_ref.subjects.ours import OURS
+from mitsuba_ref.subjects.requests import parse_candidate, request_answer
+from mitsuba_ref.subjects.subject import Subject
+
+
+class Validation(Verdict):
+    """A verdict with the images and the evidence it rests on."""
+
+    def write_html(self, path: str | Path) -> Path:
+        """A report into a folder, or into one file if `path` ends in .html; returns the file to open.
+
+        Raises OutputError.
+        """
+        return write_report(path, self.scenes, self.asked)
 
 
 def validate(
@@ -32,32 +58,23 @@ def validate(
     *,
     candidate: str | Callable[..., Any] | None = None,
     timeout: float = DEFAULT_TIMEOUT,
-) -> Verdict:
+) -> Validation:
     """Compare our caster with Mitsuba on one scene, given as a Scene or as the path of its file.
 
-    candidate: somebody's ray caster in the place of ours: a function(scene, o, d) -> (t, n), or what --candidate takes
+    candidate: another ray caster in place of ours: a function(scene, o, d) -> (t, n), or what --candidate takes
     (docs/candidates.md). Raises SceneError for a scene that is not valid, FileMissing where there is none,
     MissingReferenceError for a shape without a reference. A crash of Mitsuba is a verdict that does not pass. The
-    verdict holds on to both pictures, for its write_html.
+    verdict keeps both images, for its write_html.
     """
-    judge = validate_scene if candidate is None else _judge_of(candidate)
+    subject: Subject = OURS
+    if candidate is not None:
+        subject = parse_candidate(candidate) if isinstance(candidate, str) else function_subject(candidate)
+    options: dict[str, Any] = {"subject": subject, "timeout": timeout, "keep": True}
     if isinstance(scene, Scene):
-        found = judge(scene, "scene", timeout=timeout, keep=True)
+        found = validate_scene(scene, "scene", **options)
     else:
-        found = judge(load_scene(scene), Path(scene).stem, str(scene), timeout=timeout, keep=True)
-    return Verdict((with_replay(found),))
-
-
-def _judge_of(candidate: str | Callable[..., Any]) -> Callable[..., SceneVerdict]:
-    """How a scene is judged with a candidate in our place."""
-    from functools import partial
-
-    from mitsuba_ref.runner.candidate_validation import validate_candidate
-    from mitsuba_ref.subjects.function import function_subject
-    from mitsuba_ref.subjects.subject import parse_candidate
-
-    asked = parse_candidate(candidate) if isinstance(candidate, str) else function_subject(candidate)
-    return partial(validate_candidate, asked)
+        found = validate_scene(load_scene(scene), Path(scene).stem, str(scene), **options)
+    return Validation((with_replay(found),))
 
 
 def validate_scene(
@@ -65,46 +82,69 @@ def validate_scene(
     name: str,
     path: str = "",
     *,
+    subject: Subject = OURS,
     folder: Path | None = None,
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
     keep: bool = False,
 ) -> SceneVerdict:
-    """The verdict of one scene that is loaded.
+    """The verdict of one scene that is loaded; what a candidate does wrong is in the verdict.
 
-    folder: where the pictures of both sides go; ask: the way to Mitsuba; keep: hold on to what the verdict rests on.
+    folder: where the images of both sides go; send: the way to Mitsuba; keep: keep what the verdict rests on.
     """
     start = time.perf_counter()
-    checks = tuple(check(scene) for check in CHECKS_WITHOUT_REFERENCE)
-    judge = judge_of(scene, timeout=timeout, send=send)
-    size, pixels = (scene.film.width, scene.film.height), film_window(scene)
+    ours = subject is OURS
+    checks = tuple(check(scene) for check in CHECKS_OF_OUR_CASTER) if ours else ()
+
+    def without_comparison(problem: str) -> SceneVerdict:
+        x0, y0, x1, y1 = scene.film.window
+        return SceneVerdict(
+            name,
+            path,
+            (x1 - x0) * (y1 - y0),
+            checks=checks,
+            problem=problem,
+            seconds=time.perf_counter() - start,
+            size=(scene.film.width, scene.film.height),
+            candidate=subject.name,
+            unjudged=() if ours else NEVER_GIVEN,
+        )
+
+    try:
+        response = request_answer(subject, scene)
+    except NoAnswer as error:
+        return without_comparison(str(error))
+    judge = judge_of(response, timeout=timeout, send=send)
     if isinstance(judge, Crash):
-        problem = judge.message
-        seconds = time.perf_counter() - start
-        count = pixels.width * pixels.height
-        return SceneVerdict(name, path, count, checks=checks, problem=problem, seconds=seconds, size=size)
-    judgement, pair = judge.judge(), judge.pair
-    stored = StoredReproducers((), 0)
+        return without_comparison(judge.message)
+    judgement, pair, answer = judge.judge(), judge.pair, judge.answer
+    diagnosis = diagnose(judge, judgement)
+    stored, errors = StoredReproducers((), 0), None
     if folder:
-        write_images(folder, name, scene, pair, judgement)
+        write_images(folder, name, judge, judgement)
+    if folder and ours:
         stored = write_reproducers(folder, name, judge, judgement, path or name)
-    hit = pair.ours.hit.ravel() | pair.witness.hit
-    errors = error_statistics(judge.model.packed, pair, judge.bounds)
-    by_check = _by_check(judgement)
+    if not ours:
+        checks = tuple(check(response.scene) for check in CHECKS_OF_SHARED_INPUT)
+    checks = (*checks, check_sensor(response.scene, pair.result))
+    if ours:
+        errors = error_statistics(judge.model.packed, pair, judge.bounds)
+        checks = (*checks, check_bias(errors))
+    by_check, by_row = failing_by_check(judgement), diagnosis.by_row()
     return SceneVerdict(
         name,
         path,
         len(pair.t),
-        hit_pixels=int(hit.sum()),
-        counts=class_counts(judgement, hit),
+        hit_pixels=int(pair.any_hit.sum()),
+        counts=class_counts(judgement, pair.any_hit),
         ratios=largest_ratios(judgement),
-        checks=(*checks, check_sensor(scene, pair.witness), check_bias(errors)),
-        failures=tuple(_failures(judge, judgement)),
-        versions=pair.witness.answer.versions,
+        checks=checks,
+        failures=listed_failures(judge, judgement, diagnosis),
+        versions=pair.result.answer.versions,
         seconds=time.perf_counter() - start,
-        reference_seconds=pair.witness.answer.seconds,
-        size=size,
-        allowed={name: check.ratio for name, check in scene.checks.items()},
+        reference_seconds=pair.result.answer.seconds,
+        size=(scene.film.width, scene.film.height),
+        allowed={name: check.ratio for name, check in scene.checks.items()} if ours else {},
         adjudicated=len(judgement.exact.rows),
         exact_seconds=judgement.exact_seconds,
         cases=defect_counts(judgement),
@@ -112,64 +152,14 @@ def validate_scene(
         reproducers=stored.files,
         not_stored=stored.left_out,
         failing_by={check: len(rows) for check, rows in by_check.items()},
-        worst_by={check: _failure(judge, judgement, int(rows[0]), check) for check, rows in by_check.items()},
-        seen=EvidenceOfOurs(judge, judgement) if keep else None,
+        worst_by={
+            check: failure_at(judge, judgement, by_row, int(rows[0]), check)
+            for check, rows in by_check.items()
+        },
+        candidate=subject.name,
+        precision="" if ours else answer.precision,
+        unjudged=quantities_not_given(answer),
+        findings=findings(judge, diagnosis),
+        notes=() if ours else (*answer.notes, *response.limits, *failure_hints(answer, judgement)),
+        seen=Evidence(judge, judgement, diagnosis) if keep else None,
     )
-
-
-def _failures(judge: Judge, judgement: Judgement) -> Sequence[Failure]:
-    """The worst of the pixels that fail."""
-    rows = _failing_rows(judgement)
-    excess = np.array([judgement.excess(name)[rows] for name in judgement.names])
-    order = np.argsort(-excess.max(axis=0), kind="stable")[:MAX_LISTED_FAILURES]
-    return [_failure(judge, judgement, int(row)) for row in rows[order]]
-
-
-def _failing_rows(judgement: Judgement) -> np.ndarray:
-    unlisted = np.array([row for row, case in judgement.cases.items() if case is None], np.int64)
-    return np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
-
-
-def _by_check(judgement: Judgement) -> dict[str, np.ndarray]:
-    """Rows that fail, worst first, under every check that they fail; under `exact` where they fail none."""
-    rows = _failing_rows(judgement)
-    excess = {name: judgement.excess(name)[rows] for name in judgement.names}
-    beyond = {name: ~(share <= 1.0) for name, share in excess.items()}
-    beyond[EXACT] = beyond[EXACT] | ~np.any(list(beyond.values()), axis=0)
-    order = {name: np.argsort(-share, kind="stable") for name, share in excess.items()}
-    found = {name: rows[order[name]][beyond[name][order[name]]] for name in judgement.names}
-    return {name: failing for name, failing in found.items() if len(failing)}
-
-
-def _failure(judge: Judge, judgement: Judgement, i: int, check: str = "") -> Failure:
-    """What became of row i; check: the one to speak of, the one that finds most unless told."""
-    x, y = pixel_of(judge.scene, i)
-    check = check or _offended(judgement, i)
-    exact = format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, i))
-    ours, reference = (
-        _words(judge.scene, aovs, check, i) for aovs in (judge.pair.ours, judge.pair.reference)
-    )
-    verdict, ratio = CLASSES[int(judgement.classes[i])], float(judgement.ratio(check)[i])
-    return Failure(
-        x, y, verdict, check, ratio, ours, reference, exact, reason_with_factors(judge, judgement, i)
-    )
-
-
-def _offended(judgement: Judgement, i: int) -> str:
-    """The check that finds most; `exact`, which says the least of what is wrong, only where it is the only one."""
-    excess = {name: float(judgement.excess(name)[i]) for name in judgement.names}
-    telling = {name: share for name, share in excess.items() if name != EXACT and not share <= 1.0}
-    return max(telling or excess, key=lambda name: excess[name])
-
-
-def _words(scene: Scene, aovs: Aovs, check: str, i: int) -> str:
-    """What one side says: the shape and its depth, and the value that was compared."""
-    shape = int(aov_rows(aovs, "shape_id")[i])
-    name = scene.shape_names()[shape] if shape >= 0 else "miss"
-    words = f"{name} at depth {float(aov_rows(aovs, 'depth')[i])!r}"
-    if check in ("position", "normal", "shading_normal", "diffuse"):
-        value = ", ".join(
-            f"{v:.9g}" if check != "position" else repr(float(v)) for v in aov_rows(aovs, check)[i]
-        )
-        words += f", {check} ({value})"
-    return words

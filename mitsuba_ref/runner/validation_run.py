@@ -12,11 +12,11 @@ from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.report.html.html_report import HtmlReport
 from mitsuba_ref.report.output_manifest import RemovedFiles
 from mitsuba_ref.runner import scene_runner
-from mitsuba_ref.runner.candidate_validation import validate_candidate
 from mitsuba_ref.runner.resume import OutFolder, ResumableResults, code_hash
 from mitsuba_ref.runner.scene_runner import JudgeScene, SceneEntry
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard
-from mitsuba_ref.subjects.subject import Candidate
+from mitsuba_ref.runner.validation import validate_scene
+from mitsuba_ref.subjects.subject import Subject
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ValidationRun:
     """Judges scenes one after the other; `verdict` and `finish` hold for those that are done so far."""
 
     def __init__(
-        self, entries: Sequence[SceneEntry], options: RunOptions, candidate: Candidate | None = None
+        self, entries: Sequence[SceneEntry], options: RunOptions, candidate: Subject | None = None
     ) -> None:
         """entries: the scenes of all shards; candidate: in place of our caster. Raises OutputError."""
         self.every, self.options, self.candidate = entries, options, candidate
@@ -101,9 +101,9 @@ class ValidationRun:
         return ResumableResults(self.out, judge, resume=self.options.resume, has_page=self.html.holds).judge
 
 
-def candidate_judge(candidate: Candidate, *, keep: bool) -> JudgeScene:
+def candidate_judge(candidate: Subject, *, keep: bool) -> JudgeScene:
     """Judges a scene with a candidate in place of our caster. keep: with the evidence of the verdict."""
-    validate = partial(validate_candidate, candidate)
+    validate = partial(validate_scene, subject=candidate)
 
     def judge(entry: SceneEntry, folder: Path | None) -> SceneVerdict:
         found = scene_runner.judge_entry(entry, folder, validate=validate, keep=keep)

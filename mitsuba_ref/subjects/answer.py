@@ -6,12 +6,16 @@ from typing import Any
 
 import numpy as np
 
+from caster.rendering.images import Aovs
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
 
 FLOAT32, FLOAT64 = "float32", "float64"
 NOT_FINITE = "the normal is not finite on a hit"
 LAST_WORDS = 1500  # characters kept of what somebody's code said
 PRECISIONS = {FLOAT32: KU, FLOAT64: KU_OURS}  # K times the unit round-off, as Model.meet takes it
+
+
+DEFAULT_SECONDS = 300.0  # that a command may take for one scene
 
 
 class NoAnswer(Exception):  # noqa: N818 - an outcome, not a mistake of the program
@@ -30,7 +34,10 @@ class Answer:
     own_camera: bool = False  # its rays came from a camera of its own, not from us
     as_exported: bool = False  # it saw what Mitsuba saw: patches in place of planes
     notes: tuple[str, ...] = ()
-    hints: tuple[str, ...] = field(default=())  # said only where it fails
+    hints: tuple[str, ...] = field(default=())  # reported only if a pixel fails
+    prim: np.ndarray | None = None  # (n,) int32, numbered through the scene, -1 on a miss; None: not given
+    images: Aovs | None = None  # normals, ids, diffuse, from a subject that gives more than t and n
+    exact_visibility: bool = False  # rounding is no excuse for another first hit than the exact one
 
     @property
     def hit(self) -> np.ndarray:
@@ -43,13 +50,13 @@ class Answer:
         """(n,) bool: no answer at all."""
         return np.any([np.zeros(len(self.t), bool), *self.broken.values()], axis=0)
 
-    def at(self, row: int) -> "Answer":
-        """What it says of one ray."""
-        rows = slice(row, row + 1)
+    def rows(self, rows: np.ndarray | slice) -> "Answer":
+        """The answer to some of the rays, without images."""
         t_rounding = self.t_rounding[rows] if isinstance(self.t_rounding, np.ndarray) else self.t_rounding
-        broken = {why: found[rows] for why, found in self.broken.items() if found[row]}
-        n = None if self.n is None else self.n[rows]
-        return replace(self, t=self.t[rows], n=n, broken=broken, t_rounding=t_rounding)
+        broken = {why: found[rows] for why, found in self.broken.items() if found[rows].any()}
+        n, prim = (None if values is None else values[rows] for values in (self.n, self.prim))
+        t = self.t[rows]
+        return replace(self, t=t, n=n, prim=prim, broken=broken, t_rounding=t_rounding, images=None)
 
     @property
     def ku(self) -> float:

@@ -68,27 +68,27 @@ class CommandSubject:
     seconds: float
     takes_rays: bool = False
 
-    def answer(self, question: CastRequest) -> Answer:
+    def answer(self, request: CastRequest) -> Answer:
         """Write the scene, run the program, read its picture. Raises NoAnswer."""
-        film, folder = question.scene.film, question.folder
+        film, folder = request.scene.film, request.folder
         names = {"exr": folder / "candidate.exr", "width": film.width, "height": film.height}
         if self.reads_xml:
-            names["xml"] = self._xml(question)
+            names["xml"] = self._xml(request)
         if self.reads_toml:
             names["toml"] = folder / "scene.toml"
-            (folder / "scene.toml").write_text(question.traced.to_toml(), encoding="utf-8")
+            (folder / "scene.toml").write_text(request.traced.to_toml(), encoding="utf-8")
         self._run([word.format(**names) for word in self.words])
-        exr = self._picture(folder / "candidate.exr", question)
-        return answer_from_exr(exr, question, precision=self.precision, as_exported=self.reads_xml)
+        exr = self._picture(folder / "candidate.exr", request)
+        return answer_from_exr(exr, request, precision=self.precision, as_exported=self.reads_xml)
 
-    def _xml(self, question: CastRequest) -> Path:
-        camera = question.scene.camera
-        exported = export(question.scene, question.model)
+    def _xml(self, request: CastRequest) -> Path:
+        camera = request.scene.camera
+        exported = export(request.scene, request.model)
         if "<sensor" not in exported.xml:
             raise NoAnswer(
                 f"Mitsuba has no {camera.type} camera, so the XML has none; read {{toml}} for this scene"
             )
-        return exported.write(question.folder)
+        return exported.write(request.folder)
 
     def _run(self, words: list[str]) -> None:
         try:
@@ -101,14 +101,14 @@ class CommandSubject:
             how = "ended with" if end.code > 0 else "was ended by"
             raise NoAnswer(f"the program {how} {exit_name(end.code)}{_output_tail(end.output)}")
 
-    def _picture(self, path: Path, question: CastRequest) -> Exr:
+    def _picture(self, path: Path, request: CastRequest) -> Exr:
         try:
             exr = read_exr(path)
         except UnreadableExr as error:
             raise NoAnswer(f"the program ended well, but its picture cannot be read: {error}") from error
         except FileMissing as error:
             raise NoAnswer("the program ended well, but wrote no {exr}") from error
-        film, (x0, y0, x1, y1) = question.scene.film, question.scene.film.window
+        film, (x0, y0, x1, y1) = request.scene.film, request.scene.film.window
         if exr.data_window not in ((x0, y0, x1, y1), (0, 0, x1 - x0, y1 - y0)):
             raise NoAnswer(
                 f"the picture shows pixels {exr.data_window}, expected {(x0, y0, x1, y1)} of the film of "
@@ -118,18 +118,18 @@ class CommandSubject:
 
 
 def answer_from_exr(
-    exr: Exr, question: CastRequest, *, precision: str | None = None, as_exported: bool = False
+    exr: Exr, request: CastRequest, *, precision: str | None = None, as_exported: bool = False
 ) -> Answer:
     """What an EXR in our channels says: depth along the ray from the eye, geometric normal, mask. Raises NoAnswer."""
     normal = _checked_names(exr.channels)
-    rays = question.rays
+    rays = request.rays
     depth = exr.channels[DEPTH].ravel().astype(np.float64)
     n = np.stack([exr.channels[name].ravel() for name in normal], axis=1) if normal else None
     length = np.linalg.norm(rays.d.astype(np.float64), axis=1)
     with np.errstate(invalid="ignore"):
         t = (depth - rays.start) / length
     if MASK in exr.channels:
-        covered = _mask(exr.channels[MASK].ravel(), depth, question)
+        covered = _mask(exr.channels[MASK].ravel(), depth, request)
         t, depth = (np.where(covered, values, np.inf) for values in (t, depth))
     # From the eye to where the shared ray starts, and rounded to float32 as it was stored.
     with np.errstate(invalid="ignore"):
@@ -154,7 +154,7 @@ def _checked_names(channels: Mapping[str, np.ndarray]) -> list[str]:
     return some
 
 
-def _mask(mask: np.ndarray, depth: np.ndarray, question: CastRequest) -> np.ndarray:
+def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarray:
     """(n,) bool: hit, by the mask. Raises NoAnswer where depth says otherwise; 0 is no depth, and may be a miss's."""
     covered: np.ndarray = mask != 0
     missed = np.isposinf(depth) | (~covered & (depth == 0.0))
@@ -163,7 +163,7 @@ def _mask(mask: np.ndarray, depth: np.ndarray, question: CastRequest) -> np.ndar
         i = int(np.argmax(contradicts))
         raise NoAnswer(
             f"A and {DEPTH} contradict each other at {int(contradicts.sum())} pixels, first "
-            f"{pixel_of(question.scene, i)}: A is {mask[i]:g}, depth {depth[i]:.9g}; a miss has A 0 and depth inf"
+            f"{pixel_of(request.scene, i)}: A is {mask[i]:g}, depth {depth[i]:.9g}; a miss has A 0 and depth inf"
         )
     return covered
 

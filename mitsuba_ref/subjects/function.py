@@ -77,25 +77,25 @@ class FunctionSubject:
     reads_xml: bool = False
     takes_rays: bool = True
 
-    def answer(self, question: CastRequest) -> Answer:
+    def answer(self, request: CastRequest) -> Answer:
         """Ask about the rays that there are, float64 arrays of float32 values; a hit beyond t_max is a miss.
 
         Raises NoAnswer.
         """
-        rays = question.rays
+        rays = request.rays
         there = rays.t_max >= 0.0
         o, d = (a[there].astype(np.float64) for a in (rays.o, rays.d))
         with _one_at_a_time, _isolated():
-            returned = self._called(question, o, d)
+            returned = self._called(request, o, d)
             try:
                 some = checked_answer(*_pair(returned), int(there.sum()), precision=self.precision)
             except NoAnswer as error:
                 raise NoAnswer(f"{self.name}: {error}") from error
         return _scatter_answer(some, there, rays.t_max.astype(np.float64))
 
-    def _called(self, question: CastRequest, o: np.ndarray, d: np.ndarray) -> Any:
+    def _called(self, request: CastRequest, o: np.ndarray, d: np.ndarray) -> Any:
         try:
-            return self.call(question.traced, o, d)
+            return self.call(request.traced, o, d)
         except KeyboardInterrupt:
             raise
         except BaseException as error:

@@ -1,40 +1,21 @@
-"""Both sides' answers along the same rays."""
+"""Our own caster as the subject: every quantity along the shared rays, on the float32 geometry, in float64."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-
-import numpy as np
 
 from caster.geometry.world_space import as_float32
 from caster.rendering.hits import RayHits, trace
-from caster.rendering.images import Aovs, evaluate, film_window
+from caster.rendering.images import evaluate, film_window
 from caster.scene.model import Scene
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
+from mitsuba_ref.subjects.answer import FLOAT64, Answer
+from mitsuba_ref.subjects.subject import CastRequest
 
 # What is compared, and the mask, which always comes along.
 COMPARED_AOVS = ("depth", "position", "normal", "shading_normal", "shape_id", "diffuse")
 
-# What of ours has to follow from our own hits, beside that.
+# What has to follow from the hits, beside that.
 DERIVED_AOVS = ("hit", "albedo", "prim_id")
-
-
-@dataclass(frozen=True)
-class ImagePair:
-    """Ours and the reference's pictures of one scene."""
-
-    rays: SharedRays
-    ours: Aovs
-    reference: Aovs
-    t: np.ndarray  # (n,) ours, lengths of d, inf on a miss
-    prim: np.ndarray  # (n,) int32 ours, numbered through the scene, -1 on a miss
-    witness: ReferenceResult
-
-    @cached_property
-    def length(self) -> np.ndarray:
-        """(n,) of each ray's d."""
-        length: np.ndarray = np.linalg.norm(self.rays.d.astype(np.float64), axis=1)
-        return length
 
 
 def cast_ours(scene: Scene, rays: SharedRays) -> RayHits:
@@ -42,9 +23,26 @@ def cast_ours(scene: Scene, rays: SharedRays) -> RayHits:
     return trace(scene, rays.o, rays.d, rays.t_max, rays.start, rounded=as_float32)
 
 
-def pair_images(scene: Scene, rays: SharedRays, view: RayHits, witness: ReferenceResult) -> ImagePair:
-    """The two as pictures under the same names."""
-    window = film_window(scene)
-    ours = evaluate(view, (*COMPARED_AOVS, *DERIVED_AOVS), window)
-    reference = aovs_of(witness, rays, (window.height, window.width), COMPARED_AOVS)
-    return ImagePair(rays, ours, reference, view.nearest.t, view.nearest.prim, witness)
+def answer_of_view(
+    scene: Scene, view: RayHits, aovs: Sequence[str] = (*COMPARED_AOVS, *DERIVED_AOVS)
+) -> Answer:
+    """The answer to the rays of a view, one a pixel of the film's window."""
+    images = evaluate(view, aovs, film_window(scene))
+    nearest = view.nearest
+    return Answer(nearest.t, None, FLOAT64, {}, prim=nearest.prim, images=images, exact_visibility=True)
+
+
+@dataclass(frozen=True)
+class OurCaster:
+    """The subject `ours`."""
+
+    name: str = ""
+    reads_xml: bool = False
+    takes_rays: bool = True
+
+    def answer(self, request: CastRequest) -> Answer:
+        """Cast the request's rays."""
+        return answer_of_view(request.scene, cast_ours(request.scene, request.rays))
+
+
+OURS = OurCaster()

@@ -1,4 +1,4 @@
-"""A candidate is asked about the rays of a scene, in the very numbers that Mitsuba traces."""
+"""Requests to a subject: the rays of a scene, in the very numbers that Mitsuba traces."""
 
 import tempfile
 from dataclasses import replace
@@ -7,57 +7,73 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import clip_planes
+from mitsuba_ref.error_model.intersections import KU
 from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.error_model.uncertain_rays import UncertainRaysModel
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
-from mitsuba_ref.reference.rendering import clip_range
-from mitsuba_ref.subjects.answer import Answer, NoAnswer
-from mitsuba_ref.subjects.subject import Candidate, CastRequest
-from mitsuba_ref.subjects.traced_scene import scene_as_traced
+from mitsuba_ref.reference.rendering import camera_reference, clip_range
+from mitsuba_ref.subjects.answer import DEFAULT_SECONDS, PRECISIONS, Answer, NoAnswer
+from mitsuba_ref.subjects.command import PLACEHOLDERS, command_of
+from mitsuba_ref.subjects.function import import_function, is_function
+from mitsuba_ref.subjects.subject import CastRequest, Subject
 
 FAR_PLANE_NOTE = "in the XML, planes end at the sensor's far plane, and nothing is judged beyond it"
 
 
 class SubjectResponse(NamedTuple):
-    """What a candidate was asked, and what it says."""
+    """A request to a subject and its answer."""
 
     scene: Scene  # with a far plane where the XML has to have one
     model: SceneModel
     rays: SharedRays
     answer: Answer
-    limits: tuple[str, ...]  # what the XML leaves out, in words
-    alone: Answer | NoAnswer | None  # about one of the rays alone; None: not asked
+    view: SceneModel  # the model as the subject may see it
+    limits: tuple[str, ...] = ()  # what the XML leaves out, in words
+    alone: Answer | NoAnswer | None = None  # to one of the rays alone; None: not requested
 
 
-def request_answer(candidate: Candidate, scene: Scene, *, alone: int | None = None) -> SubjectResponse:
-    """Ask about all rays of the film's window. alone: a row to be asked about by itself as well, if it has a ray.
+def request_answer(
+    subject: Subject, scene: Scene, *, whole: SharedRays | None = None, alone: int | None = None
+) -> SubjectResponse:
+    """The answer of a subject to all rays of the film's window.
 
-    Raises NoAnswer, whose words say what the candidate did.
+    whole: the rays that stand-ins are cut to, if they are others than the window's own. alone: a row that is requested
+    by itself as well, if it has a ray. Raises NoAnswer.
     """
     packed = pack(scene, as_float32)
-    scene, ends = with_far_plane(scene, packed) if candidate.reads_xml else (scene, ())
+    scene, ends = with_far_plane(scene, packed) if subject.reads_xml else (scene, ())
     rays = shared_rays(scene)
-    model = model_of(scene, packed, rays)
-    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as place:
-        where = Path(place)
-        question = CastRequest(scene, scene_as_traced(scene, packed, where), model, rays, where)
+    model = model_of(scene, packed, rays if whole is None else whole)
+    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as folder:
+        request = CastRequest(scene, model, rays, Path(folder))
         try:
-            answer = candidate.answer(question)
+            answer = subject.answer(request)
         except NoAnswer as error:
             raise NoAnswer(f"the candidate gave no answer to judge: {error}") from error
-        again = None if alone is None else _about_one_ray(candidate, question, alone)
-    return SubjectResponse(scene, model, rays, answer, ends, again)
+        again = None if alone is None else _answer_to_one_ray(subject, request, alone)
+    return SubjectResponse(scene, model, rays, answer, subject_view(answer, scene, model), ends, again)
 
 
-def _about_one_ray(candidate: Candidate, question: CastRequest, row: int) -> Answer | NoAnswer | None:
-    """A program shoots its own rays, so that only a function can be asked."""
-    if not candidate.takes_rays or question.rays.t_max[row] < 0.0:
+def subject_view(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
+    """The model as a subject may see it: rays of a camera of its own are known up to the rounding of a camera."""
+    if not answer.own_camera:
+        return model
+    turn = KU * camera_reference(scene.camera).amplification(scene.camera, scene.film)
+    reach = float(np.abs(scene.camera.eye).max()) + getattr(scene.camera, "width", 0.0)
+    return UncertainRaysModel(model.packed, model.parts, model.kinds, model.models, turn, turn * reach)
+
+
+def _answer_to_one_ray(subject: Subject, request: CastRequest, row: int) -> Answer | NoAnswer | None:
+    """A program casts its own rays, so that only a function can be given one."""
+    if not subject.takes_rays or request.rays.t_max[row] < 0.0:
         return None
     try:
-        return candidate.answer(replace(question, rays=one_of(question.rays, row)))
+        return subject.answer(replace(request, rays=one_of(request.rays, row)))
     except NoAnswer as error:
         return error
 
@@ -75,3 +91,20 @@ def with_far_plane(scene: Scene, packed: Packed) -> tuple[Scene, tuple[str, ...]
     far = clip_planes(scene.camera, clip_range(scene, model))["far_clip"]
     camera = scene.camera.model_copy(update={"far": far})
     return scene.model_copy(update={"camera": camera}), (FAR_PLANE_NOTE,)
+
+
+def parse_candidate(text: str, precision: str | None = None, seconds: float = DEFAULT_SECONDS) -> Subject:
+    """package.module:function, or a command with {xml} or {toml} and {exr}.
+
+    Raises SceneError for what is neither, a function that cannot be imported, a program that is not there.
+    """
+    if precision not in (None, *PRECISIONS):
+        raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
+    if is_function(text):
+        return import_function(text, precision)
+    if any(f"{{{name}}}" in text for name in PLACEHOLDERS):
+        return command_of(text, precision, seconds)
+    raise SceneError(
+        f"--candidate {text!r}: expected package.module:function, or a command such as "
+        "'my-renderer {xml} -o {exr}' ({toml} in place of {xml} for our scene file)"
+    )

@@ -1,35 +1,38 @@
-"""What `--candidate` names, and the question every candidate is asked."""
+"""The protocol of a subject, whoever is judged: it answers the rays of a scene with an `Answer`."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
-from caster.description.errors import SceneError
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.subjects.answer import PRECISIONS, Answer
-
-DEFAULT_SECONDS = 300.0  # that a command may take for one scene
+from mitsuba_ref.subjects.answer import Answer
+from mitsuba_ref.subjects.traced_scene import scene_as_traced
 
 
 @dataclass(frozen=True)
 class CastRequest:
-    """One scene, in the float32 numbers that Mitsuba traces, and its rays."""
+    """One scene, its primitives in the float32 numbers that Mitsuba traces, and its rays."""
 
     scene: Scene  # as described
-    traced: Scene  # in the very numbers that are traced (mitsuba_ref/subjects/traced_scene.py)
     model: SceneModel
     rays: SharedRays
-    folder: Path  # a temporary one that holds the meshes of `traced`
+    folder: Path  # a temporary one
+
+    @cached_property
+    def traced(self) -> Scene:
+        """The scene described anew by the numbers that are traced; its meshes are files in `folder`."""
+        return scene_as_traced(self.scene, self.model.packed, self.folder)
 
 
-class Candidate(Protocol):
-    """Somebody's ray caster."""
+class Subject(Protocol):
+    """A ray caster: ours, or a candidate in its place."""
 
     @property
     def name(self) -> str:
-        """As it was named by its user."""
+        """As its user named it; "" for ours."""
 
     @property
     def reads_xml(self) -> bool:
@@ -37,27 +40,7 @@ class Candidate(Protocol):
 
     @property
     def takes_rays(self) -> bool:
-        """Whether it is handed rays, and so can be asked about some of them."""
+        """Whether it casts the rays that it is given, so that it can be given some of them."""
 
-    def answer(self, question: CastRequest) -> Answer:
-        """What it says of every ray. Raises NoAnswer."""
-
-
-def parse_candidate(text: str, precision: str | None = None, seconds: float = DEFAULT_SECONDS) -> Candidate:
-    """package.module:function, or a command with {xml} or {toml} and {exr}.
-
-    Raises SceneError for what is neither, a function that cannot be imported, a program that is not there.
-    """
-    from mitsuba_ref.subjects.command import PLACEHOLDERS, command_of
-    from mitsuba_ref.subjects.function import import_function, is_function
-
-    if precision not in (None, *PRECISIONS):
-        raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
-    if is_function(text):
-        return import_function(text, precision)
-    if any(f"{{{name}}}" in text for name in PLACEHOLDERS):
-        return command_of(text, precision, seconds)
-    raise SceneError(
-        f"--candidate {text!r}: expected package.module:function, or a command such as "
-        "'my-renderer {xml} -o {exr}' ({toml} in place of {xml} for our scene file)"
-    )
+    def answer(self, request: CastRequest) -> Answer:
+        """The answer to every ray. Raises NoAnswer."""

@@ -8,7 +8,7 @@ import pytest
 from edited_tree import PACKAGES, copy_tree
 
 from caster.scene.model import Scene
-from mitsuba_ref.judge.classification import Judge, judge_of
+from mitsuba_ref.judge.classification import Judge, scene_judge
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.session import ResidentSession, SendRequest
@@ -33,7 +33,7 @@ def brought(send: SendRequest) -> Callable[[Scene], Judge]:
     """A scene before the judge."""
 
     def bring(scene: Scene) -> Judge:
-        judge = judge_of(scene, send=send)
+        judge = scene_judge(scene, send=send)
         assert not isinstance(judge, Crash), judge
         return judge
 

@@ -20,10 +20,11 @@ from caster.scene.model import Scene
 from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.terminal import failure_text
-from mitsuba_ref.runner.candidate_validation import validate_candidate
+from mitsuba_ref.runner.validation import validate_scene
 from mitsuba_ref.subjects.answer import Answer, NoAnswer
 from mitsuba_ref.subjects.command import answer_from_exr
-from mitsuba_ref.subjects.subject import CastRequest, parse_candidate
+from mitsuba_ref.subjects.requests import parse_candidate
+from mitsuba_ref.subjects.subject import CastRequest
 
 SCENES = Path(__file__).parents[2] / "scenes"
 PYTHON = shlex.quote(sys.executable)
@@ -59,7 +60,7 @@ def small(name: str) -> Scene:
 @pytest.fixture
 def judged(send):
     def judge(command: str, scene: Scene, seconds: float = 60.0) -> SceneVerdict:
-        return validate_candidate(parse_candidate(command, None, seconds), scene, "scene", send=send)
+        return validate_scene(scene, "scene", subject=parse_candidate(command, None, seconds), send=send)
 
     return judge
 
@@ -102,7 +103,7 @@ def test_what_is_smaller_than_the_cameras_rounding_is_out_of_domain(send, size, 
     eye, aim = (-830.0004, -535.0003, 2156 + 3 * size), (-830.0004, -535.0003, 2156)
     camera = caster.Orthographic(eye=eye, look_at=aim, width=3 * size)
     scene = Scene(film=caster.Film(width=24, height=18), camera=camera, shapes=[ball])
-    found = validate_candidate(OwnCamera(), scene, "scene", send=send)
+    found = validate_scene(scene, "scene", subject=OwnCamera(), send=send)
     assert found.ok and found.counts[WRONG] == 0, failure_text(found)
     assert (found.counts[OUT_OF_DOMAIN] > 0) is lost
 

@@ -16,10 +16,10 @@ from mitsuba_ref.judge.verdict import WRONG
 from mitsuba_ref.probe import pixel
 from mitsuba_ref.probe.candidate_pixel import CandidatePixel, probe_candidate
 from mitsuba_ref.probe.probe_text import as_text
-from mitsuba_ref.runner.candidate_validation import validate_candidate
+from mitsuba_ref.runner.validation import validate_scene
 from mitsuba_ref.subjects import supervisor
 from mitsuba_ref.subjects.function import FunctionSubject
-from mitsuba_ref.subjects.subject import Candidate
+from mitsuba_ref.subjects.subject import Subject
 
 ROOT = Path(__file__).parents[2]
 HIT, MISS = (5, 4), (0, 0)  # of one-sphere
@@ -33,7 +33,7 @@ def small(name: str = "one-sphere") -> Scene:
 def at(brought):
     """What becomes of a pixel, through Mitsuba's process that stays."""
 
-    def look(trace: candidates.Trace | Candidate, pixel=HIT, scene: Scene | None = None) -> CandidatePixel:
+    def look(trace: candidates.Trace | Subject, pixel=HIT, scene: Scene | None = None) -> CandidatePixel:
         scene, (x, y) = scene or small(), pixel
         pair = brought(scene.with_film(crop=(x, y, x + 1, y + 1))).pair
         asked = FunctionSubject(trace.__name__, trace) if callable(trace) else trace
@@ -97,7 +97,7 @@ def test_a_normal_that_is_wrong_is_named_with_its_factor(at):
 def test_a_pixel_has_the_class_that_validate_gave_it(at, send, trace):
     """Asked about the whole picture, or a fault at its seventh hit would not be seen again."""
     scene = small()
-    verdict = validate_candidate(FunctionSubject(trace.__name__, trace), scene, "scene", send=send)
+    verdict = validate_scene(scene, "scene", subject=FunctionSubject(trace.__name__, trace), send=send)
     failure = verdict.failures[0]
     found = at(trace, (failure.x, failure.y), scene)
     assert found.verdict == WRONG and failure.verdict == "wrong"
@@ -135,7 +135,7 @@ def raising(scene, o, d):
 
 def test_no_answer_is_said_in_the_words_of_validate_and_fails(at, send):
     found = at(raising)
-    told = validate_candidate(FunctionSubject("raising", raising), small(), "scene", send=send)
+    told = validate_scene(small(), "scene", subject=FunctionSubject("raising", raising), send=send)
     assert found.problem == told.problem and "raised RuntimeError: no such shape" in found.problem
     assert not found.ok and found.saying.problem == "no answer"
 
@@ -143,11 +143,11 @@ def test_no_answer_is_said_in_the_words_of_validate_and_fails(at, send):
 def test_the_text_has_the_candidate_between_ours_and_mitsuba(at, monkeypatch, brought):
     scene = small()
     monkeypatch.setattr(pixel, "witness_answers", lambda *given: ())
-    monkeypatch.setattr(pixel, "judge_of", lambda scene, whole: brought(scene))
+    monkeypatch.setattr(pixel, "scene_judge", lambda scene, whole: brought(scene))
     found = pixel.probe(scene, *HIT, FunctionSubject("flipped", candidates.flipped_normal))
     text = as_text(found, "a.toml")
     head, who, why, ours, *_ = text.splitlines()
-    assert head == "pixel (5, 4) of a.toml: candidate_wrong" and ours.startswith("ours       agree: ")
+    assert head == "pixel (5, 4) of a.toml: wrong" and ours.startswith("ours       agree: ")
     assert who == "candidate  flipped, held to the bounds of float64" and "turned round" in why
     rows = text.splitlines()
     place = next(i for i, row in enumerate(rows) if row.startswith("ours       normal "))
@@ -188,7 +188,7 @@ def test_files_are_written_whoever_reads_the_text(tmp_path, monkeypatch):
     assert main([*words, "--save", str(saved), *given]) == 141
     assert load_scene(saved).camera.type == "ray"
     head = saved.read_text()
-    assert "# Candidate: candidate_wrong: missed: the surface's first root is behind" in head
+    assert "# Candidate: wrong: missed: the surface's first root is behind" in head
     assert f"#            mitsuba-ref probe THIS-FILE 0 0 {shlex.join(given)}\n" in head
 
 

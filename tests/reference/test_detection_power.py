@@ -18,19 +18,18 @@ from caster.rendering.hits import RayHits, trace_rays
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref import validate
-from mitsuba_ref.error_model.bounds import PixelPairs
 from mitsuba_ref.error_model.intersections import K
 from mitsuba_ref.error_model.scene_model import SceneModel, model_of
 from mitsuba_ref.error_model.tolerances import LARGEST_Z
 from mitsuba_ref.judge.classification import Judge
-from mitsuba_ref.judge.comparison import compare
+from mitsuba_ref.judge.comparison import compare, pair_images
 from mitsuba_ref.judge.scene_checks.bias import check_bias, error_statistics
 from mitsuba_ref.judge.verdict import ErrorStatistics
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 from mitsuba_ref.reference.session import SendRequest
-from mitsuba_ref.subjects.ours import cast_ours, pair_images
+from mitsuba_ref.subjects.ours import answer_of_view, cast_ours
 
 
 class Asked:
@@ -47,7 +46,11 @@ class Asked:
 
     def judge(self, view: RayHits) -> Judge:
         """Ours as it is seen there, the reference's bounds of the right geometry along the right rays."""
-        return Judge(self.scene, self.model, pair_images(self.scene, self.rays, view, self.witness))
+        return Judge(
+            self.scene,
+            self.model,
+            pair_images(self.scene, self.rays, answer_of_view(self.scene, view), self.witness),
+        )
 
     def altered(self, alter: Callable[[Any], None]) -> RayHits:
         """Ours traced through packed arrays that `alter` has changed, a kind at a time; float64, not rounded again."""
@@ -79,9 +82,7 @@ class Asked:
 
 def beyond(judge: Judge) -> np.ndarray:
     """(hits,) bool: where both hit, that t alone is farther off than float32 may put the reference's."""
-    pair = judge.pair
-    pixels = PixelPairs(pair.ours, pair.reference, judge.bounds, pair.t, pair.length, judge.point)
-    found: np.ndarray = compare(pixels, {}).ratios["depth"][pixels.both_hit] > 1.0
+    found: np.ndarray = compare(judge.pixels, {}).ratios["depth"][judge.pixels.both_hit] > 1.0
     return found
 
 

@@ -40,9 +40,12 @@ def first(shaded) -> Judgement:
 @pytest.mark.parametrize("name", ["diffuse", "depth", "position", "normal"])
 @pytest.mark.parametrize("change", [lambda v: v * 1.5 + 0.1, lambda v: v * np.nan], ids=["other", "nan"])
 def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, first, name, change):
-    before, excused = first.classes, first.is_class(*JUDGED_WITHOUT_REFERENCE) & shaded.pair.ours.hit.ravel()
+    before, excused = (
+        first.classes,
+        first.is_class(*JUDGED_WITHOUT_REFERENCE) & shaded.pair.subject.hit.ravel(),
+    )
     assert 50 <= excused.sum() < len(excused) // 10
-    image = aov_rows(shaded.pair.ours, name)
+    image = aov_rows(shaded.pair.subject, name)
     kept = image.copy()
     image[excused] = change(image[excused])
     try:

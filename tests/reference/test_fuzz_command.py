@@ -21,7 +21,7 @@ from mitsuba_ref.fuzz.campaign import compare_with_mitsuba
 from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.families import FAMILIES
 from mitsuba_ref.fuzz.findings import Tally
-from mitsuba_ref.judge.classification import judge_of
+from mitsuba_ref.judge.classification import scene_judge
 from mitsuba_ref.judge.verdict import CLASSES
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.session import ResidentSession
@@ -222,7 +222,7 @@ def test_the_judge_asks_the_way_that_it_is_given():
     verdict = validate_scene(scene, "scene", timeout=7.0, send=refuses)
     assert len(asked) == 1 and asked[0][1] == 7.0
     assert verdict.problem == "Mitsuba ended without an answer (exit code 1): not today"
-    assert judge_of(scene, send=refuses).output == "not today"
+    assert scene_judge(scene, send=refuses).output == "not today"
 
 
 def test_a_crash_of_mitsuba_is_a_finding_and_the_next_scene_gets_a_new_child():

@@ -82,10 +82,10 @@ def test_a_witness_is_off_by_so_many_units_of_its_own_last_place(said):
     ],
 )
 def test_a_witness_on_the_right_surface_at_a_wrong_distance_is_wrong(probed, kind, off, right):
-    from mitsuba_ref.judge.classification import judge_of
+    from mitsuba_ref.judge.classification import scene_judge
     from mitsuba_ref.probe.witnesses import _compared_with_exact, _surface, witness_lines
 
-    judge = judge_of(caster.load_scene(probed / "edge.toml"))
+    judge = scene_judge(caster.load_scene(probed / "edge.toml"))
     exact = judge.oracle.first_hit(judge.o[0], judge.d[0], t_max=judge.t_max[0])
     t = float(exact.t) * (1.0 + off)
     saying = _compared_with_exact(("somebody", *_surface(judge, exact.prim), t), judge, exact, kind)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mitsuba_ref.judge.checks import CHECKS
 from mitsuba_ref.judge.classification import EXACT
+from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.runner.pytest_plugin import PIXEL_CHECKS, SCENE_CHECKS, VERDICT
 
@@ -100,7 +100,7 @@ def test_nothing_heavy_is_loaded_without_the_option_nor_to_collect(folder, words
 def test_the_names_are_those_of_the_judge(judged):
     import caster
 
-    assert (*(check.NAME for check in CHECKS), "diffuse", EXACT) == PIXEL_CHECKS
+    assert (*(check.name for check in CHECKS), "diffuse", EXACT) == PIXEL_CHECKS
     scene = caster.Scene(
         film=caster.Film(width=4, height=4),
         camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)),
@@ -223,5 +223,5 @@ def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path, monkey
     found = run(folder, *words, inside=False)
     found.assert_outcomes(failed=1, passed=2 * len(NAMES) - 1)
     assert sorted(log.read_text().split()) == ["good", "strict"]
-    assert "FAIL  strict  depth: 1 ours wrong" in found.stdout.str()
+    assert "FAIL  strict  depth: 1 wrong" in found.stdout.str()
     assert summary_of(found.stdout.str()) == ["FAILED"]

@@ -10,8 +10,9 @@ import pytest
 import textbook_pages
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.installation import CHROMIUM
+from mitsuba_ref.runner.validation import Validation
 
 # As root, as in containers, Chromium does not start with its sandbox; and it opens nothing here but our own files.
 OPTIONS = ["--no-sandbox"]
@@ -88,12 +89,14 @@ def judged() -> dict[str, SceneVerdict]:
 @pytest.fixture(scope="session")
 def folder(verdicts: dict[str, SceneVerdict], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The report of these three, as a folder: its index.html."""
-    return Verdict(tuple(verdicts.values()), asked=4).write_html(tmp_path_factory.mktemp("report") / "html")
+    return Validation(tuple(verdicts.values()), asked=4).write_html(
+        tmp_path_factory.mktemp("report") / "html"
+    )
 
 
 @pytest.fixture(scope="session")
 def one_file(verdicts: dict[str, SceneVerdict], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same as one file."""
-    return Verdict(tuple(verdicts.values()), asked=4).write_html(
+    return Validation(tuple(verdicts.values()), asked=4).write_html(
         tmp_path_factory.mktemp("one") / "report.html"
     )

@@ -8,13 +8,12 @@ import pytest
 
 from caster import Ambient, Diffuse, Film, Pinhole, Plane, Scene, Sphere
 from caster.rendering.hits import RayHits
-from mitsuba_ref.judge import classification
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.rendering import shape_ids
-from mitsuba_ref.runner.candidate_validation import validate_candidate
 from mitsuba_ref.runner.validation import validate_scene
+from mitsuba_ref.subjects import ours
 from mitsuba_ref.subjects.function import function_subject
 from mitsuba_ref.subjects.ours import cast_ours
 
@@ -61,7 +60,7 @@ def bad(patch: pytest.MonkeyPatch) -> SceneVerdict:
         t[row_of(OURS_WRONG)] *= 1.0 + 1e-5
         return replace(view, nearest=view.nearest._replace(t=t))
 
-    patch.setattr(classification, "cast_ours", wrong_view)
+    patch.setattr(ours, "cast_ours", wrong_view)
     return judged("bad & <worse>", plant)
 
 
@@ -90,7 +89,7 @@ def judged_candidate(name: str, trace: Trace, asked: Scene) -> SceneVerdict:
         return rounded_answer(asked, job)
 
     candidate = function_subject(trace, f"docs.candidates.{name}:trace")
-    return validate_candidate(candidate, asked, name, f"scenes/{name}.toml", send=send, keep=True)
+    return validate_scene(asked, name, f"scenes/{name}.toml", subject=candidate, send=send, keep=True)
 
 
 def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:

@@ -8,14 +8,14 @@ import textbook_pages
 from test_pages import NUMBERS, color_at, section
 
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.verdict import Verdict
+from mitsuba_ref.runner.validation import Validation
 
 SIZE = (textbook_pages.WIDTH, textbook_pages.HEIGHT)
 
 
 @pytest.fixture(scope="module")
 def report(judged, tmp_path_factory):
-    return Verdict(tuple(judged.values())).write_html(tmp_path_factory.mktemp("candidate") / "report.html")
+    return Validation(tuple(judged.values())).write_html(tmp_path_factory.mktemp("candidate") / "report.html")
 
 
 def place(scene, row, layer):
@@ -25,7 +25,7 @@ def place(scene, row, layer):
 def test_the_list_names_the_candidate(visit, report):
     page = visit(report).page
     assert page.inner_text("#who") == "candidate docs.candidates.inside:trace"
-    assert "candidate wrong" in page.locator(".row .classes").first.inner_text()
+    assert "wrong" in page.locator(".row .classes").first.inner_text()
     assert "ours" not in page.inner_text("#app").lower()
     page.select_option("#class", "wrong")
     assert page.locator(".row .name a").all_inner_texts() == ["inside", "single"]
@@ -35,7 +35,7 @@ def test_a_root_that_is_not_tried_is_red_pixels_one_after_the_other(visit, repor
     """All that is hit through the far root of the shell, where the camera is inside, is missed."""
     seen = judged["inside"].seen
     page = visit(report, "#s=inside&a=depth").page
-    page.wait_for_selector(".pane.class .legend >> text=candidate wrong")
+    page.wait_for_selector(".pane.class .legend >> text=wrong")
     failing = np.flatnonzero(~seen.ours.hit.ravel() & seen.reference.hit.ravel())
     row = int(failing[0])
     pixel = row % SIZE[0], row // SIZE[0]
@@ -44,13 +44,13 @@ def test_a_root_that_is_not_tried_is_red_pixels_one_after_the_other(visit, repor
     assert color_at(page, "difference", pixel, SIZE) == [255, 225, 90]
     assert color_at(page, "ratio", pixel, SIZE) == [128, 134, 142]  # no share of a bound there
     page.keyboard.press("n")
-    page.wait_for_selector("#pixel .class >> text=candidate wrong")
+    page.wait_for_selector("#pixel .class >> text=wrong")
     assert page.inner_text("#pixel .xy") == f"{pixel[0]}, {pixel[1]}"
     assert "the second one was not tried" in page.inner_text("#pixel .class")
     exact = seen.judgement.exact.of(row)
     facts = page.inner_text("#pixel dl")
     assert f"shell, prim 0 (inside)\nt {float(exact.t)!r}" in facts and float(exact.t).hex() in facts
-    assert float(seen.judge.witness.t[row]).hex() in facts and "candidate\nmiss" in facts
+    assert float(seen.judge.result.t[row]).hex() in facts and "candidate\nmiss" in facts
     versions = "scalar, ours rounded"  # of what stands in for Mitsuba here
     assert "ours" not in page.inner_text("#scene").replace(versions, "")
     again = "scenes/inside.toml{} --candidate docs.candidates.inside:trace --candidate-precision float64"

@@ -8,9 +8,10 @@ import planted
 import pytest
 import textbook_pages
 
-from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG
 from mitsuba_ref.report.html.page_writer import index_row
 from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, scene_record
+from mitsuba_ref.runner.validation import Validation
 
 WRONG = CLASSES.index(WRONG)
 
@@ -48,7 +49,7 @@ def test_t_is_what_the_function_returned_to_the_bit(judged, name):
         ids = recorded(judged[name], exact).layers["ids"]
         reference = unpacked(ids["t_reference"])
         found = unpacked(ids["t_ours"], reference)
-        assert np.array_equal(reference, judged[name].seen.judge.witness.t)
+        assert np.array_equal(reference, judged[name].seen.judge.result.t)
         # Rounded to float32, for want of room, a float32 number stays what it is.
         assert np.array_equal(found, expected if exact or name == "single" else expected.astype(np.float32))
     assert 0 < np.isfinite(expected).sum() < len(expected)
@@ -94,14 +95,14 @@ def test_the_bound_is_that_of_the_candidates_own_arithmetic(judged):
 
 def test_rows_and_pages_name_the_candidate(judged, tmp_path):
     assert "wrong" in index_row(judged["inside"], "", "")["counts"]
-    index = Verdict(tuple(judged.values())).write_html(tmp_path / "page.html")
+    index = Validation(tuple(judged.values())).write_html(tmp_path / "page.html")
     text = index.read_text(encoding="utf-8")
     assert (
         '"candidate":"docs.candidates.inside:trace"' in text and f'"wrong","undecided","{UNLISTED}"' in text
     )
     assert "<caption>candidate docs.candidates.inside:trace: 1 of 4 scenes pass</caption>" in text
     plain = text[text.index('<table id="plain">') : text.index("</table>")]
-    assert '<th scope="col">candidate wrong</th>' in plain and "ours" not in plain
+    assert '<th scope="col">wrong</th>' in plain and "ours" not in plain
 
 
 def test_no_answer_leaves_nothing_to_show(judged):

@@ -9,7 +9,8 @@ import planted
 import pytest
 
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import SceneVerdict
+from mitsuba_ref.runner.validation import Validation
 
 BAD = "bad & <worse>"
 NUMBERS = re.compile(r"-?(?:0x[01]\.[0-9a-f]+p[+-]\d+)")
@@ -46,7 +47,7 @@ def test_the_list_says_what_became_of_each_scene(visit, report):
     page = visit(report).page
     assert page.locator(".row .name a").all_inner_texts() == [BAD, "crashed", "good"]  # failing first
     assert page.locator(".row .badge").all_inner_texts() == ["FAIL", "CRASH", "PASS"]
-    assert "1 ours wrong, 3 reference wrong, unlisted" in page.locator(".row .classes").first.inner_text()
+    assert "1 wrong, 3 reference wrong, unlisted" in page.locator(".row .classes").first.inner_text()
     assert page.inner_text("#total") == "1 of 3 scenes pass; 1 of 4 were not judged"
     assert "3 of 4 scenes are here" in page.inner_text("#banner")
     assert page.locator(".row img").count() == 2
@@ -70,7 +71,7 @@ def test_filters_choose_and_are_in_the_address(visit, folder):
 
 def test_a_thousand_scenes_are_few_rows(visit, verdicts, tmp_path):
     many = [replace(verdicts["good"], name=f"scene-{i:04}", seen=None, seconds=float(i)) for i in range(1000)]
-    page = visit(Verdict(tuple(many), asked=1000).write_html(tmp_path / "many.html")).page
+    page = visit(Validation(tuple(many), asked=1000).write_html(tmp_path / "many.html")).page
     rows = page.locator(".row")
     assert 8 <= rows.count() <= 40 and page.locator("#table").get_attribute("aria-rowcount") == "1001"
     assert page.locator("*").count() < 1500, "the plain table is gone"
@@ -111,7 +112,7 @@ def test_numbers_are_those_that_were_compared_to_the_bit(visit, folder, verdicts
     for layer in ("depth", "normal", "shading_normal", "position", "diffuse"):
         text = section(page, layer.replace("_", " ")).inner_text()
         sides = np.column_stack(
-            [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
+            [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.subject, pair.reference)]
         )
         assert NUMBERS.findall(text) == [float(value).hex() for value in sides.ravel()]
         assert {float(value) for value in sides.ravel()} <= decimals(text)
@@ -141,13 +142,13 @@ def test_every_number_of_the_pictures_comes_back(visit, folder, verdicts):
     page = visit(folder, at(planted.NAN, a="position", v="ours", z=96)).page
     ready(page)
     pair = verdicts["bad"].seen
-    for y, x in np.argwhere(pair.ours.hit)[::97]:
+    for y, x in np.argwhere(pair.subject.hit)[::97]:
         page.evaluate(f"location.hash = '{at((x, y), a='position')}'")
         page.wait_for_selector(f"#pixel .xy:text-is('{x}, {y}')")
         row = planted.row_of((x, y))
         for layer in ("depth", "normal", "position", "diffuse"):
             found = NUMBERS.findall(section(page, layer).inner_text())
-            sides = [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
+            sides = [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.subject, pair.reference)]
             expected = [float(v).hex() for v in np.column_stack(sides).ravel() if np.isfinite(v)]
             assert found == expected, (x, y, layer)
 
@@ -195,7 +196,7 @@ def color_at(page, pane, pixel, size=(planted.WIDTH, planted.HEIGHT)):
 
 def test_a_fault_is_a_red_pixel_and_the_next_bad_one(visit, folder):
     page = visit(folder, f"#s={quote(BAD)}&a=depth").page
-    page.wait_for_selector(".pane.class .legend >> text=ours wrong")
+    page.wait_for_selector(".pane.class .legend >> text=wrong")
     assert color_at(page, "class", planted.OURS_WRONG) == [255, 0, 0]
     assert color_at(page, "class", planted.NAN) == [255, 105, 180]
     seen = []
@@ -206,7 +207,7 @@ def test_a_fault_is_a_red_pixel_and_the_next_bad_one(visit, folder):
     rows = [planted.REFERENCE_MISSES, planted.OURS_WRONG, planted.NAN, planted.INFINITE]
     assert seen == [*rows, rows[0], rows[-1]]  # from the worst on row by row, around, and back
     page.evaluate(f"location.hash = '{at(planted.OURS_WRONG, a='depth')}'")
-    page.wait_for_selector("#pixel .class >> text=ours wrong")
+    page.wait_for_selector("#pixel .class >> text=wrong")
     assert "by exact arithmetic, ours is wrong" in page.inner_text("#pixel .class")
     exact = page.inner_text("#pixel dl")
     assert "ball, prim 0 (inside)" in exact and "0x1.f4c65ce5b5ddbp+1" in exact
@@ -272,7 +273,7 @@ def test_one_file_says_where_it_rounds(visit, one_file, verdicts):
     ready(page)
     pair = verdicts["good"].seen
     sides = [
-        np.float32(aov_rows(aovs, "depth")[planted.row_of((x, y))]) for aovs in (pair.ours, pair.reference)
+        np.float32(aov_rows(aovs, "depth")[planted.row_of((x, y))]) for aovs in (pair.subject, pair.reference)
     ]
     text = section(page, "depth").inner_text()
     assert NUMBERS.findall(text) == [float(value).hex() for value in sides] and "Rounded to float32" in text
@@ -291,7 +292,7 @@ def test_a_narrow_screen_is_not_wider_than_it_is(visit, folder):
 
 
 def test_a_file_that_is_gone_is_named(visit, verdicts, tmp_path):
-    index = Verdict((verdicts["good"],)).write_html(tmp_path)
+    index = Validation((verdicts["good"],)).write_html(tmp_path)
     (tmp_path / "data/good.js").unlink()
     opened = visit(index, "#s=good")
     opened.page.wait_for_selector("#message >> text=data/good.js is not there")
@@ -300,5 +301,5 @@ def test_a_file_that_is_gone_is_named(visit, verdicts, tmp_path):
 
 
 def test_a_verdict_without_pictures_is_a_row(visit, tmp_path):
-    page = visit(Verdict((SceneVerdict("bare", "b.toml"),)).write_html(tmp_path), "#s=bare").page
+    page = visit(Validation((SceneVerdict("bare", "b.toml"),)).write_html(tmp_path), "#s=bare").page
     assert "No images of this scene were stored." in page.inner_text("#message")

@@ -8,7 +8,7 @@ from caster.rendering.images import DEFAULT_AOVS
 from mitsuba_ref.cli import approved_references, options, scene_exchange
 from mitsuba_ref.exr_compare import approval
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
-from mitsuba_ref.subjects import answer, subject
+from mitsuba_ref.subjects import answer
 
 
 def test_the_aovs_that_help_names_are_those_of_the_registry():
@@ -32,5 +32,5 @@ def test_the_modes_of_approval_are_those_that_it_knows():
 
 
 def test_a_candidate_gets_the_seconds_and_has_the_precisions_that_help_names():
-    assert options.CANDIDATE_SECONDS == subject.DEFAULT_SECONDS
+    assert options.CANDIDATE_SECONDS == answer.DEFAULT_SECONDS
     assert tuple(answer.PRECISIONS) == options.PRECISIONS

@@ -74,19 +74,6 @@ KNOWN_CIRCLES = (
             "mitsuba_ref.report.terminal",
         }
     ),
-    frozenset(
-        {
-            "mitsuba_ref.subjects.command",
-            "mitsuba_ref.subjects.function",
-            "mitsuba_ref.subjects.subject",
-        }
-    ),
-    frozenset(
-        {
-            "mitsuba_ref.judge.candidate_judge",
-            "mitsuba_ref.judge.exact_share",
-        }
-    ),
 )
 
 IN_ROOT_PACKAGES = {"__init__.py", "__main__.py", "py.typed"}

@@ -9,7 +9,7 @@ from caster.geometry.world_space import MeshShape
 from caster.shapes import SHAPES
 from mitsuba_ref import cameras, shapes
 from mitsuba_ref.error_model.scene_model import missing_reference, reference_of
-from mitsuba_ref.judge.checks import CHECKS
+from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
 from mitsuba_ref.subjects.ours import COMPARED_AOVS
 
@@ -39,17 +39,17 @@ def test_every_camera_has_exactly_one_reference():
 def test_every_aov_is_compared_or_listed_as_not_compared():
     for aov in AOVS:
         assert (aov.NAME in COMPARED_AOVS or aov.NAME in SEEN_THROUGH) != (aov.NAME in NOT_COMPARED), (
-            f"{aov.NAME}: write mitsuba_ref/checks/{aov.NAME}.py, add its line to mitsuba_ref/judge/checks/__init__.py "
-            "and its name to COMPARED in mitsuba_ref/subjects/ours.py, or say in NOT_COMPARED why it is not compared"
+            f"{aov.NAME}: add its check to CHECKS in mitsuba_ref/judge/comparison.py and its name to "
+            "COMPARED_AOVS in mitsuba_ref/subjects/ours.py, or say in NOT_COMPARED why it is not compared"
         )
     assert {*COMPARED_AOVS, *SEEN_THROUGH, *NOT_COMPARED} == {aov.NAME for aov in AOVS}
 
 
 def test_what_is_compared_has_a_check_of_its_name():
-    checks = [check.NAME for check in CHECKS]
+    checks = [check.name for check in CHECKS]
     assert len(set(checks)) == len(checks)
     for name in (*COMPARED_AOVS, *SEEN_THROUGH.values()):
-        assert name in checks or name == "diffuse", f"{name}: no module of mitsuba_ref.judge.checks has it"
+        assert name in checks or name == "diffuse", f"{name}: no check of mitsuba_ref.judge.comparison has it"
 
 
 def test_the_reference_gives_every_aov():

@@ -8,12 +8,13 @@ from importlib import resources
 import pytest
 
 from caster.image.atomic_files import OutputError
-from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict
 from mitsuba_ref.report import class_colors
 from mitsuba_ref.report.html import page_writer
 from mitsuba_ref.report.html.html_report import ONE_FILE_LIMIT_BYTES, HtmlReport
 from mitsuba_ref.report.html.page_writer import SCRIPTS, as_json, index_row, page
 from mitsuba_ref.report.terminal import failure_text
+from mitsuba_ref.runner.validation import Validation
 
 FAILURE = Failure(3, 4, "wrong", "depth", 41.0, "a", "b", "c", "by exact arithmetic, ours is wrong")
 FAILING = SceneVerdict("two words", "scenes/two words.toml", 100, 100, failures=(FAILURE,))
@@ -151,8 +152,8 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path):
 
 
 def test_a_verdict_writes_itself(tmp_path):
-    assert Verdict((FAILING, PASSING), asked=2).write_html(tmp_path / "r") == tmp_path / "r" / "index.html"
-    assert Verdict((PASSING,)).write_html(tmp_path / "r.html") == tmp_path / "r.html"
+    assert Validation((FAILING, PASSING), asked=2).write_html(tmp_path / "r") == tmp_path / "r" / "index.html"
+    assert Validation((PASSING,)).write_html(tmp_path / "r.html") == tmp_path / "r.html"
 
 
 def test_classes_have_the_same_colours_on_the_page_as_in_files():

@@ -8,9 +8,9 @@ from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
 from mitsuba_ref.error_model.intersections import K
 from mitsuba_ref.error_model.tolerances import LARGEST_Z
+from mitsuba_ref.judge.comparison import ImagePair
 from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneCheck
 from mitsuba_ref.shapes import kind_of
-from mitsuba_ref.subjects.ours import ImagePair
 
 # How much of their bounds the errors of the reference use, and whether they lean to one side.
 #
@@ -23,15 +23,15 @@ from mitsuba_ref.subjects.ours import ImagePair
 def error_statistics(packed: Packed, pair: ImagePair, bounds: Bounds) -> ErrorStatistics:
     """Of one scene, from both sides' answers and the reference's bounds alone: no float64's bounds, no exact answer."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        error = pair.witness.t - pair.t
+        error = pair.result.t - pair.t
         share = np.where(error == 0.0, 0.0, error / bounds.at.t_error)
         turned = (
-            row_distance(aov_rows(pair.ours, "normal"), aov_rows(pair.reference, "normal"))
+            row_distance(aov_rows(pair.subject, "normal"), aov_rows(pair.reference, "normal"))
             / bounds.at.n_error
         )
-        same = aov_rows(pair.ours, "shape_id") == aov_rows(pair.reference, "shape_id")
+        same = aov_rows(pair.subject, "shape_id") == aov_rows(pair.reference, "shape_id")
         held = (np.abs(share) <= 1.0) & (turned <= 1.0) & np.isfinite(bounds.at.t_error)
-    rows = np.flatnonzero((pair.prim >= 0) & pair.witness.hit & same & held)
+    rows = np.flatnonzero((pair.prim >= 0) & pair.result.hit & same & held)
     t, normal = K * np.abs(share[rows]), K * turned[rows]
     return ErrorStatistics(
         len(rows),
@@ -60,7 +60,7 @@ def _kind_biases(
     prim = pair.prim[rows]
     shape = packed.shape_of(prim)
     kind, k = packed.kind_of[shape], prim - packed.first[shape] + packed.start[shape]
-    scalar = pair.witness.answer.versions["variant"].startswith("scalar")
+    scalar = pair.result.answer.versions["variant"].startswith("scalar")
     biases = []
     for place in np.unique(kind):
         prims, here = packed.kinds[place].prims, kind == place

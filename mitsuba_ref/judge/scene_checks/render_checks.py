@@ -180,7 +180,14 @@ def _relative(ours: np.ndarray, expected: np.ndarray) -> np.ndarray:
     return np.where(ours == expected, 0.0, error)
 
 
-CHECKS_WITHOUT_REFERENCE: tuple[Callable[[Scene], SceneCheck], ...] = (
+# Of the input of every subject: shapes in the world, and rays.
+CHECKS_OF_SHARED_INPUT: tuple[Callable[[Scene], SceneCheck], ...] = (
+    check_placement,
+    check_geometry,
+    check_camera,
+)
+
+CHECKS_OF_OUR_CASTER: tuple[Callable[[Scene], SceneCheck], ...] = (
     check_placement,
     check_geometry,
     check_materials,

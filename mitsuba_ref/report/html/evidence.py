@@ -1,91 +1,107 @@
-"""What a scene's verdict rests on, kept until somebody writes it down: what the page asks of whoever judged."""
+"""What a scene's verdict rests on, for the page of the scene: both images, and what was found at each pixel."""
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from caster.geometry.packing import Packed
 from caster.rendering.images import Aovs
 from caster.scene.model import Scene
-from mitsuba_ref.judge.adjudication import Adjudication
+from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, row_distance
+from mitsuba_ref.judge.classification import Judge, Judgement
+from mitsuba_ref.judge.comparison import CHECKS
+from mitsuba_ref.judge.diagnosis import Diagnosis
+from mitsuba_ref.judge.explanations import constant_reasons, reason
 
-
-class PixelFindings(Protocol):
-    """What was found about each pixel: a Judgement of ours, or one of a candidate."""
-
-    @property
-    def classes(self) -> np.ndarray:
-        """(n,) index into CLASSES; WRONG is said of whoever is judged."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The checks that were made of each pixel."""
-
-    @property
-    def exact(self) -> Adjudication:
-        """What exact arithmetic said."""
-
-    @property
-    def cases(self) -> dict[int, int | None]:
-        """Row where the reference is wrong -> number of the known case."""
-
-    def ratio(self, name: str) -> np.ndarray:
-        """(n,) error over bound of a check."""
-
-    def is_class(self, *names: str) -> np.ndarray:
-        """(n,) bool."""
+# A ratio that is computed twice, by a square root of a square here and without there, is the same up to 4 roundings.
+ROUNDING = 1.0 + 4 * 2.0**-53
+BOUND_OF_AOV = {check.name: check.bound for check in CHECKS}
 
 
 class LayerBound(NamedTuple):
     """What one layer is held to, one row a pixel."""
 
     between: np.ndarray | None = None  # (n,) of the difference between both sides
-    alone: np.ndarray | None = (
-        None  # (n,) bool: not that one counts, but that of our own arithmetic at our own surface
+    alone: np.ndarray | None = None  # (n,) bool: the bound of the subject at its own surface decides instead
+    own: np.ndarray | None = (
+        None  # (n,) of the subject's arithmetic, from the surface that the reference names
     )
-    own: np.ndarray | None = None  # (n,) of a candidate's arithmetic, from the surface as float64 has it
 
 
-class Evidence(Protocol):
-    """Both pictures and what was found about each of their pixels: some 60 MB for 256 x 256 pixels.
+@dataclass(frozen=True)
+class Evidence:
+    """Both images and what was found about each of their pixels: some 60 MB for 256 x 256 pixels."""
 
-    `ours` is whoever was judged: a candidate, where one stands in the place of ours.
-    """
+    judge: Judge
+    judgement: Judgement
+    diagnosis: Diagnosis
 
     @property
     def scene(self) -> Scene:
         """As it was judged."""
+        return self.judge.scene
 
     @property
     def packed(self) -> Packed:
-        """Its primitives."""
+        return self.judge.model.packed
 
     @property
     def ours(self) -> Aovs:
-        """The AOVs that are given, and no others."""
+        """The subject's: the AOVs that it gives, and no others."""
+        return self.judge.pair.subject
 
     @property
     def reference(self) -> Aovs:
         """Mitsuba's, at least of the same names."""
+        return self.judge.pair.reference
 
-    @property
-    def judgement(self) -> PixelFindings:
-        """Of each pixel."""
-
-    @property
+    @cached_property
     def always(self) -> Mapping[str, str]:
         """Class -> why a pixel has it, where that is the same for all of them."""
+        return constant_reasons(self.judge)
 
     def why(self, row: int) -> str:
-        """Why one row of the picture has its class."""
+        """Why one row of the image has its class."""
+        return reason(self.judge, self.judgement, self._diagnosed, row)
+
+    @cached_property
+    def _diagnosed(self) -> Mapping[int, str]:
+        return self.diagnosis.by_row()
 
     def bound(self, name: str) -> LayerBound:
-        """What an AOV is held to."""
+        """What an AOV is held to; `diffuse` has no one bound."""
+        judge, pixels = self.judge, self.judge.pixels
+        if not judge.names_prims:
+            own = judge.bounds.own
+            error = (
+                own.n_error if name == "normal" else (own.t_error + judge.answer.t_rounding) * pixels.length
+            )
+            return LayerBound(own=np.where(pixels.both_hit, error, 0.0))
+        bound_of = BOUND_OF_AOV.get(name)
+        if bound_of is None:
+            return LayerBound()
+        bound, ratio = bound_of(pixels), self.judgement.ratio(name)
+        sides = (aov.reshape(len(ratio), -1) for aov in pixels.pair(name))
+        alone = pixels.both_hit & (ratio > error_over_bound(row_distance(*sides), bound) * ROUNDING)
+        return LayerBound(np.where(pixels.both_hit, bound, 0.0), alone)
 
     def ids(self) -> Mapping[str, np.ndarray]:
-        """`shape_reference`, `prim_reference`: (n,) shape, and primitive within it, -1 on a miss; and of ours, where
-        that is given, `shape_ours`, `prim_ours`."""
+        """`shape_reference`, `prim_reference`: (n,) shape, and primitive within it, -1 on a miss; and of a subject that
+        names primitives `shape_ours`, `prim_ours`."""
+        judge, pair, index = self.judge, self.judge.pair, self.packed.index_in_shape
+        if not judge.names_prims:
+            return {"shape_reference": pair.result.shape_id, "prim_reference": index(judge.reference_prim)}
+        numbered = np.where(pair.reference.hit.ravel(), pair.result.answer.prim.astype(np.int64), -1)
+        return {
+            "shape_reference": aov_rows(pair.reference, "shape_id"),
+            "shape_ours": aov_rows(pair.subject, "shape_id"),
+            "prim_reference": numbered,
+            "prim_ours": index(pair.prim),
+        }
 
     def t(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """(n,) ours and the reference's, in lengths of d; None where depth says it all."""
+        """(n,) the subject's and the reference's, in lengths of d; None where depth says it all."""
+        return None if self.judge.names_prims else (self.judge.answer.t, self.judge.result.t)

@@ -55,7 +55,7 @@ def exact_answers(evidence: Evidence) -> dict[str, Any]:
     return {
         "rows": packed(exact.rows.astype(np.int32)),
         "t": packed(np.array([_exact_t(answer) for answer in exact.answers], np.float64)),
-        "share": packed(coarse(exact.share)),
+        "share": packed(coarse(exact.ratio)),
         "words": packed(words),
         "texts": list(texts.numbers),
         "asked": len(exact.rows),
