@@ -17,7 +17,6 @@ from mitsuba_ref.error_model.bracket import Claims
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
 from mitsuba_ref.error_model.scene_model import SceneModel, model_of
-from mitsuba_ref.judge.classification import cast_ours
 from mitsuba_ref.judge.defect_features import FeatureMeasurement
 from mitsuba_ref.judge.known_defects import defect_of
 from mitsuba_ref.judge.scene_checks import render_checks, shape_checks
@@ -26,6 +25,7 @@ from mitsuba_ref.judge.scene_checks.shape_checks import check_geometry
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.shapes import cylinder, disk, sphere, triangle_error
+from mitsuba_ref.subjects.ours import cast_ours
 
 # --- a near plane far from the origin
 
