@@ -1,20 +1,12 @@
 """Conversion of <shape>: one shape, or several for an instance."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 
 from mitsuba_ref.importers.appearance import is_dark, material_of
 from mitsuba_ref.importers.scene_builder import SceneBuilder, Step, composed_matrix, transform_steps
 from mitsuba_ref.importers.xml_document import Node, resolve_reference
-
-ShapeData = dict[str, Any]
-
-# Column lengths of a sphere's matrix that are equal up to float32 rounding.
-UNIFORM_SCALE_RTOL = 8 * 2.0**-24
-
-MIRROR_Z = {"scale": [1.0, 1.0, -1.0]}
+from mitsuba_ref.shapes import REFERENCES
+from mitsuba_ref.shapes.xml_shape import ImportShape
 
 
 def add_shape(out: SceneBuilder, node: Node, outer: tuple[Step, ...] = (), name: str = "") -> None:
@@ -30,11 +22,12 @@ def add_shape(out: SceneBuilder, node: Node, outer: tuple[Step, ...] = (), name:
         else:
             _add_instance(out, node)
         return
-    if node.kind not in SHAPE_BUILDERS:
-        out.omit(node, f"{node.words()}: not supported (known: {', '.join(SHAPE_BUILDERS)}, instance)")
+    importers = shape_importers()
+    if node.kind not in importers:
+        out.omit(node, f"{node.words()}: not supported (known: {', '.join(importers)}, instance)")
         return
     steps = [*transform_steps(out, node), *outer]
-    shape = SHAPE_BUILDERS[node.kind](out, node, steps, bool(outer))
+    shape = importers[node.kind](ShapeElement(out, node, steps, bool(outer)))
     material = material_of(out, node)
     for emitter in node.all("emitter", "ref"):
         target = resolve_reference(out.document, emitter)
@@ -70,77 +63,37 @@ def _add_instance(out: SceneBuilder, node: Node) -> None:
     out.omit_unread(group)
 
 
-def _to_world(steps: list[Step]) -> ShapeData:
-    return {"to_world": steps} if steps else {}
+class ShapeElement:
+    """A <shape> of the document, as importers of shapes read it (mitsuba_ref/shapes/xml_shape.py)."""
+
+    def __init__(self, out: SceneBuilder, node: Node, steps: list[Step], instanced: bool) -> None:
+        self.out, self.node, self.steps, self.instanced = out, node, steps, instanced
+
+    @property
+    def matrix(self) -> np.ndarray | None:
+        return composed_matrix(self.steps)
+
+    def number(self, name: str, default: float) -> float:
+        return self.out.number(self.node, name, default)
+
+    def vector(self, name: str, default: tuple[float, ...]) -> list[float]:
+        return self.out.vector(self.node, name, default)
+
+    def boolean(self, name: str) -> bool:
+        return self.out.boolean(self.node, name)
+
+    def text(self, name: str) -> str:
+        return self.out.text(self.node, name)
+
+    def required_text(self, name: str) -> str:
+        if self.node.named(name) is None:
+            self.out.error(self.node, f'{self.node.words()}: needs <string name="{name}" ...>')
+        return self.text(name)
+
+    def note(self, text: str) -> None:
+        self.out.note(self.node, text)
 
 
-def _sphere(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> ShapeData:
-    """A sphere. Mitsuba applies its matrix to centre and radius only, unless an instance scales it non-uniformly."""
-    center, radius = out.vector(node, "center", (0.0, 0.0, 0.0)), out.number(node, "radius", 1.0)
-    inward = out.boolean(node, "flip_normals") != (radius < 0.0)
-    matrix = composed_matrix(steps)
-    if matrix is not None and not stretched:  # an instance keeps the orientation of the normal
-        inward ^= bool(np.linalg.det(matrix[:3, :3]) < 0.0)
-    if inward:
-        out.note(node, "its normal, which points inwards: normals point outwards here")
-    shape = {"type": "sphere", "center": center, "radius": abs(radius)}
-    if matrix is None or stretched:
-        return shape | _to_world(steps)
-    sizes = np.linalg.norm(matrix[:3, :3], axis=0)
-    if np.ptp(sizes) > UNIFORM_SCALE_RTOL * sizes.max():
-        out.note(node, "the non-uniform scale, which Mitsuba ignores as well: the radius is that along x")
-    center = (matrix[:3, :3] @ center + matrix[:3, 3]).tolist()
-    return {"type": "sphere", "center": center, "radius": float(abs(radius) * sizes[0])}
-
-
-def _unit_shape(kind: str) -> Callable[[SceneBuilder, Node, list[Step], bool], ShapeData]:
-    """A builder for a disk, rectangle or cube, which are the same in both formats."""
-
-    def make(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> ShapeData:
-        flipped = out.boolean(node, "flip_normals")
-        if flipped and kind == "disk":
-            return {"type": kind, "to_world": [MIRROR_Z, *steps]}
-        _note_normal_side(out, node, flipped, steps)
-        return {"type": kind} | _to_world(steps)
-
-    return make
-
-
-def _cylinder(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> ShapeData:
-    ends = out.vector(node, "p0", (0.0, 0.0, 0.0)), out.vector(node, "p1", (0.0, 0.0, 1.0))
-    radius = out.number(node, "radius", 1.0)
-    if out.boolean(node, "flip_normals"):
-        out.note(node, "its normal, which points inwards: normals point outwards here")
-    return {"type": "cylinder", "p0": ends[0], "p1": ends[1], "radius": radius} | _to_world(steps)
-
-
-def _mesh(out: SceneBuilder, node: Node, steps: list[Step], stretched: bool) -> ShapeData:
-    if node.named("filename") is None:
-        out.error(node, f'{node.words()}: needs <string name="filename" ...>')
-    shape: ShapeData = {"type": "mesh", "file": out.text(node, "filename")}
-    if out.boolean(node, "face_normals"):
-        shape["face_normals"] = True
-    _note_normal_side(out, node, out.boolean(node, "flip_normals"), steps)
-    return shape | _to_world(steps)
-
-
-def _note_normal_side(out: SceneBuilder, node: Node, flipped: bool, steps: list[Step]) -> None:
-    matrix = composed_matrix(steps)
-    if flipped:
-        out.note(node, "flip_normals: the normal is not flipped here")
-    elif matrix is not None and np.linalg.det(matrix[:3, :3]) < 0.0:
-        out.note(
-            node,
-            "the side of its normal: Mitsuba's mirrored geometric and shading normals point to different sides",
-        )
-
-
-SHAPE_BUILDERS: dict[str, Callable[[SceneBuilder, Node, list[Step], bool], ShapeData]] = {
-    "sphere": _sphere,
-    "rectangle": _unit_shape("rectangle"),
-    "disk": _unit_shape("disk"),
-    "cube": _unit_shape("cube"),
-    "cylinder": _cylinder,
-    "obj": _mesh,
-    "ply": _mesh,
-}
+def shape_importers() -> dict[str, ImportShape]:
+    """Importers of all registered shapes, by the name of Mitsuba's plugin."""
+    return {plugin: each for reference in REFERENCES.values() for plugin, each in reference.importers.items()}

@@ -49,6 +49,7 @@ from mitsuba_ref.shapes.targets import (
     to_world_points,
     unit_circle_points,
 )
+from mitsuba_ref.shapes.xml_shape import XmlShape, to_world_fields
 
 
 def to_xml(out: ShapeWriter, shape: Cylinder, part: Any) -> list[XmlElement]:
@@ -172,6 +173,14 @@ def view_cylinder(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) ->
     return DefectView(axis_angle=float(sine), stretch=float(np.linalg.norm(prims.to_object[k] @ d)))
 
 
+def import_cylinder(xml: XmlShape) -> Fields:
+    ends = xml.vector("p0", (0.0, 0.0, 0.0)), xml.vector("p1", (0.0, 0.0, 1.0))
+    radius = xml.number("radius", 1.0)
+    if xml.boolean("flip_normals"):
+        xml.note("its normal, which points inwards: normals point outwards here")
+    return {"type": "cylinder", "p0": ends[0], "p1": ends[1], "radius": radius} | to_world_fields(xml)
+
+
 TANGENT = KnownDefect(
     55,
     "a cylinder that a ray touches along its wall, exactly",
@@ -225,4 +234,5 @@ REFERENCE = ShapeReference(
     random_fields,
     groups=frozenset({"quadric", "small"}),
     analytic=True,
+    importers={"cylinder": import_cylinder},
 )

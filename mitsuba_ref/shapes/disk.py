@@ -43,6 +43,7 @@ from mitsuba_ref.shapes.targets import (
     unit_circle_points,
 )
 from mitsuba_ref.shapes.triangle_error import UNRESOLVABLE
+from mitsuba_ref.shapes.xml_shape import MIRROR_Z, XmlShape, unit_shape_importer
 
 
 def to_xml(out: ShapeWriter, shape: Disk, part: Any) -> list[XmlElement]:
@@ -100,6 +101,12 @@ def view_disk(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> Def
     return DefectView(cosine=abs_cosine(prims.to_object[k][2], d))
 
 
+def import_disk(xml: XmlShape) -> Fields:
+    if xml.boolean("flip_normals"):
+        return {"type": "disk", "to_world": [MIRROR_Z, *xml.steps]}
+    return unit_shape_importer("disk")(xml)
+
+
 RIM = KnownDefect(
     45, "a ray through the rim of a disk, exactly", 8, "hit", lambda m: m.missed and "rim" in m.where
 )
@@ -126,5 +133,11 @@ DISKS = PrimitiveReference(
     defect_view=view_disk,
 )
 REFERENCE = ShapeReference(
-    Disk, to_xml, (DISKS,), expected_disk, groups=frozenset({"quadric", "flat", "small"}), analytic=True
+    Disk,
+    to_xml,
+    (DISKS,),
+    expected_disk,
+    groups=frozenset({"quadric", "flat", "small"}),
+    analytic=True,
+    importers={"disk": import_disk},
 )

@@ -19,6 +19,7 @@ from mitsuba_ref.error_model.intersections import ErrorModel
 from mitsuba_ref.error_model.rounding_groups import GroupKey, single_group
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints
+from mitsuba_ref.shapes.xml_shape import ImportShape
 
 Fields = dict[str, Any]  # of a shape, as a scene file gives them
 
@@ -106,8 +107,8 @@ class ShapeReference:
     stand_in: Callable[[Any, np.ndarray, np.ndarray], Any] = as_packed
     stand_in_note: str = ""
 
-    # Mitsuba's plugin name -> (reader, element, steps of to_world, whether an instance places it) -> the shape's fields
-    importers: Mapping[str, Callable[..., Fields]] = field(default_factory=dict)
+    # name of a plugin of Mitsuba's -> (its <shape>) -> the shape's fields
+    importers: Mapping[str, ImportShape] = field(default_factory=dict)
 
     def model_of(self, part: Any) -> ErrorModel:
         """The error model of what the shape packed to."""

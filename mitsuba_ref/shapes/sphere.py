@@ -51,6 +51,7 @@ from mitsuba_ref.shapes.targets import (
     to_world_points,
     unit_circle_points,
 )
+from mitsuba_ref.shapes.xml_shape import XmlShape, to_world_fields
 
 
 def to_xml(out: ShapeWriter, shape: Sphere, part: Any) -> list[XmlElement]:
@@ -184,6 +185,29 @@ def numbers_of_sphere(part: Spheres, k: int) -> list[np.ndarray]:
     return [part.center[k], part.radius[k]]
 
 
+# Of a sphere's matrix: its three columns are as long as each other up to what float32 makes of equal numbers.
+UNIFORM_SCALE_RTOL = 8 * 2.0**-24
+
+
+def import_sphere(xml: XmlShape) -> Fields:
+    """A sphere. Mitsuba applies its matrix to centre and radius only, unless an instance scales it non-uniformly."""
+    center, radius = xml.vector("center", (0.0, 0.0, 0.0)), xml.number("radius", 1.0)
+    inward = xml.boolean("flip_normals") != (radius < 0.0)
+    matrix = xml.matrix
+    if matrix is not None and not xml.instanced:  # an instance keeps the orientation of the normal
+        inward ^= bool(np.linalg.det(matrix[:3, :3]) < 0.0)
+    if inward:
+        xml.note("its normal, which points inwards: normals point outwards here")
+    shape = {"type": "sphere", "center": center, "radius": abs(radius)}
+    if matrix is None or xml.instanced:
+        return shape | to_world_fields(xml)
+    sizes = np.linalg.norm(matrix[:3, :3], axis=0)
+    if np.ptp(sizes) > UNIFORM_SCALE_RTOL * sizes.max():
+        xml.note("the non-uniform scale, which Mitsuba ignores as well: the radius is that along x")
+    center = (matrix[:3, :3] @ center + matrix[:3, 3]).tolist()
+    return {"type": "sphere", "center": center, "radius": float(abs(radius) * sizes[0])}
+
+
 TANGENT = KnownDefect(
     4,
     "a sphere that a ray touches in one point, exactly: Mitsuba misses it",
@@ -236,4 +260,5 @@ REFERENCE = ShapeReference(
     random_fields,
     groups=frozenset({"quadric", "small"}),
     analytic=True,
+    importers={"sphere": import_sphere},
 )

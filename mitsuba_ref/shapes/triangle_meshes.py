@@ -4,7 +4,7 @@ Mitsuba's own rectangle and cube are among them: they would take their shading n
 the float32 corners, and far from the origin the two differ; mirrored, their geometric normals would turn inwards.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,13 @@ from mitsuba_ref.shapes.adversarial_meshes import mesh_files
 from mitsuba_ref.shapes.shape_reference import Fields, ShapeReference, no_fields
 from mitsuba_ref.shapes.targets import Rng, coin_flip, random_point
 from mitsuba_ref.shapes.triangle_kind import TRIANGLES
+from mitsuba_ref.shapes.xml_shape import (
+    ImportShape,
+    XmlShape,
+    note_normal_side,
+    to_world_fields,
+    unit_shape_importer,
+)
 
 
 def mesh_to_xml(out: ShapeWriter, shape: Any, part: Any) -> list[XmlElement]:
@@ -118,22 +125,37 @@ def random_teapot(rng: Rng, lattice: bool) -> Fields:
     return {"subdivisions": 1, "face_normals": coin_flip(rng)}
 
 
+def import_mesh(xml: XmlShape) -> Fields:
+    shape: Fields = {"type": "mesh", "file": xml.required_text("filename")}
+    if xml.boolean("face_normals"):
+        shape["face_normals"] = True
+    note_normal_side(xml, xml.boolean("flip_normals"))
+    return shape | to_world_fields(xml)
+
+
 def triangle_mesh_reference(
     describes: type[Shape],
     random_fields: Callable[[Rng, bool], Fields] = no_fields,
     expected: ExpectedPacking = expected_mesh,
     groups: frozenset[str] = frozenset({"mesh"}),
+    importers: Mapping[str, ImportShape] | None = None,
 ) -> ShapeReference:
     """A shape of triangles that goes to Mitsuba as a PLY file."""
-    return ShapeReference(describes, mesh_to_xml, (TRIANGLES,), expected, random_fields, groups)
+    return ShapeReference(
+        describes, mesh_to_xml, (TRIANGLES,), expected, random_fields, groups, importers=importers or {}
+    )
 
 
 FLAT_AND_SMALL = frozenset({"flat", "small"})
 
 TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
-MESH = triangle_mesh_reference(MeshFile, random_mesh)
-RECTANGLE = triangle_mesh_reference(Rectangle, no_fields, expected_rectangle, FLAT_AND_SMALL)
-CUBE = triangle_mesh_reference(Cube, no_fields, expected_cube, frozenset({"flat", "mesh"}))
+MESH = triangle_mesh_reference(MeshFile, random_mesh, importers={"obj": import_mesh, "ply": import_mesh})
+RECTANGLE = triangle_mesh_reference(
+    Rectangle, no_fields, expected_rectangle, FLAT_AND_SMALL, {"rectangle": unit_shape_importer("rectangle")}
+)
+CUBE = triangle_mesh_reference(
+    Cube, no_fields, expected_cube, frozenset({"flat", "mesh"}), {"cube": unit_shape_importer("cube")}
+)
 ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere)
 TORUS = triangle_mesh_reference(Torus, random_torus)
 HEIGHTFIELD = triangle_mesh_reference(Heightfield, random_heightfield)

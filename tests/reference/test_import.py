@@ -178,7 +178,7 @@ LEFT_OUT = [
     "17:79: left out: float int_ior of bsdf plastic",
     '18:5: left out: emitter area "unused" of shape obj "quad": shapes emit no light here',
     '33:3: left out: shape bsplinecurve "hair": not supported '
-    "(known: sphere, rectangle, disk, cube, cylinder, obj, ply, instance)",
+    "(known: sphere, obj, ply, rectangle, disk, cube, cylinder, instance)",
 ]
 ERRORS = [
     ('name="res" value="48"', 'name="ress" value="48"', "parameter $res has no value, did you mean 'ress'?"),
