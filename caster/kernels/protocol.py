@@ -113,6 +113,11 @@ def hull_point(prims: Any, k: int, j: int) -> Any:
 
 
 @generic_inlined
+def tight_sphere(prims: Any, k: int) -> Any:
+    """(center, r): a bounding sphere that primitive k fills better than its box. Optional; used for screen bounds."""
+
+
+@generic_inlined
 def camera_ray(camera: Any, x: float, y: float) -> Any:
     """(o, d, t_min, t_max) of the ray through film position (x, y), in pixels; t_max < 0: no ray.
 

@@ -12,7 +12,7 @@ from caster.geometry.packing import Kind, Packed
 from caster.jit.decorators import implements
 from caster.kernels.bvh.build import BOX_PADDING
 from caster.kernels.nearest import Nearest, Rays, no_hits
-from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere
+from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere, tight_sphere
 from caster.kernels.raster.screen_bounds import (
     PROJECTION_MARGIN,
     ScreenBounds,
@@ -39,7 +39,6 @@ from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_ori
 from caster.kernels.triangles import Triangles
 from caster.rendering.casting import decide_uncertain, prim_offsets, scene_prim_ids
 from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
-from caster.shapes.sphere import Spheres
 
 __all__ = ["find_nearest_on_film"]
 
@@ -184,7 +183,7 @@ def bin_kinds(
             find = partial(bound_triangles, window, bounds, reach)
         elif triangles:
             find = partial(bound_distorted_triangles, *about)
-        elif isinstance(kind.prims, Spheres) and implements(project_bounding_sphere, type(camera)):
+        elif implements(tight_sphere, type(kind.prims)) and implements(project_bounding_sphere, type(camera)):
             find = partial(bound_spheres, *about)
         else:
             find = partial(bound_hulls if rectilinear else bound_by_spheres, *about)

@@ -65,6 +65,7 @@ from caster.kernels.protocol import (
     same_geometry,
     surely_misses,
     surface,
+    tight_sphere,
 )
 
 __all__ = ["Ellipsoids", "Sphere", "Spheres"]
@@ -176,6 +177,11 @@ def _hull_point(prims: Any, k: int, j: int) -> Any:
     return point_at(
         row(prims.center, k), prims.radius[k], (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
     )
+
+
+@implement(tight_sphere, Spheres)
+def _tight_sphere(prims: Any, k: int) -> Any:
+    return row(prims.center, k), prims.radius[k]
 
 
 @implement(load, Ellipsoids)

@@ -17,12 +17,13 @@ from caster.kernels.protocol import (
     hull_size,
     project,
     project_bounding_sphere,
+    tight_sphere,
 )
 from caster.kernels.raster.tile import Box
 
 # A rectangle reaches so much further than the projected points on each side, plus the distance at which the
 # intersection test may still count a hit (`slack`, in scene units). The margin has to outdo the rounding of the
-# projection alone: below 1e-9 of the film's size, where pinhole.SHALLOWEST holds, so 7e-5 of a pixel on the largest.
+# projection alone: below 1e-9 of the film's size, where pinhole.MIN_DEPTH_SHARE holds, that is 7e-5 pixels.
 PROJECTION_MARGIN = 2.0**-10  # pixels
 
 
@@ -140,10 +141,10 @@ def bound_hulls(
 def bound_spheres(
     prims: Any, camera: Any, window: Any, bounds: Any, reach: tuple[float, float], start: int, stop: int
 ) -> None:
-    """The same for spheres, by their own projection: they fill the boxes around them badly."""
+    """The same for a kind with a `tight_sphere`, by the projection of that."""
     slack, margin = reach
     for k in range(start, stop):
-        r, center = prims.radius[k], (prims.center[k, 0], prims.center[k, 1], prims.center[k, 2])
+        center, r = tight_sphere(prims, k)
         left, top, right, bottom, least, valid = project_bounding_sphere(camera, center, r + slack)
         wide = margin if valid else math.inf
         box = left - wide, top - wide, right + wide, bottom + wide, least
