@@ -1,4 +1,4 @@
-"""The command `caster`: what it can do is in caster/commands."""
+"""The command `caster`; its commands are in caster/cli/commands."""
 
 import sys
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Exit codes, and how the errors of a command end it: `caster` and `mitsuba-ref` share them."""
+"""Exit codes of `caster` and `mitsuba-ref`, and the mapping of exceptions to messages and exit codes."""
 
 import contextlib
 import io
@@ -29,7 +29,7 @@ FILE = 4  # missing, unreadable or unwritable
 NOTHING_SELECTED = 5
 INTERNAL = 70
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
-PIPE_CLOSED = 141  # 128 + SIGPIPE: the reader went away before the result was out
+PIPE_CLOSED = 141  # 128 + SIGPIPE: the reader closed the pipe before the result was written
 
 MEANINGS = {
     OK: "pass",
@@ -44,20 +44,20 @@ MEANINGS = {
 
 
 def exit_codes_help(*codes: int) -> str:
-    """A line for --help: what these exit codes mean."""
+    """A line for --help with the meanings of exit codes."""
     return "exit codes: " + ", ".join(f"{code} {MEANINGS[code]}" for code in codes)
 
 
 def run_command(command: Callable[[], int]) -> int:
-    """Run a command, tell its errors on stderr, and give the exit code.
+    """Run a command, print its error to standard error, and return the exit code.
 
-    SceneError and its kinds bring their own code. Only an error that nobody foresaw shows a traceback.
+    SceneError and its subclasses carry their own code. Only an unexpected exception shows a traceback.
     """
     reopen_closed_streams()
     _escape_unencodable()
     try:
         code = _exit_code(command)
-        sys.stdout.flush()  # here, so that a closed pipe or a full disk is noticed
+        sys.stdout.flush()  # here, so that a closed pipe or a full disk is detected
         return code
     except BrokenPipeError:
         return _discard_output(PIPE_CLOSED)
@@ -67,9 +67,9 @@ def run_command(command: Callable[[], int]) -> int:
 
 
 def reopen_closed_streams() -> None:
-    """Where a standard stream was closed before we began, what goes there goes nowhere, for our children as well.
+    """Open os.devnull for every standard stream that was closed before the start, also for child processes.
 
-    Its number would else be given to the next file that is opened.
+    Otherwise the next file to be opened would get the stream's file descriptor.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
@@ -81,7 +81,7 @@ def reopen_closed_streams() -> None:
 def _exit_code(command: Callable[[], int]) -> int:
     try:
         return command()
-    except SystemExit as stop:  # argparse has told what is wrong, or printed its help
+    except SystemExit as stop:  # argparse has printed an error or its help
         return stop.code if isinstance(stop.code, int) else USAGE if stop.code else OK
     except SceneError as error:
         return _report_error(str(error), error.exit_code)
@@ -92,7 +92,7 @@ def _exit_code(command: Callable[[], int]) -> int:
     except OSError:
         raise
     except Exception as error:
-        if type(error).__name__ == "BdbQuit":  # `q` in pdb, which waits for it
+        if type(error).__name__ == "BdbQuit":  # `q` in pdb, which catches it
             raise
         traceback.print_exc()
         return _report_error(f"internal error, please report it: {type(error).__name__}: {error}", INTERNAL)
@@ -104,14 +104,14 @@ def _report_error(text: str, code: int) -> int:
 
 
 def _discard_output(code: int) -> int:
-    """What is still in the buffer goes nowhere, or the interpreter would try to write it when it ends."""
+    """Discard buffered output, which the interpreter would otherwise try to write at exit."""
     with contextlib.suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
 
 def _escape_unencodable() -> None:
-    """Show characters that the terminal's encoding lacks as escapes: a file name may hold anything."""
+    """Print characters that the terminal cannot encode as escapes, as they may occur in file names."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
