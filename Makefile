@@ -5,7 +5,7 @@ JOBS ?= auto
 ARGS ?=
 
 BIN := .venv/bin
-# An environment knows the folder it was made in: in a copied or moved tree it would run the code of the old
+# An environment contains the path of its folder: in a copied or moved tree it would run the code of the old
 # one. So the stamps carry a number made of the folder's name, and a copy makes its own environment.
 HERE := $(shell pwd -P | cksum | cut -d' ' -f1)
 LOCKED := .venv/locked-$(HERE)

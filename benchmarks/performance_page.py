@@ -41,7 +41,7 @@ READING = """## How to read it
   the rays were made before, too. All that has to be compiled has been compiled. Shadow rays go through
   `caster.occluded`, Mitsuba's `ray_test`, and what others have in its place.
 - **ours, as planned** is `caster.render`: by the screen for pinhole and orthographic cameras, by the tree for others;
-  for rays that are handed over, `caster.cast` with the surface it knows of each hit. **by the tree** is the same
+  for rays that are handed over, `caster.cast` with the surface of each hit. **by the tree** is the same
   picture through the tree. **plain Python** runs the same source without Numba.
 - **rays** of one cast: pictures of those who would take longer than {longest:g} s are made smaller.
 - **build**: seconds from the numbers to where rays can be cast, the second time it is done in a process; Mitsuba reads

@@ -31,7 +31,7 @@ RING: dict[str, Any] = {"marker": "o", "ls": "none", "mfc": "none", "mew": 1.5, 
 DIAMONDS: dict[str, Any] = {"ls": (0, (1, 2)), "lw": 1.5, "marker": "D", "ms": 4, "mfc": "white"}
 
 # Errors of nothing, and errors that say no more than that all is lost, show as these.
-LEAST, MOST = 1e-18, 1e3
+AXIS_LOW, AXIS_HIGH = 1e-18, 1e3
 FORMAT = "svg"
 FONT, OTHERS = "'DejaVu Sans'", ", Verdana, sans-serif"  # the one that Matplotlib brings along; a viewer's
 
@@ -67,16 +67,16 @@ def draw_errors(axes: Any, sweep: SweepResult) -> None:
     x = x_positions(sweep)
     for name, label, style in BOUNDS:
         y = numbers([getattr(setting.bound, name) for setting in sweep.settings])
-        axes.plot(x, np.clip(y, LEAST, MOST), lw=1.3, label=label, zorder=2, **style)
+        axes.plot(x, np.clip(y, AXIS_LOW, AXIS_HIGH), lw=1.3, label=label, zorder=2, **style)
     for witness in shown_witnesses(sweep):
         y = numbers([value(setting, witness.key, "error") for setting in sweep.settings])
-        axes.plot(x, np.clip(y, LEAST, MOST), label=legend_text(sweep, witness), **STYLE[witness.key])
-        draw_rings(axes, sweep, witness, np.clip(y, LEAST, MOST), "beyond")
+        axes.plot(x, np.clip(y, AXIS_LOW, AXIS_HIGH), label=legend_text(sweep, witness), **STYLE[witness.key])
+        draw_rings(axes, sweep, witness, np.clip(y, AXIS_LOW, AXIS_HIGH), "beyond")
     axes.set_yscale("log")
-    axes.set_ylim(LEAST / 3.0, MOST * 3.0)
+    axes.set_ylim(AXIS_LOW / 3.0, AXIS_HIGH * 3.0)
     powers = range(-15, 1, 3)
     words = ["0", *(power_of_ten(k) for k in powers), "1000+"]
-    axes.set_yticks([LEAST, *(10.0**k for k in powers), MOST], words)
+    axes.set_yticks([AXIS_LOW, *(10.0**k for k in powers), AXIS_HIGH], words)
     axes.minorticks_off()
     axes.set_ylabel(f"largest {sweep.error}")
 

@@ -71,7 +71,7 @@ MAX_PROJECTED_ANGLE = 3.1  # radians from the axis
 
 
 @implement(project_bounding_sphere, FisheyeRays)
-def _project_ball(camera: Any, center: Any, r: float) -> Any:
+def _project_bounds(camera: Any, center: Any, r: float) -> Any:
     """Bounding box of an ellipse around the projected centre, widened by a bound of the distortion.
 
     F is the projection and p a direction; p may be `reach` from the centre c. Along the great circle from c to p,

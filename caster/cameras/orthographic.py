@@ -65,7 +65,7 @@ def _project(camera: Any, p: Any) -> Any:
 
 
 @implement(project_bounding_sphere, OrthographicRays)
-def _project_ball(camera: Any, center: Any, r: float) -> Any:
+def _project_bounds(camera: Any, center: Any, r: float) -> Any:
     x, y, pixels, depth, _ = project(camera, center)
     wide, tall = r * pixels, r * 0.5 * camera.size[1] / camera.half[1]
     return x - wide, y - tall, x + wide, y + tall, depth - r, True

@@ -56,7 +56,7 @@ def _ray(camera: Any, x: float, y: float) -> Any:
 
 
 @implement(project_bounding_sphere, PanoramaRays)
-def _project_ball(camera: Any, center: Any, r: float) -> Any:
+def _project_bounds(camera: Any, center: Any, r: float) -> Any:
     """Rows between the extreme latitudes; all columns if the sphere contains a pole or crosses the seam."""
     place, distance, valid = sphere_in_camera_space(camera, center, r)
     if not valid:

@@ -55,7 +55,7 @@ def _ray(camera: Any, x: float, y: float) -> Any:
 
 
 @implement(project_bounding_sphere, ParabolicRays)
-def _project_ball(camera: Any, center: Any, r: float) -> Any:
+def _project_bounds(camera: Any, center: Any, r: float) -> Any:
     """Bounding box of a circle: the stereographic projection maps circles to circles.
 
     At angle a from the axis it is tan(a / 2) from the centre. The tangent of the sum of two angles is

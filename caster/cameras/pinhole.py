@@ -100,7 +100,7 @@ def _project(camera: Any, p: Any) -> Any:
 
 
 @implement(project_bounding_sphere, PinholeRays)
-def _project_ball(camera: Any, center: Any, r: float) -> Any:
+def _project_bounds(camera: Any, center: Any, r: float) -> Any:
     q = sub(center, camera.eye)
     x, y, depth = dot(q, camera.right), dot(q, camera.up), dot(q, camera.forward)
     shallow = not depth - r > max(MIN_DEPTH_SHARE * l1_norm(q), MIN_SQUARABLE_LENGTH)

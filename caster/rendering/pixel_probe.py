@@ -61,7 +61,7 @@ def intersect_each_primitive(packed: Packed, rays: Rays) -> tuple[PrimitiveResul
 
 
 def _near(packed: Packed, rays: Rays) -> Iterator[tuple[Kind, np.ndarray]]:
-    """(kind, places within it of the MOST nearest): the overall nearest are among them."""
+    """(kind, places within it of the nearest): the overall nearest are among them."""
     for kind in packed.kinds:
         if len(kind.ids) <= MAX_PRIMITIVES_PROBED or not kind.bounded:
             yield kind, np.arange(len(kind.ids))[:MAX_PRIMITIVES_PROBED]

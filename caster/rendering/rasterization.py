@@ -197,7 +197,7 @@ def bin_kinds(
     return [sort(kind, base) for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True)]
 
 
-MAX_KEPT_WORKSPACE = 1 << 28  # bytes of work space that a kind keeps: for three million triangles
+MAX_KEPT_WORKSPACE = 1 << 28  # bytes of workspace that a kind keeps: for three million triangles
 
 
 def _workspace(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
@@ -210,7 +210,7 @@ def _workspace(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
 
 
 def release_workspace(kinds: list[BinnedKind]) -> None:
-    """The work space of kinds that are not looked at any more."""
+    """The workspace of kinds that are no longer used."""
     for it in kinds:
         space = it.bounds.pixels, it.bounds.near, it.bounds.projected
         if not it.kind.spare and sum(a.nbytes for a in space) <= MAX_KEPT_WORKSPACE:
@@ -236,7 +236,7 @@ def _bin_into_tiles(
         binned[i] = count_in_tiles(*about, counts[i], start, stop)
 
     parallel_for_pieces(lambda: count, parts, workers)
-    # in each drawer of each tile, what the first part has comes first: the same order for any number of threads
+    # in each depth bucket of each tile, what the first part has comes first: the same order for any number of threads
     ends = np.cumsum(counts.T.reshape(-1)).reshape(-1, workers).T
     starts = np.ascontiguousarray(ends - counts)
     order = np.empty(ends[-1, -1], np.int32)

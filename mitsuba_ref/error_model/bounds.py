@@ -55,7 +55,7 @@ PIXELS_PER_BATCH = 1 << 17  # pixels; some fifty temporary arrays of three numbe
 
 
 def missing_intersections(count: int) -> Intersections:
-    """Meetings that do not take place: all numbers inf. Without edges, which are for brackets."""
+    """Intersections that do not exist: all numbers inf. Without edges, which are for brackets."""
     t, t_error, n_error, sh_error, p_error = np.full((5, count), np.inf)
     n, sh_n = np.full((2, count, 3), np.inf)
     possible, certain = np.zeros((2, count), bool)

@@ -113,7 +113,7 @@ class BracketResult(NamedTuple):
 
 
 class RayIntersections(NamedTuple):
-    """Meetings in range, with ray and primitive of each."""
+    """Intersections in range, with the ray and primitive of each."""
 
     ray: np.ndarray  # (m,)
     prim: np.ndarray  # (m,)

@@ -44,13 +44,13 @@ class Intersections(NamedTuple):
         return Intersections(*(a[rows] for a in self if a is not None))
 
 
-# (prims, k (m,), o (m, 3), d (m, 3), ku) -> the meetings of primitive k[i] with ray i, one Meetings for each root.
+# (prims, k (m,), o (m, 3), d (m, 3), ku) -> intersections of primitive k[i] with ray i, one of these per root.
 # ku is K times the unit round-off of whoever is judged: KU for the reference, KU_OURS for a float64 caster.
 IntersectFunction = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, float], tuple[Intersections, ...]]
 
 
 class ErrorModel(NamedTuple):
-    """What the judge knows of one kind of primitive."""
+    """The error model of one kind of primitive."""
 
     intersect: IntersectFunction  # the reference's primitive, or what stands in for it
     bounds: Callable[[Any], tuple[np.ndarray, np.ndarray]]  # prims -> low, high corners (n, 3) of their boxes

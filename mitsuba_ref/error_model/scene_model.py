@@ -36,7 +36,7 @@ def missing_reference(name: str, kind: str) -> str:
 
 
 class PairIntersections(NamedTuple):
-    """Meetings of several pairs, all roots: meeting i belongs to pair[i]."""
+    """Intersections of several pairs, all roots: row i belongs to pair[i]."""
 
     pair: np.ndarray  # (m,) index into the pairs that were asked for
     at: Intersections

@@ -1,1 +1,1 @@
-"""Random scenes and rays that ask for trouble, held to exact arithmetic and to Mitsuba; failures made small."""
+"""Adversarial random scenes and rays, compared with exact arithmetic and Mitsuba; failures are shrunk."""

@@ -32,7 +32,7 @@ class WitnessAnswer:
     prim: int  # within its shape, -1 on a miss
     t: float
     right: bool | None = (
-        None  # one of the surfaces that are hit exactly, with t within its bound; None: nobody knows
+        None  # one of the surfaces that are hit exactly, with t within its bound; None: undecided
     )
     off: float | None = None  # t less the exact one; None on a miss, or where another surface is hit
     ulps: float | None = None  # the same, in units of the last place of the format it computes in

@@ -52,7 +52,7 @@ def cameras_of(scene: SceneVerdict) -> frozenset[str]:
 
 
 def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
-    """Of those that fail the one with the fewest primitives, then shapes, then pixels; None of fewer than FEWEST."""
+    """The failing scene with the fewest primitives, then shapes, then pixels; None below MIN_FAILING_SCENES."""
     failing = [scene for scene in scenes if not scene.ok]
     known = [scene for scene in failing if scene.made_of.primitives]
     if len(failing) < MIN_FAILING_SCENES or not known:
@@ -61,7 +61,7 @@ def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
 
 
 def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
-    """The lines of a summary: what is in common, and where to begin. None where fewer than FEWEST scenes fail."""
+    """Lines on what failing scenes have in common, and the simplest of them; none below MIN_FAILING_SCENES."""
     failing = sum(not scene.ok for scene in scenes)
     told, first = in_common(scenes), simplest_failing(scenes)
     if told:

@@ -133,9 +133,7 @@ def pack_one(shape: dict[str, Any]) -> Packed:
 # Reproducers of the pixels where somebody is wrong, as files.
 
 
-MAX_REPRODUCERS_PER_CASE = (
-    2  # reproducers of one scene and case, or of ours_wrong: each is checked by asking Mitsuba again
-)
+MAX_REPRODUCERS_PER_CASE = 2  # per scene and case, or wrong pixels of ours; each is verified with Mitsuba
 
 
 class StoredReproducers(NamedTuple):
@@ -148,7 +146,7 @@ class StoredReproducers(NamedTuple):
 def write_reproducers(
     folder: Path, name: str, judge: Judge, judgement: Judgement, source: str
 ) -> StoredReproducers:
-    """NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, at most MOST a case. Raises OutputError."""
+    """NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, some for each case. Raises OutputError."""
     files: list[str] = []
     left_out = 0
     for label, rows in _rows_by_label(judgement).items():

@@ -1,4 +1,4 @@
-"""Rays that ask for trouble, aimed with knowledge of the packed scene."""
+"""Adversarial rays, aimed at features of the packed scene."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Cameras that bend straight lines, where pictures of balls and corners are hardest to tell."""
+"""Non-rectilinear cameras, where screen bounds of spheres and corners are hardest to compute."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Candidates for the tests: ours through the door, and what people get wrong, one fault at a time."""
+"""Candidates for the tests: ours by the interface of candidates, and common mistakes, one fault at a time."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""What comes through the door is what Mitsuba itself says: ids, hits, light and its own sensor's rays."""
+"""Responses of the Mitsuba session are those of Mitsuba itself: ids, hits, light and its own sensor's rays."""
 
 import re
 import subprocess
@@ -21,7 +21,7 @@ U = 2.0**-24
 
 GROUP = '<shape type="shapegroup" id="group"><shape type="sphere" id="unit"/></shape>'
 REF = '<ref id="group"/>'
-MANY = {  # where each shape's middle is: none covers another
+SHAPES_APART = {  # where each shape's middle is: none covers another
     "ball": shape("sphere", "ball", -4, 2),
     "square": shape("rectangle", "square", 0, 2),
     "lid": shape("disk", "lid", 4, 2),
@@ -50,7 +50,9 @@ def many(tmp_path):
     """Every kind of shape, and lights among them."""
     corners = random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
     light = point_light("0 3 9", "1 2 3")
-    return write(tmp_path, "\n".join([GROUP, light, *MANY.values(), sun("0.2 -1 -1", "3 2 1")])), corners
+    return write(
+        tmp_path, "\n".join([GROUP, light, *SHAPES_APART.values(), sun("0.2 -1 -1", "3 2 1")])
+    ), corners
 
 
 @pytest.mark.parametrize("variant", HERE)
@@ -66,7 +68,7 @@ def test_a_hit_names_its_shape_and_an_instance_goes_before_what_it_repeats(asked
     tube = {"tube": ((-6, -2.1, 1), (1, 0, 0))}
     down = {name: ((x + 0.3, y + 0.1, 9), (0, 0, -1)) for name, (x, y) in aimed.items()} | tube
     answer = asked(many[0], variant, *zip(*down.values(), strict=True))
-    assert answer.names == list(MANY)
+    assert answer.names == list(SHAPES_APART)
     assert [answer.names[k] for k in answer.shape] == list(down)
 
 
@@ -88,14 +90,14 @@ def test_both_variants_hit_the_same_shapes_and_primitives(asked, many):
     assert np.array_equal(scalar.shape, llvm.shape) and np.array_equal(scalar.prim, llvm.prim)
     assert np.array_equal(scalar.light_visible, llvm.light_visible)
     assert np.array_equal(scalar.albedo, llvm.albedo)
-    assert set(scalar.shape) == set(range(-1, len(MANY)))
+    assert set(scalar.shape) == set(range(-1, len(SHAPES_APART)))
 
 
 @pytest.mark.skipif(len(HERE) == 1, reason="one variant has nothing to agree with")
 def test_triangles_are_met_at_the_same_bits_of_t_in_both_variants(asked, tmp_path):
     random_mesh(tmp_path / "strewn.ply", np.random.default_rng(3), 2000)
     o, d = rays_at(np.random.default_rng(4), 20000, 1.2)
-    scalar, llvm = (asked(write(tmp_path, MANY["strewn"]), variant, o, d) for variant in VARIANTS)
+    scalar, llvm = (asked(write(tmp_path, SHAPES_APART["strewn"]), variant, o, d) for variant in VARIANTS)
     assert 5000 < np.isfinite(scalar.t).sum() < 20000
     assert scalar.t.tobytes() == llvm.t.tobytes()
     assert np.abs(scalar.n - llvm.n).max() <= 4 * U  # a division here, a reciprocal there

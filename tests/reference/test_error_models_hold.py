@@ -74,7 +74,7 @@ def test_no_hit_is_farther_off_than_its_bound(observed):
 
 
 def test_every_hit_and_miss_is_one_that_rounding_allows(observed):
-    """Also where Mitsuba says the contrary of float64: the bracket explains all of it, or knows it cannot tell."""
+    """Also where Mitsuba says the contrary of float64: the bracket explains all of it, or reports that it cannot."""
     kind, settings = observed
     differ, unclear, certain = 0, 0, 0
     for name, found in settings.items():

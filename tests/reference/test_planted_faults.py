@@ -57,7 +57,10 @@ SCREEN, TREE, PLACING = (
 TILE, BUNDLE = "caster/kernels/raster/tile.py", "caster/kernels/bvh/packet.py"
 
 ODD = "15", "15"  # pixel centres on the edges that faces share
-MANY = "24", "20"  # where the first pixels at which the fault shows are to be of another shape, not missed
+SIDE_BY_SIDE_SIZE = (
+    "24",
+    "20",
+)  # where the first pixels at which the fault shows are to be of another shape, not missed
 FEW = "6", "5"  # for scenes of many triangles
 
 FAULTS = (
@@ -118,7 +121,7 @@ FAULTS = (
         TRIANGLES,
         "return (least > error) | (most < -error), (most > error) & (least < -error) & bounded, bounded",
         "return least > error, (most > error) & (least < -error) | (most < -error), bounded",
-        MANY,
+        SIDE_BY_SIDE_SIZE,
     ),
     Fault(
         "square disks",
@@ -135,7 +138,7 @@ FAULTS = (
         DISK,
         "beyond = x * x + y * y - 1.0",
         "beyond = x * x + y * y - 0.9",
-        MANY,
+        SIDE_BY_SIDE_SIZE,
     ),
     Fault(
         "tubes without far wall",
@@ -707,7 +710,7 @@ FAULTS = (
         "return hit.prim_id + 1",
     ),
     Fault(
-        "pictures of primitives too narrow",
+        "screen bounds of primitives too narrow",
         "triangles",
         "culling",
         "caster/kernels/raster/screen_bounds.py",

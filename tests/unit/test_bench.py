@@ -1,4 +1,4 @@
-"""`mitsuba-ref bench` counts right, sees every planted fault, and tells all of it. No Mitsuba, and nothing is timed."""
+"""`mitsuba-ref bench` counts right, finds every planted fault and reports all of it. No Mitsuba, no timing."""
 
 import ast
 import json

@@ -13,7 +13,7 @@ from mitsuba_ref.reference.rays import SharedRays
 
 TURN, SHIFT = 1e-6, 2e-6  # so much more than float64's rounding that this is nothing beside them
 SETTINGS = (Setting(), Setting(distances=(0.5, 3.0)), Setting(slopes=(1e-4, 1e-2)), Setting(edges=1.0))
-ROOM = (
+ROUNDING_SHARE = (
     1e-3  # of the bound, for what float64 rounds and for second order: the square of the turn over the cosine
 )
 
@@ -59,8 +59,8 @@ def test_whatever_rays_a_camera_shoots_their_hits_are_within_the_widened_bounds(
             assert not np.any(ahead & wide.certain & ~at.possible), "a miss that was held to be impossible"
             beside += int((ahead & at.certain & ~wide.possible).sum())
             rows = ahead & at.certain & np.isfinite(wide.t_error)
-            assert np.all((np.abs(at.t - wide.t) <= (1 + ROOM) * wide.t_error)[rows])
-            assert np.all((norm(at.n - wide.n) <= (1 + ROOM) * wide.n_error + 1e-12)[rows])
+            assert np.all((np.abs(at.t - wide.t) <= (1 + ROUNDING_SHARE) * wide.t_error)[rows])
+            assert np.all((norm(at.n - wide.n) <= (1 + ROUNDING_SHARE) * wide.n_error + 1e-12)[rows])
             held, hits = held + int(rows.sum()), hits + int((ahead & wide.certain).sum())
     assert held > 400 and hits > 200
     assert beside <= (0 if kind in ROUND else held // 100), "a hit that was held to be impossible"

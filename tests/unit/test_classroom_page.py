@@ -65,7 +65,7 @@ def test_its_size_is_what_the_page_says():
     ],
 )
 def test_its_check_finds_mistakes(folder, capsys, right, wrong, says):
-    """Those that the page tells of, and one more."""
+    """Those that the page describes, and one more."""
     code = as_shown("student.py")
     if right not in code:
         pytest.fail(f"the page's caster has no {right!r}")

@@ -1,4 +1,4 @@
-"""Where many scenes fail: what they share, said only if it is so and tells something, and which one is the simplest."""
+"""Where many scenes fail: what they share, stated only if true and significant, and which one is the simplest."""
 
 from dataclasses import replace
 from unittest.mock import Mock

@@ -47,7 +47,7 @@ def behind_a_near_plane(near: float = 0.25, **lens: Any) -> Scene:
     "lens", [{"type": "orthographic", "width": 0.3}, {"type": "pinhole", "fov": 40}], ids=str
 )
 def test_a_near_plane_far_from_the_origin_is_no_fault(lens):
-    """Where the rays are moved to it they are rounded by more than t_error, which knows of no move."""
+    """Where the rays are moved to it they are rounded by more than t_error, which assumes no move."""
     scene = behind_a_near_plane(**lens)
     assert render(scene, ("depth",)).hit.sum() >= 20
     assert check_render(scene).ok

@@ -8,7 +8,7 @@ from caster.kernels.math.error_free import two_diff, two_product
 from caster.kernels.math.vec import U, cross, permanent, sub
 from caster.kernels.triangles import MIN_SIN_SQUARED, triangle_normal
 
-MANY = 300
+SAMPLES = 300
 FEW_U = 4 * U
 
 
@@ -39,7 +39,7 @@ def test_the_normal_of_a_needle_is_known_to_the_last_bits():
     rng = np.random.default_rng(70)
     lost = 0
     for bits in range(20, 54):
-        for _ in range(MANY // 30):
+        for _ in range(SAMPLES // 30):
             corners = needle(rng, bits)
             exact = exact_normal(corners)
             if not any(exact):
@@ -51,7 +51,7 @@ def test_the_normal_of_a_needle_is_known_to_the_last_bits():
             half = plain**2 > MIN_SIN_SQUARED * spread**2
             known = 4 * U * (1 + 2 * spread / plain if half else 1)
             assert abs(np.array(triangle_normal(a, b, c)) - to_unit(exact)).max() <= known, (bits, corners)
-    assert lost > MANY // 30  # the textbook's cross product is nothing worth for many of them
+    assert lost > SAMPLES // 30  # the textbook's cross product is nothing worth for many of them
 
 
 def test_a_line_has_a_normal_across_it_and_a_point_has_none():
@@ -62,9 +62,9 @@ def test_a_line_has_a_normal_across_it_and_a_point_has_none():
     assert triangle_normal((1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (1.0, 2.0, 3.0)) == (0.0, 0.0, 0.0)
 
 
-def test_twofold_numbers_lack_nothing():
+def test_double_double_numbers_are_exact():
     rng = np.random.default_rng(71)
-    numbers = rng.normal(size=(2 * MANY, 2)) * 2.0 ** rng.integers(-60, 60, (2 * MANY, 2))
+    numbers = rng.normal(size=(2 * SAMPLES, 2)) * 2.0 ** rng.integers(-60, 60, (2 * SAMPLES, 2))
     with_error = 0
     for a, b in numbers.tolist():
         for (x, y), exact in (
@@ -73,4 +73,4 @@ def test_twofold_numbers_lack_nothing():
         ):
             assert Fraction(x) + Fraction(y) == exact
             with_error += y != 0.0
-    assert with_error > MANY
+    assert with_error > SAMPLES

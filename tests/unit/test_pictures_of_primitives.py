@@ -36,7 +36,7 @@ CAMERAS = {
     "panorama": Panorama(**POSE),
     "parabolic": Parabolic(**POSE),
 }
-ROOM = 2.0**-10  # pixels, spans.MARGIN: what roundings may take
+BOUND_MARGIN_PIXELS = 2.0**-10  # pixels, as in screen_bounds.py: what roundings may take
 COUNT = 800
 
 
@@ -63,8 +63,8 @@ def overlap(camera: Any, rng: np.random.Generator, reach: float) -> list[float]:
     for (x, y), center, r in met_balls(camera, rng, reach):
         left, top, right, bottom, depth, valid = project_bounding_sphere(camera, center, r)
         if valid and left > -math.inf:
-            inside = min(x - left, right - x, y - top, bottom - y) + ROOM
-            found.append(inside / (max(right - left, bottom - top) + ROOM))
+            inside = min(x - left, right - x, y - top, bottom - y) + BOUND_MARGIN_PIXELS
+            found.append(inside / (max(right - left, bottom - top) + BOUND_MARGIN_PIXELS))
             assert depth <= np.linalg.norm(np.array(center) - camera.eye) - r + 1e-12 * (1.0 + r)
     return found
 
@@ -125,12 +125,12 @@ def off_the_line(camera: Any, rng: np.random.Generator) -> list[float]:
             start, end = seen[0, :2], seen[1, :2]
             edge, aside = end - start, (x, y) - start
             off = abs(edge[0] * aside[1] - edge[1] * aside[0]) / math.hypot(*edge)
-            found.append(off / (more + ROOM))
+            found.append(off / (more + BOUND_MARGIN_PIXELS))
             assert seen[:, 3].min() * share <= t * (1.0 + 1e-12)
     return found
 
 
-FINE = 10  # pixels are so much smaller, so that ROOM is little beside what is measured
+FINE = 10  # pixels are so much smaller, so that BOUND_MARGIN_PIXELS is little beside what is measured
 BENDING = ("fisheye", "wider fisheye", "narrow fisheye", "panorama", "parabolic")
 
 

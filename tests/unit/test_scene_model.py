@@ -110,7 +110,7 @@ def test_what_was_computed_from_a_scene_stays_with_it_alone():
     scene = built()
     scene.derived["packed"] = object()
     assert scene == built()
-    assert scene.with_film(width=9).derived is scene.derived  # what is kept knows of no film
+    assert scene.with_film(width=9).derived is scene.derived  # derived data do not depend on the film
     assert not scene.model_copy(update={"shapes": scene.shapes[:1]}).derived
     assert not pickle.loads(pickle.dumps(scene)).derived
     assert pickle.loads(pickle.dumps(scene)) == scene

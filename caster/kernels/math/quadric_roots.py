@@ -23,7 +23,8 @@ from caster.kernels.protocol import Vec3
 # The bounds are of second order in the error of d over d's length, which has to be below 1/32 for them to hold.
 MAX_DIRECTION_ERROR_SHARE = 2.0**-10
 
-# 2^ROOM has a square, with room for three of them. Between the other two, squares need no thought at all.
+# 2^MAX_SQUARABLE_EXPONENT has a finite square, and so has the sum of three. Within MIN_RANGE..MAX_RANGE, squares
+# neither overflow nor underflow.
 MAX_SQUARABLE_EXPONENT = 500
 MIN_RANGE, MAX_RANGE = 2.0**-100, 2.0**100
 

@@ -44,9 +44,9 @@ class ScreenBounds(NamedTuple):
     faces: (
         np.ndarray
     )  # (n, 3) int32: of triangles, their corners' indices in `projected`; of other kinds (0, 3)
-    projected: np.ndarray  # (m, 4) float64, a Picture each, in pixels of the window
-    # Along which depth counts. 0: it is the distance from the eye, or the rays are not those of a camera that keeps
-    # straight lines straight, so less is known of them.
+    projected: np.ndarray  # (m, 4) float64, a projection each, in pixels of the window
+    # The direction along which depth is measured. 0: depth is the distance from the eye, or the camera is not
+    # rectilinear, so that depth bounds are looser.
     forward: Vec3
     least: float  # a depth times this is no more than t: 1 over the length of the longest d
 

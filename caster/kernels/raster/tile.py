@@ -1,7 +1,7 @@
 """A tile of the film: its rays and what each meets first, in one flat array that stays in a core's cache.
 
 A field is numbers in a row, one a pixel, and `tile[T + i]` is t of pixel i. Since all fields lie in one array at
-known distances, the compiler knows that a store into one changes no other, and handles several pixels at once.
+known distances, the compiler can assume that a store into one changes no other, and handles several pixels at once.
 """
 
 import math
@@ -163,8 +163,8 @@ def store_nearest(tile: Any, ids: Any, width: int, box: Box, nearest: Any, uncer
 # Which primitives are to be looked for in which tile of the film, near ones first.
 
 
-# Within a tile, primitives are sorted into drawers by their least depth: by its exponent and 4 bits of the fraction.
-# The farthest 8 powers of two have drawers of their own; what is nearer, or behind, shares the first.
+# In a tile, primitives are sorted into depth buckets by the exponent of their least depth and 4 bits of its fraction.
+# The farthest 8 powers of two have buckets of their own; nearer ones, and those behind, share the first.
 DEPTH_BUCKETS, DEPTH_BUCKET_SHIFT = 128, 52 - 4
 
 
@@ -175,7 +175,7 @@ def is_on_film(pixels: Any, k: int) -> bool:
 
 @inlined
 def depth_bucket(bits: int, last: int) -> int:
-    """Farther primitives are in later drawers; bits, last: of depths, as int64, and of the largest that may be."""
+    """The depth bucket of a primitive. bits, last: the bits of its depth and of the largest depth, as int64."""
     return min(
         max(DEPTH_BUCKETS - 1 - ((last >> DEPTH_BUCKET_SHIFT) - (bits >> DEPTH_BUCKET_SHIFT)), 0),
         DEPTH_BUCKETS - 1,
@@ -186,7 +186,7 @@ def depth_bucket(bits: int, last: int) -> int:
 def count_in_tiles(
     pixels: Any, bits: Any, last: int, queue: Any, across: int, counts: Any, start: int, stop: int
 ) -> int:
-    """How many spans reach into each tile, of primitives queue[start:stop]: counts[n * DRAWERS + drawer].
+    """How many spans reach into each tile, of primitives queue[start:stop]: counts[n * DEPTH_BUCKETS + bucket].
 
     Tiles go row by row, `across` in a row. A queue without members stands for all primitives in their own order.
     Returns how many primitives are looked for anywhere.
@@ -207,7 +207,7 @@ def count_in_tiles(
 def scatter_to_tiles(
     pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
 ) -> None:
-    """Write them to order[ends[n * DRAWERS + drawer]:], for each tile n they reach into, moving that end on."""
+    """Write them to order[ends[n * DEPTH_BUCKETS + bucket]:], for each tile n they reach into, moving that end on."""
     for prim_number in range(start, stop):
         k = queue[prim_number] if len(queue) > 0 else prim_number
         if is_on_film(pixels, k):

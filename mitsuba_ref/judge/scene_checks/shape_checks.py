@@ -68,7 +68,7 @@ def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float)
     error = np.abs(claim.packed - claim.expected)
     size = np.maximum(claim.size, normal) if claim.rounded else claim.size
     bound = TRANSFORM_ROUNDINGS * rounding * np.broadcast_to(size, error.shape)
-    hopeless = np.isposinf(bound)  # normals that cancel: nobody knows where they point
+    hopeless = np.isposinf(bound)  # normals that cancel: their direction is undefined
     return float(np.where(hopeless, 0.0, error_over_bound(error, bound)).max(initial=0.0))
 
 

@@ -1,0 +1,68 @@
+"""Words of this project's former private vocabulary do not come back; docs/glossary.md has the terms that are used."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SEARCHED = ("*.py", "*.md", "*.toml", "Makefile")
+HISTORY = {"CHANGELOG.md", "tests/unit/test_terms.py"}  # what was called so, and this list
+
+# pattern -> the term of the field
+REPLACED = {
+    r"class-room": "classroom",
+    r"whole_files?": "atomic_files",
+    r"_?project_ball": "project_bounding_sphere",
+    r"pictures? of (?:balls?|primitives?)": "screen bounds",
+    r"straight lines straight": "rectilinear",
+    r"bent_spans?": "wide-angle screen bounds",
+    r"drawers?": "depth buckets",
+    r"outlook": "ray bounds of a tile",
+    r"in_turns|in_bands": "parallel_for",
+    r"worked off": "processed",
+    r"look_along|view_along": "trace, cast",
+    r"work space": "workspace",
+    r"turned_back": "transposed_mat_vec",
+    r"Sketch": "UncertainHits",
+    r"Meetings?": "Intersections",
+    r"twofold": "double-double",
+    r"Told": "on_progress",
+    r"Saying|Heard": "request, response",
+    r"Mitsuba said": "Mitsuba's captured stderr",
+    r"(?:ask|asks|asking) for trouble": "adversarial",
+    r"worth asking": "needs adjudication",
+    r"ours_wrong": "wrong",
+    r"MOST|FEWEST|MANY|ROOM": "a constant that names what it limits, and its unit",
+    r"tells(?!:)|knows": "a description of the operation: code neither tells nor knows",
+    r"terminal_line|progress_bar\.py": "caster/cli/progress.py",
+}
+
+
+def files() -> list[str]:
+    folders = [ROOT / name for name in ("caster", "mitsuba_ref", "benchmarks", "tests", "docs")]
+    paths = [path for kind in SEARCHED for folder in folders for path in folder.rglob(kind)]
+    paths += [path for kind in SEARCHED for path in ROOT.glob(kind)]
+    return sorted({path.relative_to(ROOT).as_posix() for path in paths} - HISTORY)
+
+
+def found(pattern: str, text: str) -> list[int]:
+    """Numbers of the lines with a whole word or phrase."""
+    word = re.compile(rf"(?<!\w)(?:{pattern})(?!\w)")
+    return [number for number, line in enumerate(text.split("\n"), 1) if word.search(line)]
+
+
+@pytest.fixture(scope="module")
+def texts() -> dict[str, str]:
+    return {name: (ROOT / name).read_text(encoding="utf-8") for name in files()}
+
+
+@pytest.mark.parametrize("pattern", REPLACED)
+def test_a_replaced_word_is_gone(texts, pattern):
+    places = [f"{name}:{line}" for name, text in texts.items() for line in found(pattern, text)]
+    assert not places, f"write '{REPLACED[pattern]}' at {', '.join(places)}"
+
+
+def test_a_word_that_comes_back_is_found():
+    assert found(r"drawers?", "one\nsorted into drawers\nwithdrawers") == [2]
+    assert found(r"Told", "told: Told | None") == [1] and len(files()) > 300
