@@ -72,7 +72,7 @@ AOVS = ("depth", "normal", "diffuse")
 # The first that is asked about a scene is what the others are set against.
 CONTESTANTS = (
     Contestant("ours", "ours, as planned", OURS, OWN, ALL_TASKS),
-    Contestant("ours-bvh", "ours, by the tree", OURS, OWN, (FILM,), {"culling": "bvh"}),
+    Contestant("ours-bvh", "ours, by BVH", OURS, OWN, (FILM,), {"culling": "bvh"}),
     Contestant("ours-1-thread", "ours, one thread", OURS, OWN, ALL_TASKS, threads=1),
     Contestant(
         "ours-python",

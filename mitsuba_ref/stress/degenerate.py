@@ -1,12 +1,12 @@
-"""Grazing angle: rays that run nearly along a flat surface."""
+"""Families of nearly degenerate intersections: grazing, slivers, tangency, cylinder axes, stretched spheres."""
 
 from typing import Any
 
 import numpy as np
 
 from caster.shapes import Cylinder, Disk, Rectangle, Sphere, Triangle
-from mitsuba_ref.stress import family
 from mitsuba_ref.stress.family import (
+    EYE_DISTANCE,
     Family,
     Rays,
     Rng,
@@ -19,25 +19,28 @@ from mitsuba_ref.stress.family import (
     random_directions,
     random_perpendicular,
     random_turn,
+    rays_to_triangle,
     scene_of,
     select_rays,
+    sphere_scene,
     towards,
     unit,
+    unit_normal,
 )
 
-GRAZING_EYE_DISTANCE = 5.0  # half sides
 GRAZING_ANGLES = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
-AIM_HALF_SIDES = 1.3  # half sides around the middle that rays are aimed at: four in ten go beyond the rim
+AIM_HALF_SIDES = 1.3  # half sides around the centre that rays are aimed at: four in ten pass the rim
 
 
-def grazing_rays(rng: Rng, angle: float, axes: np.ndarray, center: np.ndarray, many: int) -> Rays:
+def grazing_rays(rng: Rng, angle: float, axes: np.ndarray, center: np.ndarray, number: int) -> Rays:
     """Rays to points of the plane through `center` that axes[0], axes[1] span, at an angle to it."""
-    aim = center + rng.uniform(-AIM_HALF_SIDES, AIM_HALF_SIDES, (many, 2)) @ axes[:2]
-    n = np.tile(axes[2] / np.linalg.norm(axes[2]), (many, 1))
+    aim = center + rng.uniform(-AIM_HALF_SIDES, AIM_HALF_SIDES, (number, 2)) @ axes[:2]
+    n = np.tile(axes[2] / np.linalg.norm(axes[2]), (number, 1))
     back = (
-        np.cos(angle) * random_perpendicular(rng, n) + rng.choice([-1.0, 1.0], (many, 1)) * np.sin(angle) * n
+        np.cos(angle) * random_perpendicular(rng, n)
+        + rng.choice([-1.0, 1.0], (number, 1)) * np.sin(angle) * n
     )
-    return towards(aim + GRAZING_EYE_DISTANCE * back, aim)
+    return towards(aim + EYE_DISTANCE * back, aim)
 
 
 def grazing_rectangle(rng: Rng, angle: float, count: int) -> Setting:
@@ -48,7 +51,7 @@ def grazing_rectangle(rng: Rng, angle: float, count: int) -> Setting:
     axes = np.stack([first, second, np.cross(first, second)])
     hits = hits_triangles(corners[part_of(scene).faces])
     return Setting(
-        angle, scene, *select_rays(lambda many: grazing_rays(rng, angle, axes, center, many), hits, count)
+        angle, scene, *select_rays(lambda number: grazing_rays(rng, angle, axes, center, number), hits, count)
     )
 
 
@@ -66,7 +69,7 @@ def grazing_disk(rng: Rng, angle: float, count: int) -> Setting:
     return Setting(
         angle,
         scene,
-        *select_rays(lambda many: grazing_rays(rng, angle, axes, part.center[0], many), hits, count),
+        *select_rays(lambda number: grazing_rays(rng, angle, axes, part.center[0], number), hits, count),
     )
 
 
@@ -92,27 +95,18 @@ GRAZING_DISK = Family(
 )
 
 
-# Sliver aspect: a triangle that gets thinner and thinner.
-
-
-SLIVER_EYE_DISTANCE = 5.0  # lengths of the long side
 ASPECTS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
-MIN_ABS_COS = 0.3  # least |cos| between rays and the normal
 
 
 def sliver_triangle(rng: Rng, aspect: float, count: int) -> Setting:
-    """Height over base: a base of 1, turned, so that rounding its corners bends it in all directions."""
+    """aspect: height over a base of 1. Rotated, so that rounding moves its corners in all directions."""
     corners = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [rng.uniform(-0.2, 0.2), aspect, 0.0]])
     scene = scene_of(Triangle(vertices=corners, to_world=[random_turn(rng)]))
     part = part_of(scene)
-    n = np.cross(part.vertices[1] - part.vertices[0], part.vertices[2] - part.vertices[0])
-    n /= np.linalg.norm(n)
+    n = unit_normal(part.vertices)
 
-    def candidates(many: int) -> Rays:
-        v = random_directions(rng, many)
-        v[np.abs(v @ n) < MIN_ABS_COS] = n
-        aim = (rng.dirichlet(np.ones(3), many) * 1.4 - 0.4 / 3.0) @ part.vertices
-        return towards(aim + SLIVER_EYE_DISTANCE * v, aim)
+    def candidates(number: int) -> Rays:
+        return rays_to_triangle(rng, part.vertices, n, EYE_DISTANCE, number)
 
     hits = hits_triangles(part.vertices[part.faces])
     return Setting(aspect, scene, *select_rays(candidates, hits, count))
@@ -128,17 +122,13 @@ SLIVER = Family(
 )
 
 
-# Near-tangency: rays that pass a sphere's silhouette, just inside and just outside.
-
-
-TANGENCY_EYE_DISTANCE = 5.0  # radii
 TANGENCY_GAPS = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-GAP_TOLERANCE = (0.3, 3.0)  # of the gap aimed at: rays that rounding moved out of it are left out
-TANGENT_CANDIDATES_PER_RAY = 400  # for each ray that is kept; at the narrowest gap one in fifty stays in it
+GAP_TOLERANCE = (0.3, 3.0)  # gaps: rays that rounding moved out of this range are dropped
+TANGENT_CANDIDATES_PER_RAY = 400  # at the narrowest gap one in fifty stays in it
 
 
 def near_tangent(rng: Rng, gap: float, count: int) -> Setting:
-    scene = family.sphere_scene(1.0, rng.normal(scale=0.3, size=3))
+    scene = sphere_scene(1.0, rng.normal(scale=0.3, size=3))
     part = part_of(scene)
     center, r = part.center[0], part.radius[0]
     o, d = near_tangent_rays(rng, gap, (center, r), TANGENT_CANDIDATES_PER_RAY * count)
@@ -147,12 +137,12 @@ def near_tangent(rng: Rng, gap: float, count: int) -> Setting:
     return Setting(gap, scene, *balanced_selection((o[kept], d[kept]), off[kept] < 0.0, count))
 
 
-def near_tangent_rays(rng: Rng, gap: float, ball: tuple[np.ndarray, float], many: int) -> Rays:
+def near_tangent_rays(rng: Rng, gap: float, sphere: tuple[np.ndarray, float], number: int) -> Rays:
     """Rays that pass the centre at r (1 - gap) or r (1 + gap)."""
-    center, r = ball
-    v = random_directions(rng, many)
-    beside = center + r * (1.0 + gap * rng.choice([-1.0, 1.0], (many, 1))) * random_perpendicular(rng, v)
-    return towards(beside - TANGENCY_EYE_DISTANCE * v, beside)
+    center, r = sphere
+    v = random_directions(rng, number)
+    beside = center + r * (1.0 + gap * rng.choice([-1.0, 1.0], (number, 1))) * random_perpendicular(rng, v)
+    return towards(beside - EYE_DISTANCE * v, beside)
 
 
 TANGENCY = Family(
@@ -165,26 +155,23 @@ TANGENCY = Family(
 )
 
 
-# A cylinder nearly along its axis: rays inside a long tube that meet its wall at a small angle.
-
-
 AXIS_ANGLES = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
-LENGTH_TIMES_ANGLE = (
-    4.0  # length of the tube, in radii over the angle: a ray from the axis comes to the wall after a quarter
-)
+LENGTH_TIMES_ANGLE = 4.0  # radii: a ray from the axis reaches the wall after a quarter of the cylinder
 
 
 def along_cylinder(rng: Rng, angle: float, count: int) -> Setting:
-    """Half of the rays go the long way from near one end, half leave by an end that is too near."""
+    """Rays inside a cylinder: half start far enough from its end to hit the wall, half leave by the end."""
     axis = random_perpendicular(rng, np.array([[0.3, 0.5, 0.8]]))[0] * (LENGTH_TIMES_ANGLE / angle)
     scene = scene_of(Cylinder(p0=tuple(-0.5 * axis), p1=tuple(0.5 * axis), radius=1.0))
     part = part_of(scene)
 
-    def candidates(many: int) -> Rays:
-        turned = rng.uniform(0.0, 2.0 * np.pi, many)
-        height = np.where(rng.random(many) < 0.6, rng.uniform(0.05, 0.5, many), rng.uniform(0.7, 0.95, many))
-        start = np.column_stack([*rng.uniform(-0.3, 0.3, (2, many)), height])
-        lean = np.column_stack([np.cos(turned), np.sin(turned), np.full(many, 1.0 / LENGTH_TIMES_ANGLE)])
+    def candidates(number: int) -> Rays:
+        turned = rng.uniform(0.0, 2.0 * np.pi, number)
+        height = np.where(
+            rng.random(number) < 0.6, rng.uniform(0.05, 0.5, number), rng.uniform(0.7, 0.95, number)
+        )
+        start = np.column_stack([*rng.uniform(-0.3, 0.3, (2, number)), height])
+        lean = np.column_stack([np.cos(turned), np.sin(turned), np.full(number, 1.0 / LENGTH_TIMES_ANGLE)])
         matrix = part.to_world[0].T
         return float32(part.center[0] + start @ matrix), float32(unit(lean @ matrix))
 
@@ -192,7 +179,7 @@ def along_cylinder(rng: Rng, angle: float, count: int) -> Setting:
 
 
 def reaches_wall(part: Any, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Whether rays from within the tube meet its wall before its end."""
+    """Whether rays from inside the cylinder hit its wall before its end."""
     f, e = (o - part.center[0]) @ part.to_object[0].T, d @ part.to_object[0].T
     a, b = (e[:, :2] ** 2).sum(axis=1), (f[:, :2] * e[:, :2]).sum(axis=1)
     c = (f[:, :2] ** 2).sum(axis=1) - 1.0
@@ -204,7 +191,7 @@ def reaches_wall(part: Any, o: np.ndarray, d: np.ndarray) -> np.ndarray:
 
 AXIS = Family(
     "axis",
-    "rays inside a tube, nearly along its axis",
+    "rays inside a cylinder, nearly along its axis",
     "angle between ray and axis, radians",
     AXIS_ANGLES,
     AXIS_ANGLES[-1],
@@ -212,27 +199,23 @@ AXIS = Family(
 )
 
 
-# Transform condition: a ball that is flattened more and more.
-
-
-CONDITION_EYE_DISTANCE = 5.0  # of the largest half axis
 CONDITIONS = (1.0, 3.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6)
 
 
 def stretched_sphere(rng: Rng, condition: float, count: int) -> Setting:
-    """Half axes 1, condition^-1/2 and 1/condition, turned; a second stretch keeps condition 1 an ellipsoid."""
+    """Half axes 1, condition^-1/2 and 1/condition, rotated; a second stretch keeps condition 1 an ellipsoid."""
     stretch = {"scale": [1.0, condition**-0.5, 1.0 / condition]}
     almost = {"scale": [1.0, 1.0, 0.999]}
     place = [stretch, almost, random_turn(rng), {"translate": rng.normal(scale=0.3, size=3)}]
     scene = scene_of(Sphere(to_world=place))
     part = part_of(scene)
 
-    def candidates(many: int) -> Rays:
+    def candidates(number: int) -> Rays:
         aim = (
             part.center[0]
-            + 1.4 * np.sqrt(rng.random((many, 1))) * random_directions(rng, many) @ part.to_world[0].T
+            + 1.4 * np.sqrt(rng.random((number, 1))) * random_directions(rng, number) @ part.to_world[0].T
         )
-        return towards(part.center[0] + CONDITION_EYE_DISTANCE * random_directions(rng, many), aim)
+        return towards(part.center[0] + EYE_DISTANCE * random_directions(rng, number), aim)
 
     def hits(o: np.ndarray, d: np.ndarray) -> np.ndarray:
         f, e = (o - part.center[0]) @ part.to_object[0].T, d @ part.to_object[0].T

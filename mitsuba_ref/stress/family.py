@@ -1,4 +1,4 @@
-"""What is stressed, and how: a family of settings that get harder and harder."""
+"""Families of settings in which one quantity gets extreme, and the random rays that they are made of."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -15,68 +15,64 @@ from caster.shapes import Icosphere, Sphere
 
 Rng = np.random.Generator
 
-# How many rays a setting has unless told; in a closed mesh, exact arithmetic need not look at all of them.
+# Rays of a setting by default; in a closed mesh, exact arithmetic need not decide all of them.
 DEFAULT_RAYS, DEFAULT_CLOSED_RAYS = 400, 10_000
 
 
 class CameraRays(NamedTuple):
-    """Rays of a setting that share an eye and a film: ours casts them through the screen, too."""
+    """Rays of a setting that share an eye and a film: our caster also rasterizes them."""
 
     camera: Pinhole
     film: Film
-    rays: np.ndarray  # (m,) which of the setting's rays
-    pixels: (
-        np.ndarray
-    )  # (m,) the pixel of the film's window that each goes through, row by row; all different
+    rays: np.ndarray  # (m,) indices of the setting's rays
+    pixels: np.ndarray  # (m,) the pixel of the film's window that each goes through; all different
 
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """One point of a sweep: a scene, and rays of float32 numbers through it, for everybody."""
+    """One point of a sweep: a scene and float32 rays through it, the same for all witnesses."""
 
     x: float  # the stressed quantity
     scene: Scene
     o: np.ndarray  # (n, 3) float32
     d: np.ndarray  # (n, 3) float32
-    unit: float | None = None  # what errors are measured in, scene units; None: relative to the distance
-    shots: Sequence[CameraRays] = ()
+    unit: float | None = None  # of errors, in scene units; None: relative to the distance
+    camera_rays: Sequence[CameraRays] = ()
     closed: bool = False  # every ray starts inside a closed mesh, so that each of them hits
 
 
 @dataclass(frozen=True)
 class Family:
-    """One sweep. `settings(rng of each x, rays)` begins with the easiest, or with the smallest x."""
+    """One sweep: settings over a stressed quantity."""
 
     name: str
     title: str  # what is stressed, in a line
     quantity: str  # the x axis, with its unit
     values: tuple[float, ...]  # of x, in ascending order
-    easiest: float  # the value of x from where on it gets harder, to one side or to both
+    easiest: float  # the x from which on settings get harder, to one side or to both
     make: Callable[[Rng, float, int], Setting] = field(repr=False)
     error: str = "relative error of t"
-    misses: bool = True  # whether exact misses have to be among the answers, beside hits
+    misses: bool = True  # whether a setting without exact misses fails
     rays: int = DEFAULT_RAYS
 
     def settings(self, seed: int, rays: int | None) -> Iterator[Setting]:
-        """Every setting by a seed of its own: none depends on which others are asked for."""
+        """The settings; each has a seed of its own, so that it does not depend on which others are swept."""
         for value in self.values:
             rng = np.random.default_rng([seed, *self.name.encode(), *np.float64(value).tobytes()])
             yield self.make(rng, value, rays or self.rays)
 
 
-# Rays that are aimed: float32 numbers, and enough hits and misses among them to tell anything.
-
-
 Rays = tuple[np.ndarray, np.ndarray]
 
-CANDIDATES_PER_RAY = (
-    64  # rays made for each one that is kept: at the far end of a sweep few go where they were aimed
-)
-TARGET_MISS_SHARE = 0.4  # share of rays that are to miss, where there are so many
+CANDIDATES_PER_RAY = 64  # at the extreme end of a sweep few rays go where they were aimed
+EYE_DISTANCE = 5.0  # sizes of the shape, from the shape to the rays' origins, unless stressed
+MIN_ABS_COS = 0.3  # least |cos| between rays and the normal of a triangle that is not to be grazed
+AIM_RADIUS = 1.4  # radii around the centre that rays are aimed at: about half of them hit
+TARGET_MISS_SHARE = 0.4  # share of misses among the rays, where there are as many
 
 
 def scene_of(*shapes: Shape) -> Scene:
-    """A scene to hand rays to: its camera is one that Mitsuba has no sensor for, so that none is exported."""
+    """A scene for any rays: its camera is one without a Mitsuba sensor, so that none is exported."""
     camera = Fisheye(eye=(0.0, 0.0, 0.0), direction=(0.0, 0.0, 1.0))
     return Scene(film={"width": 1, "height": 1}, camera=camera, shapes=shapes)
 
@@ -98,12 +94,12 @@ def unit(v: np.ndarray) -> np.ndarray:
 
 
 def random_perpendicular(rng: Rng, n: np.ndarray) -> np.ndarray:
-    """(m, 3) unit vectors at right angles to the rows of n, turned at random."""
+    """(m, 3) random unit vectors perpendicular to the rows of n."""
     return unit(np.cross(n, random_directions(rng, len(n))))
 
 
 def random_turn(rng: Rng) -> dict[str, Any]:
-    """A step of to_world: any rotation, so that no coordinate is a round number."""
+    """A random rotation step of to_world, so that no coordinate is a round number."""
     return {"rotate": {"axis": random_directions(rng, 1)[0], "degrees": rng.uniform(20.0, 340.0)}}
 
 
@@ -112,15 +108,15 @@ def float32(a: np.ndarray) -> np.ndarray:
 
 
 def towards(o: np.ndarray, p: np.ndarray) -> Rays:
-    """float32 rays from about o to p, d about of length 1: aimed from where o was rounded to."""
+    """float32 rays from o to p, d of about unit length, aimed from the rounded o."""
     start = float32(o)
     return start, float32(unit(p - start.astype(np.float64)))
 
 
 def balanced_selection(rays: Rays, inside: np.ndarray, count: int) -> Rays:
-    """`count` of the candidates: misses up to their share, hits else. inside: (m,) whether a ray seems to hit.
+    """`count` of the candidates: misses up to their share, else hits. inside: (m,) whether a ray hits in float64.
 
-    What seems so in float64 only chooses rays; who hits is for exact arithmetic to say.
+    Float64 only chooses rays here; hits and misses are decided by exact arithmetic later.
     """
     hits, misses = np.flatnonzero(inside), np.flatnonzero(~inside)
     few = min(len(misses), max(count - len(hits), round(TARGET_MISS_SHARE * count)))
@@ -132,13 +128,13 @@ def balanced_selection(rays: Rays, inside: np.ndarray, count: int) -> Rays:
 def select_rays(
     make: Callable[[int], Rays], seems_hit: Callable[[np.ndarray, np.ndarray], np.ndarray], count: int
 ) -> Rays:
-    """Candidates by `make`, and of them `count` that hit and miss in good measure."""
+    """`count` rays by `make`, a balanced selection of hits and misses."""
     o, d = make(CANDIDATES_PER_RAY * count)
     return balanced_selection((o, d), seems_hit(o.astype(np.float64), d.astype(np.float64)), count)
 
 
 def hits_sphere(center: np.ndarray, r: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Whether rays pass a centre within r, ahead of their origin or not."""
+    """Whether lines pass a centre within r."""
     return lambda o, d: impact_parameter(center, o, d) < r
 
 
@@ -146,6 +142,19 @@ def impact_parameter(center: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.nda
     """(n,) distance at which each ray's line passes a point."""
     v = unit(d)
     return np.linalg.norm(np.cross(center - o, v), axis=1)
+
+
+def rays_to_triangle(rng: Rng, corners: np.ndarray, n: np.ndarray, distance: float, count: int) -> Rays:
+    """Rays from this distance to points of a triangle (3, 3) with unit normal n, and to points just beside it."""
+    v = random_directions(rng, count)
+    v[np.abs(v @ n) < MIN_ABS_COS] = n
+    aim = (rng.dirichlet(np.ones(3), count) * 1.4 - 0.4 / 3.0) @ corners
+    return towards(aim + distance * v, aim)
+
+
+def unit_normal(corners: np.ndarray) -> np.ndarray:
+    n = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    return n / np.linalg.norm(n)
 
 
 def hits_triangles(corners: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -162,18 +171,12 @@ def hits_triangles(corners: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np
     return test
 
 
-# What the sweeps of scale, offset and distance share: one ball, of triangles or of one equation, seen from afar.
-
-
-AIM_RADIUS = 1.4  # radius around the middle that rays are aimed at, in radii: about half of them hit
-
-
 def sphere_scene(radius: float, center: np.ndarray) -> Scene:
     return scene_of(Sphere(center=center, radius=radius))
 
 
 def icosphere_scene(rng: Rng, radius: float, center: np.ndarray) -> Scene:
-    """80 triangles, turned."""
+    """80 triangles, rotated."""
     place = [{"scale": radius}, random_turn(rng), {"translate": center}]
     return scene_of(Icosphere(subdivisions=1, face_normals=True, to_world=place))
 
@@ -181,7 +184,7 @@ def icosphere_scene(rng: Rng, radius: float, center: np.ndarray) -> Scene:
 def setting_around(
     rng: Rng, x: float, scene: Scene, view: tuple[np.ndarray, float, float], count: int
 ) -> Setting:
-    """Rays from all around to a ball, view = (its center, its radius, their distance)."""
+    """Rays from all directions to a sphere, view = (its centre, its radius, distance of the origins)."""
     center, radius, distance = view
     part = part_of(scene)
 

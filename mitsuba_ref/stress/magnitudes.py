@@ -1,4 +1,4 @@
-"""Scene scale: the same ball, larger and smaller than float32 products bear."""
+"""Families of extreme magnitudes: scale, offset, distance, length of directions, field of view, film size."""
 
 import math
 from dataclasses import replace
@@ -9,34 +9,37 @@ from caster.cameras import Pinhole
 from caster.rendering.images import camera_rays
 from caster.scene.model import Scene
 from caster.shapes import Rectangle, Sphere, Triangle
-from mitsuba_ref.stress import family
 from mitsuba_ref.stress.family import (
+    EYE_DISTANCE,
     CameraRays,
     Family,
+    Rays,
     Rng,
     Setting,
     float32,
     hits_triangles,
+    icosphere_scene,
     part_of,
     random_directions,
+    rays_to_triangle,
     scene_of,
     select_rays,
-    towards,
+    setting_around,
+    sphere_scene,
+    unit_normal,
 )
-
-SCALE_EYE_DISTANCE = 5.0  # radii
 
 
 def scaled_mesh(rng: Rng, scale: float, count: int) -> Setting:
     center = scale * rng.normal(scale=0.3, size=3)
-    scene = family.icosphere_scene(rng, scale, center)
-    return family.setting_around(rng, scale, scene, (center, scale, SCALE_EYE_DISTANCE * scale), count)
+    scene = icosphere_scene(rng, scale, center)
+    return setting_around(rng, scale, scene, (center, scale, EYE_DISTANCE * scale), count)
 
 
 def scaled_sphere(rng: Rng, scale: float, count: int) -> Setting:
     center = scale * rng.normal(scale=0.3, size=3)
-    scene = family.sphere_scene(scale, center)
-    return family.setting_around(rng, scale, scene, (center, scale, SCALE_EYE_DISTANCE * scale), count)
+    scene = sphere_scene(scale, center)
+    return setting_around(rng, scale, scene, (center, scale, EYE_DISTANCE * scale), count)
 
 
 def decades(*exponents: int) -> tuple[float, ...]:
@@ -46,7 +49,7 @@ def decades(*exponents: int) -> tuple[float, ...]:
 SCALE_MESH = Family(
     "scale-mesh",
     "the size of a whole scene of triangles",
-    "radius of the ball, scene units",
+    "radius, scene units",
     decades(-20, -16, -14, -13, -12, -11, -9, -6, -3, 0, 3, 6, 9, 11, 12, 13, 14, 16, 18),
     1.0,
     scaled_mesh,
@@ -61,12 +64,6 @@ SCALE_SPHERE = Family(
 )
 
 
-# Offset from the origin: coordinates that leave less and less of float32 to the shape.
-
-
-OFFSET_EYE_DISTANCE = 5.0  # radii
-
-
 def offset_center(rng: Rng, offset: float) -> np.ndarray:
     """A float32 point at about this distance from the origin."""
     return (offset * random_directions(rng, 1)[0]).astype(np.float32).astype(np.float64)
@@ -74,20 +71,18 @@ def offset_center(rng: Rng, offset: float) -> np.ndarray:
 
 def offset_mesh(rng: Rng, offset: float, count: int) -> Setting:
     center = offset_center(rng, offset)
-    scene = family.icosphere_scene(rng, 1.0, center)
-    return family.setting_around(rng, offset, scene, (center, 1.0, OFFSET_EYE_DISTANCE), count)
+    scene = icosphere_scene(rng, 1.0, center)
+    return setting_around(rng, offset, scene, (center, 1.0, EYE_DISTANCE), count)
 
 
 def offset_sphere(rng: Rng, offset: float, count: int) -> Setting:
     center = offset_center(rng, offset)
-    return family.setting_around(
-        rng, offset, family.sphere_scene(1.0, center), (center, 1.0, OFFSET_EYE_DISTANCE), count
-    )
+    return setting_around(rng, offset, sphere_scene(1.0, center), (center, 1.0, EYE_DISTANCE), count)
 
 
 OFFSET_MESH = Family(
     "offset-mesh",
-    "how far from the origin a ball of triangles stands",
+    "how far from the origin a sphere of triangles is",
     "offset over radius",
     (1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 3e6, 1e7),
     1.0,
@@ -95,7 +90,7 @@ OFFSET_MESH = Family(
 )
 OFFSET_SPHERE = Family(
     "offset-sphere",
-    "how far from the origin a sphere stands",
+    "how far from the origin a sphere is",
     "offset over radius",
     (1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7),
     1.0,
@@ -103,11 +98,7 @@ OFFSET_SPHERE = Family(
 )
 
 
-# Distance over radius: rays from ever farther away.
-
-
 DISTANCES = (1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
-MIN_ABS_COS = 0.3  # least |cos| between rays and the triangle's normal: grazing rays are another family
 
 
 def distant_triangle(rng: Rng, distance: float, count: int) -> Setting:
@@ -116,24 +107,17 @@ def distant_triangle(rng: Rng, distance: float, count: int) -> Setting:
     )
     scene = scene_of(Triangle(vertices=corners))
     part = part_of(scene)
-    n = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    n /= np.linalg.norm(n)
+    n = unit_normal(corners)
 
-    def make(many: int) -> tuple[np.ndarray, np.ndarray]:
-        v = random_directions(rng, many)
-        v[np.abs(v @ n) < MIN_ABS_COS] = n
-        weights = rng.dirichlet(np.ones(3), many) * 1.4 - 0.4 / 3.0
-        aim = weights @ part.vertices
-        return towards(aim + distance * v, aim)
+    def make(number: int) -> Rays:
+        return rays_to_triangle(rng, part.vertices, n, distance, number)
 
     return Setting(distance, scene, *select_rays(make, hits_triangles(part.vertices[part.faces]), count))
 
 
 def distant_sphere(rng: Rng, distance: float, count: int) -> Setting:
     center = rng.normal(scale=0.3, size=3)
-    return family.setting_around(
-        rng, distance, family.sphere_scene(1.0, center), (center, 1.0, distance), count
-    )
+    return setting_around(rng, distance, sphere_scene(1.0, center), (center, 1.0, distance), count)
 
 
 DISTANCE_TRIANGLE = Family(
@@ -154,31 +138,24 @@ DISTANCE_SPHERE = Family(
 )
 
 
-# Ray length: the same rays with directions far from unit length.
-
-
 LENGTHS = decades(-36, -30, -25, -20, -15, -10, -5, -3, 0, 3, 5, 10, 15, 18, 20, 25, 30, 36)
 
 
 def with_length(setting: Setting, length: float) -> Setting:
-    """The same directions, `length` times as long; rounded to float32 once more, which turns them a little."""
+    """The directions scaled by `length` and rounded to float32 again, which changes them slightly."""
     return replace(setting, x=length, d=(setting.d.astype(np.float64) * length).astype(np.float32))
 
 
 def mesh_by_length(rng: Rng, length: float, count: int) -> Setting:
     center = rng.normal(scale=0.3, size=3)
-    scene = family.icosphere_scene(rng, 1.0, center)
-    return with_length(
-        family.setting_around(rng, length, scene, (center, 1.0, SCALE_EYE_DISTANCE), count), length
-    )
+    scene = icosphere_scene(rng, 1.0, center)
+    return with_length(setting_around(rng, length, scene, (center, 1.0, EYE_DISTANCE), count), length)
 
 
 def sphere_by_length(rng: Rng, length: float, count: int) -> Setting:
     center = rng.normal(scale=0.3, size=3)
-    scene = family.sphere_scene(1.0, center)
-    return with_length(
-        family.setting_around(rng, length, scene, (center, 1.0, SCALE_EYE_DISTANCE), count), length
-    )
+    scene = sphere_scene(1.0, center)
+    return with_length(setting_around(rng, length, scene, (center, 1.0, EYE_DISTANCE), count), length)
 
 
 LENGTH_MESH = Family(
@@ -189,13 +166,9 @@ LENGTH_SPHERE = Family(
 )
 
 
-# Field of view and film size: pixels of a pinhole camera that lie ever closer together, or ever wider apart.
-
-
 FOV_DEGREES = (1e-3, 1e-2, 1e-1, 1.0, 10.0, 45.0, 90.0, 120.0, 150.0, 170.0, 179.0, 179.9, 179.99)  # degrees
 FILM_WIDTHS = (16.0, 64.0, 256.0, 1024.0, 4096.0, 16384.0, 65536.0)
-SQUARE_SHARE = 0.7  # share of the picture's width that the square takes
-FILM_EYE_DISTANCE = 5.0  # radii, from the eye to the ball at whose silhouette the crop window lies
+SQUARE_SHARE = 0.7  # of the image's width
 
 
 def eye_and_view(rng: Rng) -> tuple[np.ndarray, np.ndarray]:
@@ -205,7 +178,7 @@ def eye_and_view(rng: Rng) -> tuple[np.ndarray, np.ndarray]:
 
 
 def field_of_view(rng: Rng, tangent: float, count: int) -> Setting:
-    """A square that fills most of the picture, tilted in it."""
+    """A tilted square that fills most of the image."""
     eye, view = eye_and_view(rng)
     side = math.isqrt(count)
     camera = Pinhole(eye=tuple(eye), direction=tuple(view), fov=math.degrees(2.0 * math.atan(tangent)))
@@ -219,37 +192,37 @@ def field_of_view(rng: Rng, tangent: float, count: int) -> Setting:
 
 
 def film_size(rng: Rng, width: float, count: int) -> Setting:
-    """A crop window around a point of a ball's silhouette, in a square film of this width."""
+    """A crop window around a point of a sphere's silhouette, in a square film of this width."""
     eye, view = eye_and_view(rng)
     camera = Pinhole(eye=tuple(eye), direction=tuple(view), fov=45.0)
     forward = np.array(camera.frame[2])
     turned = rng.uniform(0.0, 2.0 * math.pi)
-    share = math.tan(math.asin(1.0 / FILM_EYE_DISTANCE)) / math.tan(math.radians(camera.fov / 2.0))
+    share = math.tan(math.asin(1.0 / EYE_DISTANCE)) / math.tan(math.radians(camera.fov / 2.0))
     middle = [0.5 * (1.0 + share * math.cos(turned)), 0.5 * (1.0 - share * math.sin(turned))]
     side = min(int(width), math.isqrt(count))
     start = [min(max(round(m * width - side / 2), 0), int(width) - side) for m in middle]
     crop = (*start, start[0] + side, start[1] + side)
-    ball = Sphere(center=eye + FILM_EYE_DISTANCE * forward, radius=1.0)
+    sphere = Sphere(center=eye + EYE_DISTANCE * forward, radius=1.0)
     film = {"width": int(width), "height": int(width), "crop": crop}
-    return camera_setting(width, camera, Scene(film=film, camera=camera, shapes=[ball]))
+    return camera_setting(width, camera, Scene(film=film, camera=camera, shapes=[sphere]))
 
 
 def camera_setting(x: float, camera: Pinhole, scene: Scene) -> Setting:
     """The camera's own rays, rounded to float32."""
     rays = camera_rays(scene)
     every = np.arange(len(rays.t_max))
-    shots = [CameraRays(camera, scene.film, every, every)]
-    return Setting(x, scene_of(*scene.shapes), float32(rays.o), float32(rays.d), shots=shots)
+    found = [CameraRays(camera, scene.film, every, every)]
+    return Setting(x, scene_of(*scene.shapes), float32(rays.o), float32(rays.d), camera_rays=found)
 
 
 def tangent_of(degrees: float) -> float:
-    """Half the width of the picture at distance 1."""
+    """Half the width of the image at distance 1."""
     return math.tan(math.radians(degrees / 2.0))
 
 
 FIELD_OF_VIEW = Family(
     "field-of-view",
-    "how wide a pinhole camera sees",
+    "the field of view of a pinhole camera",
     "tan(fov / 2)",
     tuple(tangent_of(degrees) for degrees in FOV_DEGREES),
     tangent_of(90.0),
@@ -257,7 +230,7 @@ FIELD_OF_VIEW = Family(
 )
 FILM_SIZE = Family(
     "film-size",
-    "how many pixels a picture is wide: the window at a silhouette narrows",
+    "how many pixels wide the film is: the window at a silhouette narrows",
     "width of the film, pixels",
     FILM_WIDTHS,
     FILM_WIDTHS[0],

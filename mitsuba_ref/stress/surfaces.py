@@ -1,4 +1,4 @@
-"""Coincident surfaces: two that lie closer and closer together, at last exactly on each other."""
+"""Families of coincident surfaces, shadow rays that start on a surface, and watertight meshes."""
 
 from collections.abc import Callable
 
@@ -8,9 +8,9 @@ from caster.cameras import Pinhole
 from caster.geometry.packing import Triangles
 from caster.scene.model import Film, Scene
 from caster.shapes import Icosphere, Sphere, Triangle
-from mitsuba_ref.stress import family
 from mitsuba_ref.stress.family import (
     DEFAULT_CLOSED_RAYS,
+    EYE_DISTANCE,
     CameraRays,
     Family,
     Rays,
@@ -19,34 +19,32 @@ from mitsuba_ref.stress.family import (
     float32,
     hits_sphere,
     hits_triangles,
+    icosphere_scene,
     part_of,
     random_directions,
     random_turn,
+    rays_to_triangle,
     scene_of,
     select_rays,
+    sphere_scene,
     towards,
     unit,
+    unit_normal,
 )
 
-COINCIDENT_EYE_DISTANCE = 5.0  # sizes
 GAPS = (0.0, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-MIN_ABS_COS = 0.3  # least |cos| between rays and the normal
 
 
 def coincident_triangles(rng: Rng, gap: float, count: int) -> Setting:
-    """A large triangle and its copy, moved along the normal; the copy is the one in front for half of the rays."""
+    """A large triangle and its copy, moved along the normal; the copy is in front for half of the rays."""
     corners = np.array([[1.0, 0.1, 0.2], [-0.6, 0.8, -0.3], [-0.4, -0.9, 0.1]]) + rng.normal(
         scale=0.1, size=(3, 3)
     )
-    n = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    n /= np.linalg.norm(n)
+    n = unit_normal(corners)
     scene = scene_of(Triangle(vertices=corners), Triangle(vertices=corners + gap * n))
 
-    def candidates(many: int) -> Rays:
-        v = random_directions(rng, many)
-        v[np.abs(v @ n) < MIN_ABS_COS] = n
-        aim = (rng.dirichlet(np.ones(3), many) * 1.4 - 0.4 / 3.0) @ corners
-        return towards(aim + COINCIDENT_EYE_DISTANCE * v, aim)
+    def candidates(number: int) -> Rays:
+        return rays_to_triangle(rng, corners, n, EYE_DISTANCE, number)
 
     parts = [part_of(scene, i) for i in (0, 1)]
     hits = hits_triangles(np.concatenate([part.vertices[part.faces] for part in parts]))
@@ -58,9 +56,9 @@ def coincident_spheres(rng: Rng, gap: float, count: int) -> Setting:
     center = rng.normal(scale=0.3, size=3)
     scene = scene_of(Sphere(center=center, radius=1.0), Sphere(center=center, radius=1.0 + gap))
 
-    def candidates(many: int) -> Rays:
-        aim = center + 1.2 * np.sqrt(rng.random((many, 1))) * random_directions(rng, many)
-        return towards(center + COINCIDENT_EYE_DISTANCE * random_directions(rng, many), aim)
+    def candidates(number: int) -> Rays:
+        aim = center + 1.2 * np.sqrt(rng.random((number, 1))) * random_directions(rng, number)
+        return towards(center + EYE_DISTANCE * random_directions(rng, number), aim)
 
     return Setting(gap, scene, *select_rays(candidates, hits_sphere(center, 1.0 + gap), count))
 
@@ -83,15 +81,12 @@ COINCIDENT_SPHERES = Family(
 )
 
 
-# Shadow rays: they start on the surface, or ever closer to it, and leave it or go through the inside.
-
-
 SHADOW_OFFSETS = (0.0, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 SHADOW_ERROR = "error of t over radius"
 
 
 def rays_leaving(rng: Rng, offset: float, scene: Scene, surface: tuple[np.ndarray, np.ndarray]) -> Setting:
-    """Rays from points p off the surface along n: half to the outside, half inwards. surface = (p, n), (m, 3) each."""
+    """Rays from p + offset n: half outwards, half inwards. surface = (p, n), (m, 3) each."""
     p, n = surface
     d = random_directions(rng, len(p))
     outwards = np.where(np.arange(len(p)) % 2 == 0, 1.0, -1.0)
@@ -100,13 +95,13 @@ def rays_leaving(rng: Rng, offset: float, scene: Scene, surface: tuple[np.ndarra
 
 
 def leaving_sphere(rng: Rng, offset: float, count: int) -> Setting:
-    scene = family.sphere_scene(1.0, rng.normal(scale=0.3, size=3))
+    scene = sphere_scene(1.0, rng.normal(scale=0.3, size=3))
     n = random_directions(rng, count)
     return rays_leaving(rng, offset, scene, (part_of(scene).center[0] + part_of(scene).radius[0] * n, n))
 
 
 def leaving_mesh(rng: Rng, offset: float, count: int) -> Setting:
-    scene = family.icosphere_scene(rng, 1.0, rng.normal(scale=0.3, size=3))
+    scene = icosphere_scene(rng, 1.0, rng.normal(scale=0.3, size=3))
     part = part_of(scene)
     corners = part.vertices[part.faces[rng.integers(len(part.faces), size=count)]]
     p = np.einsum("ij,ijk->ik", rng.dirichlet(np.ones(3), count), corners)
@@ -125,7 +120,7 @@ SHADOW_SPHERE = Family(
 )
 SHADOW_MESH = Family(
     "shadow-mesh",
-    "how far off a ball of triangles the rays start that leave it",
+    "how far off a sphere of triangles the rays start that leave it",
     "offset of the start over radius",
     SHADOW_OFFSETS,
     SHADOW_OFFSETS[-1],
@@ -134,37 +129,32 @@ SHADOW_MESH = Family(
 )
 
 
-# Watertightness: rays from inside a closed mesh, aimed at its edges and at its vertices. Every miss is a leak.
-
-
 SUBDIVISIONS = 4  # 5,120 faces
-WATERTIGHT_OFFSETS = (0.0, 1e1, 1e3, 1e4, 1.5e5, 1e6)  # of the middle from the origin; the radius is 1
-MAX_EYE_RADIUS = 0.5  # radii: how far from the middle rays start
+WATERTIGHT_OFFSETS = (0.0, 1e1, 1e3, 1e4, 1.5e5, 1e6)  # of the centre from the origin; the radius is 1
+MAX_EYE_RADIUS = 0.5  # radii: how far from the centre rays start
 
-# Six pictures of 90 degrees around each eye. The screen tries the half of all faces that is behind the eye at every
+# Six images of 90 degrees around each eye. Rasterization tries the half of all faces that is behind the eye at every
 # pixel, so a finer film would only cost time.
 CUBE_MAP_SIDE = 32  # pixels
 CUBE_MAP_VIEWS = [(side * np.eye(3)[axis], np.eye(3)[axis - 1]) for axis in range(3) for side in (1.0, -1.0)]
-POINTS_PER_EYE = (
-    3 * len(CUBE_MAP_VIEWS) * CUBE_MAP_SIDE**2
-)  # points that an eye aims at; of those in one pixel, the first is kept
+POINTS_PER_EYE = 3 * len(CUBE_MAP_VIEWS) * CUBE_MAP_SIDE**2  # of those in one pixel, the first is kept
 
 PointSampler = Callable[[Rng, Triangles, int], np.ndarray]
 
 
-def points_on_edges(rng: Rng, part: Triangles, many: int) -> np.ndarray:
-    """(many, 3) points between the ends of edges."""
-    corners = part.vertices[part.faces[rng.integers(len(part.faces), size=many)]]
-    return corners[:, 0] + rng.random((many, 1)) * (corners[:, 1] - corners[:, 0])
+def points_on_edges(rng: Rng, part: Triangles, number: int) -> np.ndarray:
+    """(number, 3) points between the ends of edges."""
+    corners = part.vertices[part.faces[rng.integers(len(part.faces), size=number)]]
+    return corners[:, 0] + rng.random((number, 1)) * (corners[:, 1] - corners[:, 0])
 
 
-def mesh_vertices(rng: Rng, part: Triangles, many: int) -> np.ndarray:
-    return part.vertices[rng.permutation(len(part.vertices))[:many]]
+def mesh_vertices(rng: Rng, part: Triangles, number: int) -> np.ndarray:
+    return part.vertices[rng.permutation(len(part.vertices))[:number]]
 
 
 def watertight_setting(aim: PointSampler) -> Callable[[Rng, float, int], Setting]:
     def make(rng: Rng, offset: float, count: int) -> Setting:
-        """`count` rays from as many eyes as it takes."""
+        """`count` rays from as many eyes as that takes."""
         move = offset * random_directions(rng, 1)[0]
         scene = scene_of(
             Icosphere(
@@ -175,17 +165,17 @@ def watertight_setting(aim: PointSampler) -> Callable[[Rng, float, int], Setting
         check_closed(part.faces)
         origins: list[np.ndarray] = []
         aimed: list[np.ndarray] = []
-        shots: list[CameraRays] = []
+        found: list[CameraRays] = []
         done = 0
         while done < count:
             eye = float32(move + MAX_EYE_RADIUS * rng.random() * random_directions(rng, 1)[0])
             d, cameras = cube_map_rays(eye, directions_to(eye, aim(rng, part, POINTS_PER_EYE)), count - done)
-            shots += [shot._replace(rays=shot.rays + done) for shot in cameras]
+            found += [each._replace(rays=each.rays + done) for each in cameras]
             origins.append(np.tile(eye, (len(d), 1)))
             aimed.append(d)
             done += len(d)
         return Setting(
-            offset, scene, np.concatenate(origins), np.concatenate(aimed), shots=shots, closed=True
+            offset, scene, np.concatenate(origins), np.concatenate(aimed), camera_rays=found, closed=True
         )
 
     return make
@@ -198,48 +188,50 @@ def directions_to(eye: np.ndarray, p: np.ndarray) -> np.ndarray:
     return float32(d)
 
 
-def cube_map_rays(eye: np.ndarray, d: np.ndarray, most: int) -> tuple[np.ndarray, list[CameraRays]]:
-    """At most so many of the rays d (m, 3) from an eye, no two in one pixel, and the pictures that hold them."""
+def cube_map_rays(eye: np.ndarray, d: np.ndarray, limit: int) -> tuple[np.ndarray, list[CameraRays]]:
+    """At most this many of the rays d (m, 3) from an eye, no two in one pixel, and the cube map's views of them."""
     film = Film(width=CUBE_MAP_SIDE, height=CUBE_MAP_SIDE)
     kept: list[np.ndarray] = []
-    shots: list[CameraRays] = []
-    left = most
-    for look, up in CUBE_MAP_VIEWS:
-        camera = Pinhole(eye=tuple(map(float, eye)), direction=tuple(look), up=tuple(up), fov=90.0)
+    found: list[CameraRays] = []
+    left = limit
+    for direction, up in CUBE_MAP_VIEWS:
+        camera = Pinhole(eye=tuple(map(float, eye)), direction=tuple(direction), up=tuple(up), fov=90.0)
         rows, pixels = project_to_pixels(camera, d.astype(np.float64))
         rows, pixels = rows[:left], pixels[:left]
         if len(rows):
-            shots.append(CameraRays(camera, film, most - left + np.arange(len(rows)), pixels))
+            found.append(CameraRays(camera, film, limit - left + np.arange(len(rows)), pixels))
             kept.append(d[rows])
             left -= len(rows)
-    return np.concatenate(kept), shots
+    return np.concatenate(kept), found
 
 
 def project_to_pixels(camera: Pinhole, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(which rays go through the picture, no two through one pixel; their pixels)."""
+    """(rays within the image, no two through one pixel; their pixels)."""
     right, up, forward = camera.frame
     depth = d @ forward
     with np.errstate(all="ignore"):
         x = np.floor(0.5 * (1.0 + d @ right / depth) * CUBE_MAP_SIDE)
         y = np.floor(0.5 * (1.0 - d @ up / depth) * CUBE_MAP_SIDE)
-    seen = np.flatnonzero((depth > 0.0) & (x >= 0.0) & (x < CUBE_MAP_SIDE) & (y >= 0.0) & (y < CUBE_MAP_SIDE))
-    pixels, first = np.unique((y[seen] * CUBE_MAP_SIDE + x[seen]).astype(int), return_index=True)
+    inside = np.flatnonzero(
+        (depth > 0.0) & (x >= 0.0) & (x < CUBE_MAP_SIDE) & (y >= 0.0) & (y < CUBE_MAP_SIDE)
+    )
+    pixels, first = np.unique((y[inside] * CUBE_MAP_SIDE + x[inside]).astype(int), return_index=True)
     order = np.argsort(first)
-    return seen[first[order]], pixels[order]
+    return inside[first[order]], pixels[order]
 
 
 def check_closed(faces: np.ndarray) -> None:
-    """Every edge is run along once in each direction; raises ValueError otherwise. From inside, no ray gets out."""
+    """Raise ValueError unless every edge occurs once in each direction: no ray from inside then leaves the mesh."""
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2).tolist()
-    ways = {tuple(edge) for edge in ends}
-    if len(ways) != len(ends) or any((b, a) not in ways for a, b in ways):
+    directed = {tuple(edge) for edge in ends}
+    if len(directed) != len(ends) or any((b, a) not in directed for a, b in directed):
         raise ValueError("the mesh is not closed, so a ray may get out of it")
 
 
-def watertight_family(name: str, directions_to: str, aim: PointSampler) -> Family:
+def watertight_family(name: str, aim: PointSampler) -> Family:
     return Family(
         f"watertight-{name}",
-        f"rays from inside a closed mesh of 5,120 faces, aimed at its {directions_to}",
+        f"rays from inside a closed mesh of 5,120 faces, aimed at its {name}",
         "offset from the origin over radius",
         WATERTIGHT_OFFSETS,
         WATERTIGHT_OFFSETS[0],
@@ -249,5 +241,5 @@ def watertight_family(name: str, directions_to: str, aim: PointSampler) -> Famil
     )
 
 
-WATERTIGHT_EDGES = watertight_family("edges", "edges", points_on_edges)
-WATERTIGHT_VERTICES = watertight_family("vertices", "vertices", mesh_vertices)
+WATERTIGHT_EDGES = watertight_family("edges", points_on_edges)
+WATERTIGHT_VERTICES = watertight_family("vertices", mesh_vertices)

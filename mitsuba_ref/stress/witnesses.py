@@ -23,7 +23,7 @@ from mitsuba_ref.stress.family import Setting
 
 @dataclasses.dataclass(frozen=True)
 class Witness:
-    """A line of the plots. variant "": ours."""
+    """A line of the plots. variant: of Mitsuba, "" for our caster."""
 
     key: str
     title: str
@@ -31,8 +31,8 @@ class Witness:
     robust: bool = True
 
 
-OURS = Witness("ours", "ours, by the tree")
-SCREEN = Witness("screen", "ours, by the screen")
+OURS = Witness("ours", "ours, by BVH")
+SCREEN = Witness("screen", "ours, by rasterization")
 REFERENCES = (
     Witness("scalar", "Mitsuba scalar, robust", SCALAR),
     Witness("llvm", "Mitsuba LLVM, default", LLVM, robust=False),
@@ -40,19 +40,19 @@ REFERENCES = (
 )
 WITNESSES = (OURS, SCREEN, *REFERENCES)
 
-# A child holds all rays of its scenes, and some hundred bytes of answer for each.
+# A child process holds all rays of its scenes, and some hundred bytes of response for each.
 MAX_RAYS_PER_PROCESS = 1 << 20
 
 
 class Observation(NamedTuple):
-    """What one witness says about the rays of a setting."""
+    """Hits that one witness reports for the rays of a setting."""
 
     t: np.ndarray  # (n,) float64, lengths of d, inf on a miss
     prim: np.ndarray  # (n,) number of the primitive in the scene, -1 on a miss
 
     @property
     def hit(self) -> np.ndarray:
-        """(n,) bool. A NaN counts as a hit: it has to be noticed."""
+        """(n,) bool. A NaN counts as a hit, so that it is noticed."""
         return ~np.isposinf(self.t)
 
 
@@ -83,24 +83,24 @@ def cast_by_bvh(ready: PreparedSetting) -> Observation:
 
 
 def scene_prim_ids(packed: Packed, shape: np.ndarray, prim: np.ndarray) -> np.ndarray:
-    """Numbers in the scene of primitives within their shapes; -1 for shape -1."""
+    """Numbers within the scene of primitives of shapes; -1 for shape -1."""
     return np.where(shape < 0, -1, packed.first[np.maximum(shape, 0)] + np.maximum(prim, 0))
 
 
 def cast_by_raster(ready: PreparedSetting) -> Observation | Absent:
-    """Ours once more, primitive by primitive over the pixels of a camera's picture."""
+    """Our rasterization of the setting's rays, over the pixels of their cameras."""
     setting = ready.setting
-    if not setting.shots:
+    if not setting.camera_rays:
         return Absent("not asked", "the rays of this sweep share no eye")
     t, prim = np.full(len(setting.o), np.nan), np.full(len(setting.o), -1)
-    for camera, film, rows, pixels in setting.shots:
-        picture = Scene(camera=camera, film=film)
-        rays, window = camera_rays(picture), film_window(picture)
+    for camera, film, rows, pixels in setting.camera_rays:
+        view = Scene(camera=camera, film=film)
+        rays, window = camera_rays(view), film_window(view)
         rays.o[:], rays.t_max[:] = setting.o[rows[0]], -1.0  # no ray but those of the setting
         rays.d[pixels], rays.t_max[pixels] = setting.d[rows], np.inf
-        seen_by = camera.pack(film.width, film.height)
+        packed_camera = camera.pack(film.width, film.height)
         nearest = find_nearest_on_film(
-            ready.packed, rays, seen_by, window, camera.shares_origin, max_center_offset=1.0
+            ready.packed, rays, packed_camera, window, camera.shares_origin, max_center_offset=1.0
         )
         t[rows], prim[rows] = nearest.t[pixels], nearest.prim[pixels]
     return Observation(t, prim)
@@ -109,7 +109,7 @@ def cast_by_raster(ready: PreparedSetting) -> Observation | Absent:
 def ask_reference(
     witness: Witness, settings: Sequence[PreparedSetting], folder: Path
 ) -> list[Observation | Absent]:
-    """One of Mitsuba's configurations about several settings, in as few child processes as they fit in."""
+    """One of Mitsuba's configurations for several settings, in as few child processes as they fit in."""
     found = usable_variants()
     if witness.variant not in found.names:
         return [Absent("missing", found.why)] * len(settings)
@@ -119,20 +119,20 @@ def ask_reference(
 
 
 def timeout_of(jobs: Sequence[TraceRequest]) -> float:
-    """Seconds to wait for an answer: a ray takes some ten microseconds, more on a machine that does other things."""
+    """Seconds to wait for responses: a ray takes some ten microseconds, more on a busy machine."""
     return DEFAULT_TIMEOUT + 1e-3 * sum(len(job.o) for job in jobs)
 
 
 def grouped(jobs: Sequence[TraceRequest]) -> list[list[TraceRequest]]:
-    """Runs of jobs with at most so many rays together, or one job with more."""
+    """Runs of requests with at most MAX_RAYS_PER_PROCESS rays together, or one request with more."""
     groups: list[list[TraceRequest]] = []
-    room = 0
+    left = 0
     for job in jobs:
-        if len(job.o) > room:
+        if len(job.o) > left:
             groups.append([])
-            room = MAX_RAYS_PER_PROCESS
+            left = MAX_RAYS_PER_PROCESS
         groups[-1].append(job)
-        room -= len(job.o)
+        left -= len(job.o)
     return groups
 
 

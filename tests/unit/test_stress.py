@@ -119,9 +119,9 @@ def test_rays_are_float32_numbers_and_depend_on_the_seed_alone(name):
 def test_a_screen_casts_every_ray_of_a_setting_once(name):
     """So many that one eye does not see as many vertices."""
     setting = next(iter(BY_NAME[name].settings(0, 3000)))
-    rows = np.concatenate([shot.rays for shot in setting.shots])
+    rows = np.concatenate([each.rays for each in setting.camera_rays])
     assert sorted(rows.tolist()) == list(range(len(setting.o))) and len(rows) >= 256
-    assert all(len(set(shot.pixels.tolist())) == len(shot.pixels) for shot in setting.shots)
+    assert all(len(set(each.pixels.tolist())) == len(each.pixels) for each in setting.camera_rays)
 
 
 # --- planted faults
@@ -328,11 +328,11 @@ def test_a_picture_is_well_formed_small_and_the_same_again(name):
     for word in (
         sweep.quantity,
         sweep.error,
-        "ours, by the tree",
+        "ours, by BVH",
         "predicted bound of float32",
     ):
         assert word in words
-    assert ("ours, by the screen" in words) == name.startswith("watertight")
+    assert ("ours, by rasterization" in words) == name.startswith("watertight")
 
 
 def test_the_page_is_made_from_the_json_of_a_run(tmp_path, monkeypatch):
