@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from caster.rendering import images
+from caster.rendering import hits, images
 from caster.rendering.casting import find_nearest
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
@@ -58,6 +58,7 @@ def fault(monkeypatch):
     def plant():
         monkeypatch.setattr(checks, "find_nearest", forgetful)
         monkeypatch.setattr(images, "find_nearest", forgetful)
+        monkeypatch.setattr(hits, "find_nearest", forgetful)
 
     return plant
 
