@@ -27,8 +27,8 @@ def run(args: argparse.Namespace) -> int:
     """Print failures and the summary; 0 all pass, 1 some do not or are missing, 3 not parts of one run."""
     from mitsuba_ref.report.terminal import failure_text, summary_text
     from mitsuba_ref.report.text_table import print_lines
+    from mitsuba_ref.runner.resume import read_verdict
     from mitsuba_ref.runner.shards import merge_verdicts, other_versions
-    from mitsuba_ref.runner.verdict_file import read_verdict
 
     check_verdict_files(args)
     places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]

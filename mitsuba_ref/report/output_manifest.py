@@ -4,13 +4,14 @@ import hashlib
 import json
 import secrets
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from caster.image.atomic_files import OutputError, write_text
+from mitsuba_ref.judge.verdict import FileRecord, SceneVerdict, Verdict
 
 MANIFEST = (
     "written.jsonl"  # a line for each file, added to as they are written; the last line of a file counts
@@ -163,3 +164,56 @@ def remove(path: Path) -> None:
         raise OutputError(
             f"{path}: cannot remove what an earlier run wrote: {error.strerror or error}"
         ) from error
+
+
+IMAGES = ("ours", "reference", "verdict")
+VERDICT = "verdict.json"
+JOURNAL = "judged.jsonl"  # a line for each scene that is done, while a run lasts; then verdict.json has them
+
+
+class OutFolder:
+    """Files of this run in a folder. Raises OutputError where it cannot be written."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.written = folder, OutputManifest(folder)
+
+    def begin(self) -> None:
+        """Remove the verdict of an earlier run, whose files will be replaced; --resume has read it.
+
+        A run that is killed leaves no verdict rather than that of another run. Raises OutputError.
+        """
+        remove(self.folder / VERDICT)
+
+    def remove_journal(self) -> None:
+        """Remove the journal, which verdict.json replaces once it is there."""
+        (self.folder / JOURNAL).unlink(missing_ok=True)
+
+    def record(self, verdict: SceneVerdict) -> SceneVerdict:
+        """The verdict with its files in the folder."""
+        found = self.written.add(verdict.name, files_of(verdict))
+        return replace(
+            verdict, files={file: FileRecord(digest.bytes, digest.sha256) for file, digest in found.items()}
+        )
+
+    def has_files(self, verdict: SceneVerdict) -> bool:
+        """Whether every file of a verdict is listed in it, and exists with the same bytes."""
+        known = {file: FileDigest(record.bytes, record.sha256) for file, record in verdict.files.items()}
+        return all(file in known and known[file].fits(self.folder / file) for file in files_of(verdict))
+
+    def sweep(self, verdict: Verdict, selected: Collection[str] | None) -> RemovedFiles:
+        """Remove files of earlier runs. Spared: scenes that are not judged yet, and those of other shards.
+
+        selected: names of the scenes of all shards; None for a run of single scenes, which leaves others alone.
+        """
+        judged = {scene.name for scene in verdict.scenes}
+        return self.written.sweep(
+            lambda scene: scene not in judged and (selected is None or scene in selected)
+        )
+
+
+def files_of(verdict: SceneVerdict) -> tuple[str, ...]:
+    """Names of the files of a verdict; none if there was no comparison."""
+    if verdict.problem:
+        return ()
+    images = ("candidate" if verdict.candidate and which == "ours" else which for which in IMAGES)
+    return (*(f"{verdict.name}.{which}.exr" for which in images), *verdict.reproducers)

@@ -123,7 +123,7 @@ class ScenePlugin:
     def _judge_once(self, path: Path, folder: Path) -> SceneVerdict | str:
         """From the file that another process wrote; or judged and written while others wait."""
         from caster.image.atomic_files import write_text
-        from mitsuba_ref.runner.verdict_file import scene_of
+        from mitsuba_ref.runner.resume import scene_of
 
         file = folder / hashlib.sha256(str(path).encode(errors="surrogateescape")).hexdigest()
         with exclusive_lock(file.with_suffix(".lock")):

@@ -1,84 +1,83 @@
-"""The folder of --out, and results of earlier runs in it: recorded while a run lasts, reused by --resume."""
+"""Results of earlier runs: reading of verdict.json, and reuse of what was judged of the same inputs (--resume)."""
 
 import hashlib
 import importlib.metadata
 import json
+import os
 import platform
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from caster.description.errors import SceneError
+from pydantic import TypeAdapter
+
+from caster.description.errors import FileMissing, SceneError
 from caster.image.atomic_files import OutputError, write_text
-from mitsuba_ref.judge.verdict import VERDICT_FORMAT, FileRecord, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.rendering import variant_of
-from mitsuba_ref.report.output_manifest import FileDigest, OutputManifest, RemovedFiles, remove
+from mitsuba_ref.report.output_manifest import JOURNAL, OutFolder
 from mitsuba_ref.runner.scene_runner import JudgeScene, SceneEntry
-from mitsuba_ref.runner.verdict_file import MALFORMED, scene_of
 
-IMAGES = ("ours", "reference", "verdict")
-VERDICT = "verdict.json"
+MALFORMED = (AttributeError, KeyError, TypeError, ValueError)  # exceptions of a record of another shape
+NOT_RECORDED = {"seen"}  # fields of a scene that no file has
 
 
-class OutFolder:
-    """Files of this run in a folder. Raises OutputError where it cannot be written."""
+class UnreadableVerdict(FileMissing):
+    """A file that exists, but is no verdict of this version."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.written = folder, OutputManifest(folder)
 
-    def begin(self) -> None:
-        """Remove the verdict of an earlier run, whose files will be replaced; --resume has read it.
-
-        A run that is killed leaves no verdict rather than that of another run. Raises OutputError.
-        """
-        remove(self.folder / VERDICT)
-
-    def remove_journal(self) -> None:
-        """Remove the journal, which verdict.json replaces once it is there."""
-        (self.folder / JOURNAL).unlink(missing_ok=True)
-
-    def recorded(self, judge: JudgeScene) -> JudgeScene:
-        """The same judge; its verdicts then list the files written for them, with size and SHA-256."""
-
-        def work(entry: SceneEntry, folder: Path | None) -> SceneVerdict:
-            return self.record(judge(entry, folder))
-
-        return work
-
-    def record(self, verdict: SceneVerdict) -> SceneVerdict:
-        """The verdict with its files in the folder."""
-        found = self.written.add(verdict.name, files_of(verdict))
-        return replace(
-            verdict, files={file: FileRecord(digest.bytes, digest.sha256) for file, digest in found.items()}
+def read_verdict(path: str | os.PathLike[str]) -> Verdict:
+    """The verdict that `validate --json` wrote. Raises FileMissing, or UnreadableVerdict with the reason."""
+    try:
+        record = json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FileMissing(
+            f"{path}: expected what `mitsuba-ref validate --json` writes, found no file"
+        ) from None
+    except OSError as error:
+        raise UnreadableVerdict(f"{path}: cannot read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise UnreadableVerdict(f"{path}: expected JSON, got something else: {error}") from error
+    if not isinstance(record, dict) or record.get("format") != VERDICT_FORMAT:
+        found = record.get("format") if isinstance(record, dict) else type(record).__name__
+        raise UnreadableVerdict(
+            f"{path}: expected a verdict of format {VERDICT_FORMAT}, got {found!r}: judge these scenes again"
         )
-
-    def has_files(self, verdict: SceneVerdict) -> bool:
-        """Whether every file of a verdict is listed in it, and exists with the same bytes."""
-        known = {file: FileDigest(record.bytes, record.sha256) for file, record in verdict.files.items()}
-        return all(file in known and known[file].fits(self.folder / file) for file in files_of(verdict))
-
-    def sweep(self, verdict: Verdict, selected: Collection[str] | None) -> RemovedFiles:
-        """Remove files of earlier runs. Spared: scenes that are not judged yet, and those of other shards.
-
-        selected: names of the scenes of all shards; None for a run of single scenes, which leaves others alone.
-        """
-        judged = {scene.name for scene in verdict.scenes}
-        return self.written.sweep(
-            lambda scene: scene not in judged and (selected is None or scene in selected)
-        )
+    try:
+        return verdict_of(record)
+    except MALFORMED as error:
+        raise UnreadableVerdict(f"{path}: not a whole verdict: {type(error).__name__}: {error}") from error
 
 
-def files_of(verdict: SceneVerdict) -> tuple[str, ...]:
-    """Names of the files of a verdict; none if there was no comparison."""
-    if verdict.problem:
-        return ()
-    images = ("candidate" if verdict.candidate and which == "ours" else which for which in IMAGES)
-    return (*(f"{verdict.name}.{which}.exr" for which in images), *verdict.reproducers)
+def verdict_of(record: dict[str, Any]) -> Verdict:
+    """The verdict of a run from its JSON values. Raises one of MALFORMED."""
+    found = TypeAdapter(Verdict).validate_python(record)
+    if found.ok != record["ok"]:
+        raise ValueError(f"it says ok: {record['ok']}, its scenes say {found.ok}")
+    for each, scene in zip(record["scenes"], found.scenes, strict=True):
+        check_ok(each, scene)
+    return found
+
+
+def scene_of(record: dict[str, Any]) -> SceneVerdict:
+    """The verdict of one scene from its JSON values. Raises one of MALFORMED."""
+    found = TypeAdapter(SceneVerdict).validate_python(record)
+    check_ok(record, found)
+    return found
+
+
+def check_ok(record: dict[str, Any], scene: SceneVerdict) -> None:
+    """Raise ValueError where a record lacks a field, or its own `ok` contradicts its numbers."""
+    missing = {each.name for each in fields(SceneVerdict)} - NOT_RECORDED - record.keys()
+    if missing:
+        raise ValueError(f"{scene.name} lacks {', '.join(sorted(missing))}")
+    if scene.ok != record["ok"]:
+        raise ValueError(f"{scene.name} says ok: {record['ok']}, its numbers say {scene.ok}")
 
 
 PACKAGES = ("caster", "mitsuba_ref")
@@ -91,7 +90,6 @@ VERDICT_LIBRARIES = (
     "OpenEXR",
     "pydantic",
 )  # that verdicts depend on
-JOURNAL = "judged.jsonl"  # a line for each scene that is done, while a run lasts; then verdict.json has them
 
 
 @cache
@@ -143,6 +141,15 @@ def journal_line(verdict: SceneVerdict) -> str:
     return json.dumps(verdict.to_dict(), allow_nan=False) + "\n"
 
 
+def recorded(judge: JudgeScene, out: OutFolder) -> JudgeScene:
+    """The same judge; its verdicts then list the files written for them, with size and SHA-256."""
+
+    def work(entry: SceneEntry, folder: Path | None) -> SceneVerdict:
+        return out.record(judge(entry, folder))
+
+    return work
+
+
 class ResumableResults:
     """Results in one folder. resume: reuse those with the same inputs."""
 
@@ -157,7 +164,7 @@ class ResumableResults:
         """has_page: whether the requested HTML report holds the record of a verdict."""
         self.has_page = has_page
         self.out, self.folder, self.journal = out, out.folder, out.folder / JOURNAL
-        self.judge_anew = out.recorded(judge)
+        self.judge_anew = recorded(judge, out)
         self.lock = threading.Lock()
         self.known = dict(self._read()) if resume else {}
         # Whole lines of all that is known: an interruption may overwrite verdict.json with less, and a line that was

@@ -10,9 +10,9 @@ from typing import Any
 
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.report.html.html_report import HtmlReport
-from mitsuba_ref.report.output_manifest import RemovedFiles
+from mitsuba_ref.report.output_manifest import OutFolder, RemovedFiles
 from mitsuba_ref.runner import scene_runner
-from mitsuba_ref.runner.resume import OutFolder, ResumableResults, code_hash
+from mitsuba_ref.runner.resume import ResumableResults, code_hash, recorded
 from mitsuba_ref.runner.scene_runner import JudgeScene, SceneEntry
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard
 from mitsuba_ref.runner.validation import validate_scene
@@ -92,7 +92,7 @@ class ValidationRun:
         keep = self.html is not None
         if self.candidate is not None:
             judge = candidate_judge(self.candidate, keep=keep)
-            return self.out.recorded(judge) if self.out else judge
+            return recorded(judge, self.out) if self.out else judge
         judge = partial(scene_runner.judge_entry, keep=keep)
         if self.out is None:
             return judge

@@ -234,7 +234,7 @@ def test_a_reference_that_is_missing_is_a_missing_file_and_no_pass(here, capsys)
     code, out, _ = said(capsys, "check", "scenes")
     assert code == 4 and "FAIL  mesh  refs/mesh.exr: there is no reference; nothing was checked" in out
     assert "2 scenes: 1 pass, 0 fail, 1 not checked: no reference that can be read" in out
-    assert "approve it: mitsuba-ref approve scenes --references refs -k mesh" in out
+    assert "approve them: mitsuba-ref approve scenes --references refs -k mesh" in out
     found = json.loads(said(capsys, "check", "scenes", "--json")[1])
     assert not found["ok"] and [scene["missing"] for scene in found["scenes"]] == [False, True]
     (here / "scenes/ball.toml").write_text(BALL.replace("radius = 1.3", "radius = 1.31"))
@@ -327,14 +327,14 @@ def test_no_row_is_lost_while_another_thread_has_standard_output_redirected(here
 
     inside, printed = threading.Event(), threading.Event()
 
-    def check(entry, args, place):
-        if entry.name == "ball":
+    def check(scene, name, *options):
+        if name == "ball":
             inside.wait(10)
         else:
             with contextlib.redirect_stdout(io.StringIO()):
                 inside.set()
                 printed.wait(0.2)
-        return approval.ReferenceCheck(entry.name, "", True, ("fine",))
+        return approval.ReferenceCheck(name, "", True, ("fine",))
 
     monkeypatch.setattr(approval, "check_scene", check)
     code, out, _ = said(capsys, "check", "scenes", "-j", "2")

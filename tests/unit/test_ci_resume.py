@@ -7,6 +7,7 @@ import pytest
 from made_verdicts import scene as made
 
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.report import output_manifest
 from mitsuba_ref.runner import resume, scene_runner
 
 CAMERA = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
@@ -29,7 +30,7 @@ def judged(tmp_path, monkeypatch):
         if entry.name in asked_to_fail:
             raise KeyboardInterrupt
         asked.append(entry.name)
-        for which in resume.IMAGES:
+        for which in output_manifest.IMAGES:
             (folder / f"{entry.name}.{which}.exr").write_bytes(f"{entry.name} {which}".encode())
         return made(entry.name, ok=entry.name != "b")
 
@@ -90,7 +91,7 @@ def test_what_has_changed_is_judged_anew(judged, change, anew, tmp_path):
     assert kept() == [name for name in ("a", "b", "m") if name not in anew]
 
 
-@pytest.mark.parametrize("which", resume.IMAGES)
+@pytest.mark.parametrize("which", output_manifest.IMAGES)
 @pytest.mark.parametrize("content", [b"", b"m ", b"m anything", b"M reference"], ids=str)
 def test_a_picture_that_is_not_what_was_written_is_judged_anew(judged, which, content):
     """Cut short, replaced, or of the same size and other bytes; a reproducer as well."""

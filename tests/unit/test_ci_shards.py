@@ -10,10 +10,10 @@ from made_verdicts import scene as made
 import caster
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import Finding, Verdict
+from mitsuba_ref.runner.resume import read_verdict, verdict_of
 from mitsuba_ref.runner.scene_runner import SceneEntry
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard, version_in
 from mitsuba_ref.runner.validation_run import run_identity
-from mitsuba_ref.runner.verdict_file import read_verdict, verdict_of
 
 CAMERA = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
 

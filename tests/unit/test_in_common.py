@@ -13,7 +13,7 @@ from mitsuba_ref.report.failure_groups import in_common, simplest_failing
 from mitsuba_ref.report.markdown import markdown
 from mitsuba_ref.report.terminal import summary_text
 from mitsuba_ref.runner import scene_runner
-from mitsuba_ref.runner.verdict_file import scene_of
+from mitsuba_ref.runner.resume import scene_of
 
 
 def scene(name, shapes=("sphere",), *, ok=False, checks=("depth",), camera="pinhole", primitives=1, **more):

@@ -12,9 +12,8 @@ from made_verdicts import scene as made
 from caster.image.atomic_files import OutputError
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.report.html.html_report import MAX_PIXELS_WITH_IMAGES, HtmlReport
-from mitsuba_ref.report.output_manifest import MANIFEST, OutputManifest
+from mitsuba_ref.report.output_manifest import IMAGES, MANIFEST, OutputManifest, files_of
 from mitsuba_ref.runner import scene_runner
-from mitsuba_ref.runner.resume import IMAGES, files_of
 
 SCENE = (
     '# {name}\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
