@@ -57,7 +57,7 @@ def same_geometry(prims: Any, k: int, j: int) -> Any:
 
 @generic
 def exact_intersect(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Any:
-    """The same of primitive k, exactly and slowly: an exact_root.Root."""
+    """The same of primitive k, exactly and slowly: a surds.Root."""
 
 
 @generic_inlined

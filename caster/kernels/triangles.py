@@ -70,7 +70,7 @@ EDGE_ERROR = 16.0 * U
 PLANE_ERROR, SLOPE_ERROR = 9.0 * U, 8.0 * U
 
 # The error of an edge function up to which nothing here has overflowed, for corners no farther than
-# placing.LARGEST_COORDINATE: no number is more than 2^60 times as large.
+# world_space.LARGEST_COORDINATE: no number is more than 2^60 times as large.
 MAX_EDGE_ERROR = 2.0**900
 
 

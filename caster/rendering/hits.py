@@ -212,7 +212,7 @@ def trace(
     """Cast rays with limits of their own, for AOVs of what they hit.
 
     o, d: (n, 3); t_max: (n,), negative where there is no ray; start: (n,) what depth counts from, beyond o.
-    The geometry's numbers go through `rounded` first: as placing.as_float32 leaves them, a float32 renderer
+    The geometry's numbers go through `rounded` first: as world_space.as_float32 leaves them, a float32 renderer
     sees them.
     """
     rays = validated_rays(o, d, 0.0, np.inf)._replace(t_max=np.ascontiguousarray(t_max, np.float64))

@@ -71,9 +71,9 @@ class Plane(Shape):
         n = np.array(self.normal)
         point = np.array(self.point) if self.point is not None else self.offset * n
         linear = self.matrix[:3, :3]
-        turned = n @ np.linalg.inv(linear)
-        placed = linear @ point + self.matrix[:3, 3]
-        return Planes(rounded(turned / np.linalg.norm(turned))[None], rounded(placed)[None])
+        world_normal = n @ np.linalg.inv(linear)
+        world_point = linear @ point + self.matrix[:3, 3]
+        return Planes(rounded(world_normal / np.linalg.norm(world_normal))[None], rounded(world_point)[None])
 
 
 # The error of a dot product is 3 u of its terms' magnitudes, 4 u with the rounding of the difference in it.

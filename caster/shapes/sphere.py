@@ -200,14 +200,14 @@ def _prepare_ellipsoid(prims: Any, prim: Any, o: Any) -> Any:
 
 @implement(intersect, Ellipsoids)
 def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
-    m, ball, d_error = pre
-    return first_root(quadric_roots(ball, rows_times_vec(m, d), d_error * l1_norm(d)), t_min, t_max)
+    m, setup, d_error = pre
+    return first_root(quadric_roots(setup, rows_times_vec(m, d), d_error * l1_norm(d)), t_min, t_max)
 
 
 @implement(surely_misses, Ellipsoids)
 def _passes_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
-    m, ball, d_error = pre
-    return closest_approach(ball, rows_times_vec(m, d), d_error * l1_norm(d)).missed
+    m, setup, d_error = pre
+    return closest_approach(setup, rows_times_vec(m, d), d_error * l1_norm(d)).missed
 
 
 @implement(same_geometry, Ellipsoids)

@@ -162,7 +162,7 @@ def mat_vec(m: Any, k: int, v: Vec3) -> Vec3:
     )
 
 
-# A ray in object space: an entry of the inverse matrix is rounded once (placing.inverse), a difference from the centre
+# A ray in object space: an entry of the inverse matrix is rounded once (inverse), a difference from the centre
 # once, and a row's three products and two sums add 3 u more; the sixth is for terms in u^2.
 TO_OBJECT_SPACE_ERROR = 6.0 * U
 

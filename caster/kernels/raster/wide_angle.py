@@ -100,7 +100,7 @@ MAX_HULL_ANGLE = 0.1  # radians: how far apart the points of a hull may be for `
 # over M L^2: M bounds the second derivative of f = w . F along great circles, L the angles between any two points. Seen
 # from a point p of the hull, the points are at v_i in its tangent plane, with weights m_i that make sum m_i v_i = 0. So
 # f(p) <= sum m_i f(p_i) + M / 2 sum m_i |v_i|^2, and that sum is at most D^2 / 3 with D the largest |v_i - v_j| (Jung
-# 1901), which is at most L times r / sin r for |v_i| <= r: 1.002 L for r = NEARBY. Instead of 1 / 6:
+# 1901), which is at most L times r / sin r for |v_i| <= r: 1.002 L for r = MAX_HULL_ANGLE. Instead of 1 / 6:
 BULGE_FACTOR = 0.2
 
 # Angles and their projections are off by some 20 u of a radian: nothing beside screen_bounds.PROJECTION_MARGIN, but for
