@@ -13,3 +13,12 @@ LARGEST_USEFUL_NORMAL_ERROR = 2.0**-4
 MATCH_RTOL = 1e-4
 DISTINCT_RTOL = 10 * MATCH_RTOL  # two numbers that are so far apart are not alike
 MAJORITY = 0.5  # what is reported of all wrong t at once has to be true of more of them than this
+
+# Scene check `camera`: a direction goes through an orthobasis (three unit vectors of 4 roundings each), a position on
+# the film (4), a sine or tangent (2) of an angle of up to pi, and a length (3): 32 roundings on either side, in steps
+# of KU_OURS, which is K roundings on either side.
+CAMERA_ROUNDINGS = 8.0
+
+# Scene check `geometry`: a packed number is a dot product and a sum, or a normal made of two of them and its length: a
+# dozen roundings. In float32 it is rounded once more.
+TRANSFORM_ROUNDINGS = 16.0

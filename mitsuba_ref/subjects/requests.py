@@ -13,8 +13,7 @@ from caster.geometry.world_space import as_float32
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import clip_planes
 from mitsuba_ref.error_model.intersections import KU
-from mitsuba_ref.error_model.scene_model import SceneModel, model_of
-from mitsuba_ref.error_model.uncertain_rays import UncertainRaysModel
+from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel, model_of
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import camera_reference, clip_range
 from mitsuba_ref.subjects.answer import DEFAULT_SECONDS, PRECISIONS, Answer, NoAnswer

@@ -25,7 +25,7 @@ def place(scene, row, layer):
 def test_the_list_names_the_candidate(visit, report):
     page = visit(report).page
     assert page.inner_text("#who") == "candidate docs.candidates.inside:trace"
-    assert "wrong" in page.locator(".row .classes").first.inner_text()
+    assert "candidate wrong" in page.locator(".row .classes").first.inner_text()
     assert "ours" not in page.inner_text("#app").lower()
     page.select_option("#class", "wrong")
     assert page.locator(".row .name a").all_inner_texts() == ["inside", "single"]
@@ -35,7 +35,7 @@ def test_a_root_that_is_not_tried_is_red_pixels_one_after_the_other(visit, repor
     """All that is hit through the far root of the shell, where the camera is inside, is missed."""
     seen = judged["inside"].seen
     page = visit(report, "#s=inside&a=depth").page
-    page.wait_for_selector(".pane.class .legend >> text=wrong")
+    page.wait_for_selector(".pane.class .legend >> text=candidate wrong")
     failing = np.flatnonzero(~seen.ours.hit.ravel() & seen.reference.hit.ravel())
     row = int(failing[0])
     pixel = row % SIZE[0], row // SIZE[0]
@@ -44,7 +44,7 @@ def test_a_root_that_is_not_tried_is_red_pixels_one_after_the_other(visit, repor
     assert color_at(page, "difference", pixel, SIZE) == [255, 225, 90]
     assert color_at(page, "ratio", pixel, SIZE) == [128, 134, 142]  # no share of a bound there
     page.keyboard.press("n")
-    page.wait_for_selector("#pixel .class >> text=wrong")
+    page.wait_for_selector("#pixel .class >> text=candidate wrong")
     assert page.inner_text("#pixel .xy") == f"{pixel[0]}, {pixel[1]}"
     assert "the second one was not tried" in page.inner_text("#pixel .class")
     exact = seen.judgement.exact.of(row)

@@ -102,7 +102,7 @@ def test_rows_and_pages_name_the_candidate(judged, tmp_path):
     )
     assert "<caption>candidate docs.candidates.inside:trace: 1 of 4 scenes pass</caption>" in text
     plain = text[text.index('<table id="plain">') : text.index("</table>")]
-    assert '<th scope="col">wrong</th>' in plain and "ours" not in plain
+    assert '<th scope="col">candidate wrong</th>' in plain and "ours" not in plain
 
 
 def test_no_answer_leaves_nothing_to_show(judged):

@@ -47,7 +47,7 @@ def test_the_list_says_what_became_of_each_scene(visit, report):
     page = visit(report).page
     assert page.locator(".row .name a").all_inner_texts() == [BAD, "crashed", "good"]  # failing first
     assert page.locator(".row .badge").all_inner_texts() == ["FAIL", "CRASH", "PASS"]
-    assert "1 wrong, 3 reference wrong, unlisted" in page.locator(".row .classes").first.inner_text()
+    assert "1 ours wrong, 3 reference wrong, unlisted" in page.locator(".row .classes").first.inner_text()
     assert page.inner_text("#total") == "1 of 3 scenes pass; 1 of 4 were not judged"
     assert "3 of 4 scenes are here" in page.inner_text("#banner")
     assert page.locator(".row img").count() == 2
@@ -196,7 +196,7 @@ def color_at(page, pane, pixel, size=(planted.WIDTH, planted.HEIGHT)):
 
 def test_a_fault_is_a_red_pixel_and_the_next_bad_one(visit, folder):
     page = visit(folder, f"#s={quote(BAD)}&a=depth").page
-    page.wait_for_selector(".pane.class .legend >> text=wrong")
+    page.wait_for_selector(".pane.class .legend >> text=ours wrong")
     assert color_at(page, "class", planted.OURS_WRONG) == [255, 0, 0]
     assert color_at(page, "class", planted.NAN) == [255, 105, 180]
     seen = []
@@ -207,7 +207,7 @@ def test_a_fault_is_a_red_pixel_and_the_next_bad_one(visit, folder):
     rows = [planted.REFERENCE_MISSES, planted.OURS_WRONG, planted.NAN, planted.INFINITE]
     assert seen == [*rows, rows[0], rows[-1]]  # from the worst on row by row, around, and back
     page.evaluate(f"location.hash = '{at(planted.OURS_WRONG, a='depth')}'")
-    page.wait_for_selector("#pixel .class >> text=wrong")
+    page.wait_for_selector("#pixel .class >> text=ours wrong")
     assert "by exact arithmetic, ours is wrong" in page.inner_text("#pixel .class")
     exact = page.inner_text("#pixel dl")
     assert "ball, prim 0 (inside)" in exact and "0x1.f4c65ce5b5ddbp+1" in exact

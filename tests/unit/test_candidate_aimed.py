@@ -7,8 +7,7 @@ from aimed_rays import KINDS, Setting, rays_at, scene_of
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from mitsuba_ref.error_model.intersections import KU_OURS, norm, unit
-from mitsuba_ref.error_model.scene_model import SceneModel, model_of
-from mitsuba_ref.error_model.uncertain_rays import UncertainRaysModel
+from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel, model_of
 from mitsuba_ref.reference.rays import SharedRays
 
 TURN, SHIFT = 1e-6, 2e-6  # so much more than float64's rounding that this is nothing beside them

@@ -24,6 +24,7 @@ from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
 from mitsuba_ref.error_model.intersections import KU, KU_OURS, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
 from mitsuba_ref.error_model.scene_model import model_of
+from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
 from mitsuba_ref.judge.scene_checks.scene_check import bits_differ, pixel_centers, worst_pixel
 from mitsuba_ref.judge.scene_checks.shape_checks import check_geometry, check_materials, check_placement
@@ -96,12 +97,6 @@ def check_camera(scene: Scene) -> SceneCheck:
         "far": _relative(ours.t_max, expected.t_max) / rounding,
     }
     return worst_pixel("camera", shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
-
-
-# A direction goes through an orthobasis (three unit vectors of 4 roundings each), a position on the film (4), a sine
-# or tangent (2) of an angle of up to pi, and a length (3): 32 roundings on either side, in steps of KU_OURS, which is
-# K roundings on either side.
-CAMERA_ROUNDINGS = 8.0
 
 
 def _up_sine(camera: Camera) -> float:

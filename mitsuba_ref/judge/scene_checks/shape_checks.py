@@ -12,6 +12,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
 from mitsuba_ref.error_model.scene_model import reference_of
+from mitsuba_ref.error_model.tolerances import TRANSFORM_ROUNDINGS
 from mitsuba_ref.judge.scene_checks.scene_check import Shares
 from mitsuba_ref.judge.verdict import SceneCheck
 
@@ -24,11 +25,6 @@ def check_placement(scene: Scene) -> SceneCheck:
         return SceneCheck("placement", 0.0, "no shape has a to_world")
     worst = int(np.argmax(ratios))
     return SceneCheck("placement", ratios[worst], f"to_world of {names[worst]}")
-
-
-# A packed number is a dot product and a sum, or a normal made of two of them and its length: a dozen roundings. In
-# float32 it is rounded once more.
-TRANSFORM_ROUNDINGS = 16.0
 
 
 class Precision(NamedTuple):
