@@ -25,8 +25,8 @@ HEAD = """# Numerical stability
 
 <!-- written by `make stress`; change benchmarks/stress_page.py instead -->
 
-Each sweep makes one thing harder, decade by decade, and asks everybody about the same rays through the same geometry,
-in the very same float32 numbers. What is right is decided in whole numbers, without any rounding
+Each sweep makes one quantity more extreme, decade by decade; all witnesses cast the same rays through the same
+geometry, in the same float32 numbers. Right answers come from arithmetic in whole numbers, without any rounding
 (`mitsuba_ref/oracle/oracle.py`), for the numbers as they are given. So an error here is arithmetic alone.
 """
 
@@ -37,20 +37,20 @@ READING = """## How to read it
   [method.md](method.md); `bound 32` and `bound 64` are the largest bounds of a setting for Mitsuba and for ours.
 - **Wrong** are hits where there is exactly none, and misses where there is exactly one; behind a `+`, hits of another
   primitive than any of those that are exactly nearest (`ties` counts rays that have several), in a closed mesh of the
-  rays that exact arithmetic was asked about.
+  rays that exact arithmetic decided.
 - A witness **breaks down** at the first setting, on either side of the easiest one, where a hit or miss is wrong or an
-  error beyond its bound. That is ringed in the pictures. Not every breakdown is a mistake: beyond the reach of
+  error beyond its bound. That is ringed in the plots. Not every breakdown is a mistake: beyond the reach of
   float32, a ray may come out either way. And naming the wrong one of two surfaces that are almost equally near is none
-  by this measure; the pictures show it by diamonds.
-- Mitsuba is asked in three ways: its scalar variant with Embree's robust mode, which is what `validate` asks about
+  by this measure; the plots show it by diamonds.
+- Mitsuba runs in three configurations: its scalar variant with Embree's robust mode, which `validate` uses for
   spheres, disks and cylinders; its LLVM variant as it comes; and its LLVM variant with the robust mode, which
-  `validate` asks about triangles. Whatever it gets wrong is reported; only faults of ours fail the run.
+  `validate` uses for triangles. Whatever it gets wrong is reported; only faults of ours fail the run.
 - A line that ends has nothing to compare there: its rays all miss. A bound that ends is none: float32 does not resolve
   these rays at all.
-- Pictures of a camera are cast along our camera's rays, rounded to float32, and ours once more through the screen. How
+- Images are cast along our camera's rays, rounded to float32; our caster also rasterizes them. How
   far Mitsuba's own sensors are off is another matter, and part of `validate`.
 - Rays are aimed at random by a seed. Every setting is checked to have exact hits, and misses, too, but for those inside
-  a closed mesh. There every ray hits, which exact arithmetic confirms for a sample and for misses it is told of.
+  a closed mesh. There every ray hits, which exact arithmetic confirms for a sample and for reported misses.
 """
 
 

@@ -1,4 +1,4 @@
-"""Who is timed: the registry of rows, and how each is started."""
+"""The registry of contestants, one per row of the tables, and their environments."""
 
 import importlib.util
 import os
@@ -18,8 +18,8 @@ ALL_TASKS = (FILM, NEAREST, ANY)
 class Contestant:
     """A row of the tables.
 
-    first: pixels a side that it is tried at first, for those who may be too slow for a whole picture; 0: none.
-    most: primitives of a scene beyond which it is not asked; 0: any number.
+    first: pixels a side of its first cast, for contestants that may be too slow for the whole film; 0: none.
+    most: primitives of a scene beyond which it is left out; 0: any number.
     """
 
     key: str
@@ -36,7 +36,7 @@ class Contestant:
     environment: Mapping[str, str] = field(default_factory=dict)
 
     def missing(self) -> str:
-        """Why it cannot run on this machine; "" if it can, as far as is known."""
+        """Why it cannot run on this machine; "" if nothing is known to be missing."""
         if self.variant and self.variant not in variants.usable_variants().names:
             return f"{self.variant} does not work here: {variants.usable_variants().why}"
         if self.package and importlib.util.find_spec(self.package) is None:
@@ -69,7 +69,7 @@ RAW, INTEGRATOR, OWN = "mitsuba:RayIntersect", "mitsuba:Integrator", "own:Ours"
 
 AOVS = ("depth", "normal", "diffuse")
 
-# The first that is asked about a scene is what the others are set against.
+# Ratios are to the first contestant of a scene.
 CONTESTANTS = (
     Contestant("ours", "ours, as planned", OURS, OWN, ALL_TASKS),
     Contestant("ours-bvh", "ours, by BVH", OURS, OWN, (FILM,), {"culling": "bvh"}),
@@ -151,10 +151,10 @@ BY_KEY = {contestant.key: contestant for contestant in CONTESTANTS}
 
 
 def contestants_for(asks: str, *, peers: bool) -> list[Contestant]:
-    """Who is asked about such a scene."""
+    """The contestants of a task."""
     return [each for each in CONTESTANTS if asks in each.asks and (peers or each.side != PEER)]
 
 
 def processors() -> int:
-    """How many this process may use."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""The other end of worker.py: a contestant that may fail, die or hang, which is then its result."""
+"""Timing: contestants in processes of their own cast in turns, round after round."""
 
 import json
 import sys
@@ -31,12 +31,12 @@ LAST_WORDS = 300  # characters kept of what a contestant said before it died
 WORKER = (sys.executable, "-P", "-m", "mitsuba_ref.bench.worker")
 
 
-class ContestantEnded(Exception):  # noqa: N818 - an end, perhaps nobody's mistake
-    """A contestant that does not go on; str() says why, in a line."""
+class ContestantEnded(Exception):  # noqa: N818 - an end, not always an error
+    """The end of a contestant's process; str() is the reason, in a line."""
 
 
 class ContestantProcess:
-    """One contestant. Close it, or it stays."""
+    """A contestant's process (worker.py), which may fail, crash or hang. Close it, or it stays."""
 
     def __init__(
         self, work: Work, environment: Mapping[str, str] | None = None, command: Sequence[str] = WORKER
@@ -72,15 +72,12 @@ def _end_text(end: ProcessEnd, patience: float) -> str:
     return ": ".join(["died", exit_name(end.code), *end.output.splitlines()[-1:]])[:LAST_WORDS]
 
 
-# Contestants take turns: one cast each, round after round, each in a process of its own that stays.
-
-
 Progress = Callable[[str], None]
 
 MIN_TURN_S = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
-MAX_CAST_S = 0.5  # seconds that a slow contestant's cast may take; its picture is made smaller until it fits
+MAX_CAST_S = 0.5  # seconds of a slow contestant's cast; its film is made smaller until it fits
 WARM_UP_CASTS = 3  # casts before the first that counts, of which the first ones may compile
-REQUEST_TIMEOUT_S = 300.0  # seconds that any single question may take, compilers included
+REQUEST_TIMEOUT_S = 300.0  # seconds of any single request, compilation included
 
 
 @dataclass(frozen=True)
@@ -97,20 +94,20 @@ class Requester(Protocol):
     """A contestant's process."""
 
     def ask(self, patience: float, **question: Any) -> Mapping[str, Any]:
-        """Raises Gone."""
+        """Raises ContestantEnded."""
 
     def close(self) -> None: ...
 
 
-Start = Callable[[Contestant, str, str, int], Requester]  # contestant, folder, what is asked, threads
+Start = Callable[[Contestant, str, str, int], Requester]  # contestant, folder, task, threads
 
 
 def start_process(contestant: Contestant, folder: str, asks: str, threads: int) -> Requester:
     return ContestantProcess(contestant.work(folder, asks, threads), contestant.settings())
 
 
-class Lane:
-    """One contestant on its way through a scene. After `why` is set it does nothing more."""
+class ContestantRun:
+    """One contestant in one scene. After `why` is set it does nothing more."""
 
     def __init__(self, contestant: Contestant, settings: Settings) -> None:
         self.contestant, self.settings = contestant, settings
@@ -123,7 +120,7 @@ class Lane:
         self.why = ""
 
     def go(self, step: Callable[[Requester], None]) -> None:
-        """Do something with the process, if it lives; if it dies over it, that is its result."""
+        """Run a step with the process if it is alive; an end of the process is its result."""
         if self.why or self.process is None:
             return
         try:
@@ -141,7 +138,7 @@ class Lane:
             self.go(self._warm_up)
 
     def _warm_up(self, process: Requester) -> None:
-        """Compile everything, find a size that a slow one can do, and then build once more, for the time of it."""
+        """Compile everything, find a film size for a slow contestant, then build again to time it."""
         ask = self._ask
         if self.contestant.first:
             ask(process, do="build", size=self.contestant.first)
@@ -161,7 +158,7 @@ class Lane:
         self.seconds.append(float(found["seconds"]))
 
     def record_memory(self, process: Requester) -> None:
-        """Its memory, before it is asked about other rays."""
+        """Peak memory, before any other rays are cast."""
         self.memory = int(self._ask(process, do="memory")["bytes"])
 
     def measure_error(self, truth: ExactAnswers, rays: Path, process: Requester) -> None:
@@ -213,46 +210,51 @@ def time_scene(
     *,
     judged: bool = True,
 ) -> SceneResult:
-    """All of them, taking turns; rows in their order. judged: whether anybody is asked how wrong they are."""
+    """Rows of all contestants, cast in turns. judged: whether errors are measured as well."""
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="mitsuba-ref-bench-") as name:
         say("making the scene")
         ready = write_scene(scene, Path(name), settings.size)
-        lanes = [Lane(contestant, settings) for contestant in contestants]
+        runs = [ContestantRun(contestant, settings) for contestant in contestants]
         try:
-            for lane in lanes:
-                say(f"warming up: {lane.contestant.title}")
-                lane.begin(start, ready, name, scene.asks)
-            alternate(lanes, settings.alternations, say)
-            for lane in lanes:
-                lane.go(lane.record_memory)
+            for run in runs:
+                say(f"warming up: {run.contestant.title}")
+                run.begin(start, ready, name, scene.asks)
+            alternate(runs, settings.alternations, say)
+            for run in runs:
+                run.go(run.record_memory)
             if judged and scene.asks != SHADING:
-                judge(lanes, ready, scene.asks, settings, Path(name), say)
+                judge(runs, ready, scene.asks, settings, Path(name), say)
         finally:
-            for lane in lanes:
-                lane.close()
-    rows = tuple(lane.row for lane in lanes)
+            for run in runs:
+                run.close()
+    rows = tuple(run.row for run in runs)
     return SceneResult(
         scene.name, scene.title, scene.asks, ready.primitives, rows, time.perf_counter() - begun
     )
 
 
-def alternate(lanes: Sequence[Lane], alternations: int, say: Progress) -> None:
-    """One turn each, again and again; every round begins with another one, so that nobody always follows the same."""
+def alternate(runs: Sequence[ContestantRun], alternations: int, say: Progress) -> None:
+    """Rounds of one turn each; every round begins with another contestant, so that none always follows the same."""
     for turn in range(alternations):
         say(f"alternation {turn + 1}/{alternations}")
-        first = turn % len(lanes)
-        for lane in [*lanes[first:], *lanes[:first]]:
-            lane.go(lane.time_cast)
+        first = turn % len(runs)
+        for run in [*runs[first:], *runs[:first]]:
+            run.go(run.time_cast)
 
 
 def judge(
-    lanes: Sequence[Lane], ready: PreparedScene, asks: str, settings: Settings, folder: Path, say: Progress
+    runs: Sequence[ContestantRun],
+    ready: PreparedScene,
+    asks: str,
+    settings: Settings,
+    folder: Path,
+    say: Progress,
 ) -> None:
     say("exact answers")
     truth = ExactAnswers(ready, asks, settings.seed)
     rays = folder / "judged.npz"
     np.savez(rays, o=truth.o, d=truth.d)
-    for lane in lanes:
-        say(f"judging: {lane.contestant.title}")
-        lane.go(partial(lane.measure_error, truth, rays))
+    for run in runs:
+        say(f"judging: {run.contestant.title}")
+        run.go(partial(run.measure_error, truth, rays))

@@ -1,4 +1,4 @@
-"""What a run was made on, and with."""
+"""A benchmark run: the machine, scene after scene, and sweeps over triangles, pixels and threads."""
 
 import os
 import platform
@@ -24,7 +24,7 @@ PACKAGES = ("numpy", "numba", "mitsuba", "drjit", "open3d", "trimesh", "embreex"
 
 
 def machine_properties() -> dict[str, str]:
-    """Name and value of everything that the numbers depend on, as far as it can be told."""
+    """Properties of the machine and of the software that times depend on."""
     found = {
         "processor": processor(),
         "processors used": f"{processors()} of {os.cpu_count() or 1}",
@@ -48,7 +48,7 @@ def memory() -> str:
 
 
 def load() -> str:
-    """What the machine did in the last minute, in processors."""
+    """Load of the last minute, in processors."""
     return f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
 
 
@@ -78,9 +78,6 @@ def _values(file: str, name: str) -> Iterator[str]:
             yield value.strip()
 
 
-# Time against triangles, against pixels, and against threads.
-
-
 TRIANGLE_COUNTS = (1_000, 10_000, 100_000, 1_000_000, 10_000_000)
 FILM_SIDES = (64, 128, 256, 512, 1024, 2048, 4096)  # a side
 SWEPT_ROWS, SWEPT_PEERS = ("ours", "raw-robust", "aov-robust"), ("open3d",)
@@ -88,7 +85,7 @@ SWEPT_ROWS, SWEPT_PEERS = ("ours", "raw-robust", "aov-robust"), ("open3d",)
 
 @dataclass(frozen=True)
 class ScalingFamily:
-    """One sweep: its settings, each a scene to time and how."""
+    """One sweep: a scene and settings for each value of the quantity."""
 
     name: str
     quantity: str
@@ -158,9 +155,6 @@ def series(contestant: Contestant, found: Sequence[tuple[float, SceneResult]]) -
     )
 
 
-# A whole run: scene after scene, then sweep after sweep.
-
-
 def empty_run(scenes: Sequence[BenchScene], settings: Settings) -> Run:
     """A run that has timed nothing yet."""
     told = {name: value for name, value in asdict(settings).items() if name != "patience"}
@@ -173,7 +167,7 @@ def empty_run(scenes: Sequence[BenchScene], settings: Settings) -> Run:
 
 
 class BenchmarkRun:
-    """What is done is in `run`, whatever ends the work."""
+    """Times scenes and sweeps; `run` holds the results so far."""
 
     def __init__(
         self, scenes: Sequence[BenchScene], settings: Settings, start: Start = start_process

@@ -1,4 +1,4 @@
-"""The meshes of the benchmark: triangles of float32 numbers, so that everybody is given the very same ones."""
+"""Scenes of the benchmark, made of float32 numbers here, so that all contestants cast the same ones."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -91,9 +91,6 @@ def cornell_mesh(folder: Path) -> MeshFile:
     return write_mesh(folder, "cornell", vertices, quads(np.arange(len(vertices)).reshape(-1, 4)))
 
 
-# What is timed: scenes made here, so that no file can differ, and what is asked about each.
-
-
 Rays = tuple[np.ndarray, np.ndarray]  # o, d: (n, 3) float32 each
 
 
@@ -119,7 +116,7 @@ def scene_from_front(*shapes: Any, **more: Any) -> Scene:
 
 
 def spheres(count: int) -> Scene:
-    """Balls in a cube, by chance; together they cover most of the view."""
+    """Random spheres in a cube; together they cover most of the view."""
     rng = np.random.default_rng(count)
     centers = as_float32(rng.uniform(-1.0, 1.0, (count, 3)))
     radii = as_float32(rng.uniform(0.3, 1.0, count) * 0.8 * count ** (-1.0 / 3.0))
@@ -183,12 +180,12 @@ def lit_ring(folder: Path) -> Scene:
 
 
 def lit_spheres(folder: Path) -> Scene:
-    balls = tuple(ball.model_copy(update={"material": "grey"}) for ball in spheres(200).shapes)
-    return scene_from_front(*balls, **LIT)
+    lit = tuple(sphere.model_copy(update={"material": "grey"}) for sphere in spheres(200).shapes)
+    return scene_from_front(*lit, **LIT)
 
 
 def incoherent(scene: Scene) -> Rays:
-    """From anywhere on a ball around everything to anywhere within: no two neighbours have anything in common."""
+    """From random points of a sphere around the scene to random points within: incoherent neighbours."""
     rng, count = np.random.default_rng(1), scene.film.width * scene.film.height
     o = 3.0 * unit(rng.normal(size=(count, 3)))
     return towards(o, rng.uniform(-1.0, 1.0, (count, 3)) * [1.4, 1.4, 0.4])

@@ -1,4 +1,4 @@
-"""What a contestant is given: a folder with the scene in every form that one of them reads, and what is asked.
+"""The task of a contestant: a folder with the scene in every form that one of them reads, and what to compute.
 
 Light to import: what a contestant's process loads beside the contestant counts as its memory.
 """
@@ -11,8 +11,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-# What is asked: a picture of depth and normal; t and normal along rays that are handed over; whether anything lies on
-# them; a picture with shading, of our caster alone.
+# Tasks: an image of depth and normal; t and normal along given rays; whether given rays hit anything; a shaded
+# image, of our caster alone.
 FILM, NEAREST, ANY, SHADING = "film", "nearest", "any", "shading"
 
 SCENE_FILE, MESH_FILE, RAYS_FILE = "scene.pickle", "mesh.npz", "rays.npz"  # files of a folder
@@ -20,7 +20,7 @@ ROBUST, DEFAULT = "robust", "default"  # folders within: a scene for Mitsuba in 
 FIRST_RAY = (
     np.zeros((1, 3), np.float32),
     np.ones((1, 3), np.float32),
-)  # for those who grow their tree when one comes
+)  # for trees that are built on the first ray
 SHADOW_END = 1.0  # t_max of shadow rays: t = 1 is the lamp
 
 
@@ -45,13 +45,13 @@ class Entry(Protocol):
     """
 
     def build(self, size: int) -> None:
-        """From numbers to where rays can be cast, for a picture of size x size or as many rays; once."""
+        """Everything between loaded arrays and the first ray, for a film of size x size or as many rays; once."""
 
     def take_rays(self) -> None:
-        """Bring the rays of the folder, no more than size * size, into the form they are cast in. Not timed."""
+        """Convert the rays of the folder, at most size * size, to the form they are cast in. Not timed."""
 
     def cast(self) -> int:
-        """Everything once, the results in memory as arrays; how many rays that was."""
+        """Cast all rays once, results in memory as arrays; the number of rays."""
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         """(n,) float64 t along other rays (n, 3) float32, inf on a miss.
@@ -60,7 +60,7 @@ class Entry(Protocol):
         """
 
 
-class CannotRun(Exception):  # noqa: N818 - why a row is empty, not a mistake
+class CannotRun(Exception):  # noqa: N818 - the reason of an empty row, not an error
     """str() says what is missing."""
 
 
@@ -84,5 +84,5 @@ def given_mesh(folder: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def blocked(hit: np.ndarray) -> np.ndarray:
-    """Whether shadow rays meet anything, in the form of Entry.answer."""
+    """Hits of shadow rays in the form of Entry.answer."""
     return np.where(hit, 0.0, np.inf)

@@ -1,4 +1,4 @@
-"""A contestant's process: it stays, and does what a line of JSON asks, so that contestants can take turns.
+"""A contestant's process, which stays and answers requests, a line of JSON each, so that contestants can take turns.
 
 python -m mitsuba_ref.bench.worker REPLIES WORK      REPLIES: a pipe's number; WORK: Work as JSON
 """
@@ -31,7 +31,7 @@ def main(replies: int, work: Work) -> None:
         asked = json.loads(line)
         try:
             if entry is None or asked["do"] == "build":
-                entry = None  # or there would be two at a time, and twice the memory
+                entry = None  # before the next is made: two at a time take twice the memory
                 entry = new_entry(work)
             return json.dumps({"status": STATUS_READY} | respond(entry, asked))
         except (CannotRun, ImportError) as reason:
@@ -49,7 +49,7 @@ def new_entry(work: Work) -> Entry:
 
 
 def pin_to_processors(processors: int) -> None:
-    """Use so many processors: before anybody starts threads, and whatever each calls its own option."""
+    """Pin this process to so many processors, before any threads are started."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:processors]))
 

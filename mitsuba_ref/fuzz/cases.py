@@ -1,4 +1,8 @@
-"""A scene with one ray, or with the picture of its camera: what is shrunk, kept and tried again."""
+"""Cases: a scene with one ray, or with its camera's image; shrunk, kept on disk and checked again.
+
+Kept cases are scene files with a comment line that gives the finding and the ray. A camera of type "ray" casts the very
+ray, so that `caster probe` and `mitsuba-ref validate` show it; a t_min, which it lacks, is in the comment alone.
+"""
 
 import copy
 import json
@@ -27,7 +31,7 @@ from mitsuba_ref.report.reproducers import with_hex_floats
 
 
 class Case(NamedTuple):
-    """Parts of a scene as a scene file has them."""
+    """Parts of a scene as a scene file describes them."""
 
     film: dict[str, Any]
     camera: dict[str, Any]
@@ -35,7 +39,7 @@ class Case(NamedTuple):
     ray: RayBatch | None = None  # one row; None: the rays of the camera
 
     def scene_data(self) -> dict[str, Any]:
-        """The scene; with a ray of its own, that ray is its camera's, its t_min apart."""
+        """The scene; a single ray becomes its camera, without its t_min."""
         if self.ray is None:
             return {"film": self.film, "camera": self.camera, "shape": self.shapes}
         camera: dict[str, Any] = {
@@ -69,15 +73,11 @@ def one_ray(o: list[float], d: list[float], t_min: float, t_max: float) -> RayBa
     return RayBatch(np.array([o]), np.array([d]), np.array([t_min]), np.array([t_max]))
 
 
-SCENE_ERRORS = (
-    SceneError,
-    ValidationError,
-    OutsideDomain,
-)  # what a scene that nobody can be asked about raises
+SCENE_ERRORS = (SceneError, ValidationError, OutsideDomain)  # raised by scenes that cannot be checked
 
 
 def findings_of(case: Case) -> list[Finding]:
-    """All that is wrong with it, apart from what only Mitsuba can tell; nothing, where it is no scene."""
+    """Findings about a case without Mitsuba; none where it is no valid scene."""
     try:
         subject = prepared_scene(case.scene())
     except SCENE_ERRORS:
@@ -93,16 +93,10 @@ def findings_of(case: Case) -> list[Finding]:
 
 
 def exception_finding(error: Exception) -> Finding:
-    """The finding that something raised an exception."""
+    """The finding that an exception was raised."""
     (place, *_) = traceback.extract_tb(error.__traceback__)[::-1]
     where = f"{Path(place.filename).name}:{place.lineno}"
     return Finding("error", f"{type(error).__name__} at {where}: {error}")
-
-
-# Failing scenes on disk: scene files like any other, with a line of comment that says what fails and for which ray.
-#
-# A camera of type "ray" casts the very ray, so that `caster probe` and `mitsuba-ref validate` show it; what it cannot
-# say, a t_min, is in the comment alone.
 
 
 RECORD_PREFIX = "# fuzz: "

@@ -98,14 +98,14 @@ class Shrinker:
         return True
 
     def run(self, passes: Sequence[Callable[["Shrinker"], bool]]) -> Data:
-        """All passes again and again, until none changes anything or the attempts are used up."""
+        """All passes, repeated until none changes anything or the attempts are used up."""
         while any([each(self) for each in passes]):
             pass
         return self.data
 
 
 def fewer_shapes(shrinker: Shrinker) -> bool:
-    """Leave out runs of shapes, long ones first."""
+    """Remove runs of shapes, long ones first."""
     changed = False
     size = len(shrinker.data["shape"])
     while size >= 1:
@@ -122,7 +122,7 @@ def fewer_shapes(shrinker: Shrinker) -> bool:
 
 
 def fewer_fields(shrinker: Shrinker) -> bool:
-    """Leave out what has a default, steps of transforms included."""
+    """Remove fields with a default, and steps of transforms."""
     changed = False
     for path, value in list(walk(shrinker.data)):
         is_field = isinstance(path[-1], str) or isinstance(value, dict)
@@ -132,7 +132,7 @@ def fewer_fields(shrinker: Shrinker) -> bool:
 
 
 def rounder_numbers(shrinker: Shrinker) -> bool:
-    """Each number by the simplest that will do."""
+    """Replace each number by the simplest one that still fails."""
     changed = False
     for path, value in list(walk(shrinker.data)):
         if isinstance(value, float) and path[0] in ("shape", "camera", "ray"):
@@ -143,7 +143,7 @@ def rounder_numbers(shrinker: Shrinker) -> bool:
 
 
 def walk(value: Any, path: DataPath = ()) -> Iterator[tuple[DataPath, Any]]:
-    """Everything in it, containers before what they hold."""
+    """All values with their paths, containers before their contents."""
     if path:
         yield path, value
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
@@ -163,14 +163,14 @@ def exists(data: Any, path: DataPath) -> bool:
 
 
 def with_value(data: Data, path: DataPath, value: Any) -> Data:
-    """A copy with another value there."""
+    """A copy with another value at the path."""
     out = copy.deepcopy(data)
     _holder(out, path)[path[-1]] = value
     return out
 
 
 def without(data: Data, path: DataPath) -> Data:
-    """A copy in which this is not there."""
+    """A copy without the value at the path."""
     out = copy.deepcopy(data)
     del _holder(out, path)[path[-1]]
     return out
@@ -180,9 +180,6 @@ def _holder(data: Any, path: DataPath) -> Any:
     for key in path[:-1]:
         data = data[key]
     return data
-
-
-# Shapes written anew from what they pack to: meshes as triangles, transforms as one matrix.
 
 
 ShapeFields = dict[str, Any]
@@ -195,7 +192,7 @@ def as_packed(part: Any) -> list[ShapeFields]:
 
 
 def translated(shape: ShapeFields, by: np.ndarray) -> ShapeFields | None:
-    """Such a shape moved; None for one that is not as `as_packed` writes it."""
+    """A shape as written by `as_packed`, translated; None for any other."""
     if "vertices" in shape and "to_world" not in shape:
         return {**shape, "vertices": (np.array(shape["vertices"]) + by).tolist()}
     for key in ("center", "point"):
@@ -209,17 +206,14 @@ def translated(shape: ShapeFields, by: np.ndarray) -> ShapeFields | None:
     return None
 
 
-# A finding -> the smallest scene with one ray, or one pixel, that is found wrong in the same way.
-
-
 Judge = Callable[[Case], list[Finding]]
-MAX_EXPANDED_FACES = 2000  # of a mesh that is taken apart
+MAX_EXPANDED_FACES = 2000  # faces of a mesh that is rewritten as triangles
 
 
 def smallest_case(
     case: Case, finding: Finding, judge: Judge = findings_of, budget: Budget | None = None
 ) -> Case:
-    """The case made small. A pixel's finding becomes that of a ray cast for itself, if that shows it, too."""
+    """The smallest case of the same failure mode; of a single ray instead of a pixel, if that fails as well."""
 
     def fails(data: Data) -> bool:
         return finding.mode in failure_modes(Case.of(data), judge)
@@ -257,7 +251,7 @@ def ray_of(cropped: Case) -> list[RayBatch]:
 
 
 def as_primitives(shrinker: Shrinker) -> bool:
-    """Each shape by what it packs to: triangles for a mesh, one matrix for a transform."""
+    """Rewrite shapes as what they pack to: triangles for a mesh, one matrix for a transform."""
     changed = False
     for i in range(len(shrinker.data["shape"]) - 1, -1, -1):
         shapes = shrinker.data["shape"]
@@ -277,7 +271,7 @@ def _primitive_shapes(data: Data, i: int) -> list[dict[str, Any]]:
 
 
 def translated_to_origin(shrinker: Shrinker) -> bool:
-    """Everything moved so that the ray starts in 0, or a corner or centre lies there."""
+    """Translate everything so that the ray starts at the origin."""
     ray = shrinker.data.get("ray")
     if ray is None or not any(ray["o"]):
         return False
