@@ -95,5 +95,5 @@ def _by_position(errors: Iterable[SourceMessage]) -> list[SourceMessage]:
 
 def _format_errors(errors: Iterable[SourceMessage], text: str, origin: str) -> str:
     return "\n".join(
-        format_excerpt(at.span, said, text, origin) for at, said in _by_position(dict.fromkeys(errors))
+        format_excerpt(at.span, message, text, origin) for at, message in _by_position(dict.fromkeys(errors))
     )

@@ -45,12 +45,12 @@ class SceneBuilder:
         """Record that something of the file has no counterpart."""
         self.left_out.append(SourceMessage(at, text))
 
-    def copy(self, into: dict[str, Any], ours: str, node: Node, theirs: str, *path: str | int) -> None:
+    def copy(self, into: dict[str, Any], key: str, node: Node, field_name: str, *path: str | int) -> None:
         """Copy the numbers of a field into the data, if the node has it."""
-        found = node.get(theirs)
+        found = node.get(field_name)
         if found is not None:
             value = list(found.numbers) if len(found.numbers) > 1 else found.numbers[0]
-            into[ours] = self.put(value, found.at, *path, ours)
+            into[key] = self.put(value, found.at, *path, key)
 
 
 # ---- lights ----
@@ -120,8 +120,8 @@ def _point_falloff(out: SceneBuilder, light: dict[str, Any], node: Node, path: P
     _color(out, light, "intensity", node, math.pi / at_one, *path)
     if not falloff.is_inverse_square:
         which = node.get("attenuation")
-        says = which.words if which else "no attenuation"
+        falloff_text = which.words if which else "no attenuation"
         out.omit(
             which.at if which else node.at,
-            f"{says}: point lights fall off by 1 / r^2 here; the value at r = 1 is kept",
+            f"{falloff_text}: point lights fall off by 1 / r^2 here; the value at r = 1 is kept",
         )

@@ -159,8 +159,8 @@ def build_scene_data(sections: dict[str, Node], width: int, height: int) -> Scen
 def _camera(out: SceneBuilder, node: Node, width: int, height: int) -> None:
     """Add the camera. Its angle or size spans the longer side of the film: the course crops a square image."""
     camera: dict[str, Any] = {"type": "pinhole" if node.kind == CAMERAS[0] else "orthographic"}
-    for ours, theirs in (("eye", "center"), ("direction", "direction"), ("up", "up")):
-        out.copy(camera, ours, node, theirs, "camera")
+    for key, field_name in (("eye", "center"), ("direction", "direction"), ("up", "up")):
+        out.copy(camera, key, node, field_name, "camera")
     if "angle" in node.mentioned:
         out.copy(camera, "fov", node, "angle", "camera")
         camera["fov_axis"] = "larger"

@@ -1,10 +1,13 @@
 """Exceptions for users, and the formatting of values in their messages."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pydantic_core import PydanticCustomError
+if TYPE_CHECKING:
+    from pydantic_core import PydanticCustomError
 
 __all__ = ["FileMissing", "SceneError", "join_words", "suggestion"]
 
@@ -61,6 +64,8 @@ def join_words(names: Iterable[str], last: str = "or") -> str:
 
 def field_error(text: str) -> PydanticCustomError:
     """The error that a field validator raises. The text continues after the field's name: 'must be ...'."""
+    from pydantic_core import PydanticCustomError  # deferred, so that `--help` does not load it
+
     return PydanticCustomError("field", "{text}", {"text": text})
 
 

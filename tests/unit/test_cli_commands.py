@@ -26,7 +26,7 @@ from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [command.name for command in COMMANDS]
-SLOW = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "numpy"}
+SLOW = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "numpy", "pydantic", "pydantic_core", "rich"}
 
 
 def python(*argv, **options):
