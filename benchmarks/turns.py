@@ -28,7 +28,7 @@ import caster
 assert caster.__file__.startswith(sys.argv[1]), caster.__file__
 for line in sys.stdin:
     path, size, culling, aovs = json.loads(line)
-    if culling == "raster" and not importlib.util.find_spec("caster.rendering"):
+    if culling == "raster" and not importlib.util.find_spec("caster.jit"):
         culling = "screen"  # its name in older revisions
     scene = caster.load_scene(path).with_film(width=size, height=size)
     def render():

@@ -32,7 +32,7 @@ from caster.rendering.rasterization import (
     release_workspace,
 )
 from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
-from caster.rendering.tiles import NO_START, TileShader, TileWorkspace, new_image
+from caster.rendering.tiles import NO_START, UNUSED_SURFACE, TileShader, TileWorkspace, new_image
 from caster.scene.model import Scene
 
 __all__ = ["Aovs", "camera_rays", "evaluate", "film_window", "render", "trace_film"]
@@ -187,7 +187,7 @@ class FilmRenderer:
 
         def begin() -> Callable[[tuple[int, int]], None]:
             workspace = TileWorkspace()
-            buffers = workspace.tile, workspace.surface, NO_IDS, NO_START
+            buffers = workspace.tile, UNUSED_SURFACE, NO_IDS, NO_START
             return lambda tiles: film(camera, window, kind, self.reach, tiles, buffers, out)
 
         pixels, on_progress = window.width * window.height, self.on_progress

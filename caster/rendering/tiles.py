@@ -50,6 +50,9 @@ from caster.scene.model import Scene
 
 NO_START = np.empty((0, 0))
 
+# Shared by all AOVs that need no field of it, and never written.
+UNUSED_SURFACE = new_surface_buffer()
+
 
 @dataclass(frozen=True)
 class TileWorkspace:
@@ -70,11 +73,11 @@ Step = Callable[[TileWorkspace, Box], None]
 
 
 def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
-    """Zeros for the image of an AOV: (h, w), or (h, w, c) for several channels."""
+    """The image of an AOV, (h, w), or (h, w, c) for several channels; a TileShader writes all of its pixels."""
     aov = BY_NAME[name]
     shape = (window.height, window.width)
     channels = () if len(aov.CHANNELS) == 1 else (len(aov.CHANNELS),)
-    return np.zeros(shape + channels, aov.DTYPE if aov.DTYPE is np.int32 else dtype)
+    return np.empty(shape + channels, aov.DTYPE if aov.DTYPE is np.int32 else dtype)
 
 
 class TileShader:
@@ -98,6 +101,7 @@ class TileShader:
     ) -> None:
         self.images, self.start, self.reach = images, start, reach
         self._shadow_rays: list[int] = []  # one a tile and light: threads only append
+        self.normals_alone = plan.surfaces == ("normals",) and not start.size
         self.ids = _primitive_ids(packed, plan.needs)
         self.steps: list[Step] = []
         if packed.kinds:
@@ -120,13 +124,12 @@ class TileShader:
             step(workspace, box)
 
     def fill_miss(self, box: Box) -> None:
-        """AOVs of a tile where nothing is hit; images are zeros to begin with."""
+        """AOVs of a tile where nothing is hit."""
         for name, image in self.images.items():
-            if BY_NAME[name].MISS != 0:
-                fill_miss(kernel_of(name), box, image)
+            fill_miss(kernel_of(name), box, image)
 
     def _surface_steps(self, packed: Packed, plan: Plan) -> list[Step]:
-        if "position" not in plan.surfaces:
+        if not plan.surfaces or self.normals_alone:
             return []
         wants_uv = "uv" in plan.surfaces
         return [_surface_step(prims, numbers, wants_uv) for prims, numbers in kind_ranges(packed)]
@@ -165,11 +168,13 @@ class TileShader:
 
     def _writers(self, name: str, packed: Packed, plan: Plan) -> list[Step]:
         kernel, image, ids, start = kernel_of(name), self.images[name], self.ids, self.start
-        if plan.surfaces == ("normals",) and "normal" in BY_NAME[name].NEEDS:
+        if self.normals_alone and "normal" in BY_NAME[name].NEEDS:
             return [
-                _normal_step(kernel, prims, numbers, self.reach, start, image)
+                _normal_step(kernel, prims, numbers, self.reach, image)
                 for prims, numbers in kind_ranges(packed)
             ]
+        if set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"}:
+            return [lambda ws, box: write_aov(kernel, ws.tile, box, UNUSED_SURFACE, ids, start, image)]
         return [lambda ws, box: write_aov(kernel, ws.tile, box, ws.surface, ids, start, image)]
 
 
@@ -183,10 +188,8 @@ def _surface_step(prims: Any, numbers: tuple[int, int], wants_uv: bool) -> Step:
     return lambda ws, box: surfaces_in_tile(prims, numbers, ws.tile, box, ws.surface, wants_uv)
 
 
-def _normal_step(
-    kernel: Any, prims: Any, numbers: tuple[int, int], reach: float, start: np.ndarray, image: np.ndarray
-) -> Step:
-    return lambda ws, box: normals_in_tile(kernel, prims, numbers, reach, ws.tile, box, start, image)
+def _normal_step(kernel: Any, prims: Any, numbers: tuple[int, int], reach: float, image: np.ndarray) -> Step:
+    return lambda ws, box: normals_in_tile(kernel, prims, numbers, reach, ws.tile, box, image)
 
 
 def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:

@@ -98,10 +98,15 @@ def load_ray_range(rays: Any, start: int, stop: int, tile: Any, at: int) -> None
 
 @jit
 def load_hits(rays: Any, t: Any, prim: Any, start: int, stop: int, tile: Any) -> None:
-    """Begin a tile with rays start..stop whose nearest hits are known; prim (n,): primitives counted kind by kind."""
-    load_ray_range(rays, start, stop, tile, 0)
+    """Put rays start..stop and their nearest hits into a tile; prim (n,): primitives counted kind by kind.
+
+    Their limits are left out: nothing is cast any more.
+    """
     for n in range(start, stop):
-        tile[T + lane(n - start)], tile[PRIM + lane(n - start)] = t[n], prim[n]
+        i = lane(n - start)
+        tile[T + i], tile[PRIM + i] = t[n], prim[n]
+        tile[DX + i], tile[DY + i], tile[DZ + i] = rays.d[n, 0], rays.d[n, 1], rays.d[n, 2]
+        tile[OX + i], tile[OY + i], tile[OZ + i] = rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]
 
 
 @jit

@@ -42,12 +42,12 @@ UNKNOWN = (0.0, 0.0, 0.0)  # fields that the AOV does not need
 
 @jit
 def normals_in_tile(
-    aov: Any, prims: Any, numbers: Any, reach: float, tile: Any, box: Box, start: Any, image: Any
+    aov: Any, prims: Any, numbers: Any, reach: float, tile: Any, box: Box, image: Any
 ) -> None:
     """An AOV that needs normals alone, of hits on one kind; its primitives are numbers[0] to numbers[1] in the tile.
 
-    The first kind writes the misses, too. reach: the largest |coordinate| of an origin, if all d are of length 1, or
-    inf. start: as for `write_aov`.
+    The first kind writes the misses, too; depth counts from the origins. reach: the largest |coordinate| of an origin,
+    if all d are of length 1, or inf.
     """
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
@@ -59,7 +59,7 @@ def normals_in_tile(
             if numbers[0] <= prim < numbers[1]:
                 k = int(prim) - numbers[0]
                 run = y, x0, x, end
-                write_run(aov, prims, k, normal_setup(prims, k, reach), tile, first, start, image, run)
+                write_run(aov, prims, k, normal_setup(prims, k, reach), tile, first, image, run)
             elif prim < 0.0 and numbers[0] == 0:
                 for i in range(x0 + x, x0 + end):
                     store_miss(image, y, i, aov.miss)
@@ -83,14 +83,14 @@ def run_end(tile: Any, row: Any, x: int, stop: int) -> int:
 
 
 @inlined
-def write_run(
-    aov: Any, prims: Any, k: int, setup: Any, tile: Any, first: Any, start: Any, image: Any, run: Any
-) -> None:
+def write_run(aov: Any, prims: Any, k: int, setup: Any, tile: Any, first: Any, image: Any, run: Any) -> None:
     """Pixels in a row that show one primitive; run: row, left end of the tile, start and stop there."""
     y, x0, begin, stop = run
     if len(setup) == CONSTANT_NORMAL_LENGTH:
-        for x in range(begin, stop):
-            store_hit_with_normal(aov, tile, first + lane(x), setup[1], start, image, y, x0 + x)
+        n = setup[1]
+        for x in range(lane(begin), lane(stop)):
+            value = per_hit(aov, hit_with_normal(tile, first + x, n))
+            store_value(image, y, lane(x0) + x, value)
         return
     if setup[0]:  # apart from the image, so that several are done at once
         for i in range(first + lane(begin), first + lane(stop)):
@@ -100,22 +100,18 @@ def write_run(
         for i in range(first + lane(begin), first + lane(stop)):
             o, d = ray_of(tile, i)
             tile[NX + i], tile[NY + i], tile[NZ + i] = normal(prims, k, o, d, tile[T + i])
-    for x in range(begin, stop):
-        i = first + lane(x)
+    for x in range(lane(begin), lane(stop)):
+        i = first + x
         n = tile[NX + i], tile[NY + i], tile[NZ + i]
-        store_hit_with_normal(aov, tile, i, n, start, image, y, x0 + x)
+        store_value(image, y, lane(x0) + x, per_hit(aov, hit_with_normal(tile, i, n)))
 
 
 @inlined
-def store_hit_with_normal(
-    aov: Any, tile: Any, i: Any, n: Vec3, start: Any, image: Any, y: int, x: int
-) -> None:
-    """The AOV of pixel i, at y, x of the image."""
+def hit_with_normal(tile: Any, i: Any, n: Vec3) -> Hit:
+    """The hit of pixel i, without anything but its ray and normal."""
     o, d = ray_of(tile, i)
-    begin = start[y, x] if start.size > 0 else 0.0
     unknown = UNKNOWN
-    hit = Hit(o, d, tile[T + i], begin, unknown, n, unknown, (0.0, 0.0), unknown, unknown, -1, -1)
-    store_value(image, y, x, per_hit(aov, hit))
+    return Hit(o, d, tile[T + i], 0.0, unknown, n, unknown, (0.0, 0.0), unknown, unknown, -1, -1)
 
 
 @inlined
@@ -169,7 +165,7 @@ def _miss_all(box: Box, out: Any) -> None:
     _, _, (of_ray, ray_image), (of_normal, normal_image) = out
     if ray_image.size > 0:
         fill_miss(of_ray, box, ray_image)
-    if normal_image.size > 0 and of_normal.miss != 0.0:
+    if normal_image.size > 0:
         fill_miss(of_normal, box, normal_image)
 
 
@@ -180,5 +176,5 @@ def _write(prims: Any, bounds: Any, reach: float, buffers: Any, box: Box, out: A
     if ray_image.size > 0:
         write_aov(of_ray, tile, box, surface, ids, start, ray_image)
     if normal_image.size > 0:
-        normals_in_tile(of_normal, prims, (0, len(bounds.near)), reach, tile, box, start, normal_image)
+        normals_in_tile(of_normal, prims, (0, len(bounds.near)), reach, tile, box, normal_image)
     store_hits(tile, box, hit, uncertain)
