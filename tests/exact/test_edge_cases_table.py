@@ -95,7 +95,7 @@ def test_nothing_is_wrong_without_a_fault():
 
 def test_a_lost_hit_is_found(monkeypatch):
     def fault(n: Nearest) -> Nearest:
-        return Nearest(np.where(n.prim == 0, np.inf, n.t), np.where(n.prim == 0, -1, n.prim), n.off)
+        return Nearest(np.where(n.prim == 0, np.inf, n.t), np.where(n.prim == 0, -1, n.prim), n.error)
 
     wrong = planted(monkeypatch, fault)
     assert wrong and all("primitive -1, exactly 0 (inside)" in text and "0x" in text for text in wrong)
@@ -109,18 +109,18 @@ def test_another_primitive_is_found(monkeypatch):
 
 
 def test_a_t_beyond_its_bound_is_found(monkeypatch):
-    wrong = planted(monkeypatch, lambda n: n._replace(t=n.t + 2.0 * n.off + 1e-9))
+    wrong = planted(monkeypatch, lambda n: n._replace(t=n.t + 2.0 * n.error + 1e-9))
     assert any("more than the" in text for text in wrong)
 
 
 def test_a_t_that_is_within_a_wide_bound_but_not_within_its_ulps_is_found(monkeypatch):
     far = 1e4 * T_ULPS * ULP
-    wrong = planted(monkeypatch, lambda n: n._replace(t=n.t * (1.0 + far), off=n.off + n.t))
+    wrong = planted(monkeypatch, lambda n: n._replace(t=n.t * (1.0 + far), error=n.error + n.t))
     assert any("ulps of its condition" in text for text in wrong)
 
 
 def test_a_bound_that_says_nothing_is_found(monkeypatch):
-    wrong = planted(monkeypatch, lambda n: n._replace(off=np.where(n.prim < 0, n.off, 1e-3)))
+    wrong = planted(monkeypatch, lambda n: n._replace(error=np.where(n.prim < 0, n.error, 1e-3)))
     assert wrong and all("the bound 0.001" in text for text in wrong)
 
 

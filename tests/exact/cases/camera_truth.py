@@ -97,7 +97,7 @@ def in_the_picture(scene: Scene) -> int:
         assert seen.prim[i] == answer.prim, f"pixel {i}: {seen.prim[i]}, exactly {answer.prim}"
         assert bool(picture.hit.ravel()[i]) is answer.hit
         if answer.hit:
-            assert answer.t.off(float(seen.t[i])) <= seen.off[i] * ROUNDED
+            assert answer.t.off(float(seen.t[i])) <= seen.error[i] * ROUNDED
             # depth is t times a length that is 1 within 16 u (vec.UNIT_SQUARE_ATOL); that and the product are rounded
             assert abs(depth[i] - seen.t[i]) <= 18 * U * seen.t[i]
         else:

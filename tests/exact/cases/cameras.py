@@ -148,14 +148,14 @@ CASES = (
     Case(
         67,
         "near planes",
-        "nothing nearer is seen, exactly; depth counts from the eye",
+        "nothing nearer is hit, exactly; depth is measured from the eye",
         checks={"hits": near_planes},
         shapes="cameras",
     ),
     Case(
         68,
         "far planes",
-        "none unless asked for; a far plane before the near one is refused",
+        "none by default; a far plane before the near one is refused",
         checks={"hits": far_planes},
         shapes="cameras",
     ),

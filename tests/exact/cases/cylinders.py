@@ -184,13 +184,13 @@ CASES = (
     Case(54, "parallel to the axis, exactly", "a miss, inside, outside and within the wall", parallel),
     Case(
         55,
-        "a tube touched exactly, and one unit in the last place beside",
+        "a cylinder touched exactly, and one unit in the last place beside",
         "a hit (closed), decided in integers",
         tangent_tubes,
     ),
     Case(56, "the ends, and one unit in the last place beside", "0 <= z <= 1, decided in integers", ends),
     Case(57, "far away and thin", EXACT, far_and_thin),
-    Case(58, "stretched and mirrored tubes", EXACT, stretched),
+    Case(58, "stretched and mirrored cylinders", EXACT, stretched),
     Case(
         59,
         "in through the open end",
@@ -199,5 +199,5 @@ CASES = (
         {"outward": outward_inside},
     ),
     Case(60, "from inside, the far wall at t_max exactly", "closed at t_max", far_wall),
-    Case(61, "tubes far from the origin, at ends and tangents", EXACT, offset_tubes),
+    Case(61, "cylinders far from the origin, at ends and tangents", EXACT, offset_tubes),
 )

@@ -103,7 +103,7 @@ def measured(question: Question, packed: Packed, hits: Hits, rows: np.ndarray) -
     rounded = AS_FLOAT_REL_ERROR * np.abs(nearest.t[rows]) * ROUNDED
     limit = np.where(np.isfinite(found.size), found.off_limit(), rounded)
     exponent = powers(question.d[rows]) - powers(rays.d[rows])
-    every = (nearest.off[rows], T_ULPS * ULP * found.size, limit)
+    every = (nearest.error[rows], T_ULPS * ULP * found.size, limit)
     with np.errstate(over="ignore", under="ignore"):  # as `cast` does it
         return Measured(*(np.ldexp(x, -exponent) for x in every))
 

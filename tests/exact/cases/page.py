@@ -1,4 +1,4 @@
-"""docs/edge-cases.md, written from the tables and the data."""
+"""Writer of docs/edge-cases.md, from the tables of cases and the recorded data."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,29 +7,32 @@ from cases.case import FLOAT32, FLOAT64, MORE, Case, Maker, no_questions
 
 HEAD = f"""# 77 edge cases
 
-What ray casters get wrong, as cases with numbers. Each is built from random shapes that are turned and stand anywhere,
-so that no coordinate is round unless the case is about that; where a ray has to meet an edge, a rim or a tangent
-exactly, shapes of whole numbers are turned by integer quaternions (`tests/exact/cases/whole.py`), which keeps points of
-their surfaces exact in float64 and in float32.
+Cases in which ray casters are known to fail, with measurements. Each case is made of random shapes under random
+rotations and translations, so that no coordinate is round unless the case is about that. Where a ray has to hit an
+edge, a rim or a tangent exactly, shapes with integer coordinates are rotated by integer quaternions
+(`tests/exact/cases/whole.py`), which keeps points of their surfaces exact in float64 and in float32.
 
-`tests/exact/test_edge_cases.py` asks every ray twice, in float64 and in float32 numbers, and holds our answer to the
-oracle's (`mitsuba_ref/oracle/oracle.py`): hit or miss, the primitive (of exact ties the lowest), t
-within the bound that the
-caster itself gives beside it and within 4 ulps times a condition worked out apart (`cases/conditions.py`), that bound
-within its own limit, normals of length 1 and right within a derived bound of the exact ones. Every question says what
-it has to meet, how many tangents, ties, misses, rays left to exact arithmetic, and fails if it does not.
-`{MORE}=20` asks twenty times as many rays.
+`tests/exact/test_edge_cases.py` casts every ray twice, through float64 and through float32 numbers, and compares the
+caster with the exact oracle (`mitsuba_ref/oracle/oracle.py`):
 
-What Mitsuba 3.9.1 does is data, not asserted: `tests/exact/mitsuba_behaviour.json`, few rays of each question in
-float32 numbers, directions as long as they come, against exact arithmetic. A test warns where it does something else
-now. This page and the data are written by
+- hit or miss, and the primitive (the lowest of exact ties);
+- t within the error bound that the caster computes beside it, and within 4 ulps times a condition number that is
+  computed independently (`cases/conditions.py`); the bound itself within a limit;
+- normals of length 1, within a derived bound of the exact ones.
+
+Every case states how many hits, tangents, ties, misses and exactly decided rays it has to contain, and fails if it does
+not contain them. `{MORE}=20` casts twenty times as many rays.
+
+The behaviour of Mitsuba 3.9.1 is recorded, not asserted: `tests/exact/mitsuba_behaviour.json` compares a few rays of
+each case, in float32 numbers and with directions of any length, with exact arithmetic. A test warns where it changes.
+This page and the data are written by
 
     python tests/exact/edge_cases.py
 
-Columns S and L are the variants scalar_rgb and llvm_ad_rgb, "robust" Embree's robust mode, "default" without it. In
-each: rays missed that hit + hits invented, of so many rays, and the worst error of t over what both hit, in units of
-2^-24 of t; "NaN" counts t that are no number. "-": Mitsuba is not asked, since ours refuses it, or it is about our own
-cameras and files.
+Columns S and L are the variants scalar_rgb and llvm_ad_rgb; "robust" is Embree's robust mode, "default" without it.
+Each cell gives hits missed + hits invented, of so many rays, and the largest error of t where both hit, in units of
+2^-24 of t; "NaN" counts values of t that are not a number. "-": not measured, since the caster refuses the input, or
+since the case is about its own cameras and files.
 """
 
 COLUMNS = ("scalar robust", "scalar default", "llvm robust", "llvm default")
@@ -37,23 +40,23 @@ COLUMNS = ("scalar robust", "scalar default", "llvm robust", "llvm default")
 
 def page(cases: Sequence[Case], behaviour: Mapping[str, Any]) -> str:
     rows = [
-        "| # | case | asked of | ours | S robust | S default | L robust | L default |",
+        "| # | case | shapes | the caster | S robust | S default | L robust | L default |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for case in cases:
         counts = behaviour.get(str(case.number), {})
-        told = " | ".join(cell(counts.get(name)) for name in COLUMNS)
-        rows.append(f"| {case.number} | {case.name} | {shapes_of(case)} | {case.ours} | {told} |")
+        cells = " | ".join(cell(counts.get(name)) for name in COLUMNS)
+        rows.append(f"| {case.number} | {case.name} | {shapes_of(case)} | {case.ours} | {cells} |")
     return HEAD + "\n" + "\n".join(rows) + "\n" + PROBES + "\n".join(probes(cases, behaviour)) + "\n"
 
 
 PROBES = """
-## What ours refuses, and cameras
+## Refused input, and cameras
 
-Mitsuba's answers to documents of its own, and how far the rays of its sensors are from ours: directions in u = 2^-24,
-origins in scene units (without a near plane of ours, they stand on one of Mitsuba's).
+Mitsuba's results for documents of its own, and the distance of its sensors' rays from the caster's: directions in
+u = 2^-24, origins in scene units (for a camera without a near plane, they lie on Mitsuba's near plane).
 
-| # | asked | S | L |
+| # | input | S | L |
 |---|---|---|---|
 """
 
@@ -65,7 +68,7 @@ def probes(cases: Sequence[Case], behaviour: Mapping[str, Any]) -> list[str]:
         counts = behaviour.get(str(case.number), {})
         scalar, llvm = (counts.get(f"{variant} probes", {}) for variant in ("scalar", "llvm"))
         rows += [
-            f"| {case.number} | {name} | {told} | {llvm.get(name, '-')} |" for name, told in scalar.items()
+            f"| {case.number} | {name} | {cells} | {llvm.get(name, '-')} |" for name, cells in scalar.items()
         ]
     return rows
 

@@ -283,10 +283,10 @@ def far_and_near(make: Maker) -> Iterator[Question]:
 
 EXACT = "exact: hit, primitive and order are decided in integers where float64 cannot; t within its bound"
 CASES = (
-    Case(1, "seen from far away, up to 10^8 sizes", EXACT, distances, every_shape=True),
+    Case(1, "from far away, up to 10^8 sizes", EXACT, distances, every_shape=True),
     Case(
         2,
-        "tiny and far: the normal of a ball of 10^-8",
+        "tiny and far: the normal of a sphere of radius 10^-8",
         "normals of length 1, right to u times distance over size",
         tiny,
     ),
@@ -325,7 +325,7 @@ CASES = (
     ),
     Case(
         12,
-        "stretched and mirrored balls",
+        "stretched and mirrored spheres",
         "an ellipsoid; its normal points outwards however it is mirrored",
         stretched,
     ),

@@ -287,7 +287,7 @@ def skinny(make: Maker) -> Iterator[Question]:
         yield make.ask("skinny", scene, o, d, hit=15, miss=5)
 
 
-EXACT = "exact: edge functions that float64 cannot tell from 0 are decided in integers"
+EXACT = "exact: edge functions whose sign float64 does not resolve are decided in integers"
 CASES = (
     Case(
         15, "from inside a closed mesh, at its edges", f"{EXACT}; nothing leaks, at any offset", closed_edges
@@ -298,7 +298,7 @@ CASES = (
         f"{EXACT}; the lowest of the faces around a corner is hit",
         closed_corners,
     ),
-    Case(17, "a lattice of eighths, where everybody is exact", EXACT, lattice),
+    Case(17, "a lattice of eighths, on which float arithmetic is exact", EXACT, lattice),
     Case(
         18,
         "from inside a closed mesh, anywhere, far from the origin",
