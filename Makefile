@@ -52,8 +52,9 @@ bench: $(INSTALLED) ## run time against error: writes docs/performance.md and it
 	@$(BIN)/mitsuba-ref bench --sweeps --json docs/performance/run.json $(ARGS)
 	@$(BIN)/python benchmarks/performance_page.py docs/performance/run.json docs
 
-docs: $(INSTALLED) ## pages and pictures that are made from sources: API, an edge case, every shape, the sheet of scenes
+docs: $(INSTALLED) ## pages and pictures that are made from sources: API, packages, an edge case, every shape, scenes
 	@$(BIN)/python docs/api.py
+	@$(BIN)/python docs/architecture.py --svg docs/architecture.svg
 	@$(BIN)/python docs/debugging.py
 	@$(BIN)/python docs/picture.py
 	@$(BIN)/caster sheet scenes -o docs/scenes.png --columns 9
