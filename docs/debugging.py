@@ -119,7 +119,7 @@ def main() -> None:
     PAGE.write_text(
         TEXT.format(
             diff=diff(),
-            failing=shown(failing, lines=10),
+            failing=shown(failing, lines=12),
             probed=shown(probed, lines=18),
             alone=alone,
             near=shown(near, start="miss"),

@@ -88,14 +88,14 @@ def spread_bits(x: np.ndarray) -> np.ndarray:
 
 
 CLAIMED_MISS = -1
-ANY_SHAPE = -2  # claimed by somebody who names no shape
+ANY_SHAPE = -2  # claimed by a subject that names no shape
 
 
 NOT_CLAIMED = np.zeros((0, 3))  # of a normal or a position, of all rays
 
 
 class Claims(NamedTuple):
-    """What somebody says of each of n rays."""
+    """The claimed hits of n rays."""
 
     t: np.ndarray  # (n,) inf on a miss
     shape: np.ndarray  # (n,) index, -1 on a miss, ANY_SHAPE
@@ -109,7 +109,7 @@ class BracketResult(NamedTuple):
     """Of each ray: whether rounding allows the claim, and whether the claim cannot be tested."""
 
     allowed: np.ndarray  # (n,) bool
-    open: np.ndarray  # (n,) bool: it names a surface so nearly edge-on that nobody can say where it is hit
+    open: np.ndarray  # (n,) bool: it names a surface so nearly edge-on that its t has no bound
 
 
 class RayIntersections(NamedTuple):

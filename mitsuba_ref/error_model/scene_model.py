@@ -18,7 +18,7 @@ from mitsuba_ref.shapes.shape_reference import ShapeReference
 
 
 class MissingReferenceError(SceneError, LookupError):
-    """A scene with a shape or a camera that the judge does not know."""
+    """A scene with a shape or a camera that has no reference."""
 
 
 def reference_of(shape: Shape) -> ShapeReference:
@@ -38,7 +38,7 @@ def missing_reference(name: str, kind: str) -> str:
 class PairIntersections(NamedTuple):
     """Intersections of several pairs, all roots: row i belongs to pair[i]."""
 
-    pair: np.ndarray  # (m,) index into the pairs that were asked for
+    pair: np.ndarray  # (m,) index into the requested pairs
     at: Intersections
 
 
@@ -115,7 +115,7 @@ def _model(references: Sequence[ShapeReference], packed: Packed, shapes: np.ndar
 RAYS_PER_RING, RING_RADII = 8, (1.0,)
 REFINED_RAYS_PER_RING, REFINED_RING_RADII = 16, (0.4, 0.7, 1.0)  # where an answer is disputed
 # A primitive may lie between the nine rays if it is no larger than a few of the circles that they stand for: which of
-# several such is hit, nobody can say.
+# several such is hit cannot be decided.
 UNRESOLVED_SIZE_IN_CIRCLES = 8.0
 
 

@@ -61,18 +61,18 @@ class Adjudication:
 def needs_adjudication(
     plain: np.ndarray, hit: np.ndarray, certain: np.ndarray, shape: tuple[int, int]
 ) -> np.ndarray:
-    """Rows to ask about: what does not plainly agree, what is near an edge, and some of the rest by a fixed seed.
+    """Rows to adjudicate: pixels that disagree, pixels near an edge, and some of the rest by a fixed seed.
 
     plain, hit, certain: (n,) bool; hit by ours, certain to be hit for the reference; shape: of the picture.
     """
-    asked = ~plain | (hit & ~certain) | (~hit & has_hit_neighbor(hit.reshape(shape)).ravel())
-    rest = np.flatnonzero(~asked)
-    asked[
+    chosen = ~plain | (hit & ~certain) | (~hit & has_hit_neighbor(hit.reshape(shape)).ravel())
+    rest = np.flatnonzero(~chosen)
+    chosen[
         np.random.default_rng(ADJUDICATION_SEED).choice(
             rest, min(AGREEING_PIXELS_ADJUDICATED, len(rest)), replace=False
         )
     ] = True
-    return np.flatnonzero(asked)
+    return np.flatnonzero(chosen)
 
 
 def has_hit_neighbor(hit: np.ndarray) -> np.ndarray:

@@ -71,7 +71,7 @@ def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """Each diagnosis once, with the pixels it is true of, most first."""
     found = [
         Finding(len(rows), what, *pixel_of(judge.scene, int(rows[0])))
-        for what, rows in diagnosis.said.items()
+        for what, rows in diagnosis.rows_of.items()
     ]
     return tuple(sorted(found, key=lambda finding: -finding.pixels))
 
@@ -84,7 +84,7 @@ def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) ->
     by_row, rows = diagnosis.by_row(), worst_first(judgement, failing_rows(judgement))
     order = rows if judge.names_prims else sorted(rows)
     leading = {by_row[row]: row for row in reversed(order)}
-    most_first = sorted(leading.values(), key=lambda row: -len(diagnosis.said[by_row[row]]))
+    most_first = sorted(leading.values(), key=lambda row: -len(diagnosis.rows_of[by_row[row]]))
     chosen = list(dict.fromkeys([*most_first, *rows]))[:MAX_LISTED_FAILURES]
     return tuple(failure_at(judge, judgement, by_row, row) for row in chosen)
 

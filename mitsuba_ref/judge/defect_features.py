@@ -19,7 +19,7 @@ from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import kind_of
 
 MAX_PRIMS_TESTED_AT_ZERO = (
-    64  # primitives of the shape that the reference names which are asked for a hit at t = 0, nearest first
+    64  # primitives of the shape named by the reference that are tested for a hit at t = 0, nearest first
 )
 
 
@@ -120,8 +120,8 @@ class FeatureMeasurement:
         low, high = (corner[first:last] for corner in self.model.boxes)
         away = np.maximum(np.maximum(low - o, o - high), 0.0).max(axis=1)
         nearest = first + np.argsort(away, kind="stable")[:MAX_PRIMS_TESTED_AT_ZERO]
-        asked = dict.fromkeys([prim, *nearest.tolist()])
-        return any(hit.t == 0 for each in asked for hit in self.oracle.roots(each, o, d))
+        tested = dict.fromkeys([prim, *nearest.tolist()])
+        return any(hit.t == 0 for each in tested for hit in self.oracle.roots(each, o, d))
 
     def _view(self, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
         """What its kind measures of one primitive and the ray."""

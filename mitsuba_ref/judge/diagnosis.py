@@ -26,11 +26,11 @@ from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 class Diagnosis(NamedTuple):
     """Each sentence and the rows of the image, ascending, that it is true of; each failing row has one."""
 
-    said: Mapping[str, np.ndarray]
+    rows_of: Mapping[str, np.ndarray]
 
     def by_row(self) -> dict[int, str]:
         """The sentence of each failing row."""
-        return {int(row): what for what, rows in self.said.items() for row in rows}
+        return {int(row): what for what, rows in self.rows_of.items() for row in rows}
 
 
 def failing_rows(judgement: Judgement) -> np.ndarray:
@@ -41,16 +41,16 @@ def failing_rows(judgement: Judgement) -> np.ndarray:
 
 def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
     """The first sentence that is true of each pixel that fails, in the order of `hypotheses`."""
-    said: dict[str, np.ndarray] = {}
+    rows_of: dict[str, np.ndarray] = {}
     left = np.zeros(len(judge.t_max), bool)
     left[failing_rows(judgement)] = True
     if not left.any():
-        return Diagnosis(said)
+        return Diagnosis(rows_of)
 
     def say(what: str, rows: np.ndarray) -> None:
         mine = rows[left[rows]]
         if len(mine):
-            said[what] = np.union1d(said.get(what, np.zeros(0, np.int64)), mine)
+            rows_of[what] = np.union1d(rows_of.get(what, np.zeros(0, np.int64)), mine)
             left[mine] = False
 
     for what, rows in _marked_misses(judge):
@@ -71,7 +71,7 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
     for what, rows in _wrong_surface(judge, judgement, wrong[left[wrong]]):
         say(what, rows)
     say("not what is there, in no way that is recognised", np.flatnonzero(left))
-    return Diagnosis(said)
+    return Diagnosis(rows_of)
 
 
 def _marked_misses(judge: Judge) -> Iterator[tuple[str, np.ndarray]]:

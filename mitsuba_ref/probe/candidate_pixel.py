@@ -1,4 +1,4 @@
-"""How far a candidate is from the exact answer at one pixel: in units of the last place, and of its bounds."""
+"""A candidate at one pixel: its answer to the whole image, as `validate` requests it, judged at this pixel alone."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -83,10 +83,7 @@ def as_witness(judge: Judge, judgement: Judgement, off: Mapping[str, Any]) -> Wi
     )
 
 
-# A candidate at one pixel: asked about the whole picture, as `validate` does, and judged at this pixel alone.
-
-
-CANDIDATE_QUANTITIES = ("t", "depth", "normal")  # all that a candidate may say of a hit
+CANDIDATE_QUANTITIES = ("t", "depth", "normal")  # of a hit
 
 
 @dataclass(frozen=True)
@@ -102,7 +99,7 @@ class CandidatePixel:
     ratios: Mapping[str, float] = field(default_factory=dict)  # error over bound, of what was judged
     not_judged: Mapping[str, str] = field(default_factory=dict)  # the rest, and why
     case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
-    alone: str = ""  # what it says when asked about this ray alone
+    alone: str = ""  # its answer to this ray alone
     notes: tuple[str, ...] = ()
     problem: str = ""  # why there is nothing to judge
     saying: WitnessAnswer | None = None  # the same, as a witness among the others
@@ -128,46 +125,46 @@ def probe_candidate(
         scene = scene.with_film(crop=(x0, y0, x1, y1))
     row = (y - y0) * (x1 - x0) + x - x0
     try:
-        heard = request_answer(candidate, scene, alone=row)
+        response = request_answer(candidate, scene, alone=row)
     except NoAnswer as error:
         saying = WitnessAnswer(CANDIDATE, "", -1, np.nan, problem="no answer")
         return CandidatePixel(candidate.name, UNDECIDED, problem=str(error), saying=saying)
-    here = heard._replace(
-        scene=heard.scene.with_film(crop=(x, y, x + 1, y + 1)),
-        rays=one_of(heard.rays, row),
-        answer=heard.answer.rows(slice(row, row + 1)),
+    here = response._replace(
+        scene=response.scene.with_film(crop=(x, y, x + 1, y + 1)),
+        rays=one_of(response.rays, row),
+        answer=response.answer.rows(slice(row, row + 1)),
     )
     judge = judge_of(here, known=pair)
     if isinstance(judge, Crash):
         return CandidatePixel(candidate.name, UNDECIDED, problem=judge.message)
-    return _judged(candidate.name, judge, heard)
+    return _judged(candidate.name, judge, response)
 
 
-def _judged(name: str, judge: Judge, heard: SubjectResponse) -> CandidatePixel:
+def _judged(name: str, judge: Judge, response: SubjectResponse) -> CandidatePixel:
     judgement, answer = judge.judge(), judge.answer
     verdict = CLASSES[int(judgement.classes[0])]
-    said = diagnose(judge, judgement).by_row()
-    if said and _marks_a_miss(judge, heard.answer.t):
-        said[0] = marked_miss(float(answer.t[0]))
+    diagnosed = diagnose(judge, judgement).by_row()
+    if diagnosed and _marks_a_miss(judge, response.answer.t):
+        diagnosed[0] = marked_miss(float(answer.t[0]))
     exact = judgement.exact.of(0)
     off = errors_from_exact(judge, exact)
     ratios = {check: float(ratio[0]) for check, ratio in judgement.ratios.items()}
     left = _not_judged(judge, exact)
     judged = {check: share for check, share in ratios.items() if check not in left or share > 0.0}
-    told = (reason(judge, judgement, said, 0), exceeded_factors(judge, off, judged))
+    why = (reason(judge, judgement, diagnosed, 0), exceeded_factors(judge, off, judged))
     case = judgement.cases.get(0)
     return CandidatePixel(
         name,
         verdict,
         answer.precision,
-        "; ".join(filter(None, told)),
+        "; ".join(filter(None, why)),
         _answer_record(judge),
         off,
         judged,
         {check: why for check, why in left.items() if check not in judged},
         "" if 0 not in judgement.cases else UNLISTED if case is None else str(case),
-        _answer_alone_text(heard.alone, answer),
-        (*answer.notes, *heard.limits, *failure_hints(answer, judgement)),
+        _answer_alone_text(response.alone, answer),
+        (*answer.notes, *response.limits, *failure_hints(answer, judgement)),
         saying=as_witness(judge, judgement, off),
     )
 

@@ -1,4 +1,4 @@
-"""One pixel under the lens: both answers, the bound of each quantity, and every primitive that may be hit."""
+"""One pixel: both answers, the bound of each quantity, and every primitive that may be hit."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -57,7 +57,7 @@ class PixelVerdict:
     witnesses: tuple[
         WitnessAnswer, ...
     ] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
-    candidate: CandidatePixel | None = None  # where one was asked for
+    candidate: CandidatePixel | None = None  # if one was requested
 
     @property
     def ok(self) -> bool:
@@ -109,7 +109,7 @@ def probe_with_evidence(
     pair, judgement = judge.pair, judge.judge()
     exact = exact_answer(judge, judgement, 0)
     theirs = None if candidate is None else probe_candidate(candidate, asked_for, (x, y), pair)
-    said = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
+    found_witnesses = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
     left = not_judged(judge, judgement, 0)
     found = PixelVerdict(
         x,
@@ -125,7 +125,9 @@ def probe_with_evidence(
         pair.result.answer.versions,
         why=full_reason(judge, judgement, diagnose(judge, judgement).by_row(), 0),
         case=_case(judgement),
-        witnesses=said if theirs is None or theirs.saying is None else (theirs.saying, *said),
+        witnesses=found_witnesses
+        if theirs is None or theirs.saying is None
+        else (theirs.saying, *found_witnesses),
         candidate=theirs,
     )
     return found, ProbeEvidence(judge, judgement)

@@ -21,9 +21,9 @@ from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 from mitsuba_ref.report.class_colors import in_hex
 
-AROUND = 3  # pixels on each side whose classes are shown
-INSIDE = 81  # rays across a pixel, odd, so that one of them is the pixel's own
-STEPS = 12  # of the direction, each way
+NEIGHBOR_PIXELS = 3  # pixels on each side whose classes are shown
+RAYS_ACROSS_PIXEL = 81  # rays across a pixel, odd, so that one of them is the pixel's own
+DIRECTION_STEPS = 12  # of the direction, each way
 MISS = -1
 
 SURFACES = ("#8cc8ec", "#f0c060", "#6fc7a8", "#dfb0c8", "#f5ee9a", "#7aa6c9", "#e79a68", "#bbbbbb")
@@ -74,8 +74,8 @@ def picture(judge: Judge, scene: Scene, x: int, y: int) -> bytes:
 def draw_classes(ax: Any, scene: Scene, x: int, y: int) -> dict[str, str]:
     """The pixels around, each in the colour of its class. This and its like: what each colour means."""
     film = scene.film
-    x0, y0 = max(0, x - AROUND), max(0, y - AROUND)
-    x1, y1 = min(film.width, x + AROUND + 1), min(film.height, y + AROUND + 1)
+    x0, y0 = max(0, x - NEIGHBOR_PIXELS), max(0, y - NEIGHBOR_PIXELS)
+    x1, y1 = min(film.width, x + NEIGHBOR_PIXELS + 1), min(film.height, y + NEIGHBOR_PIXELS + 1)
     whole = shared_rays(scene.with_film(crop=(0, 0, film.width, film.height)))  # as `probe` does
     judge = scene_judge(scene.with_film(crop=(x0, y0, x1, y1)), whole=whole)
     if isinstance(judge, Crash):
@@ -96,7 +96,7 @@ def draw_classes(ax: Any, scene: Scene, x: int, y: int) -> dict[str, str]:
 
 def draw_inside(ax: Any, scene: Scene, x: int, y: int) -> dict[str, str]:
     """One pixel from edge to edge: which primitive each of many rays meets, and lines between different ones."""
-    rays = min(INSIDE, MAX_FILM_SIDE // max(scene.film.width, scene.film.height))
+    rays = min(RAYS_ACROSS_PIXEL, MAX_FILM_SIDE // max(scene.film.width, scene.film.height))
     rays -= 1 - rays % 2
     fine = scene.with_film(width=scene.film.width * rays, height=scene.film.height * rays)
     fine = fine.with_film(crop=(x * rays, y * rays, (x + 1) * rays, (y + 1) * rays))
@@ -116,9 +116,9 @@ def draw_beside(ax: Any, judge: Judge, scene: Scene, x: int, y: int) -> dict[str
     right = to_the_right(scene, x, y)
     rays, unit = beside(judge.pair.rays, right)
     view = trace(judge.scene, rays.o, rays.d, rays.t_max, rays.start, rounded=as_float32)
-    side = 2 * STEPS + 1
+    side = 2 * DIRECTION_STEPS + 1
     patch = Patch(view.nearest.prim.reshape(side, side), view.packed)
-    reach = STEPS + 0.5
+    reach = DIRECTION_STEPS + 0.5
     named = draw_patch(ax, patch, judge.scene, (-reach, reach, reach, -reach))
     witness = trace_reference(judge.scene, judge.model, rays, lights=False)
     if not isinstance(witness, Crash):
@@ -151,9 +151,9 @@ def beside(rays: SharedRays, right: np.ndarray) -> tuple[SharedRays, float]:
         right = np.cross(d, np.eye(3)[np.argmin(np.abs(d))])
     right = right / np.linalg.norm(right)
     down = np.cross(d, right) / np.linalg.norm(d)  # a film's x, y and the way into it are right-handed
-    steps = np.arange(-STEPS, STEPS + 1) * step
+    steps = np.arange(-DIRECTION_STEPS, DIRECTION_STEPS + 1) * step
     moved = d + (steps[:, None, None] * down + steps[None, :, None] * right)
-    count = (2 * STEPS + 1) ** 2
+    count = (2 * DIRECTION_STEPS + 1) ** 2
     same = [np.repeat(a[:1], count, axis=0) for a in (rays.t_max, rays.start)]
     directions = np.ascontiguousarray(moved.reshape(-1, 3), np.float32)
     return SharedRays(np.repeat(rays.o[:1], count, axis=0), directions, *same), step
@@ -161,12 +161,12 @@ def beside(rays: SharedRays, right: np.ndarray) -> tuple[SharedRays, float]:
 
 def mark_differences(ax: Any, ours: np.ndarray, witness: ReferenceResult) -> None:
     """A cross where Mitsuba misses what ours hits, a dot where it hits another shape; (n,) shapes of a square."""
-    side = 2 * STEPS + 1
+    side = 2 * DIRECTION_STEPS + 1
     rows, columns = np.divmod(np.arange(side * side), side)
     lost, other = (witness.shape_id < 0) & (ours >= 0), (witness.shape_id >= 0) & (witness.shape_id != ours)
     for which, marker, label in ((lost, "x", "Mitsuba misses"), (other, "o", "Mitsuba hits another shape")):
         if which.any():
-            spots = columns[which] - STEPS, rows[which] - STEPS
+            spots = columns[which] - DIRECTION_STEPS, rows[which] - DIRECTION_STEPS
             ax.plot(
                 *spots, marker, color="#990000", ms=3.5, mew=1.0, ls="none", label=f"{label}: {which.sum()}"
             )

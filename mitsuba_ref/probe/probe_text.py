@@ -27,8 +27,8 @@ def _lines(found: PixelVerdict, path: str) -> Iterator[str]:
     yield from _exact_lines(found.exact)
     yield from witness_lines(found.witnesses)
     for name in found.ours:
-        for who, said in _sides(found, name).items():
-            yield f"{who:<11}{name if who == 'ours' else '':<16}{_decimal_and_hex(said)}"
+        for who, value in _sides(found, name).items():
+            yield f"{who:<11}{name if who == 'ours' else '':<16}{_decimal_and_hex(value)}"
     if found.candidate is not None and not found.candidate.problem:
         yield from _candidate_lines(found.candidate)
     yield from _bound_lines("bound", found.ratios, found.not_judged)

@@ -112,20 +112,20 @@ def _of_mitsuba(
 
 
 def _compared_with_exact(
-    said: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
+    claimed: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
 ) -> WitnessAnswer:
     """A saying beside the exact answer. kind: what it was computed in."""
     name = np.dtype(kind).name
     if exact is None:
-        return WitnessAnswer(*said, format=name)
+        return WitnessAnswer(*claimed, format=name)
     surfaces = {_surface(judge, hit.prim) for hit in exact.ties} or {("miss", -1)}
-    right = said[1:3] in surfaces
-    if not right or exact.t is None or not np.isfinite(said[3]):
-        return WitnessAnswer(*said, right=right, format=name)
-    off = exact.t.off(said[3]) * -exact.t.compare(said[3])
-    share = ratio_to_bound(abs(off), _bound(judge, exact, said[3], ours=kind is np.float64))
+    right = claimed[1:3] in surfaces
+    if not right or exact.t is None or not np.isfinite(claimed[3]):
+        return WitnessAnswer(*claimed, right=right, format=name)
+    off = exact.t.off(claimed[3]) * -exact.t.compare(claimed[3])
+    share = ratio_to_bound(abs(off), _bound(judge, exact, claimed[3], ours=kind is np.float64))
     ulps = in_ulps(off, exact, np.dtype(kind))
-    return WitnessAnswer(*said, right=share <= 1.0, off=off, ulps=ulps, format=name, share=share)
+    return WitnessAnswer(*claimed, right=share <= 1.0, off=off, ulps=ulps, format=name, share=share)
 
 
 def ratio_to_bound(error: float, bound: float) -> float:
@@ -169,20 +169,20 @@ def _surface_text(each: WitnessAnswer) -> str:
 
 def _error_text(each: WitnessAnswer) -> str:
     """How far t is off, and what of it is beyond its bound."""
-    told = []
+    parts = []
     if each.ulps is not None:
-        told.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
+        parts.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
     if each.right is False and each.share is not None and not each.share <= 1.0:
-        told.append(f"{each.share:.3g}x its bound")
+        parts.append(f"{each.share:.3g}x its bound")
     if each.normal_share is not None and not each.normal_share <= 1.0:
-        told.append(f"normal {each.normal_share:.3g}x its bound")
-    return "".join(f", {words}" for words in (*told, *filter(None, [each.remark])))
+        parts.append(f"normal {each.normal_share:.3g}x its bound")
+    return "".join(f", {words}" for words in (*parts, *filter(None, [each.remark])))
 
 
 def witness_record(each: WitnessAnswer) -> dict[str, Any]:
     """For JSON: null where there is no t, and only what is there of a candidate alone."""
     there = bool(np.isfinite(each.t))
-    said = dict(vars(each))
+    claimed = dict(vars(each))
     if each.who != CANDIDATE:
-        del said["normal_share"], said["remark"]
-    return said | {"t": each.t if there else None, "t_hex": each.t.hex() if there else None}
+        del claimed["normal_share"], claimed["remark"]
+    return claimed | {"t": each.t if there else None, "t_hex": each.t.hex() if there else None}

@@ -18,7 +18,7 @@ def in_common(scenes: Sequence[SceneVerdict]) -> list[str]:
     passing = [scene for scene in scenes if scene.ok]
     if len(failing) < MIN_FAILING_SCENES:
         return []
-    told = [
+    traits = [
         f"{each} fails" if each != NO_ANSWER else f"there is {each}"
         for each in _common_to(failing, checks_of)
     ]
@@ -26,8 +26,8 @@ def in_common(scenes: Sequence[SceneVerdict]) -> list[str]:
         for each in _common_to(failing, of):
             also = sum(each in of(scene) for scene in passing)
             if also < len(passing):
-                told.append(f"{what} {each} (in {also} of {len(passing)} that pass)")
-    return told
+                traits.append(f"{what} {each} (in {also} of {len(passing)} that pass)")
+    return traits
 
 
 def _common_to(scenes: Sequence[SceneVerdict], of: Callable[[SceneVerdict], frozenset[str]]) -> list[str]:
@@ -63,9 +63,9 @@ def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
 def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     """Lines on what failing scenes have in common, and the simplest of them; none below MIN_FAILING_SCENES."""
     failing = sum(not scene.ok for scene in scenes)
-    told, first = in_common(scenes), simplest_failing(scenes)
-    if told:
-        yield f"in common:  of all {failing} that fail: {'; '.join(told)}"
+    traits, first = in_common(scenes), simplest_failing(scenes)
+    if traits:
+        yield f"in common:  of all {failing} that fail: {'; '.join(traits)}"
     if first is not None:
         count = first.made_of.primitives
         size = f"{count} primitive{'s' if count > 1 else ''}, {first.pixels} pixels"

@@ -130,7 +130,7 @@ def pack_one(shape: dict[str, Any]) -> Packed:
     return pack(Scene(camera=Ray(origin=(0, 0, 0), direction=(0, 0, 1)), shapes=[shape]), as_float32)
 
 
-# Reproducers of the pixels where somebody is wrong, as files.
+# Files of reproducers, of pixels where the subject or the reference is wrong.
 
 
 MAX_REPRODUCERS_PER_CASE = 2  # per scene and case, or wrong pixels of ours; each is verified with Mitsuba
@@ -181,10 +181,10 @@ def reproduces(found: Reproducer, judge: Judge, judgement: Judgement, row: int) 
     t, t_before = float(again.pair.result.t[0]), float(judge.pair.result.t[row])
     if verdict == before and (t == t_before or (np.isnan(t) and np.isnan(t_before))):
         return True, "Checked:   this file alone gives the same class, and the same t of Mitsuba."
-    told = f"class {verdict}, Mitsuba: {format_primitive(again, 0, subject=False)}"
+    differs = f"class {verdict}, Mitsuba: {format_primitive(again, 0, subject=False)}"
     return (
         False,
-        f"Checked:   NOT THE SAME from this file alone, so what else is in the scene matters: {told}.",
+        f"Checked:   NOT THE SAME from this file alone, so what else is in the scene matters: {differs}.",
     )
 
 

@@ -11,7 +11,7 @@ from mitsuba_ref.error_model.intersections import KU, KU_OURS
 
 FLOAT32, FLOAT64 = "float32", "float64"
 NOT_FINITE = "the normal is not finite on a hit"
-LAST_WORDS = 1500  # characters kept of what somebody's code said
+LAST_WORDS = 1500  # characters kept of a candidate's output
 PRECISIONS = {FLOAT32: KU, FLOAT64: KU_OURS}  # K times the unit round-off, as Model.meet takes it
 
 
@@ -116,7 +116,7 @@ def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> n
         raise
     except (
         BaseException
-    ) as error:  # whatever somebody's array type raises; SystemExit would end the run with a 0
+    ) as error:  # whatever a foreign array type raises; SystemExit would end the run with a 0
         raise NoAnswer(f"{name} is no array: {type(error).__name__}: {exception_text(error)}") from error
     if a.dtype == object and not a.shape:
         raise NoAnswer(f"{name}: expected an array of {expected}, got {type(values).__name__}")
@@ -129,7 +129,7 @@ def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> n
 
 
 def exception_text(error: BaseException) -> str:
-    """What an exception of somebody else's says; even that may fail, or be very long."""
+    """The message of a foreign exception; even that may fail, or be very long."""
     try:
         words = str(error)
     except Exception as another:
@@ -146,9 +146,9 @@ def _hints(t: np.ndarray, precision: str | None) -> tuple[str, ...]:
     """Where a float64 array holds float32 numbers only, its maker may have computed in float32."""
     if precision is not None or t.dtype != np.float64:
         return ()
-    told = t[np.isfinite(t)]
+    finite = t[np.isfinite(t)]
     with np.errstate(over="ignore"):
-        single = len(told) > 0 and bool((told.astype(np.float32) == told).all())
+        single = len(finite) > 0 and bool((finite.astype(np.float32) == finite).all())
     if not single:
         return ()
     return (

@@ -23,7 +23,7 @@ FUNCTION_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w
 HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # whose calls say nothing of a candidate
 MAX_TRACEBACK_FRAMES = 4  # of a traceback, on one line each
 
-# Scenes are judged several at a time; nobody said that a candidate may be called from two threads at once.
+# Scenes are judged several at a time; a candidate need not be safe to call from two threads at once.
 _one_at_a_time = threading.Lock()
 
 
@@ -59,7 +59,7 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
 def function_subject(
     call: Callable[..., Any], name: str = "", precision: str | None = None
 ) -> "FunctionSubject":
-    """A function as a candidate; its attribute `precision` counts where none is asked for. Raises SceneError."""
+    """A function as a candidate; its attribute `precision` counts where none is given. Raises SceneError."""
     name = name or getattr(call, "__name__", type(call).__name__)
     declared = precision or getattr(call, "precision", None)
     if declared is not None and not (isinstance(declared, str) and declared in PRECISIONS):

@@ -24,11 +24,11 @@ CHILD_SOURCE = (
 
 
 def needs_supervision(words: Sequence[str]) -> bool:
-    """Whether this command line may run somebody's function in the process of the judge."""
+    """Whether this command line may run a candidate function in the process of the judge."""
     if os.name != "posix" or SUPERVISED_VARIABLE in os.environ:
         return False
-    asks = any(word.partition("=")[0] == "--candidate" for word in words)
-    return asks and list(words[:1]) in (["validate"], ["probe"])
+    has_candidate = any(word.partition("=")[0] == "--candidate" for word in words)
+    return has_candidate and list(words[:1]) in (["validate"], ["probe"])
 
 
 def run_supervised(words: Sequence[str]) -> int:
@@ -79,13 +79,13 @@ def _result_stream() -> TextIO:
 
 
 def output_paths(words: Sequence[str]) -> Iterator[Path]:
-    """The verdicts that this command line asks for; a pixel's goes to standard output."""
+    """The verdict files that this command line names; a pixel's goes to standard output."""
     if list(words[:1]) != ["validate"]:
         return
     parser = argparse.ArgumentParser(add_help=False)
     for option in ("--json", "--junit", "--out"):
         parser.add_argument(option)
-    asked, _ = parser.parse_known_args(list(words))
-    yield from (Path(path) for path in (asked.json, asked.junit) if path)
-    if asked.out:
-        yield Path(asked.out) / "verdict.json"
+    options, _ = parser.parse_known_args(list(words))
+    yield from (Path(path) for path in (options.json, options.junit) if path)
+    if options.out:
+        yield Path(options.out) / "verdict.json"

@@ -8,7 +8,7 @@ import pytest
 
 import caster
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.probe.pixel_picture import INSIDE, Patch, beside, draw_inside, outline
+from mitsuba_ref.probe.pixel_picture import RAYS_ACROSS_PIXEL, Patch, beside, draw_inside, outline
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 
 # Along an edge of the mesh within a rounding, where Embree lets the ray slip through unless it is told to be robust.
@@ -173,7 +173,7 @@ def test_a_pixel_on_an_edge_shows_both_faces_on_their_sides():
     )
     named = draw_inside(Axes(), scene, 0, 0)
     ((image, extent),) = drawn
-    assert extent == (0, 1, 1, 0) and image.shape == (INSIDE, INSIDE, 3)
+    assert extent == (0, 1, 1, 0) and image.shape == (RAYS_ACROSS_PIXEL, RAYS_ACROSS_PIXEL, 3)
     assert len(named) == 2 and all(name.startswith("shape-0, prim ") for name in named)
     corners = [tuple(image[i, j]) for i, j in ((0, 0), (0, -1), (-1, 0), (-1, -1))]
     assert len(set(corners)) == 2  # the diagonal of the rectangle parts two opposite corners

@@ -69,7 +69,7 @@ def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float)
 
 
 def check_materials(scene: Scene) -> SceneCheck:
-    """Each shape's material is the one it names: Mitsuba is told what the caster looks up."""
+    """Each shape's material is the one it names: Mitsuba gets what the caster looks up."""
     ratios = [
         0.0 if scene.material_of(shape) == _described_material(scene, shape) else np.inf
         for shape in scene.shapes
