@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.image.exr import Exr
-from mitsuba_ref.error_model.exr_tolerances import (
+from mitsuba_ref.error_model.intersections import U
+from mitsuba_ref.error_model.tolerances import (
     COLOR_RTOL,
     DEPTH_RTOL,
     HALF_ROUNDINGS,
@@ -16,7 +17,6 @@ from mitsuba_ref.error_model.exr_tolerances import (
     U_HALF,
     Tolerances,
 )
-from mitsuba_ref.error_model.intersections import U
 from mitsuba_ref.exr_compare.comparison_result import GroupResult, Worst
 from mitsuba_ref.exr_compare.exr_layers import LAYERS, Array, stacked
 from mitsuba_ref.exr_compare.exr_pair import Conditioning, ExrPair

@@ -19,7 +19,7 @@ from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
-from mitsuba_ref.report.class_colors import in_hex
+from mitsuba_ref.report.class_images import hex_color
 
 NEIGHBOR_PIXELS = 3  # pixels on each side whose classes are shown
 RAYS_ACROSS_PIXEL = 81  # rays across a pixel, odd, so that one of them is the pixel's own
@@ -86,7 +86,7 @@ def draw_classes(ax: Any, scene: Scene, x: int, y: int) -> dict[str, str]:
     seen = {}
     for row, column in np.ndindex(hit.shape):
         name = CLASSES[classes[row, column]] if hit[row, column] or classes[row, column] else "miss"
-        color = NOTHING if name == "miss" else in_hex(name)
+        color = NOTHING if name == "miss" else hex_color(name)
         seen[name.replace("_", " ")] = color
         ax.add_patch(square(x0 + column, y0 + row, 1.0, facecolor=color, edgecolor="white", lw=1.0))
     ax.add_patch(square(x, y, 1.0, fill=False, edgecolor="black", lw=1.5))

@@ -9,7 +9,7 @@ import pytest
 
 from caster.description.errors import FileMissing, SceneError
 from caster.image.exr import UnreadableExr, read_exr, write_exr
-from mitsuba_ref.error_model.exr_tolerances import DEPTH_RTOL
+from mitsuba_ref.error_model.tolerances import DEPTH_RTOL
 from mitsuba_ref.exr_compare.two_files import FileComparison, Tolerances, compare_exr
 
 WIDTH, HEIGHT = 32, 24

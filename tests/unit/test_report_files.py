@@ -9,7 +9,7 @@ import pytest
 
 from caster.image.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict
-from mitsuba_ref.report import class_colors
+from mitsuba_ref.report import class_images
 from mitsuba_ref.report.html import page_writer
 from mitsuba_ref.report.html.html_report import ONE_FILE_LIMIT_BYTES, HtmlReport
 from mitsuba_ref.report.html.page_writer import SCRIPTS, as_json, index_row, page
@@ -163,7 +163,7 @@ def test_classes_have_the_same_colours_on_the_page_as_in_files():
         name: tuple(map(int, rgb.split(","))) for name, rgb in re.findall(r"(\w+): \[([^\]]+)\]", listed)
     }
     assert found.keys() == {*CLASSES, "unlisted"} and len(set(found.values())) == len(found)
-    assert {name: found[name] for name in CLASSES} == class_colors.COLORS
+    assert {name: found[name] for name in CLASSES} == class_images.CLASS_COLORS
 
 
 def test_a_page_of_others_is_left_alone(tmp_path):
