@@ -44,12 +44,12 @@ class ContestantProcess:
         settings = {**(environment or {}), "PYTHONPATH": import_path()}
         self.process = ResidentProcess(command, [work.to_json()], settings)
 
-    def ask(self, patience: float, **question: Any) -> dict[str, Any]:
+    def request(self, timeout: float, **request: Any) -> dict[str, Any]:
         """The reply to {"do": ...}, within so many seconds. Raises ContestantEnded; the process is then gone, too."""
         try:
-            line = self.process.request(json.dumps(question), patience)
+            line = self.process.request(json.dumps(request), timeout)
         except ProcessEnded as ended:
-            raise ContestantEnded(_end_text(ended.end, patience)) from None
+            raise ContestantEnded(_end_text(ended.end, timeout)) from None
         try:
             reply: dict[str, Any] = json.loads(line)
         except ValueError:
@@ -65,10 +65,10 @@ class ContestantProcess:
         self.process.close()
 
 
-def _end_text(end: ProcessEnd, patience: float) -> str:
+def _end_text(end: ProcessEnd, timeout: float) -> str:
     """A signal or an exit code, and the last line of its output."""
     if end.code is None:
-        return f"no answer within {patience:g} s"
+        return f"no answer within {timeout:g} s"
     return ": ".join(["died", exit_name(end.code), *end.output.splitlines()[-1:]])[:LAST_WORDS]
 
 
@@ -87,13 +87,13 @@ class Settings:
     threads: int = 1
     seed: int = 0
     peers: bool = False
-    patience: float = REQUEST_TIMEOUT_S
+    timeout: float = REQUEST_TIMEOUT_S
 
 
 class Requester(Protocol):
     """A contestant's process."""
 
-    def ask(self, patience: float, **question: Any) -> Mapping[str, Any]:
+    def request(self, timeout: float, **request: Any) -> Mapping[str, Any]:
         """Raises ContestantEnded."""
 
     def close(self) -> None: ...
@@ -139,38 +139,38 @@ class ContestantRun:
 
     def _warm_up(self, process: Requester) -> None:
         """Compile everything, find a film size for a slow contestant, then build again to time it."""
-        ask = self._ask
+        request = self._request
         if self.contestant.first:
-            ask(process, do="build", size=self.contestant.first)
-            ask(process, do="cast", least=0.0)
-            found = ask(process, do="cast", least=0.0)
+            request(process, do="build", size=self.contestant.first)
+            request(process, do="cast", least=0.0)
+            found = request(process, do="cast", least=0.0)
             self.size = fitting_size(self.contestant.first, float(found["seconds"]), self.settings.size)
         else:
-            ask(process, do="build", size=self.size)
-            ask(process, do="cast", least=0.0)
-        self.build = float(ask(process, do="build", size=self.size)["seconds"])
+            request(process, do="build", size=self.size)
+            request(process, do="cast", least=0.0)
+        self.build = float(request(process, do="build", size=self.size)["seconds"])
         for _ in range(WARM_UP_CASTS):
-            ask(process, do="cast", least=0.0)
+            request(process, do="cast", least=0.0)
 
     def time_cast(self, process: Requester) -> None:
-        found = self._ask(process, do="cast", least=MIN_TURN_S)
+        found = self._request(process, do="cast", least=MIN_TURN_S)
         self.rays = int(found["rays"])
         self.seconds.append(float(found["seconds"]))
 
     def record_memory(self, process: Requester) -> None:
         """Peak memory, before any other rays are cast."""
-        self.memory = int(self._ask(process, do="memory")["bytes"])
+        self.memory = int(self._request(process, do="memory")["bytes"])
 
     def measure_error(self, truth: ExactAnswers, rays: Path, process: Requester) -> None:
         out = rays.with_name(f"{self.contestant.key}.npy")
-        self._ask(process, do="answer", rays=str(rays), out=str(out))
+        self._request(process, do="answer", rays=str(rays), out=str(out))
         t = np.load(out)
         if np.isnan(t).all():  # not a caster
             return
         self.score = truth.score(t, ours=self.contestant.side == "ours")
 
-    def _ask(self, process: Requester, **question: Any) -> Mapping[str, Any]:
-        return process.ask(self.settings.patience, **question)
+    def _request(self, process: Requester, **request: Any) -> Mapping[str, Any]:
+        return process.request(self.settings.timeout, **request)
 
     def close(self) -> None:
         if self.process is not None:

@@ -94,11 +94,11 @@ class SceneResult:
 
     @property
     def reference(self) -> str:
-        """The row that the others are set against: ours, or where only ours are asked the first of them."""
+        """The row that ratios are to: ours, or the first where that is missing."""
         return REFERENCE_ROW if self.row(REFERENCE_ROW) or not self.rows else self.rows[0].key
 
     def ratio(self, key: str, to: str | None = None) -> float | None:
-        """Of two rows, where both ran; the second is the reference unless told."""
+        """Of two rows, where both ran; the second is the reference by default."""
         row, other = self.row(key), self.row(to or self.reference)
         return ratio(row, other) if row and other else None
 
@@ -171,7 +171,7 @@ COLUMNS = (
 
 
 def rows(scene: SceneResult) -> list[list[str]]:
-    """The head and a line for each row; one that did not run says why in place of its numbers."""
+    """The head and a line for each row; one that did not run has the reason in place of its numbers."""
     return [[*COLUMNS], *(_cells(scene, row) for row in scene.rows)]
 
 

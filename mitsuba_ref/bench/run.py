@@ -56,10 +56,10 @@ def revision() -> str:
     """The commit of these sources, where they are in a repository."""
     command = ["git", "-C", str(PACKAGE_PARENT), "describe", "--always", "--dirty", "--abbrev=10"]
     try:
-        told = subprocess.run(command, capture_output=True, text=True, timeout=10.0, check=True)
+        described = subprocess.run(command, capture_output=True, text=True, timeout=10.0, check=True)
     except (OSError, subprocess.SubprocessError):
         return "unknown"
-    return told.stdout.strip()
+    return described.stdout.strip()
 
 
 def _first_value(file: str, name: str) -> str:
@@ -116,8 +116,8 @@ def over_threads(settings: Settings) -> Iterator[tuple[float, BenchScene, Settin
 
 FAMILIES = (
     ScalingFamily("triangles", "triangles of hills", over_triangles),
-    ScalingFamily("pixels", "pixels of a picture of 70,224 triangles", over_pixels),
-    ScalingFamily("threads", "threads, for a picture of 70,224 triangles", over_threads),
+    ScalingFamily("pixels", "pixels of an image of 70,224 triangles", over_pixels),
+    ScalingFamily("threads", "threads, for an image of 70,224 triangles", over_threads),
 )
 
 
@@ -131,8 +131,8 @@ def run_sweep(
     asked = [BY_KEY[key] for key in SWEPT_ROWS + (SWEPT_PEERS if settings.peers else ())]
     found: list[tuple[float, SceneResult]] = []
     for x, scene, here in family.points(settings):
-        told = partial(_say, say, f"{family.name} {x:g}")
-        found.append((x, time_scene(scene, asked, here, told, start, judged=False)))
+        report = partial(_say, say, f"{family.name} {x:g}")
+        found.append((x, time_scene(scene, asked, here, report, start, judged=False)))
     return Sweep(family.name, family.quantity, tuple(series(each, found) for each in asked))
 
 
@@ -157,9 +157,9 @@ def series(contestant: Contestant, found: Sequence[tuple[float, SceneResult]]) -
 
 def empty_run(scenes: Sequence[BenchScene], settings: Settings) -> Run:
     """A run that has timed nothing yet."""
-    told = {name: value for name, value in asdict(settings).items() if name != "patience"}
+    recorded = {name: value for name, value in asdict(settings).items() if name != "timeout"}
     return Run(
-        told,
+        recorded,
         machine_properties(),
         tuple(scene.name for scene in scenes),
         bytes_of_pixel=CHANNELS * BYTES_PER_CHANNEL,
@@ -175,14 +175,14 @@ class BenchmarkRun:
         self.scenes, self.settings, self.start = scenes, settings, start
         self.run = empty_run(scenes, settings)
 
-    def time_scenes(self, say: Progress, told: Callable[[SceneResult], None]) -> None:
-        """told: called with each scene's result as soon as it is there."""
+    def time_scenes(self, say: Progress, on_result: Callable[[SceneResult], None]) -> None:
+        """on_result: called with each scene's result as soon as it is there."""
         for scene in self.scenes:
             asked = contestants_for(scene.asks, peers=self.settings.peers)
             words = f"{len(self.run.scenes) + 1}/{len(self.scenes)} {scene.name}"
             result = time_scene(scene, asked, self.settings, prefixed(say, words), self.start)
             self.run = replace(self.run, scenes=(*self.run.scenes, result))
-            told(result)
+            on_result(result)
 
     def sweep(self, families: Sequence[ScalingFamily], say: Progress) -> None:
         for family in families:

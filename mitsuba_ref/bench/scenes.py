@@ -99,7 +99,7 @@ class BenchScene:
     """One scene of the benchmark.
 
     asks: FILM a picture of depth and normal; NEAREST t and normal along rays that are handed over; ANY whether
-    something lies on them; SHADING a picture, by our caster alone.
+    something lies on them; SHADING a shaded image, by our caster alone.
     """
 
     name: str
@@ -192,7 +192,7 @@ def incoherent(scene: Scene) -> Rays:
 
 
 def to_a_lamp(scene: Scene) -> Rays:
-    """From places about the surface to one lamp; t = 1 is the lamp, so that t_max = 1 asks about the way there."""
+    """From points near the surface to one light; t = 1 is the light, so that t_max = 1 ends there."""
     rng, count = np.random.default_rng(2), scene.film.width * scene.film.height
     u, v = 2.0 * np.pi * rng.random((2, count))
     tube = 1.0 + 0.41 * np.cos(v)

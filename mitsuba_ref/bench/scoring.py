@@ -46,7 +46,7 @@ def merged_triangles(parts: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def at_edges(rng: Rng, ready: PreparedScene, rows: np.ndarray) -> RayArrays:
-    """One ray for each of these rays of the picture: from where it starts, or, of parallel ones, along it.
+    """One ray for each of these rays of the film: from where it starts, or, of parallel ones, along it.
 
     At a point of a triangle's edge whose face looks that way, or past a sphere's silhouette by nothing.
     """

@@ -28,12 +28,12 @@ def main(replies: int, work: Work) -> None:
 
     def reply_to(line: str) -> str:
         nonlocal entry
-        asked = json.loads(line)
+        request = json.loads(line)
         try:
-            if entry is None or asked["do"] == "build":
+            if entry is None or request["do"] == "build":
                 entry = None  # before the next is made: two at a time take twice the memory
                 entry = new_entry(work)
-            return json.dumps({"status": STATUS_READY} | respond(entry, asked))
+            return json.dumps({"status": STATUS_READY} | respond(entry, request))
         except (CannotRun, ImportError) as reason:
             return json.dumps({"status": STATUS_CANNOT, "why": " ".join(str(reason).split())})
 
@@ -54,19 +54,19 @@ def pin_to_processors(processors: int) -> None:
         os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:processors]))
 
 
-def respond(entry: Entry, asked: dict[str, Any]) -> dict[str, Any]:
+def respond(entry: Entry, request: dict[str, Any]) -> dict[str, Any]:
     """One question: build, cast, answer or memory."""
-    if asked["do"] == "build":
+    if request["do"] == "build":
         start = time.perf_counter()
-        entry.build(asked["size"])
+        entry.build(request["size"])
         seconds = time.perf_counter() - start
         entry.take_rays()
         return {"seconds": seconds}
-    if asked["do"] == "cast":
-        return cast(entry, asked["least"])
-    if asked["do"] == "answer":
-        with np.load(asked["rays"]) as rays:
-            np.save(asked["out"], entry.answer(rays["o"], rays["d"]))
+    if request["do"] == "cast":
+        return cast(entry, request["least"])
+    if request["do"] == "answer":
+        with np.load(request["rays"]) as rays:
+            np.save(request["out"], entry.answer(rays["o"], rays["d"]))
         return {}
     return {"bytes": peak_memory()}
 

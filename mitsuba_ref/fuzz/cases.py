@@ -105,7 +105,7 @@ RAY_FIELDS = ("o", "d", "t_min", "t_max")
 
 @dataclass(frozen=True)
 class KeptCase:
-    """What a file says."""
+    """A kept case as read from its file."""
 
     kind: str
     case: Case

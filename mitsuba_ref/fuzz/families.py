@@ -154,7 +154,7 @@ FAMILIES: tuple[Family, ...] = (
     ),
     Family(
         "offsets",
-        "far from the origin, seen from near and far",
+        "far from the origin, with rays from near and far",
         shapes_of(far_from_origin, "", 4),
         (aims.at_features, aims.from_afar, aims.anywhere),
     ),

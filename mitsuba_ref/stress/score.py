@@ -100,13 +100,13 @@ class Scorer:
         float32, float64 = (bound[rows] / self.unit[rows] for bound in (hits.float32, hits.float64))
         return Bound(largest(float32), largest(float64), int(np.sum(~np.isfinite(hits.float32[rows]))))
 
-    def score(self, seen: Observation | Absent, *, ours: bool) -> Score | Absent:
-        if isinstance(seen, Absent):
-            return seen
+    def score(self, found: Observation | Absent, *, ours: bool) -> Score | Absent:
+        if isinstance(found, Absent):
+            return found
         hit, rows, hits = self.exact
-        both = self.hit_rows[seen.hit[rows[self.hit_rows]]]
-        errors = hits.errors(both, seen.t[rows[both]])
-        prim = seen.prim[rows[both]]
+        both = self.hit_rows[found.hit[rows[self.hit_rows]]]
+        errors = hits.errors(both, found.t[rows[both]])
+        prim = found.prim[rows[both]]
         other = np.array([int(k) not in hits.ties[i] for i, k in zip(both, prim, strict=True)], bool)
         allowed = (hits.float64 if ours else hits.float32)[both]
         named = np.flatnonzero(other & (prim >= 0) & (prim < self.primitives))
@@ -116,11 +116,11 @@ class Scorer:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(errors > 0.0, errors / allowed, 0.0)
         relative = errors / self.unit[both]
-        wrong = seen.hit != hit
+        wrong = found.hit != hit
         wrong[rows[both[beyond | other]]] = True
         return Score(
-            false_hits=int(np.sum(seen.hit & ~hit)),
-            false_misses=int(np.sum(~seen.hit & hit)),
+            false_hits=int(np.sum(found.hit & ~hit)),
+            false_misses=int(np.sum(~found.hit & hit)),
             wrong_primitives=int(other.sum()),
             beyond=int(beyond.sum()),
             compared=len(both),

@@ -190,19 +190,19 @@ class Fake:
     def __init__(self, key: str, dies_at: int | None = None) -> None:
         self.key, self.left, self.closed = key, dies_at, False
 
-    def ask(self, patience: float, **question):
-        if question["do"] == "cast":
+    def request(self, timeout: float, **request):
+        if request["do"] == "cast":
             Fake.log.append(self.key)
             if self.left is not None:
                 self.left -= 1
                 if self.left < 0:
                     raise ContestantEnded("died: SIGSEGV")
             return {"seconds": 2.0 if self.key == "open3d" else 1.0, "casts": 1, "rays": 256}
-        if question["do"] == "answer":
-            with np.load(question["rays"]) as rays:
-                np.save(question["out"], np.full(len(rays["o"]), np.inf))
+        if request["do"] == "answer":
+            with np.load(request["rays"]) as rays:
+                np.save(request["out"], np.full(len(rays["o"]), np.inf))
             return {}
-        return {"seconds": 0.25} if question["do"] == "build" else {"bytes": 4096}
+        return {"seconds": 0.25} if request["do"] == "build" else {"bytes": 4096}
 
     def close(self) -> None:
         self.closed = True
@@ -273,7 +273,7 @@ def test_every_end_of_a_process_is_a_reason(name):
     script, why = ENDS[name]
     process = ContestantProcess(WORK, command=(sys.executable, "-c", script))
     with pytest.raises(ContestantEnded) as end:
-        process.ask(0.5 if name == "hangs" else 30.0, do="build", size=4)
+        process.request(0.5 if name == "hangs" else 30.0, do="build", size=4)
     assert str(end.value) == why
     process.close()  # again does nothing
     assert not process.process.alive
@@ -282,7 +282,7 @@ def test_every_end_of_a_process_is_a_reason(name):
 def test_a_worker_says_what_is_missing_and_lives_in_few_bytes():
     process = ContestantProcess(replace(WORK, entry="no_such_entry:Nobody"))
     with pytest.raises(ContestantEnded, match=r"No module named .*no_such_entry"):
-        process.ask(30.0, do="build", size=4)
+        process.request(30.0, do="build", size=4)
     assert 2**20 < peak_memory() < 2**40
 
 

@@ -72,7 +72,7 @@ class Ours:
             self.caster.occluded(self.scene, o, d, SHADOW_END)
         else:
             hits = self.caster.cast(self.scene, o, d)
-            hits.normal  # noqa: B018 - they are worked out when they are asked for
+            hits.normal  # noqa: B018 - computed on access
 
 
 class Copying:
