@@ -9,8 +9,7 @@ from pydantic import ValidationError
 
 from caster.classroom.grammar import FILE_START, SourceMessage
 from caster.classroom.parser import Parser
-from caster.classroom.scene_builder import Falloff, SceneBuilder
-from caster.classroom.scene_conversion import build_scene_data
+from caster.classroom.scene_conversion import Falloff, SceneBuilder, build_scene_data
 from caster.description.diagnostics import Diagnostic, diagnostics_of
 from caster.description.errors import FileMissing, SceneError
 from caster.scene.files import MeshFolders, resolve_mesh_files

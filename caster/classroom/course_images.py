@@ -7,7 +7,7 @@ import numpy as np
 
 from caster.cameras import Orthographic
 from caster.classroom.course_files import CourseScene
-from caster.classroom.scene_builder import Falloff
+from caster.classroom.scene_conversion import Falloff
 from caster.description.fields import Shape
 from caster.geometry.world_space import as_given, world_vertices
 from caster.rendering.hits import RayHits
