@@ -48,7 +48,7 @@ SPHERE, CYLINDER, DISK, PLANE = (
 )
 PINHOLE, ORTHOGRAPHIC = "caster/cameras/pinhole.py", "caster/cameras/orthographic.py"
 LIGHTS, TILES = "caster/scene/lights.py", "caster/rendering/tiles.py"
-LIGHT, HIT = "caster/kernels/surface/lighting.py", "caster/kernels/surface/hit.py"
+LIGHT = "caster/kernels/surface/lighting.py"
 SCREEN, TREE, PLACING = (
     "caster/kernels/raster/tile_casting.py",
     "caster/kernels/bvh/traversal.py",
@@ -625,9 +625,10 @@ FAULTS = (
         "one NaN in the normals of render",
         "one-sphere",
         "culling",
-        HIT,
-        "put(buffer, N + i, n)",
-        "put(buffer, N + i, (n[0], math.nan if i == 5 * WIDTH + 6 else n[1], n[2]))",
+        IMAGES,
+        "        decided = self._decide_uncertain()\n",
+        "        decided = self._decide_uncertain()\n"
+        "        if 'normal' in self.images:\n            self.images['normal'][5, 6, 1] = np.nan\n",
     ),
     Fault(
         "one NaN in the light of render",
@@ -830,7 +831,7 @@ SEEN_IN_PICTURES = (
     ("y flipped", "hit"),
     ("x mirrored", "hit"),
     ("swapped aspect", "hit"),
-    ("depth as z in render", "depth"),
+    ("depth in render from a unit beyond the eye", "depth"),
     ("flipped normal of spheres", "normal"),
     ("light that does not fall off", "diffuse"),
     ("one NaN in the depth of render", "depth"),
