@@ -120,7 +120,7 @@ def test_a_reference_that_is_wrong_everywhere_is_no_evidence(judged):
     found = judged(scene_of(floor, caster.Sphere(center=(0, 1, 0)), camera=camera))
     assert not found.ok and found.counts["reference_wrong"] > 800 and found.failing == 0
     assert (
-        "the reference is wrong at 864 pixels and right at 0, so it says nothing about ours here"
+        "the reference is wrong at 864 pixels and right at 0, so it is no evidence about ours here"
         in failure_text(found)
     )
 
