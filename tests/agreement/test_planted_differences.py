@@ -61,7 +61,7 @@ def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
         rows[:, 3] = (rows[:, 1] + rows[:, 3]) // 2
 
     monkeypatch.setattr(rasterization, "bound_hulls", narrow)
-    with pytest.raises(AssertionError, match="screen: "):
+    with pytest.raises(AssertionError, match="raster: "):
         test_cullings.count_hits_where_cullings_agree(a_scene())
 
 

@@ -67,11 +67,9 @@ def test_pdb_stops_where_a_primitive_is_tried_and_prints_its_t(story):
     """The float64 test of triangles: the same for any shape's `intersect`."""
     module, tree, _, _ = story
     source = (ROOT / "caster/kernels/triangles.py").read_text(encoding="utf-8")
-    end = source.index("return answer(inside & steep")
+    end = source.index("return filter_result(inside & steep")
     line = source[:end].count("\n") + 1
-    typed = (
-        f"tbreak caster/kernels/triangles.py:{line}, t < 9.0 and off < 1.0\nc\np float(t), float(off)\nq\n"
-    )
+    typed = f"tbreak caster/kernels/triangles.py:{line}, t < 9.0 and error < 1.0\nc\np float(t), float(error)\nq\n"
     said = tree.run(f"pdb caster probe {module.SCENE} 7 3 --size 15 15", typed).text
     assert f"caster/kernels/triangles.py({line})_intersect()" in said
     t, off = (float(number) for number in re.search(r"\(([\d.e+-]+), ([\d.e+-]+)\)\n", said).groups())

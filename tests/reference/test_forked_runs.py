@@ -36,7 +36,7 @@ def test_a_fork_says_what_a_process_says_of_a_right_tree_and_of_a_wrong_one(
     forks, memory, unedited, tmp_path
 ):
     wrong = copy_tree(tmp_path / "wrong", unedited)
-    edit(wrong, "caster/aovs/diffuse.py", "/ np.pi * irradiance", "* irradiance")
+    edit(wrong, "caster/kernels/surface/lighting.py", "albedo[0] / math.pi * flux[0]", "albedo[0] * flux[0]")
     codes = []
     for tree in (unedited, wrong, unedited):  # the third is what a fork of before may not have altered
         alone = run(tree, *SCENE)

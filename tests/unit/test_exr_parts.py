@@ -239,4 +239,4 @@ def test_info_lists_the_parts(tmp_path, capsys):
     path = save(tmp_path / "a.exr", {"rgba": of("R", "A"), "depth": of("Z")})
     assert caster_main(["info", str(path)]) == 0
     out = capsys.readouterr().out
-    assert "2 parts as one picture:\n  rgba (A, R)\n  depth (Z)\n" in out and "depth.Z  float" in out
+    assert "2 parts as one image:\n  rgba (A, R)\n  depth (Z)\n" in out and "depth.Z  float" in out

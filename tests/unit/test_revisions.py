@@ -94,7 +94,7 @@ def test_a_planted_delay_is_told_from_none(revisions, monkeypatch, capsys, tmp_p
     monkeypatch.setattr(revisions, "HERE", tmp_path / "here")
     assert revisions.main(["HEAD", "scenes/teapot.toml", "--turns", "1"]) == 1
     out = capsys.readouterr()
-    assert "slower than 1.25 times: scenes/teapot.toml (screen) 2.00" in out.err
+    assert "slower than 1.25 times: scenes/teapot.toml (raster) 2.00" in out.err
     monkeypatch.setattr(revisions, "sources_of", lambda *_: tmp_path / "here")
     assert revisions.main(["HEAD", "scenes/teapot.toml", "--turns", "1"]) == 0
 
