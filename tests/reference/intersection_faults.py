@@ -218,7 +218,7 @@ FAULTS = (
     fault(
         "planes missed that are nearly edge-on",
         "planes",
-        4,
+        16,
         "missed prim",
         (
             PLANE,

@@ -76,7 +76,7 @@ FAULTS = (
     Fault(
         "t_min ignored by spheres",
         "inside-sphere",
-        "shape_id",
+        "normal",
         ROOTS,
         "roots.near_error, t_min, t_max",
         "roots.near_error, -math.inf, t_max",
@@ -92,7 +92,7 @@ FAULTS = (
     Fault(
         "t_min ignored by planes",
         "spheres-on-plane",
-        "mask",
+        "diffuse",
         PLANE,
         "t, error = certain_in_range(t, error, t_min, t_max)",
         "t, error = certain_in_range(t, error, -1e300, t_max)",
@@ -103,7 +103,7 @@ FAULTS = (
         "shape_id",
         TILE,
         "nearer = ahead > margin",
-        "nearer = (t < math.inf) & ((tile[PLACE + i] < 0.0) | (-ahead > margin))",
+        "nearer = (t < math.inf) & ((tile[PRIM + i] < 0.0) | (-ahead > margin))",
     ),
     Fault(
         "triangle edge excluded",
@@ -117,7 +117,7 @@ FAULTS = (
     Fault(
         "triangles seen from one side",
         "triangles",
-        "shape_id",
+        "mask",
         TRIANGLES,
         "return (least > error) | (most < -error), (most > error) & (least < -error) & bounded, bounded",
         "return least > error, (most > error) & (least < -error) | (most < -error), bounded",
@@ -126,7 +126,7 @@ FAULTS = (
     Fault(
         "square disks",
         "flat-shapes",
-        "shape_id",
+        "mask",
         DISK,
         "beyond = x * x + y * y - 1.0",
         "beyond = max(abs(x), abs(y)) - 1.0",
@@ -134,7 +134,7 @@ FAULTS = (
     Fault(
         "disks a twentieth too small",
         "flat-shapes",
-        "shape_id",
+        "mask",
         DISK,
         "beyond = x * x + y * y - 1.0",
         "beyond = x * x + y * y - 0.9",
@@ -187,8 +187,8 @@ FAULTS = (
         "one-sphere",
         "on_surface",
         SPHERE,
-        "return row(prims.center, k), prims.radius[k]",
-        "return row(prims.center, k), prims.radius[k] * 1.000003",
+        "def _numbers(prims: Any, k: int) -> Any:\n    return row(prims.center, k), prims.radius[k]",
+        "def _numbers(prims: Any, k: int) -> Any:\n    return row(prims.center, k), prims.radius[k] * 1.000003",
     ),
     Fault(
         "depth as z",
@@ -362,8 +362,8 @@ FAULTS = (
         "transforms",
         "geometry",
         PLANE,
-        "turned = n @ np.linalg.inv(linear)",
-        "turned = linear @ n",
+        "world_normal = n @ np.linalg.inv(linear)",
+        "world_normal = linear @ n",
         FEW,
     ),
     Fault(

@@ -21,9 +21,12 @@ def test_every_kind_of_primitive_and_every_camera_is_warmed():
     everything = [scene for scene in scenes if len(scene.shapes) > 1]
     assert [type(scene.camera) for scene in everything] == list(CAMERAS)
     kinds = {type(kind.prims) for kind in pack(everything[0]).kinds}
-    assert kinds == set(decorators._GENERICS[intersect].bodies)
+    # other tests of this process may have added plug-ins; the caster's own kinds are those of its own modules
+    own = {kind for kind in decorators._GENERICS[intersect].bodies if kind.__module__.startswith("caster.")}
+    assert kinds == own
     alone = {(type(scene.camera), type(pack(scene).parts[0])) for scene in scenes if len(scene.shapes) == 1}
-    cameras = {camera for camera in decorators._GENERICS[project_bounding_sphere].bodies}
+    projecting = decorators._GENERICS[project_bounding_sphere].bodies
+    cameras = {camera for camera in projecting if camera.__module__.startswith("caster.")}
     assert len(alone) == len(kinds) * len(cameras) and {kind for _, kind in alone} == kinds
 
 
