@@ -26,9 +26,8 @@ from mitsuba_ref.error_model.independent_transform import (
     transformed_normals,
 )
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.adversarial_meshes import mesh_files
 from mitsuba_ref.shapes.shape_reference import Fields, ShapeReference, no_fields
-from mitsuba_ref.shapes.targets import Rng, coin_flip, random_point
+from mitsuba_ref.shapes.targets import Rng, coin_flip, mesh_files, random_point
 from mitsuba_ref.shapes.triangle_kind import TRIANGLES
 from mitsuba_ref.shapes.xml_shape import (
     ImportShape,

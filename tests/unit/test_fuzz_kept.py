@@ -12,7 +12,7 @@ from caster.rendering.hits import cast
 from caster.scene.files import load_scene
 from mitsuba_ref.fuzz import cases
 from mitsuba_ref.fuzz.cases import Case, one_ray
-from mitsuba_ref.shapes.adversarial_meshes import mesh_files
+from mitsuba_ref.shapes.targets import mesh_files
 
 numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
 points = st.lists(numbers, min_size=3, max_size=3)
