@@ -18,7 +18,7 @@ from turns import BY_DEFAULT, DEPTH, HERE, SCENES, seconds, worker
 CAMERAS = ("orthographic", "fisheye")
 TURNS = 15
 
-# file, what the caster says, what the copy says
+# file, text in the caster, text in the copy
 WITHOUT_BOUNDS = (
     (
         "caster/kernels/math/vec.py",

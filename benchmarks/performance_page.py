@@ -22,7 +22,7 @@ from mitsuba_ref.bench.work import SHADING
 from mitsuba_ref.experiment.results import markdown, number, read_result
 
 PAGE, IMAGE_FOLDER, NOTES = "performance.md", "performance", "performance-notes.md"
-MIN_ROUNDS = 7  # alternations; a page of fewer says so
+MIN_ROUNDS = 7  # alternations; a page of fewer has a note
 RIGHT_ALIGNED = "|---|" + "---:|" * (len(COLUMNS) - 1)
 
 HEAD = """# Run time against error
@@ -35,26 +35,26 @@ Each contestant has a process of its own; they take turns, so that what else the
 
 READING = """## How to read it
 
-- **What is timed**: a picture of depth and normal, delivered as float32 arrays in memory; or t and normal along rays
+- **What is timed**: an image of depth and normal, delivered as float32 arrays in memory; or t and normal along rays
   that were on hand, or whether anything lies on them. All have loaded the scene and built what they build before; ours
-  makes the rays and sorts the primitives onto the film in every picture, while for `ray_intersect`, Open3D and embreex
+  makes the rays and sorts the primitives onto the film in every image, while for `ray_intersect`, Open3D and embreex
   the rays were made before, too. All that has to be compiled has been compiled. Shadow rays go through
   `caster.occluded`, Mitsuba's `ray_test`, and what others have in its place.
 - **ours, as planned** is `caster.render`: by the screen for pinhole and orthographic cameras, by the tree for others;
   for rays that are handed over, `caster.cast` with the surface of each hit. **by the tree** is the same
-  picture through the tree. **plain Python** runs the same source without Numba.
-- **rays** of one cast: pictures of those who would take longer than {longest:g} s are made smaller.
+  image through the tree. **plain Python** runs the same source without Numba.
+- **rays** of one cast: images of those who would take longer than {longest:g} s are made smaller.
 - **build**: seconds from the numbers to where rays can be cast, the second time it is done in a process; Mitsuba reads
   its own files, and for the others the numbers are in memory.
 - **ns/ray**, **Mray/s**: the median of all alternations; casts of less than {least:g} s are repeated within a turn, and
   their median is the turn's. **x ours** is the median of the ratios of each alternation: above 1, ours is faster.
-- **t: ulps**: the largest error of t on {sample:,} rays of the picture, the same float32 rays for everybody, against
+- **t: ulps**: the largest error of t on {sample:,} rays of the image, the same float32 rays for everybody, against
   exact arithmetic (`mitsuba_ref/oracle/oracle.py`), in float32 units in the last place of the exact t.
   **t: bounds**: in units
   of the bound that is derived for each ray, that of float64 for ours and that of float32 for all others
-  ([method.md](method.md)). Ours is asked through `caster.cast`, float64; no culling changes a bit, and images of
-  float32 add half a unit. Mitsuba's AOV integrator takes no rays from outside, so `ray_intersect` of the same scene is
-  asked for it, which is what it calls.
+  ([method.md](method.md)). Ours is called through `caster.cast`, float64; no culling changes a bit, and images of
+  float32 add half a unit. Mitsuba's AOV integrator takes no rays from outside, so `ray_intersect`, which it calls,
+  is timed on the same scene.
 - **wrong** on those rays, **wrong at edges** on as many that are aimed at edges and silhouettes: hits where there is
   exactly nothing and misses where there is something; behind a `+`, hits farther off than their bound, mostly those of
   another surface.
@@ -109,7 +109,7 @@ def conditions(run: Run) -> Iterator[str]:
         f"medians of {it['alternations']} alternations{few}. Seed {it['seed']}.",
         WIDTH,
     )
-    missing = [name for name in run.asked if run.scene(name) is None]
+    missing = [name for name in run.requested if run.scene(name) is None]
     if missing:
         yield f"\nNot timed: {', '.join(missing)}."
     yield "\n| machine | |\n|---|---|"
@@ -119,7 +119,7 @@ def conditions(run: Run) -> Iterator[str]:
 
 def of_targets(run: Run) -> Iterator[str]:
     yield "## Targets\n"
-    yield "Times as fast as the other, unless it says otherwise; the worst scene counts.\n"
+    yield "Times as fast as the other, unless stated otherwise; the worst scene counts.\n"
     yield "| beside | target | measured | where | |"
     yield "|---|---:|---:|---|---|"
     for it in targets.outcomes(run):
@@ -145,7 +145,9 @@ OVERVIEW = (
 def overview(run: Run) -> Iterator[str]:
     """How many times as fast as each of the others ours is, scene by scene."""
     rows = {
-        scene.name: [scene.ratio(key) for key in OVERVIEW] for scene in run.scenes if scene.asks != SHADING
+        scene.name: [scene.ratio(key) for key in OVERVIEW]
+        for scene in run.scenes
+        if scene.workload != SHADING
     }
     if not rows:
         return
@@ -166,12 +168,12 @@ def section(scene: SceneResult) -> Iterator[str]:
 
 
 def of_sweep(sweep: Sweep, drawn: set[str]) -> Iterator[str]:
-    """Milliseconds of a picture, a line for each contestant, and the slope."""
+    """Milliseconds of an image, a line for each contestant, and the slope."""
     yield f"## Time against {sweep.name}\n"
     yield from image_link(drawn, sweep.name, f"Time against {sweep.name}")
     every = sorted({x for one in sweep.series for x in one.x})
     yield textwrap.fill(
-        f"Milliseconds of a picture over the {sweep.quantity}. The slope is that of time ~ quantity^slope, fitted to "
+        f"Milliseconds of an image over the {sweep.quantity}. The slope is that of time ~ quantity^slope, fitted to "
         "all of them, and between the last two.",
         WIDTH,
     )

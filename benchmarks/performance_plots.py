@@ -77,7 +77,7 @@ def pareto(scenes: Sequence[SceneResult], figure: Any) -> None:
         light_grid(ax)
     for ax in axes.flat[len(scenes) :]:
         ax.set_visible(False)
-    figure.supylabel("largest error of t on rays of the picture, float32 ulps", fontsize=9)
+    figure.supylabel("largest error of t on rays of the image, float32 ulps", fontsize=9)
     figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
 
 
@@ -100,13 +100,13 @@ def front(points: Iterable[Point]) -> list[Point]:
 
 
 def plot_sweep(sweep: Sweep, figure: Any) -> None:
-    """Seconds of a picture against what grows, with the slope of the power law that fits best."""
+    """Seconds of an image against what grows, with the slope of the power law that fits best."""
     ax = figure.subplots()
     for one in sweep.series:
         if one.x:
             color, marker = STYLE[one.key]
             ax.plot(one.x, one.seconds, marker=marker, color=color, mfc="none", label=labelled(one))
-    ax.set(xscale="log", yscale="log", xlabel=sweep.quantity, ylabel="seconds of a picture")
+    ax.set(xscale="log", yscale="log", xlabel=sweep.quantity, ylabel="seconds of an image")
     if sweep.name == "threads":
         every = sorted({x for one in sweep.series for x in one.x})
         ax.set_xticks(every, [f"{x:g}" for x in every])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from mitsuba_ref.bench.result import REFERENCE_ROW, Run, SceneResult
 
-ALONE = "one-sphere"  # a picture of almost nothing, with a target of its own beside raw rays
+ALONE = "one-sphere"  # an image of almost nothing, with a target of its own beside raw rays
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def outcomes(run: Run) -> Iterator[Outcome]:
     films = run.films
     rest = [scene for scene in films if scene.name != ALONE]
     alone = [scene for scene in films if scene.name == ALONE]
-    lit = [scene for scene in run.scenes if scene.asks == "shading"]
+    lit = [scene for scene in run.scenes if scene.workload == "shading"]
     yield least("Mitsuba LLVM, robust, AOV integrator: each scene", 5.0, films, times("aov-robust"))
     yield mean("Mitsuba LLVM, robust, AOV integrator: geometric mean", 7.0, films, times("aov-robust"))
     raw = "Mitsuba LLVM, robust, `ray_intersect`"

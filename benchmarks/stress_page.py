@@ -32,7 +32,7 @@ geometry, in the same float32 numbers. Right answers come from arithmetic in who
 
 READING = """## How to read it
 
-- **Errors** are the largest of a setting, relative to the exact distance, or what the table's head says. A `!` means
+- **Errors** are the largest of a setting, relative to the exact distance, or as the table's head states. A `!` means
   that some ray is beyond the bound of its own, which is worked out for each ray as in
   [method.md](method.md); `bound 32` and `bound 64` are the largest bounds of a setting for Mitsuba and for ours.
 - **Wrong** are hits where there is exactly none, and misses where there is exactly one; behind a `+`, hits of another
@@ -76,16 +76,16 @@ def lines(run: StressRun) -> Iterator[str]:
 
 def outcome(run: StressRun) -> Iterator[str]:
     settings = [setting for sweep in run.families for setting in sweep.settings]
-    rays, asked = sum(each.rays for each in settings), sum(each.exact.asked for each in settings)
+    rays, adjudicated = sum(each.rays for each in settings), sum(each.exact.adjudicated for each in settings)
     scores = [each.witnesses[key] for each in settings for key in OUR_KEYS]
     own = [score for score in scores if isinstance(score, Score)]
     counts = ("wrong_masks", "wrong_primitives", "beyond")
     wrong, other, beyond = (sum(getattr(score, name) for score in own) for name in counts)
     worst = max((score.worst for score in own if score.worst is not None), default=0.0)
     yield textwrap.fill(
-        f"In {len(run.families)} sweeps, {len(settings)} settings and {rays:,} rays, of which exact arithmetic "
-        f"looked at {asked:,}, ours has **{wrong} wrong hits or misses, {other} wrong primitives and {beyond} errors "
-        f"beyond their bound**. Its largest error is {worst:.2f} of the bound of its ray.",
+        f"In {len(run.families)} sweeps, {len(settings)} settings and {rays:,} rays, {adjudicated:,} of them "
+        f"decided by exact arithmetic, ours has **{wrong} wrong hits or misses, {other} wrong primitives and "
+        f"{beyond} errors beyond their bound**. Its largest error is {worst:.2f} of the bound of its ray.",
         WIDTH,
     )
     yield f"\nSeed {run.seed}; {', '.join(f'{name} {version}' for name, version in run.versions.items())}.\n"

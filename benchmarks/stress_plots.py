@@ -30,7 +30,7 @@ BOUNDS: tuple[tuple[str, str, dict[str, Any]], ...] = (
 RING: dict[str, Any] = {"marker": "o", "ls": "none", "mfc": "none", "mew": 1.5, "ms": 15, "zorder": 20}
 DIAMONDS: dict[str, Any] = {"ls": (0, (1, 2)), "lw": 1.5, "marker": "D", "ms": 4, "mfc": "white"}
 
-# Errors of nothing, and errors that say no more than that all is lost, show as these.
+# Errors of nothing, and errors so large that all digits are lost, show as these.
 AXIS_LOW, AXIS_HIGH = 1e-18, 1e3
 FORMAT = "svg"
 FONT, OTHERS = "'DejaVu Sans'", ", Verdana, sans-serif"  # the one that Matplotlib brings along; a viewer's
@@ -103,7 +103,9 @@ def draw_wrong(axes: Any, sweep: SweepResult) -> None:
 
 def shares(sweep: SweepResult, witness: Witness, what: str, floor: float) -> np.ndarray:
     found = numbers([value(setting, witness.key, what) for setting in sweep.settings])
-    count = [setting.rays if what == "wrong_masks" else setting.exact.asked for setting in sweep.settings]
+    count = [
+        setting.rays if what == "wrong_masks" else setting.exact.adjudicated for setting in sweep.settings
+    ]
     return np.maximum(found / np.maximum(count, 1), floor)
 
 

@@ -1,4 +1,4 @@
-"""Processes that render scenes by the caster of some folder, taking turns, and say how long it took."""
+"""Processes that render scenes by the caster of some folder, alternating, and time it."""
 
 import json
 import os
@@ -68,7 +68,7 @@ def seconds(
 ) -> float:
     """What one process takes for the AOVs of one scene, one thread; no culling: as planned."""
     assert process.stdin and process.stdout
-    with suppress(BrokenPipeError):  # no answer will come, which is told below
+    with suppress(BrokenPipeError):  # no answer will come, which is reported below
         process.stdin.write(json.dumps([scene, SIZE, culling, aovs]) + "\n")
         process.stdin.flush()
     answer = process.stdout.readline()

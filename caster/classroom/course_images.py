@@ -108,7 +108,7 @@ def to_bytes_truncated(values: Array) -> Array:
 def _colors(course: CourseScene, view: RayHits) -> Array:
     """(n, 3): ambient light times the diffuse colour, and for each light color max(0, n . l) times it.
 
-    Unlike the AOV `diffuse`, lights fall off only as their file says.
+    Unlike the AOV `diffuse`, lights fall off only as declared in their file.
     """
     front = np.sum(view.normals * view.rays.d, axis=1) <= 0.0
     n = np.where(front[:, None], view.normals, -view.normals)

@@ -154,7 +154,7 @@ def _warnings(
         found.append((np.isinf(wide) & ~np.asarray(miss), f"{name} is infinite"))
     if mask is not None and "depth.Z" in channels:
         stray = np.isfinite(channels["depth.Z"]) & ~mask
-        found.append((stray, f"depth.Z is finite where {source} says miss"))
+        found.append((stray, f"depth.Z is finite where {source} is a miss"))
     return [
         f"{text} in {int(bad.sum())} pixels, first {_first(bad, window)}" for bad, text in found if bad.any()
     ]

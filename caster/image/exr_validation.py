@@ -179,7 +179,7 @@ def merged_provenance(path: Path, parts: Sequence[Mapping[str, str]]) -> dict[st
         for key, value in each.items():
             if whole.setdefault(key, value) != value:
                 raise UnreadableExr(
-                    f"{path}: its parts say different things of '{key}': parts of several files?"
+                    f"{path}: its parts have different values of '{key}': parts of several files?"
                 )
     return dict(sorted(whole.items()))
 

@@ -170,7 +170,7 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """How Numba sees a kernel that is called in another one."""
+        """Numba type of a kernel that is called in another one."""
         return _numba().types.Dispatcher(self.dispatcher)
 
     def _prepared(self, args: tuple[Any, ...]) -> Callable[..., Any]:

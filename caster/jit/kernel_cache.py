@@ -53,7 +53,7 @@ refusals: list[str] = []
 
 @cache
 def cache_folder() -> Path:
-    """The folder for this source; NUMBA_CACHE_DIR says where it is to lie, else XDG_CACHE_HOME.
+    """The folder for this source; below NUMBA_CACHE_DIR if that is set, else below XDG_CACHE_HOME.
 
     What is loaded from it is run, so nobody else may have written it: a folder that another user owns or may write
     is listed in `refusals`, and a temporary one takes its place.

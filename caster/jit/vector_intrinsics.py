@@ -1,6 +1,6 @@
 """Several numbers handled at once, as LLVM's vectors: it makes none of a short loop by itself.
 
-Each function here is for numba.extending.intrinsic; what it computes is said where it is declared (caster/jit/simd.py).
+Each function here is for numba.extending.intrinsic; caster/jit/simd.py declares and documents what it computes.
 """
 
 from typing import Any

@@ -100,7 +100,7 @@ ANY_HIT_T = -1.0
 
 @inlined
 def any_hit_result(t: float, error: float, any_hit: bool) -> tuple[float, float]:
-    """What `intersect` said, or, if any hit will do and this is sure to be one, a hit before all others."""
+    """The result of `intersect`; for any-hit rays, a certain hit counts as nearer than all others."""
     sure = any_hit & (t < math.inf) & (error < math.inf)
     return ANY_HIT_T if sure else t, 0.0 if sure else error
 

@@ -65,7 +65,7 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
 
 
 def find_any(packed: Packed, rays: Rays, threads: int | None = None) -> np.ndarray:
-    """(n,) bool: whether rays meet anything at all. One that does is followed no further than the first sure hit."""
+    """(n,) bool: whether rays hit anything at all (any-hit). Traversal ends at the first certain hit."""
     count = len(rays.t_min)
     blocked, uncertain = np.zeros(count, bool), np.zeros(count, bool)
 

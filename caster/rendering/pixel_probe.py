@@ -124,7 +124,7 @@ def box_interval(
     return (enter, leave) if enter <= leave and leave >= 0.0 else None
 
 
-# One pixel under the lens: its ray, what it meets, and what it would meet of every shape alone.
+# One pixel: its ray, its hit, and the intersection with each shape alone.
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class Probe:
 
     @property
     def missed(self) -> int:
-        """How many shapes the ray does not meet."""
+        """Number of shapes that the ray misses."""
         return len(self.scene.shapes) - len(self.candidates)
 
     @cached_property

@@ -46,7 +46,7 @@ def parallel_for_pieces(
     def go() -> None:
         try:
             work = begin()
-            for piece in left:  # a signal is heard between two pieces
+            for piece in left:  # signals are handled between two pieces
                 work(piece)
                 if done is not None:
                     done(piece)

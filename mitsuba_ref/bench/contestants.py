@@ -26,7 +26,7 @@ class Contestant:
     title: str
     side: str
     entry: str  # as in Work
-    asks: tuple[str, ...]
+    workloads: tuple[str, ...]
     options: Mapping[str, Any] = field(default_factory=dict)
     variant: str = ""  # of Mitsuba
     package: str = ""  # that has to be installed
@@ -43,8 +43,8 @@ class Contestant:
             return f"{self.package} is not installed: pip install 'ray-reference[peers]'"
         return ""
 
-    def work(self, folder: str, asks: str, threads: int) -> Work:
-        return Work(folder, asks, self.threads or threads, self.entry, dict(self.options))
+    def work(self, folder: str, workload: str, threads: int) -> Work:
+        return Work(folder, workload, self.threads or threads, self.entry, dict(self.options))
 
     def settings(self) -> dict[str, str]:
         """Its environment variables."""
@@ -52,8 +52,8 @@ class Contestant:
         return found | dict(self.environment)
 
 
-def of_mitsuba(key: str, title: str, entry: str, asks: tuple[str, ...], **options: Any) -> Contestant:
-    return Contestant(key, title, MITSUBA, entry, asks, options, variant=variants.LLVM)
+def of_mitsuba(key: str, title: str, entry: str, workloads: tuple[str, ...], **options: Any) -> Contestant:
+    return Contestant(key, title, MITSUBA, entry, workloads, options, variant=variants.LLVM)
 
 
 def of_picture(key: str, title: str, mode: str) -> Contestant:
@@ -150,9 +150,9 @@ CONTESTANTS = (
 BY_KEY = {contestant.key: contestant for contestant in CONTESTANTS}
 
 
-def contestants_for(asks: str, *, peers: bool) -> list[Contestant]:
+def contestants_for(workload: str, *, peers: bool) -> list[Contestant]:
     """The contestants of a task."""
-    return [each for each in CONTESTANTS if asks in each.asks and (peers or each.side != PEER)]
+    return [each for each in CONTESTANTS if workload in each.workloads and (peers or each.side != PEER)]
 
 
 def processors() -> int:

@@ -27,7 +27,7 @@ from mitsuba_ref.reference.subprocess_runner import (
     import_path,
 )
 
-LAST_WORDS = 300  # characters kept of what a contestant said before it died
+LAST_WORDS = 300  # characters kept of a dead contestant's output
 WORKER = (sys.executable, "-P", "-m", "mitsuba_ref.bench.worker")
 
 
@@ -102,8 +102,8 @@ class Requester(Protocol):
 Start = Callable[[Contestant, str, str, int], Requester]  # contestant, folder, task, threads
 
 
-def start_process(contestant: Contestant, folder: str, asks: str, threads: int) -> Requester:
-    return ContestantProcess(contestant.work(folder, asks, threads), contestant.settings())
+def start_process(contestant: Contestant, folder: str, workload: str, threads: int) -> Requester:
+    return ContestantProcess(contestant.work(folder, workload, threads), contestant.settings())
 
 
 class ContestantRun:
@@ -128,13 +128,13 @@ class ContestantRun:
         except ContestantEnded as end:
             self.why = str(end)
 
-    def begin(self, start: Start, ready: PreparedScene, folder: str, asks: str) -> None:
+    def begin(self, start: Start, ready: PreparedScene, folder: str, workload: str) -> None:
         most = self.contestant.most
         self.why = self.contestant.missing()
         if not self.why and most and ready.primitives > most:
-            self.why = f"not asked about more than {most:,} primitives"
+            self.why = f"not timed with more than {most:,} primitives"
         if not self.why:
-            self.process = start(self.contestant, folder, asks, self.settings.threads)
+            self.process = start(self.contestant, folder, workload, self.settings.threads)
             self.go(self._warm_up)
 
     def _warm_up(self, process: Requester) -> None:
@@ -205,7 +205,7 @@ def time_scene(
     scene: BenchScene,
     contestants: Sequence[Contestant],
     settings: Settings,
-    say: Progress = lambda words: None,
+    on_progress: Progress = lambda words: None,
     start: Start = start_process,
     *,
     judged: bool = True,
@@ -213,31 +213,31 @@ def time_scene(
     """Rows of all contestants, cast in turns. judged: whether errors are measured as well."""
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="mitsuba-ref-bench-") as name:
-        say("making the scene")
+        on_progress("making the scene")
         ready = write_scene(scene, Path(name), settings.size)
         runs = [ContestantRun(contestant, settings) for contestant in contestants]
         try:
             for run in runs:
-                say(f"warming up: {run.contestant.title}")
-                run.begin(start, ready, name, scene.asks)
-            alternate(runs, settings.alternations, say)
+                on_progress(f"warming up: {run.contestant.title}")
+                run.begin(start, ready, name, scene.workload)
+            alternate(runs, settings.alternations, on_progress)
             for run in runs:
                 run.go(run.record_memory)
-            if judged and scene.asks != SHADING:
-                judge(runs, ready, scene.asks, settings, Path(name), say)
+            if judged and scene.workload != SHADING:
+                judge(runs, ready, scene.workload, settings, Path(name), on_progress)
         finally:
             for run in runs:
                 run.close()
     rows = tuple(run.row for run in runs)
     return SceneResult(
-        scene.name, scene.title, scene.asks, ready.primitives, rows, time.perf_counter() - begun
+        scene.name, scene.title, scene.workload, ready.primitives, rows, time.perf_counter() - begun
     )
 
 
-def alternate(runs: Sequence[ContestantRun], alternations: int, say: Progress) -> None:
+def alternate(runs: Sequence[ContestantRun], alternations: int, on_progress: Progress) -> None:
     """Rounds of one turn each; every round begins with another contestant, so that none always follows the same."""
     for turn in range(alternations):
-        say(f"alternation {turn + 1}/{alternations}")
+        on_progress(f"alternation {turn + 1}/{alternations}")
         first = turn % len(runs)
         for run in [*runs[first:], *runs[:first]]:
             run.go(run.time_cast)
@@ -246,15 +246,15 @@ def alternate(runs: Sequence[ContestantRun], alternations: int, say: Progress) -
 def judge(
     runs: Sequence[ContestantRun],
     ready: PreparedScene,
-    asks: str,
+    workload: str,
     settings: Settings,
     folder: Path,
-    say: Progress,
+    on_progress: Progress,
 ) -> None:
-    say("exact answers")
-    truth = ExactAnswers(ready, asks, settings.seed)
+    on_progress("exact answers")
+    truth = ExactAnswers(ready, workload, settings.seed)
     rays = folder / "judged.npz"
     np.savez(rays, o=truth.o, d=truth.d)
     for run in runs:
-        say(f"judging: {run.contestant.title}")
+        on_progress(f"judging: {run.contestant.title}")
         run.go(partial(run.measure_error, truth, rays))

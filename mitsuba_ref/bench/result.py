@@ -77,7 +77,7 @@ class SceneResult:
 
     name: str
     title: str
-    asks: str
+    workload: str
     primitives: int
     rows: tuple[Row, ...]
     seconds: float = 0.0  # that all of it took
@@ -137,11 +137,11 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Run:
-    """Everything. settings: size, alternations, threads, seed; machine: what it ran on; asked: the scenes to time."""
+    """Everything. settings: size, alternations, threads, seed; machine: versions, CPU; requested: scenes to time."""
 
     settings: Mapping[str, Any]
     machine: Mapping[str, str]
-    asked: tuple[str, ...]
+    requested: tuple[str, ...]
     scenes: tuple[SceneResult, ...] = ()
     sweeps: tuple[Sweep, ...] = ()
     bytes_of_pixel: int = 0  # of our images of depth and normal
@@ -152,7 +152,7 @@ class Run:
 
     @property
     def films(self) -> list[SceneResult]:
-        return [scene for scene in self.scenes if scene.asks == FILM]
+        return [scene for scene in self.scenes if scene.workload == FILM]
 
 
 def fitted_slope(x: Sequence[float], y: Sequence[float]) -> float | None:
@@ -184,7 +184,7 @@ def _cells(scene: SceneResult, row: Row) -> list[str]:
         errors = [number(score.ulps, 2), number(score.bounds, 2), *wrong]
     return [
         f"{row.title} ({row.why})" if row.why else row.title,
-        f"{row.size}^2" if scene.asks in (FILM, SHADING) else f"{row.rays:,}",
+        f"{row.size}^2" if scene.workload in (FILM, SHADING) else f"{row.rays:,}",
         number(None if row.build is None else 1e3 * row.build, 1),
         number(row.ns, 2),
         number(row.mrays, 1),
@@ -210,4 +210,5 @@ def summary(run: Run) -> str:
     rows = [row for scene in run.scenes for row in scene.rows]
     empty = sum(not row.ran for row in rows)
     rounds = f"medians of {run.settings['alternations']} alternations"
-    return f"{len(run.scenes)} of {len(run.asked)} scenes, {len(rows) - empty} rows, {empty} without numbers; {rounds}"
+    scenes = f"{len(run.scenes)} of {len(run.requested)} scenes"
+    return f"{scenes}, {len(rows) - empty} rows, {empty} without numbers; {rounds}"

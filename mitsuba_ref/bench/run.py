@@ -124,20 +124,16 @@ FAMILIES = (
 def run_sweep(
     family: ScalingFamily,
     settings: Settings,
-    say: Progress = lambda words: None,
+    on_progress: Progress = lambda words: None,
     start: Start = start_process,
 ) -> Sweep:
     """Every setting, by the few contestants that matter most."""
-    asked = [BY_KEY[key] for key in SWEPT_ROWS + (SWEPT_PEERS if settings.peers else ())]
+    contestants = [BY_KEY[key] for key in SWEPT_ROWS + (SWEPT_PEERS if settings.peers else ())]
     found: list[tuple[float, SceneResult]] = []
     for x, scene, here in family.points(settings):
-        report = partial(_say, say, f"{family.name} {x:g}")
-        found.append((x, time_scene(scene, asked, here, report, start, judged=False)))
-    return Sweep(family.name, family.quantity, tuple(series(each, found) for each in asked))
-
-
-def _say(say: Progress, where: str, words: str) -> None:
-    say(f"{where}: {words}")
+        report = prefixed(on_progress, f"{family.name} {x:g}")
+        found.append((x, time_scene(scene, contestants, here, report, start, judged=False)))
+    return Sweep(family.name, family.quantity, tuple(series(each, found) for each in contestants))
 
 
 def series(contestant: Contestant, found: Sequence[tuple[float, SceneResult]]) -> Series:
@@ -175,20 +171,20 @@ class BenchmarkRun:
         self.scenes, self.settings, self.start = scenes, settings, start
         self.run = empty_run(scenes, settings)
 
-    def time_scenes(self, say: Progress, on_result: Callable[[SceneResult], None]) -> None:
+    def time_scenes(self, on_progress: Progress, on_result: Callable[[SceneResult], None]) -> None:
         """on_result: called with each scene's result as soon as it is there."""
         for scene in self.scenes:
-            asked = contestants_for(scene.asks, peers=self.settings.peers)
+            contestants = contestants_for(scene.workload, peers=self.settings.peers)
             words = f"{len(self.run.scenes) + 1}/{len(self.scenes)} {scene.name}"
-            result = time_scene(scene, asked, self.settings, prefixed(say, words), self.start)
+            result = time_scene(scene, contestants, self.settings, prefixed(on_progress, words), self.start)
             self.run = replace(self.run, scenes=(*self.run.scenes, result))
             on_result(result)
 
-    def sweep(self, families: Sequence[ScalingFamily], say: Progress) -> None:
+    def sweep(self, families: Sequence[ScalingFamily], on_progress: Progress) -> None:
         for family in families:
-            found = run_sweep(family, self.settings, say, self.start)
+            found = run_sweep(family, self.settings, on_progress, self.start)
             self.run = replace(self.run, sweeps=(*self.run.sweeps, found))
 
 
-def prefixed(say: Progress, where: str) -> Progress:
-    return lambda words: say(f"{where}: {words}")
+def prefixed(on_progress: Progress, where: str) -> Progress:
+    return lambda words: on_progress(f"{where}: {words}")

@@ -98,14 +98,14 @@ Rays = tuple[np.ndarray, np.ndarray]  # o, d: (n, 3) float32 each
 class BenchScene:
     """One scene of the benchmark.
 
-    asks: FILM a picture of depth and normal; NEAREST t and normal along rays that are handed over; ANY whether
+    workload: FILM an image of depth and normal; NEAREST t and normal along rays that are handed over; ANY whether
     something lies on them; SHADING a shaded image, by our caster alone.
     """
 
     name: str
     title: str
     make: Callable[[Path], Scene]  # writes its meshes into the folder
-    asks: str = FILM
+    workload: str = FILM
     rays: Callable[[Scene], Rays] | None = None  # None: the camera's
 
 
@@ -215,7 +215,7 @@ def rays_of(scene: BenchScene, sized: Scene) -> Rays:
     if scene.rays:
         return scene.rays(sized)
     shared = shared_rays(sized)
-    real = shared.t_max > 0.0  # a fisheye's picture has corners without rays
+    real = shared.t_max > 0.0  # a fisheye's image has corners without rays
     return shared.o[real], shared.d[real]
 
 

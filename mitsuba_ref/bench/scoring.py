@@ -27,7 +27,7 @@ def write_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
     made = scene.make(folder).with_film(width=size, height=size)
     ready = prepare_scene(made, *rays_of(scene, made))
     (folder / SCENE_FILE).write_bytes(pickle.dumps(made))
-    if scene.asks != SHADING:
+    if scene.workload != SHADING:
         for name in (ROBUST, DEFAULT):
             export(made, ready.model, robust=name == ROBUST).write(folder / name)
         np.savez(folder / RAYS_FILE, o=ready.o, d=ready.d)
@@ -108,14 +108,16 @@ def points_on_silhouettes(rng: Rng, part: Any, o: np.ndarray, d: np.ndarray | No
 class ExactAnswers:
     """Rays of the film and rays aimed at edges, with their exact answers."""
 
-    def __init__(self, ready: PreparedScene, asks: str, seed: int, sample: int = EXACT_RAYS_PER_SORT) -> None:
+    def __init__(
+        self, ready: PreparedScene, workload: str, seed: int, sample: int = EXACT_RAYS_PER_SORT
+    ) -> None:
         rng = np.random.default_rng([seed, 7])
         some = np.sort(rng.choice(len(ready.o), min(sample, len(ready.o)), replace=False))
         edges = at_edges(rng, ready, some)
         self.film_rays = len(some)
         pairs = zip((ready.o[some], ready.d[some]), edges, strict=True)
         self.o, self.d = (np.concatenate(pair) for pair in pairs)
-        self.any = asks == ANY
+        self.any = workload == ANY
         self.exact = ExactHits(ready, self.o, self.d, SHADOW_END if self.any else np.inf)
 
     @property

@@ -29,7 +29,7 @@ class Work:
     """One contestant's job."""
 
     folder: str
-    asks: str
+    workload: str
     threads: int  # how many processors it may use
     entry: str  # "module:class" of the contestant, below mitsuba_ref.bench.entries
     options: Mapping[str, Any] = field(default_factory=dict)  # its own
@@ -56,12 +56,12 @@ class Entry(Protocol):
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         """(n,) float64 t along other rays (n, 3) float32, inf on a miss.
 
-        Shadow rays: 0 where they meet anything.
+        Shadow rays: 0 where they hit anything.
         """
 
 
 class CannotRun(Exception):  # noqa: N818 - the reason of an empty row, not an error
-    """str() says what is missing."""
+    """str(): what is missing."""
 
 
 def given_rays(folder: str, size: int) -> tuple[np.ndarray, np.ndarray]:

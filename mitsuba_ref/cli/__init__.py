@@ -5,7 +5,7 @@ from caster.cli.application import Command
 COMMANDS = (
     Command(
         "validate",
-        "compare our caster with Mitsuba on scenes: every pixel gets a class, the exit code says pass or fail",
+        "compare our caster with Mitsuba on scenes: every pixel gets a class, the exit code is pass or fail",
         "mitsuba_ref.cli.validate",
     ),
     Command(

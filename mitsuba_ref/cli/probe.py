@@ -93,7 +93,7 @@ def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence
         return
     with error_prefix(source):
         same = write_reproducer(Path(args.save), *probed, 0, source, more)
-    alone = "shows the same" if same else "does NOT show the same by itself, as it says"
+    alone = "shows the same" if same else "does NOT show the same by itself, as its head states"
     print(f"{args.save}: written; it {alone}", file=sys.stderr)
 
 

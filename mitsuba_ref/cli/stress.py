@@ -62,8 +62,8 @@ def report(done: list[SweepResult], families: list[Family], args: argparse.Names
         from mitsuba_ref.stress.sweeps import StressRun
 
         installed = versions("mitsuba", "drjit", "numpy") | {"libllvm": libllvm()}
-        asked = tuple(family.name for family in families)
-        write_result(StressRun(args.seed, installed, asked, tuple(done)), args.json)
+        requested = tuple(family.name for family in families)
+        write_result(StressRun(args.seed, installed, requested, tuple(done)), args.json)
     failing = [sweep.name for sweep in done if not sweep.ok]
     names = f": {', '.join(failing)}" if failing else ""
     text = f"{len(done)} of {len(families)} families, {len(failing)} fail{names}"

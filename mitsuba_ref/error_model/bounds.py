@@ -1,4 +1,4 @@
-"""How far the reference may be off at each pixel, at the primitive that we say is hit there."""
+"""Error bounds of the reference at each pixel, at the primitive that the subject hits there."""
 
 from typing import NamedTuple
 
@@ -12,8 +12,8 @@ from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
 class Bounds(NamedTuple):
     """One row a ray; inf where there is nothing to hold on to."""
 
-    own: Intersections  # the meeting as float64 sees it
-    at: Intersections  # the meeting as the reference may see it
+    own: Intersections  # the intersection in float64
+    at: Intersections  # the intersection, with the reference's error bounds
 
     @property
     def resolved(self) -> np.ndarray:
@@ -24,7 +24,7 @@ class Bounds(NamedTuple):
 def reference_bounds(
     model: SceneModel, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray
 ) -> Bounds:
-    """The meeting of ray i with prim[i] (n,) that is nearest to t[i]; prim -1 is a miss."""
+    """The intersection of ray i with prim[i] (n,) that is nearest to t[i]; prim -1 is a miss."""
     own = intersections_at(model, prim, (o, d), t, KU_OURS, ours=True)
     return Bounds(own, intersections_at(model, prim, (o, d), t, KU, ours=False))
 
@@ -38,7 +38,7 @@ def intersections_at(
     *,
     ours: bool,
 ) -> Intersections:
-    """The same as one kind of arithmetic may see it. line: o, d (n, 3), (n, 3); ku, ours: as in Model.meet."""
+    """The same with the error bounds of one arithmetic. line: o, d (n, 3), (n, 3); ku, ours: as in Model.meet."""
     out = missing_intersections(len(prim))
     hits = np.flatnonzero(prim >= 0)
     for start in range(0, len(hits), PIXELS_PER_BATCH):

@@ -186,7 +186,7 @@ class Bracket:
     ) -> tuple[np.ndarray, np.ndarray]:
         """(something may block the way, something does): rays o + t d, 0 < t < t_max.
 
-        leaving: (n,) the primitive that a ray starts on, and (n,) how far off it that start may be. The meeting with it
+        leaving: (n,) the primitive that a ray starts on, and (n,) how far off it that start may be. Its intersection
         there does not count, and what else is as near as that, such as the next face of an edge, is not certain.
         """
         prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
@@ -202,7 +202,7 @@ class Bracket:
         return possible, certain
 
     def possible_hits(self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray) -> RayIntersections:
-        """Every possible meeting of some rays, few enough to be held at once."""
+        """Every possible intersection of some rays, few enough to be held at once."""
         line = RaySegments(o, d, np.zeros(len(o)), t_max)
         found = [self._meet(ray, prim, line) for ray, prim in self.nearby.pairs(o, d)]
         at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))

@@ -25,7 +25,7 @@ LARGEST_COORDINATE = 1.844e18
 class Intersections(NamedTuple):
     """Rays and primitives, pairwise: m pairs, one root each. Errors are bounds on what the reference may be off."""
 
-    t: np.ndarray  # (m,) parameter of the meeting, lengths of d
+    t: np.ndarray  # (m,) parameter of the intersection, lengths of d
     t_error: np.ndarray  # (m,) inf where float32 cannot resolve it
     n: np.ndarray  # (m, 3) geometric normal
     n_error: np.ndarray  # (m,)
@@ -89,7 +89,7 @@ def mat_vec_rows(m: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def finite_or_zero(t: np.ndarray, t_error: np.ndarray) -> np.ndarray:
-    """t, or 0 where it is no number but its error says that it might be any: a ray in a surface, edge-on."""
+    """t, or 0 where it is NaN and its error infinite: a ray in a surface, edge-on."""
     return np.where(np.isinf(t_error) & ~np.isfinite(t), 0.0, t)
 
 

@@ -30,10 +30,10 @@ class LightContribution(NamedTuple):
 
     radiance: np.ndarray  # (m, 3)
     error: np.ndarray  # (m, 3)
-    either_side: np.ndarray  # (m, 3) radiance if the side that faces the light is the one that is seen
+    either_side: np.ndarray  # (m, 3) radiance if the side that faces the light faces the ray
     to_light: np.ndarray  # (m, 3) from p; of unit length for a light without a place
     reach: np.ndarray  # (m,) 1 or inf: how far the light is, in lengths of to_light
-    doubtful: np.ndarray  # (m,) bool: seen so nearly from the side that either face may be the one
+    doubtful: np.ndarray  # (m,) bool: so near grazing that either face may be the visible one
 
 
 def light_contribution(scene: Scene, light: Any, hit: ShadingPoints, ku: float) -> LightContribution:

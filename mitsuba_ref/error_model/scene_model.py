@@ -82,7 +82,7 @@ class SceneModel:
 
 
 def with_edges(at: Intersections) -> Intersections:
-    """Kinds without edges say so in full, so that all kinds can be put together."""
+    """Arrays of edges for kinds without edges, so that all kinds concatenate."""
     if at.edge is not None:
         return at
     return at._replace(edge=np.full((len(at.t), 6), np.nan), side=np.zeros(len(at.t)))
@@ -142,7 +142,7 @@ class UncertainRaysModel(SceneModel):
     def intersect(
         self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool
     ) -> PairIntersections:
-        """Each meeting, widened by what the rays around find at the same primitive and root."""
+        """Each intersection, widened by those of neighbouring rays with the same primitive and root."""
         met = super().intersect(prim, o, d, ku, ours=ours)
         found = [met.at]
         for across in self._around(d):

@@ -1,4 +1,4 @@
-"""Lit or in shadow: which of the two each side may say (docs/method.md, "Shadows").
+"""Lit or in shadow: which of the two each side may answer (docs/method.md, "Shadows").
 
 Mitsuba starts its shadow rays off the surface and stops them short of the light; a feature thinner than that is lit
 through. So it is judged along its own ray, as its source has it, and ours along the straight way to the light.
@@ -41,7 +41,7 @@ def reference_shadow_rays(
 def reference_visibility(
     bracket: Bracket, hit: ShadingPoints, lit: LightContribution, p: np.ndarray, n: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(may say lit, may say in shadow), (m,) each; p, n: what Mitsuba says of the point (both are checked, too)."""
+    """(may be lit, may be in shadow), (m,) bool each; p, n: Mitsuba's position and normal (both are checked, too)."""
     possible, certain = bracket.blocked(*reference_shadow_rays(hit, lit, p, n))
     return ~certain, possible
 

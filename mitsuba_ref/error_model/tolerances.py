@@ -11,7 +11,7 @@ from mitsuba_ref.error_model.intersections import K, U
 LARGEST_Z = 5.0
 MIN_GROUPS = int(LARGEST_Z**2) + 1  # with fewer, no bias whatever could fail
 
-# Where normals are not bounded any closer than this, float32 says nothing useful of the pixel: an angle of 3.6 degrees.
+# Where normals are not bounded any closer than this, float32 is of no use for the pixel: an angle of 3.6 degrees.
 LARGEST_USEFUL_NORMAL_ERROR = 2.0**-4
 
 # A hypothesis of the diagnosis is reported where it predicts the number to this share of itself: far beyond rounding
@@ -33,7 +33,7 @@ TRANSFORM_ROUNDINGS = 16.0
 
 DEPTH_RTOL = K * U * 3
 """Of depth, where no condition is known: S / t = 3 (S = |o| + t + |p|) when ray origin and hit lie within one
-depth of the world's origin, seen head on. Farther away or grazing needs the condition, or --depth-rtol."""
+depth of the world's origin, at normal incidence. Farther away or grazing needs the condition, or --depth-rtol."""
 
 NORMAL_ATOL = K * U * (8 + 1)
 """Of a flat normal: K u (|Q|/|N| + 1), Q the permanent of the edges' cross product N. |Q|/|N| is at most

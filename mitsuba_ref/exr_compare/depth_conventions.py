@@ -146,7 +146,7 @@ def convention_of(
         return Convention(requested, distances[requested], f"{CONVENTION_MEANINGS[requested]}, as given")
     if hit.sum() < MIN_PIXELS_HIT_IN_BOTH:
         raise AmbiguousConvention(
-            f"only {int(hit.sum())} pixels are hit in both files: say what depth is by --depth distance"
+            f"only {int(hit.sum())} pixels are hit in both files: give the convention by --depth distance"
         )
     with np.errstate(all="ignore"):
         off = {name: (np.abs(d - other) / np.abs(other))[hit] for name, d in distances.items()}

@@ -9,7 +9,7 @@ import numpy as np
 from mitsuba_ref.experiment.results import aligned
 from mitsuba_ref.fuzz.aims import RayBatch
 
-# The kinds of findings, the most telling first.
+# The kinds of findings, the most informative first.
 FINDING_KINDS = {
     "error": "the caster, or the judge, raised an exception",
     "missed": "there is a hit by exact arithmetic, ours is a miss",
@@ -41,7 +41,7 @@ class Finding:
 
 @dataclass
 class Tally:
-    """Counts of what was checked, so that "nothing found" says how much was looked at."""
+    """Counts of what was checked, so that "nothing found" comes with how much was checked."""
 
     examples: int = 0
     rays: int = 0  # each adjudicated by the oracle, those of images included

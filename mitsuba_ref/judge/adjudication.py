@@ -63,7 +63,7 @@ def needs_adjudication(
 ) -> np.ndarray:
     """Rows to adjudicate: pixels that disagree, pixels near an edge, and some of the rest by a fixed seed.
 
-    plain, hit, certain: (n,) bool; hit by ours, certain to be hit for the reference; shape: of the picture.
+    plain, hit, certain: (n,) bool; hit by ours, certain to be hit for the reference; shape: of the image.
     """
     chosen = ~plain | (hit & ~certain) | (~hit & has_hit_neighbor(hit.reshape(shape)).ravel())
     rest = np.flatnonzero(~chosen)
@@ -190,7 +190,7 @@ def claims_other_tie(
 ) -> np.ndarray:
     """(m,) bool: the claim is that of another member of the exact tie set than the first, within its bounds there.
 
-    closest: no bound on a normal may be looser, or agreement would say nothing.
+    closest: no bound on a normal may be looser, or agreement would mean nothing.
     """
     others = [(i, each) for i, a in enumerate(answers) if a is not None for each in a.ties[1:]]
     taken = np.zeros(len(o), bool)

@@ -120,7 +120,7 @@ def failure_at(
 
 
 def decisive_check(judgement: Judgement, row: int) -> str:
-    """The check that finds most; `exact`, which says the least of what is wrong, only where it is the only one."""
+    """The check that finds most; `exact`, the least specific one, only where it is the only one."""
     excess = {name: float(judgement.excess(name)[row]) for name in judgement.names}
     beyond = {name: ratio for name, ratio in excess.items() if name != EXACT and not ratio <= 1.0}
     return max(beyond or excess, key=lambda name: excess[name])

@@ -215,7 +215,7 @@ class Judge:
         return Judgement(classes, ratios, comparison.allowed, exact, cases, seconds)
 
     def _is_vague(self) -> np.ndarray:
-        """(n,) bool: where normals are bounded so loosely that their agreement says nothing."""
+        """(n,) bool: where normals are bounded so loosely that their agreement means nothing."""
         at, own = self.bounds.at, self.bounds.own
         error = np.maximum(at.n_error, at.sh_error) if self.names_prims else own.n_error
         return self.pixels.both_hit & ~(error <= LARGEST_USEFUL_NORMAL_ERROR)

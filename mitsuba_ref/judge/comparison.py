@@ -250,7 +250,7 @@ class Comparison:
     """Error over bound by check, (n,) each; 1 is as much as the bound allows, inf what no bound covers."""
 
     ratios: Mapping[str, np.ndarray]
-    allowed: Mapping[str, float]  # how much of the bound each may use; 1 unless the scene says otherwise
+    allowed: Mapping[str, float]  # share of the bound each may use; 1 unless set by the scene
 
     @property
     def agrees(self) -> np.ndarray:

@@ -37,7 +37,7 @@ class FeatureMeasurement:
         answers: Sequence[ExactAnswer],
         prims: Sequence[int],
     ) -> Iterator[DefectFeatures]:
-        """m pixels. lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; prims: the numbers of what it says
+        """m pixels. lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; prims: the numbers of what it names
         is hit, -1 on a miss."""
         o, d, _ = lines
         named = np.asarray(prims, np.int64)

@@ -1,6 +1,6 @@
 """Diagnosis of a subject's failing pixels: sentences, each with the pixels it is true of, by testing common mistakes.
 
-Nothing here decides whether a pixel passes; it only says of those that fail what their numbers look like.
+Nothing here decides whether a pixel passes; it only describes the numbers of those that fail.
 """
 
 from collections.abc import Iterator, Mapping
@@ -91,7 +91,7 @@ def hypotheses(judge: Judge, wrong: WrongPixels) -> Iterator[tuple[str, np.ndarr
     """(sentence, rows it is true of) where the exact answer is another one, the most comprehensive first."""
     if (shift := find_pixel_shift(judge, wrong)) is not None:
         where = f"({shift.x:+.2f}, {shift.y:+.2f}) of a pixel to the right and down"
-        yield f"seen from beside the pixels' centres, by {where}", wrong.rows
+        yield f"rays beside the pixel centres, by {where}", wrong.rows
     yield from _wrong_hits(judge, wrong)
     there = wrong.take(judge.hit[wrong.rows] & wrong.hit)
     if len(there.rows):
@@ -103,7 +103,7 @@ def hypotheses(judge: Judge, wrong: WrongPixels) -> Iterator[tuple[str, np.ndarr
 def _wrong_hits(judge: Judge, wrong: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
     rows, hit = wrong.rows, judge.hit[wrong.rows]
     missed = rows[~hit & wrong.hit]
-    everything = len(judge.answer.t) > 1 and not judge.hit.any()  # of one pixel, that says nothing
+    everything = len(judge.answer.t) > 1 and not judge.hit.any()  # of one pixel, that means nothing
     if len(missed) and not everything:
         at = np.flatnonzero(~hit & wrong.hit)
         lines = judge.o[missed], judge.d[missed]

@@ -31,7 +31,7 @@ class LightAnswers(NamedTuple):
     """All lights at m pixels, as numbers with bounds and as Mitsuba answered."""
 
     each: list[LightContribution]
-    given: np.ndarray  # (lights, m, 3) what Mitsuba says, its shadows included
+    given: np.ndarray  # (lights, m, 3) Mitsuba's radiance, its shadows included
     error: np.ndarray  # (lights, m, 3)
     visible: np.ndarray  # (lights, m) bool, Mitsuba's shadow test
 
@@ -62,7 +62,7 @@ def diffuse_within_float64(
 ) -> np.ndarray:
     """(m,) bool: our values (m, 3) are Lambert's, with some shadows that float64 rounding allows us.
 
-    hit: as float64 sees it, with float64's bounds; prim (m,): the primitives that are hit.
+    hit: in float64, with float64's bounds; prim (m,): the primitives that are hit.
     """
     each = _lit(scene, hit, KU_OURS)
     shape = (len(each), len(prim))
@@ -119,9 +119,9 @@ def _choices(
     rows: np.ndarray,
     brackets: tuple[Bracket, Bracket],
 ) -> LightChoices:
-    """What Mitsuba says of each light, or the contrary where each side may say what it says.
+    """Mitsuba's answer for each light, or the contrary where each side's answer is within its bounds.
 
-    A face seen nearly from the side may be the one or the other; and a shadow may be there or not.
+    A face near grazing may be the one or the other; and a shadow may be there or not.
     """
     doubtful = np.array([lit.doubtful for lit in lights.each], bool).reshape(lights.visible.shape)
     doubt = doubtful.copy()
@@ -149,7 +149,7 @@ def _shadow_may_differ(
     rows: np.ndarray,
     brackets: tuple[Bracket, Bracket],
 ) -> np.ndarray:
-    """Where Mitsuba may say of a light what it says, and we may say the contrary."""
+    """(n,) bool: where Mitsuba's answer for a light and our contrary one are both within bounds."""
     ours, theirs = brackets
     p, n = (aov_rows(pair.reference, name)[rows] for name in ("position", "normal"))
     they_lit, they_shaded = shadows.reference_visibility(theirs, hit, lit, p, n)

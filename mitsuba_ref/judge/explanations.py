@@ -64,7 +64,7 @@ def _rounding_reason(judge: Judge, judgement: Judgement, verdict: str, row: int)
             "pixel",
         }[verdict]
     return {
-        EXPLAINED: f"rounding in {precision} allows what the candidate says, which is not the exact answer",
+        EXPLAINED: f"rounding in {precision} allows the candidate's answer, which is not the exact one",
         OUT_OF_DOMAIN: f"{precision}, in which the candidate computes, cannot resolve this pixel",
     }[verdict]
 
@@ -73,7 +73,7 @@ def open_reason(judge: Judge, judgement: Judgement, row: int) -> str:
     """Why a row of the image is undecided."""
     inconsistent = [name for name, where in judge.inconsistent.items() if where[row]]
     if inconsistent:
-        return f"our picture contradicts our own hit: {', '.join(inconsistent)}"
+        return f"our image contradicts our own hit: {', '.join(inconsistent)}"
     worst = max(judgement.names, key=lambda name: judgement.excess(name)[row])
     if judgement.excess(worst)[row] > 1.0 >= judgement.ratio(worst)[row]:
         return f"beyond the share of the bound that [check.{worst}] allows"
@@ -109,7 +109,7 @@ def error_ratios(judge: Judge, judgement: Judgement, row: int) -> dict[str, floa
 def exceeded_bounds(ratios: Mapping[str, float]) -> str:
     """Which quantities exceed their bounds, and by what factor; "" where none does.
 
-    A hit in place of a miss has no factor. That t is not the exact one says the least, where it has none either.
+    A hit in place of a miss has no factor. That t is not the exact one is the least specific, where it has none either.
     """
     found = {name: ratio for name, ratio in ratios.items() if not ratio <= 1.0}
     if len(found) > 1 and not np.isfinite(found.get(EXACT, 0.0)):

@@ -57,7 +57,7 @@ class ShiftSamples(NamedTuple):
     """Pixels where something is hit, by the subject and exactly."""
 
     judge: Judge
-    rows: np.ndarray  # (m,) of the picture
+    rows: np.ndarray  # (m,) of the image
     prim: np.ndarray  # (m,) that is hit
     right: np.ndarray  # (m,) exact t
     t: np.ndarray  # (m,) the subject's

@@ -159,7 +159,7 @@ class SceneVerdict:
     problem: str = ""  # why there is no comparison at all: a crash of the reference, with its output
     size: tuple[int, int] = (0, 0)  # of the film
     resized: bool = False  # another film than the scene's own
-    made_of: SceneStatistics = field(default_factory=SceneStatistics)
+    statistics: SceneStatistics = field(default_factory=SceneStatistics)
     allowed: dict[str, float] = field(default_factory=dict)  # the scene's own [check.AOV]: shares of bounds
     adjudicated: int = 0  # pixels compared with exact arithmetic
     exact_seconds: Seconds = 0.0  # what that took, of `seconds`
@@ -231,27 +231,27 @@ class Verdict:
     """The verdict of a run: of all its scenes."""
 
     scenes: tuple[SceneVerdict, ...]
-    asked: int = 1  # how many scenes were to be judged
+    scene_count: int = 1  # how many scenes were to be judged
     names: tuple[str, ...] = ()  # of those scenes, as far as they are known
     shard: str = ""  # such as "2/4": these are the scenes of one of several runs
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
     code: str = ""  # a hash of the sources that judged; of one of several runs, of all their scenes, too
     judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine
-    on_trial: str = ""  # the candidate that was requested, also if no scene is judged; "" for ours
+    requested_candidate: str = ""  # the candidate that was requested, also if no scene is judged; "" for ours
     format: int = VERDICT_FORMAT
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def ok(self) -> bool:
         """Every requested scene is there and passes; no scene at all is no pass, but for an empty shard."""
-        some = self.asked > 0 or bool(self.shard and self.selected)
-        return some and len(self.scenes) == self.asked and all(scene.ok for scene in self.scenes)
+        some = self.scene_count > 0 or bool(self.shard and self.selected)
+        return some and len(self.scenes) == self.scene_count and all(scene.ok for scene in self.scenes)
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def candidate(self) -> str:
         """The candidate that was judged, or to be judged, in place of our caster; "" for ours."""
-        return self.on_trial or next((scene.candidate for scene in self.scenes), "")
+        return self.requested_candidate or next((scene.candidate for scene in self.scenes), "")
 
     @computed_field  # type: ignore[prop-decorator]
     @property

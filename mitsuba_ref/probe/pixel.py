@@ -77,7 +77,7 @@ class PixelVerdict:
 
 
 class ProbeEvidence(NamedTuple):
-    """What a pixel's verdict rests on: a picture of this one pixel."""
+    """What a pixel's verdict rests on: an image of this one pixel."""
 
     judge: Judge
     judgement: Judgement

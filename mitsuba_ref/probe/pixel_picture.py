@@ -1,6 +1,6 @@
 """A pixel and what lies around it, as PNG: classes of its neighbours, what is hit within it, and around its ray.
 
-All that is drawn is cast: edges are where neighbouring rays meet different primitives, so every shape and camera shows.
+All that is drawn is cast: edges are where neighbouring rays hit different primitives, so every shape and camera shows.
 """
 
 import io
@@ -33,7 +33,7 @@ Extent = tuple[float, float, float, float]  # left, right, bottom, top
 
 
 class MissingPlots(ImportError):  # noqa: N818 - what is missing is the subject
-    """Matplotlib is not installed; str() says what to install."""
+    """Matplotlib is not installed; str(): what to install."""
 
 
 def check_available() -> None:
@@ -107,7 +107,7 @@ def draw_inside(ax: Any, scene: Scene, x: int, y: int) -> dict[str, str]:
         ax.axvline(x + line, color="black", lw=0.3, alpha=0.25)
         ax.axhline(y + line, color="black", lw=0.3, alpha=0.25)
     ax.plot([x + 0.5], [y + 0.5], "+", color="black", ms=14, mew=1.6)
-    frame(ax, (x, x + 1), (y + 1, y), "this pixel: what our rays meet in it", "x, pixels", "y, pixels")
+    frame(ax, (x, x + 1), (y + 1, y), "this pixel: what our rays hit in it", "x, pixels", "y, pixels")
     return named
 
 

@@ -59,7 +59,7 @@ def _head(found: PixelVerdict, path: str) -> Iterator[str]:
 
 
 def _sides(found: PixelVerdict, name: str) -> dict[str, Any]:
-    """Who says what of one quantity."""
+    """One quantity as each witness has it."""
     theirs = found.candidate.says if found.candidate is not None else {}
     sides = {"ours": found.ours[name], "reference": found.reference[name]}
     if name == "shape" and theirs:
@@ -80,7 +80,7 @@ def _candidate_lines(theirs: CandidatePixel) -> Iterator[str]:
         yield f"exact hit  normal          {_decimal_and_hex(off['exact_normal'])}"
     if theirs.alone:
         first, *rest = theirs.alone.splitlines()
-        yield f"alone      asked about this ray alone, the candidate says {first}"
+        yield f"alone      for this ray alone, the candidate returns {first}"
         yield from (f"           {line}" for line in rest)
     yield from _bound_lines("its bound", theirs.ratios, theirs.not_judged)
     yield from (f"note       {note}" for note in theirs.notes)
@@ -95,7 +95,7 @@ def _bound_lines(head: str, ratios: Mapping[str, float], not_judged: Mapping[str
 
 
 def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
-    """What exact arithmetic says: t, what is hit there, and what else the ray met."""
+    """The exact answer: t, what is hit there, and the other intersections of the ray."""
     if not exact:
         yield "exact      no answer"
         return

@@ -25,7 +25,7 @@ MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_u
 
 @dataclass(frozen=True)
 class WitnessAnswer:
-    """What one witness says of the ray, held to exact arithmetic."""
+    """One witness's answer for the ray, compared with exact arithmetic."""
 
     who: str  # ours, exact, a candidate, or a variant of Mitsuba with its mode
     shape: str  # "miss" on a miss
@@ -38,9 +38,9 @@ class WitnessAnswer:
     ulps: float | None = None  # the same, in units of the last place of the format it computes in
     format: str = ""  # which that is
     share: float | None = None  # of the bound that its format has on t here
-    problem: str = ""  # why it says nothing
+    problem: str = ""  # why there is no answer
     normal_share: float | None = None  # of the bound on the normal, where that is judged here
-    remark: str = ""  # what is odd about what it says
+    remark: str = ""  # what is odd about the answer
 
 
 def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
@@ -114,7 +114,7 @@ def _of_mitsuba(
 def _compared_with_exact(
     claimed: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
 ) -> WitnessAnswer:
-    """A saying beside the exact answer. kind: what it was computed in."""
+    """An answer beside the exact one. kind: what it was computed in."""
     name = np.dtype(kind).name
     if exact is None:
         return WitnessAnswer(*claimed, format=name)

@@ -35,7 +35,7 @@ NEAR_PER_REACH, FAR_PER_REACH = 2.0**-20, 2.0**10
 
 
 def camera_reference(camera: Camera) -> CameraReference:
-    """The entry of a camera. Raises MissingReferenceError, which says what to write."""
+    """The entry of a camera. Raises MissingReferenceError, whose text is what to write."""
     if type(camera) not in REFERENCE_OF_CAMERA:
         raise MissingReferenceError(missing_reference(type(camera).__name__, "cameras"))
     return REFERENCE_OF_CAMERA[type(camera)]

@@ -55,7 +55,7 @@ class ProcessEnd:
 
 
 class ProcessEnded(Exception):  # noqa: N818 - an event, not necessarily an error
-    """A resident process that answers no more; `end` says why."""
+    """A resident process that answers no more; `end` is why."""
 
     def __init__(self, end: ProcessEnd) -> None:
         super().__init__(end)

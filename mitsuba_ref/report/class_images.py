@@ -67,7 +67,7 @@ def class_map(classified: np.ndarray, judgement: Judgement) -> Channels:
 
 
 def clipped_to_float32(values: np.ndarray) -> np.ndarray:
-    """Finite numbers beyond float32 as its largest: no file of ours holds more, and inf would say a miss."""
+    """Finite numbers beyond float32 as its largest: no file of ours holds more, and inf would mean a miss."""
     if values.dtype.kind != "f":
         return values
     largest = float(np.finfo(np.float32).max)

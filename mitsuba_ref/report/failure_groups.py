@@ -9,8 +9,8 @@ MIN_FAILING_SCENES = 2  # scenes that fail: of one, everything is in common
 NO_ANSWER = "no comparison"
 
 
-def in_common(scenes: Sequence[SceneVerdict]) -> list[str]:
-    """What is the same in all that fail, each with what is so in how many that pass; [] where that says nothing.
+def common_traits(scenes: Sequence[SceneVerdict]) -> list[str]:
+    """What is the same in all that fail, each with what is so in how many that pass; [] where that separates nothing.
 
     A type of shape or camera counts only if some scene that passes is without.
     """
@@ -44,29 +44,31 @@ def checks_of(scene: SceneVerdict) -> frozenset[str]:
 
 
 def shapes_of(scene: SceneVerdict) -> frozenset[str]:
-    return frozenset(scene.made_of.shapes)
+    return frozenset(scene.statistics.shapes)
 
 
 def cameras_of(scene: SceneVerdict) -> frozenset[str]:
-    return frozenset({scene.made_of.camera} - {""})
+    return frozenset({scene.statistics.camera} - {""})
 
 
 def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
     """The failing scene with the fewest primitives, then shapes, then pixels; None below MIN_FAILING_SCENES."""
     failing = [scene for scene in scenes if not scene.ok]
-    known = [scene for scene in failing if scene.made_of.primitives]
+    known = [scene for scene in failing if scene.statistics.primitives]
     if len(failing) < MIN_FAILING_SCENES or not known:
         return None
-    return min(known, key=lambda s: (s.made_of.primitives, sum(s.made_of.shapes.values()), s.pixels, s.name))
+    return min(
+        known, key=lambda s: (s.statistics.primitives, sum(s.statistics.shapes.values()), s.pixels, s.name)
+    )
 
 
 def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     """Lines on what failing scenes have in common, and the simplest of them; none below MIN_FAILING_SCENES."""
     failing = sum(not scene.ok for scene in scenes)
-    traits, first = in_common(scenes), simplest_failing(scenes)
+    traits, first = common_traits(scenes), simplest_failing(scenes)
     if traits:
         yield f"in common:  of all {failing} that fail: {'; '.join(traits)}"
     if first is not None:
-        count = first.made_of.primitives
+        count = first.statistics.primitives
         size = f"{count} primitive{'s' if count > 1 else ''}, {first.pixels} pixels"
         yield f"look first: {first.name}, the simplest of them ({size})"

@@ -93,8 +93,8 @@ def utf8_size(text: str) -> int:
 
 def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
     passed = sum(scene.ok for scene in verdict.scenes)
-    words = f"{verdict.asked} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
-    missing = verdict.asked - len(verdict.scenes)
+    words = f"{verdict.scene_count} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
+    missing = verdict.scene_count - len(verdict.scenes)
     words += f", {missing} not judged" if missing else ""
     kept = sum(scene.kept for scene in verdict.scenes)
     counts = ", ".join(f"{verdict.counts[name]} {name.replace('_', ' ')}" for name in CLASSES)

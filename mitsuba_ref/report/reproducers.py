@@ -35,7 +35,7 @@ class Reproducer(NamedTuple):
     notes: tuple[str, ...]
 
     def text(self, head: Sequence[str]) -> str:
-        """A scene file. head: lines of comment to begin with, the first of which says what the file is for."""
+        """A scene file. head: lines of comment to begin with, the first of which is the purpose of the file."""
         lines = [*head, *(f"note: {note}" for note in self.notes)]
         comment = "".join(f"# {line}".rstrip() + "\n" for line in lines)
         return (
@@ -53,7 +53,7 @@ def with_hex_floats(value: Any) -> Any:
 
 
 def reproducer(judge: Judge, row: int, *, lit: bool = False) -> Reproducer:
-    """The ray of one row of the picture, and what it may hit. lit: with lights, and what may cast a shadow on the hit.
+    """The ray of one row of the image, and what it may hit. lit: with lights, and what may cast a shadow on the hit.
 
     Raises SceneError for a pixel without a ray.
     """
@@ -162,7 +162,7 @@ def write_reproducers(
 def write_reproducer(
     path: Path, judge: Judge, judgement: Judgement, row: int, source: str, more: Sequence[str] = ()
 ) -> bool:
-    """Write one, and say in it whether its few primitives alone show the same. more: lines of comment.
+    """Write one, with a line on whether its few primitives alone show the same. more: lines of comment.
 
     Raises OutputError, SceneError.
     """

@@ -168,7 +168,7 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         f"{counts[name]} {name.replace('_', ' ')} ({percent_text(counts[name], total)})" for name in CLASSES
     ]
     lines = [
-        f"{verdict.asked} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
+        f"{verdict.scene_count} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
         f"{_not_run(verdict)}, in {seconds:.1f} s",
         *_first_look(verdict),
         f"hit pixels: {', '.join(shares[:3])},",
@@ -252,7 +252,7 @@ def _kept_lines(verdict: Verdict) -> Iterator[str]:
             "variant and options"
         )
     if verdict.shard:
-        yield f"shard:      {verdict.shard}, {verdict.asked} of {len(verdict.selected)} scenes"
+        yield f"shard:      {verdict.shard}, {verdict.scene_count} of {len(verdict.selected)} scenes"
 
 
 def _allowed(scene: SceneVerdict) -> str:
@@ -260,7 +260,7 @@ def _allowed(scene: SceneVerdict) -> str:
 
 
 def _not_run(verdict: Verdict) -> str:
-    left = verdict.asked - len(verdict.scenes)
+    left = verdict.scene_count - len(verdict.scenes)
     return f", {left} not judged" if left else ""
 
 

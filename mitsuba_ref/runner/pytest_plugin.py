@@ -248,6 +248,4 @@ def check_problem(found: SceneVerdict | str, check: str) -> str:
 
 def no_verdict(why: str) -> str:
     """A check without a verdict fails; otherwise a run of `-k depth` would pass."""
-    return (
-        f"{why.splitlines()[0]}\nThere is no verdict, so nothing was checked; the test {VERDICT} says more."
-    )
+    return f"{why.splitlines()[0]}\nThere is no verdict, so nothing was checked; the test {VERDICT} has the reason."

@@ -58,7 +58,7 @@ def verdict_of(record: dict[str, Any]) -> Verdict:
     """The verdict of a run from its JSON values. Raises one of MALFORMED."""
     found = TypeAdapter(Verdict).validate_python(record)
     if found.ok != record["ok"]:
-        raise ValueError(f"it says ok: {record['ok']}, its scenes say {found.ok}")
+        raise ValueError(f"its ok is {record['ok']}, by its scenes it is {found.ok}")
     for each, scene in zip(record["scenes"], found.scenes, strict=True):
         check_ok(each, scene)
     return found
@@ -77,7 +77,7 @@ def check_ok(record: dict[str, Any], scene: SceneVerdict) -> None:
     if missing:
         raise ValueError(f"{scene.name} lacks {', '.join(sorted(missing))}")
     if scene.ok != record["ok"]:
-        raise ValueError(f"{scene.name} says ok: {record['ok']}, its numbers say {scene.ok}")
+        raise ValueError(f"{scene.name}: its ok is {record['ok']}, by its numbers it is {scene.ok}")
 
 
 PACKAGES = ("caster", "mitsuba_ref")

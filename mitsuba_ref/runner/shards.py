@@ -143,7 +143,7 @@ def merge_verdicts(
         files[shard.part] = place
     check_same_subject_and_film(
         parts
-    )  # films and candidates first: they are a part of the code's hash, which cannot say so
+    )  # films and candidates first: they are a part of the code's hash, whose difference has no details
     for place, part in parts:
         if part.code != first.code:
             raise DifferentRuns(f"{place}: it is of other code or other scenes than {first_place}")
@@ -162,7 +162,9 @@ def merge_verdicts(
     if strange:
         raise DifferentRuns(f"scenes that the run did not select: {', '.join(strange)}")
     judged_with = combined_versions([part for _, part in parts])
-    whole = replace(first, shard="", selected=(), asked=len(names), names=names, judged_with=judged_with)
+    whole = replace(
+        first, shard="", selected=(), scene_count=len(names), names=names, judged_with=judged_with
+    )
     whole = replace(whole, scenes=tuple(scenes[name] for name in names if name in scenes))
     missing = [f"shard {number}/{count} is missing" for number in range(1, count + 1) if number not in files]
     return whole, missing

@@ -50,7 +50,7 @@ class Validation(Verdict):
 
         Raises OutputError.
         """
-        return write_report(path, self.scenes, self.asked)
+        return write_report(path, self.scenes, self.scene_count)
 
 
 def validate(

@@ -70,7 +70,11 @@ class ValidationRun:
         names = tuple(entry.name for entry in self.entries)
         identity = run_identity(self.every, self.options.shard)
         return Verdict(
-            tuple(self.done), asked=len(names), names=names, on_trial=self.candidate_name, **identity
+            tuple(self.done),
+            scene_count=len(names),
+            names=names,
+            requested_candidate=self.candidate_name,
+            **identity,
         )
 
     def remove_obsolete(self, verdict: Verdict) -> RemovedFiles:
@@ -113,7 +117,7 @@ def candidate_judge(candidate: Subject, *, keep: bool) -> JudgeScene:
 
 
 def run_identity(every: Sequence[SceneEntry], shard: Shard | None) -> dict[str, Any]:
-    """Fields of a Verdict that say which sources and versions judged. every: the scenes of all shards."""
+    """Fields of a Verdict that name the sources and versions that judged. every: the scenes of all shards."""
     if shard is None:
         return {"code": code_hash(), "judged_with": judged_with()}
     # The scenes are a part of the hash, so that shards of other scenes of the same names are not merged.

@@ -36,7 +36,7 @@ Observations = dict[str, Observation | Absent]  # by witness
 class ExactCounts:
     """Rays of a setting by their exact answers."""
 
-    asked: int  # adjudicated by exact arithmetic; a closed mesh needs only a sample
+    adjudicated: int  # rays decided by exact arithmetic; a closed mesh needs only a sample
     hits: int
     misses: int
     ties: int  # rays that hit several primitives at exactly the same t
@@ -131,33 +131,35 @@ class SweepResult:
 
 @dataclass(frozen=True)
 class StressRun:
-    """A run of `mitsuba-ref stress`. asked: the selected families, of which it may have finished some only."""
+    """A run of `mitsuba-ref stress`. requested: the selected families; an interrupted run has results of some only."""
 
     seed: int
     versions: Mapping[str, str]
-    asked: tuple[str, ...]
+    requested: tuple[str, ...]
     families: tuple[SweepResult, ...]
     format: int = JSON_FORMAT
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def ok(self) -> bool:
-        return all(sweep.ok for sweep in self.families) and len(self.families) == len(self.asked)
+        return all(sweep.ok for sweep in self.families) and len(self.families) == len(self.requested)
 
 
-def sweep(family: Family, seed: int, rays: int | None, say: Progress = lambda words: None) -> SweepResult:
+def sweep(
+    family: Family, seed: int, rays: int | None, on_progress: Progress = lambda words: None
+) -> SweepResult:
     """Every setting of a family. The same seed and number of rays give the same result, but for the seconds."""
     start = time.perf_counter()
-    say("aiming")
+    on_progress("aiming")
     settings = [witnesses.prepare_setting(setting) for setting in family.settings(seed, rays)]
     results = []
-    for i, (ready, observations) in enumerate(zip(settings, observe(settings, say), strict=True)):
-        say(f"exact answers {i + 1}/{len(settings)}")
+    for i, (ready, observations) in enumerate(zip(settings, observe(settings, on_progress), strict=True)):
+        on_progress(f"exact answers {i + 1}/{len(settings)}")
         results.append(score_setting(ready, observations))
     return SweepResult.of(family, results, time.perf_counter() - start)
 
 
-def observe(settings: Sequence[PreparedSetting], say: Progress) -> list[Observations]:
+def observe(settings: Sequence[PreparedSetting], on_progress: Progress) -> list[Observations]:
     """What each witness finds in each setting. Mitsuba runs in child processes beside our caster."""
     pool = ThreadPoolExecutor(PARALLEL_PROCESSES)
     try:
@@ -170,11 +172,11 @@ def observe(settings: Sequence[PreparedSetting], say: Progress) -> list[Observat
             }
             own = []
             for i, ready in enumerate(settings):
-                say(f"ours {i + 1}/{len(settings)}")
+                on_progress(f"ours {i + 1}/{len(settings)}")
                 own.append(
                     {OURS.key: witnesses.cast_by_bvh(ready), SCREEN.key: witnesses.cast_by_raster(ready)}
                 )
-            say("waiting for Mitsuba")
+            on_progress("waiting for Mitsuba")
             theirs = {key: future.result() for key, future in submitted.items()}
     finally:  # also on Ctrl-C: no child is left behind
         subprocess_runner.kill_subprocesses()

@@ -60,7 +60,7 @@ class Observation(NamedTuple):
 class Absent:
     """A witness without an observation, and the reason."""
 
-    status: Literal["missing", "crash", "not asked"]
+    status: Literal["missing", "crash", "not applicable"]
     why: str
 
 
@@ -91,7 +91,7 @@ def cast_by_raster(ready: PreparedSetting) -> Observation | Absent:
     """Our rasterization of the setting's rays, over the pixels of their cameras."""
     setting = ready.setting
     if not setting.camera_rays:
-        return Absent("not asked", "the rays of this sweep share no eye")
+        return Absent("not applicable", "the rays of this sweep share no eye")
     t, prim = np.full(len(setting.o), np.nan), np.full(len(setting.o), -1)
     for camera, film, rows, pixels in setting.camera_rays:
         view = Scene(camera=camera, film=film)

@@ -1,4 +1,4 @@
-"""What a candidate says of each ray, checked for form: before anything is compared."""
+"""Answers of a candidate, checked for form before anything is compared."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,7 @@ DEFAULT_SECONDS = 300.0  # that a command may take for one scene
 
 
 class NoAnswer(Exception):  # noqa: N818 - an outcome, not a mistake of the program
-    """A candidate gave nothing that could be judged; the text says what it did, and the way out."""
+    """A candidate gave nothing that could be judged; the text is what it did, and the way out."""
 
 
 @dataclass(frozen=True)
@@ -107,9 +107,7 @@ def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> n
     expected = f"shape {'(n,)' if len(shape) == 1 else '(n, 3)'} = {shape}"
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         masked = int(np.ma.getmaskarray(values).sum())
-        raise NoAnswer(
-            f"{name}: {masked} values are masked; say what they are, such as {name}.filled({nothing})"
-        )
+        raise NoAnswer(f"{name}: {masked} values are masked; fill them, such as {name}.filled({nothing})")
     try:
         a = np.asarray(values)
     except KeyboardInterrupt:

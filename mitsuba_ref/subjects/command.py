@@ -69,7 +69,7 @@ class CommandSubject:
     takes_rays: bool = False
 
     def answer(self, request: CastRequest) -> Answer:
-        """Write the scene, run the program, read its picture. Raises NoAnswer."""
+        """Write the scene, run the program, read its image. Raises NoAnswer."""
         film, folder = request.scene.film, request.folder
         names = {"exr": folder / "candidate.exr", "width": film.width, "height": film.height}
         if self.reads_xml:
@@ -105,13 +105,13 @@ class CommandSubject:
         try:
             exr = read_exr(path)
         except UnreadableExr as error:
-            raise NoAnswer(f"the program ended well, but its picture cannot be read: {error}") from error
+            raise NoAnswer(f"the program ended well, but its image cannot be read: {error}") from error
         except FileMissing as error:
             raise NoAnswer("the program ended well, but wrote no {exr}") from error
         film, (x0, y0, x1, y1) = request.scene.film, request.scene.film.window
         if exr.data_window not in ((x0, y0, x1, y1), (0, 0, x1 - x0, y1 - y0)):
             raise NoAnswer(
-                f"the picture shows pixels {exr.data_window}, expected {(x0, y0, x1, y1)} of the film of "
+                f"the image shows pixels {exr.data_window}, expected {(x0, y0, x1, y1)} of the film of "
                 f"{film.width} x {film.height}"
             )
         return exr
@@ -120,7 +120,7 @@ class CommandSubject:
 def answer_from_exr(
     exr: Exr, request: CastRequest, *, precision: str | None = None, as_exported: bool = False
 ) -> Answer:
-    """What an EXR in our channels says: depth along the ray from the eye, geometric normal, mask. Raises NoAnswer."""
+    """Answer from an EXR in our channels: depth along the ray from the eye, geometric normal, mask. Raises NoAnswer."""
     normal = _checked_names(exr.channels)
     rays = request.rays
     depth = exr.channels[DEPTH].ravel().astype(np.float64)
@@ -143,11 +143,11 @@ def _checked_names(channels: Mapping[str, np.ndarray]) -> list[str]:
     if DEPTH not in channels:
         has = ", ".join(channels) or "none"
         raise NoAnswer(
-            f"the picture has no channel {DEPTH}, the distance from the eye along the ray; it has {has}"
+            f"the image has no channel {DEPTH}, the distance from the eye along the ray; it has {has}"
         )
     some = [name for name in NORMAL if name in channels]
     if some and len(some) < len(NORMAL):
-        raise NoAnswer(f"the picture has {', '.join(some)}, but not all of {', '.join(NORMAL)}")
+        raise NoAnswer(f"the image has {', '.join(some)}, but not all of {', '.join(NORMAL)}")
     for name in (DEPTH, *some):
         if channels[name].dtype != np.float32:
             raise NoAnswer(f"channel {name} holds {channels[name].dtype}, expected float32: half has 11 bits")
@@ -155,7 +155,7 @@ def _checked_names(channels: Mapping[str, np.ndarray]) -> list[str]:
 
 
 def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarray:
-    """(n,) bool: hit, by the mask. Raises NoAnswer where depth says otherwise; 0 is no depth, and may be a miss's."""
+    """(n,) bool: hit, by the mask. Raises NoAnswer where depth contradicts it; 0 is no depth, and may be a miss's."""
     covered: np.ndarray = mask != 0
     missed = np.isposinf(depth) | (~covered & (depth == 0.0))
     contradicts = (covered == missed) | ~np.isfinite(mask)
@@ -170,4 +170,4 @@ def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarr
 
 def _output_tail(words: str) -> str:
     words = printable(words).strip()
-    return f"; its last words:\n{words[-LAST_WORDS:]}" if words else "; it said nothing"
+    return f"; its last words:\n{words[-LAST_WORDS:]}" if words else "; it printed nothing"

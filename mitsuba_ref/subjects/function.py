@@ -20,7 +20,7 @@ from mitsuba_ref.subjects.answer import PRECISIONS, Answer, NoAnswer, checked_an
 from mitsuba_ref.subjects.subject import CastRequest
 
 FUNCTION_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
-HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # whose calls say nothing of a candidate
+HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # whose calls are not a candidate's
 MAX_TRACEBACK_FRAMES = 4  # of a traceback, on one line each
 
 # Scenes are judged several at a time; a candidate need not be safe to call from two threads at once.
@@ -69,7 +69,7 @@ def function_subject(
 
 @dataclass(frozen=True)
 class FunctionSubject:
-    """function(scene, o, d) -> (t, n). Its attribute `precision`, or the option, says float32 or float64."""
+    """function(scene, o, d) -> (t, n). Its attribute `precision`, or the option, is float32 or float64."""
 
     name: str
     call: Callable[[Any, np.ndarray, np.ndarray], Any]

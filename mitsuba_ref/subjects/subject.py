@@ -36,7 +36,7 @@ class Subject(Protocol):
 
     @property
     def reads_xml(self) -> bool:
-        """Whether it sees the scene as plain Mitsuba does."""
+        """Whether it casts the same rays through the same scene as plain Mitsuba."""
 
     @property
     def takes_rays(self) -> bool:

@@ -59,7 +59,7 @@ def _exit_text(code: int) -> str:
 def looked_after(fd: int, main: Callable[[Sequence[str]], int]) -> NoReturn:
     """The command line of this process, in the child; its exit code goes through fd before the process ends.
 
-    sys.exit is heard by `main`; os._exit and C's exit() end the process before its code is told. What it exits with
+    sys.exit reaches `main`; os._exit and C's exit() end the process before its code is reported. What it exits with
     does not count: what the candidate left for the end of the process may change that.
     """
     sys.stdout = results = _result_stream()

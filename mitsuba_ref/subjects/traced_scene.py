@@ -40,8 +40,8 @@ def packs_identically(part: Any, k: int, packed: Packed) -> bool:
 def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
     """Film, camera, lights and materials as they were; shapes packed to float32, described anew.
 
-    Everything made of triangles is a `mesh` without a to_world, its PLY file in `folder`/meshes; a ball is a `sphere`
-    by centre and radius; stretched balls, tubes and disks are their unit shape under one matrix; planes have a normal
+    Everything made of triangles is a `mesh` without a to_world, its PLY file in `folder`/meshes; a sphere is a `sphere`
+    by centre and radius; ellipsoids, cylinders and disks are their unit shape under one matrix; planes have a normal
     and a point. packed: by as_float32.
     """
     check_folder(folder / "meshes")

@@ -160,7 +160,7 @@ def test_maxfail_stops_and_says_what_was_left(ref, scenes):
     assert (found.returncode, names_in(found)) == (1, ["ball", "empty-1"])
     assert "4 scenes: 1 pass, 1 fail, 2 not judged" in found.stdout
     verdict = strict_json(scenes / "v.out")
-    assert (verdict["ok"], verdict["asked"], len(verdict["scenes"])) == (False, 4, 2)
+    assert (verdict["ok"], verdict["scene_count"], len(verdict["scenes"])) == (False, 4, 2)
 
 
 def strict_json(path: Path):
@@ -320,7 +320,7 @@ def test_an_interruption_keeps_what_is_done_and_leaves_no_child(tmp_path):
         0,
         1,
     )  # the signal may come between keeping a verdict and printing its row
-    assert 0 < len(rows) < done["asked"] and done["ok"] is False and " not judged, in " in out
+    assert 0 < len(rows) < done["scene_count"] and done["ok"] is False and " not judged, in " in out
     assert list(temporary.iterdir()) == []
     assert [pid for pid in running_with(mark) if pid != child.pid] == []
 

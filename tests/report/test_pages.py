@@ -71,7 +71,7 @@ def test_filters_choose_and_are_in_the_address(visit, folder):
 
 def test_a_thousand_scenes_are_few_rows(visit, verdicts, tmp_path):
     many = [replace(verdicts["good"], name=f"scene-{i:04}", seen=None, seconds=float(i)) for i in range(1000)]
-    page = visit(Validation(tuple(many), asked=1000).write_html(tmp_path / "many.html")).page
+    page = visit(Validation(tuple(many), scene_count=1000).write_html(tmp_path / "many.html")).page
     rows = page.locator(".row")
     assert 8 <= rows.count() <= 40 and page.locator("#table").get_attribute("aria-rowcount") == "1001"
     assert page.locator("*").count() < 1500, "the plain table is gone"

@@ -31,7 +31,7 @@ def scene(name="ball", *, ok=True, problem="", path=None, **more):
     )
 
 
-def verdict(*scenes, asked=None, names=(), **more):
+def verdict(*scenes, scene_count=None, names=(), **more):
     """All of them; `names` beyond theirs were not judged."""
     every = (*(each.name for each in scenes), *names)
-    return Verdict(tuple(scenes), len(every) if asked is None else asked, every, **more)
+    return Verdict(tuple(scenes), len(every) if scene_count is None else scene_count, every, **more)

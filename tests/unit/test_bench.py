@@ -101,7 +101,7 @@ def truth(tmp_path_factory) -> ExactAnswers:
 
 def truth_of(name: str, folder: Path) -> ExactAnswers:
     scene = SCENES[name]
-    return ExactAnswers(write_scene(scene, folder, 16), scene.asks, 0, sample=80)
+    return ExactAnswers(write_scene(scene, folder, 16), scene.workload, 0, sample=80)
 
 
 def test_the_exact_answer_is_not_wrong(truth):
@@ -213,10 +213,10 @@ def timed(
 ) -> tuple[SceneResult, dict[str, Fake]]:
     Fake.log = []
     fakes = {key: Fake(key, dying.get(key)) for key in keys}
-    asked = [replace(BY_KEY[key], variant="", package="", first=0) for key in keys]
+    timed = [replace(BY_KEY[key], variant="", package="", first=0) for key in keys]
     settings = Settings(16, alternations)
     start = lambda contestant, *rest: fakes[contestant.key]  # noqa: E731
-    return time_scene(SCENES["cornell-box"], asked, settings, start=start), fakes
+    return time_scene(SCENES["cornell-box"], timed, settings, start=start), fakes
 
 
 def test_contestants_take_turns_and_nobody_is_always_first():
@@ -248,7 +248,7 @@ def test_who_cannot_run_says_why(monkeypatch):
     crowd = replace(BY_KEY["ours-python"], most=3)
     found = time_scene(SCENES["cornell-box"], [absent, crowd], Settings(16, 1), start=None)
     assert found.rows[0].why == "no_such_package_here is not installed: pip install 'ray-reference[peers]'"
-    assert found.rows[1].why == "not asked about more than 3 primitives"
+    assert found.rows[1].why == "not timed with more than 3 primitives"
 
 
 # --- processes
@@ -305,15 +305,15 @@ def test_every_contestant_has_an_entry_that_can_do_all_that_is_asked():
         (found,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name)
         methods = {node.name for node in found.body if isinstance(node, ast.FunctionDef)}
         assert {"build", "take_rays", "cast", "answer"} <= methods, contestant.key
-        assert contestant.key in performance_plots.STYLE or contestant.asks == (SHADING,), contestant.key
+        assert contestant.key in performance_plots.STYLE or contestant.workloads == (SHADING,), contestant.key
 
 
 def test_what_the_contract_names_is_there():
-    asked = {each.key for each in contestants_for(FILM, peers=True)}
-    assert {"ours", "ours-bvh", "ours-1-thread", "ours-python", "scalar-aov", "scalar-loop"} <= asked
-    assert {"raw-robust", "raw-default", "aov-robust", "aov-default", "open3d", "trimesh", "copy"} <= asked
+    timed = {each.key for each in contestants_for(FILM, peers=True)}
+    assert {"ours", "ours-bvh", "ours-1-thread", "ours-python", "scalar-aov", "scalar-loop"} <= timed
+    assert {"raw-robust", "raw-default", "aov-robust", "aov-default", "open3d", "trimesh", "copy"} <= timed
     assert not {"open3d", "embreex", "trimesh"} & {each.key for each in contestants_for(FILM, peers=False)}
-    assert {scene.asks for scene in scenes.SCENES} == {FILM, NEAREST, ANY, SHADING}
+    assert {scene.workload for scene in scenes.SCENES} == {FILM, NEAREST, ANY, SHADING}
     assert len(scenes.SCENES) >= 12
     assert run.TRIANGLE_COUNTS[-1] == 10_000_000 and (run.FILM_SIDES[0], run.FILM_SIDES[-1]) == (64, 4096)
 
@@ -338,7 +338,7 @@ SCORE = Score(2000, 5.25, 0.25, 0, 1, 2000, 3, 4)
 FIXED = Run(
     settings={"size": 1024, "alternations": 3, "threads": 2, "seed": 0, "peers": True},
     machine={"processor": "an abacus"},
-    asked=("one-sphere", "mesh-70k", "lit-mesh"),
+    requested=("one-sphere", "mesh-70k", "lit-mesh"),
     scenes=(
         SceneResult(
             "mesh-70k",

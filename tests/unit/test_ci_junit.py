@@ -66,7 +66,7 @@ VERDICTS = {
     "nothing": verdict(),
     "nasty": verdict(scene('<a & "b">\x07\'\ud800', ok=False)),
     "shard": verdict(scene("a"), shard="1/2", selected=("a", "b")),
-    "candidate": verdict(names=("a",), on_trial="mine\x07:trace"),
+    "candidate": verdict(names=("a",), requested_candidate="mine\x07:trace"),
 }
 
 

@@ -138,7 +138,7 @@ def test_a_scene_that_fails_or_was_left_in_its_shard_fails_the_whole(folder, cap
         (shard("2/2", "b", "d", code="c1"), "it is of other code or other scenes than 1.json"),
         (of("2/2", candidate="mine:trace"), "2.json: it judged mine:trace, and 1.json judged ours"),
         (
-            replace(shard("2/2", left=("b", "d")), on_trial="mine:trace"),
+            replace(shard("2/2", left=("b", "d")), requested_candidate="mine:trace"),
             "2.json: it judged mine:trace, and 1.json judged ours",
         ),
         (
@@ -251,7 +251,9 @@ def test_a_verdict_on_a_candidate_comes_back_from_json_as_it_was():
     record = json.loads(json.dumps(whole.to_dict()))
     assert record["counts"]["wrong"] == 1 and record["candidate"] == "mine:trace"
     assert verdict_of(record) == whole
-    nothing = Verdict((), 1, ("a",), on_trial="mine:trace")  # interrupted before the first scene was done
+    nothing = Verdict(
+        (), 1, ("a",), requested_candidate="mine:trace"
+    )  # interrupted before the first scene was done
     assert verdict_of(json.loads(json.dumps(nothing.to_dict()))) == nothing
 
 

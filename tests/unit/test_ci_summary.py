@@ -46,7 +46,7 @@ def test_all_that_pass_is_a_pass_and_nothing_at_all_is_none():
 def test_a_run_that_judged_a_candidate_or_was_about_to_names_it_and_never_ours():
     said = {"candidate": "mine:trace", "precision": "float32", "unjudged": ("diffuse",)}
     for done in (scene("good", **said), scene("bad", ok=False, **said)), ():
-        text = html.unescape(markdown(verdict(*done, names=("left",), on_trial="mine:trace"), 1.0))
+        text = html.unescape(markdown(verdict(*done, names=("left",), requested_candidate="mine:trace"), 1.0))
         assert "mine:trace" in text and "ours wrong" not in text
         assert not done or ("| wrong |" in text and "float32" in text)
         assert ("- not judged: diffuse" in text) is bool(done) and "not judged: \n" not in text

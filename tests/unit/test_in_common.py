@@ -9,7 +9,7 @@ from made_verdicts import verdict
 
 import caster
 from mitsuba_ref.judge.verdict import SceneCheck, SceneStatistics
-from mitsuba_ref.report.failure_groups import in_common, simplest_failing
+from mitsuba_ref.report.failure_groups import common_traits, simplest_failing
 from mitsuba_ref.report.markdown import markdown
 from mitsuba_ref.report.terminal import summary_text
 from mitsuba_ref.runner import scene_runner
@@ -22,7 +22,7 @@ def scene(name, shapes=("sphere",), *, ok=False, checks=("depth",), camera="pinh
     failing = {} if ok or one.problem else dict.fromkeys(checks, 3)
     of = SceneStatistics(camera, dict.fromkeys(shapes, 1), primitives)
     failures = tuple(replace(each, check=checks[0]) for each in one.failures)
-    return replace(one, failing_by=failing, made_of=of, failures=failures)
+    return replace(one, failing_by=failing, statistics=of, failures=failures)
 
 
 A, B = scene("a", ("sphere", "mesh"), checks=("depth", "exact")), scene("b", checks=("normal", "depth"))
@@ -51,19 +51,19 @@ A, B = scene("a", ("sphere", "mesh"), checks=("depth", "exact")), scene("b", che
         ([A, scene("b", problem="crash")], []),
         ([scene("a", problem="crash"), scene("b", problem="no mesh")], ["there is no comparison"]),
         (
-            [replace(A, made_of=SceneStatistics()), B, scene("p", ("disk",), ok=True)],
+            [replace(A, statistics=SceneStatistics()), B, scene("p", ("disk",), ok=True)],
             ["depth fails"],
         ),  # not told
     ],
 )
 def test_only_what_is_so_in_all_that_fail_and_not_in_all_that_pass_is_said(scenes, told):
-    assert in_common(scenes) == told
+    assert common_traits(scenes) == told
 
 
 def test_a_check_that_is_made_once_a_scene_counts_too():
     off = (SceneCheck("camera", 3.0, "at (1, 2)"),)
     both = [replace(scene(name, ok=True), checks=off) for name in "ab"]
-    assert not both[0].ok and in_common(both) == ["camera fails"]
+    assert not both[0].ok and common_traits(both) == ["camera fails"]
 
 
 def test_the_simplest_has_the_fewest_primitives_then_shapes_then_pixels():
@@ -76,7 +76,9 @@ def test_the_simplest_has_the_fewest_primitives_then_shapes_then_pixels():
 
 
 def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_nothing_to_say():
-    failing = verdict(A, replace(B, made_of=replace(B.made_of, primitives=9)), scene("p", ("disk",), ok=True))
+    failing = verdict(
+        A, replace(B, statistics=replace(B.statistics, primitives=9)), scene("p", ("disk",), ok=True)
+    )
     lines = summary_text(failing, 1.0).splitlines()
     at = lines.index("in common:  of all 2 that fail: depth fails; shape sphere (in 0 of 1 that pass)")
     assert lines[at + 1 : at + 3] == [
@@ -95,5 +97,5 @@ def test_a_verdict_says_what_its_scene_is_made_of_also_after_json_and_where_ther
     entry = scene_runner.SceneEntry(ball, "ball", "ball.toml")
     for found in (made("ball"), made("ball", problem="crash")):
         judged = scene_runner.judge_entry(entry, None, validate=Mock(return_value=found))
-        assert judged.made_of == SceneStatistics("pinhole", {"sphere": 1, "cube": 1}, 13)
-        assert scene_of(judged.to_dict()).made_of == judged.made_of
+        assert judged.statistics == SceneStatistics("pinhole", {"sphere": 1, "cube": 1}, 13)
+        assert scene_of(judged.to_dict()).statistics == judged.statistics

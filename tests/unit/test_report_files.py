@@ -152,7 +152,10 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path):
 
 
 def test_a_verdict_writes_itself(tmp_path):
-    assert Validation((FAILING, PASSING), asked=2).write_html(tmp_path / "r") == tmp_path / "r" / "index.html"
+    assert (
+        Validation((FAILING, PASSING), scene_count=2).write_html(tmp_path / "r")
+        == tmp_path / "r" / "index.html"
+    )
     assert Validation((PASSING,)).write_html(tmp_path / "r.html") == tmp_path / "r.html"
 
 

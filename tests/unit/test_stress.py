@@ -92,7 +92,7 @@ def test_ours_is_exact_in_every_setting_and_every_setting_shows_something(name):
     for outcome in sweep.settings:
         ours = outcome.witnesses["ours"]
         exact = outcome.exact
-        assert outcome.rays >= 16 and exact.asked == outcome.rays == exact.hits + exact.misses
+        assert outcome.rays >= 16 and exact.adjudicated == outcome.rays == exact.hits + exact.misses
         assert ours.compared == exact.hits >= outcome.rays // 8
         assert exact.misses >= (outcome.rays // 10 if BY_NAME[name].misses else 0)
         assert outcome.bound.float64 > 0.0 and ours.worst <= 1.0
@@ -102,8 +102,8 @@ def test_ours_is_exact_in_every_setting_and_every_setting_shows_something(name):
 
 
 def test_the_screen_is_asked_where_rays_share_an_eye():
-    asked = {name for name in NAMES if run(name, -1).absence("screen") is None}
-    assert asked == {"watertight-edges", "watertight-vertices", "field-of-view", "film-size"}
+    tested = {name for name in NAMES if run(name, -1).absence("screen") is None}
+    assert tested == {"watertight-edges", "watertight-vertices", "field-of-view", "film-size"}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -280,7 +280,9 @@ def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
         texts.append(json.loads(shown.out))
         assert shown.err.startswith("PASS  film-size")
     first = texts[0]
-    assert set(first) == {"format", "seed", "versions", "asked", "ok", "families"} and first["format"] == 1
+    assert (
+        set(first) == {"format", "seed", "versions", "requested", "ok", "families"} and first["format"] == 1
+    )
     (family,) = first["families"]
     assert set(family) == {
         *("name", "title", "quantity", "error", "easiest", "misses"),
@@ -288,7 +290,7 @@ def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
     }
     setting = family["settings"][0]
     assert set(setting) == {"x", "rays", "exact", "bound", "witnesses"}
-    assert set(setting["exact"]) == {"asked", "hits", "misses", "ties"}
+    assert set(setting["exact"]) == {"adjudicated", "hits", "misses", "ties"}
     assert set(setting["bound"]) == {"float32", "float64", "unresolved"}
     assert list(setting["witnesses"]) == ["ours", "screen", *REFERENCES]
     assert setting["witnesses"]["llvm"] == {"status": "missing", "why": "planted: nothing works"}
@@ -403,5 +405,5 @@ def test_ctrl_c_keeps_what_is_done(tmp_path, monkeypatch, capsys):
     assert main(["stress", "offset", "--rays", str(RAYS), "--json", str(out)]) == 130
     kept = json.loads(out.read_text())
     assert [family["name"] for family in kept["families"]] == ["offset-mesh"]
-    assert kept["asked"] == ["offset-mesh", "offset-sphere"] and not kept["ok"]
+    assert kept["requested"] == ["offset-mesh", "offset-sphere"] and not kept["ok"]
     assert "1 of 2 families" in capsys.readouterr().out

@@ -46,7 +46,7 @@ class PacketBoxSetup(NamedTuple):
 
 @inlined
 def packet_bounds(tile: Any, field: Any, first: Any) -> Bounds3:
-    """The least x, y, z of a bundle's origins or directions, and the largest."""
+    """The least x, y, z of a packet's origins or directions, and the largest."""
     x, y, z = field + first, field + lane(STRIDE) + first, field + lane(2 * STRIDE) + first
     return (
         (lane_min(tile, x), lane_min(tile, y), lane_min(tile, z)),
@@ -61,7 +61,7 @@ COHERENCE_LIMIT = 0.25
 
 @inlined
 def is_coherent(tree: Any, tile: Any, first: Any, origins: Bounds3, directions: Bounds3) -> bool:
-    """Whether the rays of a bundle meet much the same boxes. It changes no bit."""
+    """Whether the rays of a packet intersect much the same boxes. It changes no bit."""
     turn = abs(tile[DX + first]) + abs(tile[DY + first]) + abs(tile[DZ + first])
     return (l1_extent(origins) <= COHERENCE_LIMIT * tree.unit) & (
         l1_extent(directions) <= COHERENCE_LIMIT * turn
@@ -118,7 +118,7 @@ def axis_setup(
 def cast_rays_singly(
     prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool
 ) -> None:
-    """The rays of a bundle one by one."""
+    """Nearest hits of a packet's rays, one by one."""
     mode = NearestMode(tree.order, any_hit)  # whose numbers are not read
     for i in range(first, first + PACKET_SIZE):
         o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
@@ -158,7 +158,7 @@ def cast_packet(
     workspace: Any,
     any_hit: bool,
 ) -> None:
-    """The rays of a bundle all at once: `traverse` for boxes that any of them may enter."""
+    """Nearest hits of a packet's rays together: `traverse` for boxes that any of them may enter."""
     stack, entries, near = workspace
     t_min, t_max = lane_min(tile, T_MIN + first), lane_max(tile, T_MAX + first)
     limit = min(t_max, lane_max_of_sums(tile, T + first, T_ERROR + first))

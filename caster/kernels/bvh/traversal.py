@@ -46,7 +46,7 @@ def box_padding(tree: Any, o: Vec3) -> float:
 
 @inlined
 def ray_box_setup(tree: Any, o: Vec3, d: Vec3) -> RayBoxSetup:
-    """How a ray sees the boxes of a tree."""
+    """Precomputed reciprocals and error bounds of a ray for box tests."""
     x, y, z = safe_inverse(d[0], tree.flat), safe_inverse(d[1], tree.flat), safe_inverse(d[2], tree.flat)
     a, b, c = tree.center[0] - o[0], tree.center[1] - o[1], tree.center[2] - o[2]
     pad = box_padding(tree, o)

@@ -32,7 +32,7 @@ T, T_ERROR, PRIM, UNCERTAIN, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (
 # T, OFF: the nearest so far, the true t within OFF; PLACE: number of the primitive, kind by kind, -1 for none;
 # DOUBT: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
 
-# Behind the fields: how the rays of a bundle see boxes (caster/kernels/bvh/packet.py).
+# Behind the fields: the ray bounds for box tests (caster/kernels/bvh/packet.py).
 SCRATCH = lane(STRIDE * FIELDS)
 SCRATCH_SIZE = 9 * LANES
 
@@ -51,7 +51,7 @@ def new_tile() -> np.ndarray:
 
 @inlined
 def update_nearest(tile: Any, i: Any, prim_number: float, t: float, error: float) -> None:
-    """Fold what `intersect` said of a primitive into the record of pixel i. Without a branch."""
+    """Fold the result of `intersect` with a primitive into the record of pixel i, without a branch."""
     ahead, margin = tile[T + i] - t if t < math.inf else -math.inf, tile[T_ERROR + i] + error
     nearer = ahead > margin
     tile[UNCERTAIN + i] = 1.0 if abs(ahead) <= margin else tile[UNCERTAIN + i]

@@ -71,7 +71,7 @@ def _incoming_from_sun(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
 
 @inlined
 def received_irradiance(light: Any, p: Vec3, sh_n: Vec3, d: Vec3, two_sided: bool) -> tuple[bool, Vec3]:
-    """(whether the side of the surface that ray d sees is lit, the irradiance there). Sides go by the shading normal.
+    """(whether the side of the surface that faces ray d is lit, the irradiance there). Sides go by the shading normal.
 
     One-sided surfaces are dark from behind.
     """

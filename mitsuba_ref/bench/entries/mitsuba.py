@@ -91,7 +91,7 @@ class RayIntersect:
 
     def cast(self) -> int:
         """Evaluates only t and the normal of each interaction."""
-        if self.work.asks == ANY:
+        if self.work.workload == ANY:
             dr.eval(self.scene.ray_test(self.rays, coherent=self.coherent))
         else:
             si = self.scene.ray_intersect(self.rays, int(mi.RayFlags.All), coherent=self.coherent)
@@ -101,14 +101,14 @@ class RayIntersect:
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         rays = self._rays(o, d)
-        if self.work.asks == ANY:
+        if self.work.workload == ANY:
             return blocked(self.scene.ray_test(rays, coherent=self.coherent).numpy())
         t = self.scene.ray_intersect(rays, int(mi.RayFlags.All), coherent=self.coherent).t
         return np.broadcast_to(t.numpy(), (len(o),)).astype(np.float64)
 
     def _rays(self, o: np.ndarray, d: np.ndarray) -> Any:
         points, vectors = ([mi.Float(np.ascontiguousarray(c)) for c in a.T] for a in (o, d))
-        end = SHADOW_END if self.work.asks == ANY else np.inf
+        end = SHADOW_END if self.work.workload == ANY else np.inf
         t_max = mi.Float(np.full(len(o), end, np.float32))
         rays = mi.Ray3f(mi.Point3f(points), mi.Vector3f(vectors), t_max, mi.Float(0.0), mi.Color0f())
         dr.eval(rays)
@@ -130,12 +130,12 @@ class ScalarLoop:
 
     def take_rays(self) -> None:
         o, d = given_rays(self.work.folder, self.size)
-        end = SHADOW_END if self.work.asks == ANY else np.inf
+        end = SHADOW_END if self.work.workload == ANY else np.inf
         pairs = zip(o.tolist(), d.tolist(), strict=True)
         self.rays = [mi.Ray3f(a, b, end, 0.0, []) for a, b in pairs]
 
     def cast(self) -> int:
-        if self.work.asks == ANY:
+        if self.work.workload == ANY:
             np.array([self.scene.ray_test(ray) for ray in self.rays])
             return len(self.rays)
         t, n = np.empty(len(self.rays), np.float32), np.empty((len(self.rays), 3), np.float32)
@@ -145,7 +145,7 @@ class ScalarLoop:
         return len(self.rays)
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        if self.work.asks != ANY:
+        if self.work.workload != ANY:
             return one_by_one(self.scene, o, d)
         pairs = zip(o.tolist(), d.tolist(), strict=True)
         return blocked(np.array([self.scene.ray_test(mi.Ray3f(a, b, SHADOW_END, 0.0, [])) for a, b in pairs]))

@@ -36,25 +36,25 @@ class Ours:
         scene: caster.Scene = pickle.loads(self.file.read_bytes())
         shadows = caster.Shading(shadows=self.work.options.get("shadows", True))
         self.scene = scene.with_film(width=size, height=size).model_copy(update={"shading": shadows})
-        if self.work.asks in (NEAREST, ANY):
+        if self.work.workload in (NEAREST, ANY):
             self._cast(*FIRST_RAY)
         else:
             self._render(self.scene.with_film(width=WARM_UP_SIDE, height=WARM_UP_SIDE))
 
     def take_rays(self) -> None:
-        if self.work.asks in (NEAREST, ANY):
+        if self.work.workload in (NEAREST, ANY):
             o, d = given_rays(self.work.folder, self.scene.film.width)
             self.o, self.d = o.astype(np.float64), d.astype(np.float64)
 
     def cast(self) -> int:
-        if self.work.asks in (NEAREST, ANY):
+        if self.work.workload in (NEAREST, ANY):
             self._cast(self.o, self.d)
             return len(self.o)
         self._render(self.scene)
         return self.scene.film.width * self.scene.film.height
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        if self.work.asks == ANY:
+        if self.work.workload == ANY:
             return blocked(self.caster.occluded(self.scene, o, d, SHADOW_END))
         return self.caster.cast(self.scene, o, d).t
 
@@ -68,7 +68,7 @@ class Ours:
         )
 
     def _cast(self, o: np.ndarray, d: np.ndarray) -> None:
-        if self.work.asks == ANY:
+        if self.work.workload == ANY:
             self.caster.occluded(self.scene, o, d, SHADOW_END)
         else:
             hits = self.caster.cast(self.scene, o, d)

@@ -38,14 +38,14 @@ class Embreex:
         self.o, self.d = given_rays(self.work.folder, self.size)
 
     def cast(self) -> int:
-        if self.work.asks == ANY:
+        if self.work.workload == ANY:
             self._blocked(self.o, self.d)
         else:
             self.scene.run(self.o, self.d, output=True)
         return len(self.o)
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        if self.work.asks == ANY:
+        if self.work.workload == ANY:
             return blocked(self._blocked(o, d) != NO_HIT)
         found = self.scene.run(o, d, output=True)
         return np.where(found["primID"] == NO_HIT, np.inf, found["tfar"].astype(np.float64))
@@ -62,7 +62,7 @@ class Trimesh:
         import trimesh
         from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-        if work.asks == ANY:
+        if work.workload == ANY:
             raise CannotRun("no limit to rays")
         vertices, self.faces = given_mesh(work.folder)
         self.vertices = vertices.astype(np.float64)
@@ -119,12 +119,12 @@ class Open3D:
         return int(self.rays.shape[0])
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        if self.work.asks == ANY:
+        if self.work.workload == ANY:
             return blocked(self._cast(self._rays(o, d)))
         return self._cast(self._rays(o, d)).astype(np.float64)
 
     def _cast(self, rays: Any) -> np.ndarray:
-        if self.work.asks == ANY:
+        if self.work.workload == ANY:
             return self.scene.test_occlusions(rays, 0.0, SHADOW_END, nthreads=self.work.threads).numpy()
         found = self.scene.cast_rays(rays, nthreads=self.work.threads)
         found["primitive_normals"].numpy()  # no copy, and so it costs nothing

@@ -106,7 +106,7 @@ def _up_sine(camera: Camera) -> float:
 
 
 def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(n,) bool: pixels on the edge of a round picture, up to rounding, so that either side may have a ray there."""
+    """(n,) bool: pixels on the edge of a round image, up to rounding, so that either side may have a ray there."""
     film, reference = scene.film, camera_reference(scene.camera)
     middle_x, middle_y = film.width / 2.0, film.height / 2.0
     seen = []

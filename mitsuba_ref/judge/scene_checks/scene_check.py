@@ -26,7 +26,7 @@ class Shares:
 
 
 def bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
-    """(n,) bool: pixels where one AOV of two pictures has other bits."""
+    """(n,) bool: pixels where one AOV of two images has other bits."""
     rows, others = aov_rows(a, name), aov_rows(b, name)
     different = rows.view(f"u{rows.itemsize}") != others.view(f"u{rows.itemsize}")
     return different if different.ndim == 1 else different.any(axis=1)

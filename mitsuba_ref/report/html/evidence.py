@@ -103,5 +103,5 @@ class Evidence:
         }
 
     def t(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """(n,) the subject's and the reference's, in lengths of d; None where depth says it all."""
+        """(n,) the subject's and the reference's, in lengths of d; None where depth is the same."""
         return None if self.judge.names_prims else (self.judge.answer.t, self.judge.result.t)

@@ -58,7 +58,7 @@ def exact_answers(evidence: Evidence) -> dict[str, Any]:
         "share": packed(coarse(exact.ratio)),
         "words": packed(words),
         "texts": list(texts.numbers),
-        "asked": len(exact.rows),
+        "adjudicated": len(exact.rows),
     }
 
 

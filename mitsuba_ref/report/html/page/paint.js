@@ -124,7 +124,7 @@ function paintRatio(record, data) {
   return { image: canvas.image, legend: { colors: SEQUENTIAL, ticks, words, swatches: canvas.swatches() } };
 }
 
-/** Pixels that agree are light where ours is light, so that one sees where one is. */
+/** Pixels that agree are light where ours is light, for orientation. */
 function paintClasses(record, data) {
   const canvas = new Canvas(record), counts = RUN.classes.map(() => 0);
   const colors = RUN.classes.map((name) => CLASS_COLORS[name]);
