@@ -24,7 +24,7 @@ install: $(INSTALLED) ## the environment alone: .venv with exactly what requirem
 validate: $(INSTALLED) ## compare every scene of scenes/ with Mitsuba
 	@$(BIN)/mitsuba-ref validate scenes $(ARGS)
 
-test: $(INSTALLED) ## all tests, on JOBS cores (all of them, unless told)
+test: $(INSTALLED) ## all tests, on JOBS cores (all of them, unless set)
 	@$(BIN)/python -m pytest -n $(JOBS) $(ARGS)
 
 fuzz: $(INSTALLED) ## random scenes against exact arithmetic and Mitsuba for a minute; ARGS="--time 1h --seed 7"
@@ -47,7 +47,7 @@ stress: $(INSTALLED) ## sweeps of numerical stability: writes docs/stress.md and
 	@$(BIN)/mitsuba-ref stress --json build/stress.json $(ARGS); code=$$?; \
 	  $(BIN)/python benchmarks/stress_page.py build/stress.json docs && exit $$code
 
-bench: $(INSTALLED) ## run time against error: writes docs/performance.md and its pictures; ARGS=--peers asks others, too
+bench: $(INSTALLED) ## run time against error: writes docs/performance.md and its images; ARGS=--peers times others, too
 	@mkdir -p docs/performance
 	@$(BIN)/mitsuba-ref bench --sweeps --json docs/performance/run.json $(ARGS)
 	@$(BIN)/python benchmarks/performance_page.py docs/performance/run.json docs

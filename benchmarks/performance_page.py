@@ -227,9 +227,9 @@ def footnote_on_coherence(run: Run) -> Iterator[str]:
         if (ratio := scene.ratio("raw-robust-incoherent", "raw-robust")) is not None
     ]
     if found:
-        told = ", ".join(f"{name} {ratio:.2f}" for name, ratio in found)
+        ratios = ", ".join(f"{name} {ratio:.2f}" for name, ratio in found)
         yield textwrap.fill(
-            f"Mitsuba's hint `coherent`: without it, `ray_intersect` takes so many times as long: {told}.",
+            f"Mitsuba's hint `coherent`: without it, `ray_intersect` takes so many times as long: {ratios}.",
             WIDTH,
         )
         yield ""

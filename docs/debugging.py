@@ -83,7 +83,7 @@ def replay_in(text: str) -> str:
 
 
 def stepping(tree: Tree) -> Said:
-    """pdb, told to stop at the line of the fault; what is typed stands after each prompt, as on a terminal."""
+    """pdb with a breakpoint at the line of the fault; what is typed stands after each prompt, as on a terminal."""
     typed = [f"tbreak {FILE}:{tree.line()}", "c", "p sign(u), sign(v)", "p corners[0]", "n", "q"]
     said = tree.run("pdb caster probe edge.toml 0 0", "".join(f"{line}\n" for line in typed))
     answers = said.text.split("(Pdb) ")
@@ -179,7 +179,7 @@ misses and dots where it hits another shape than ours.
 
 ## 4. Which primitive, and how nearly
 
-`caster probe` asks every primitive by itself. The signs of the margins are exact:
+`caster probe` tests every primitive by itself. The signs of the margins are exact:
 
 {near}
 

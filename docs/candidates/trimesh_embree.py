@@ -1,4 +1,4 @@
-"""trimesh, which asks Embree by way of embreex: triangles only. pip install trimesh embreex
+"""trimesh, which casts by Embree through embreex: triangles only. pip install trimesh embreex
 
 mitsuba-ref validate scenes/torus-smooth.toml --candidate docs.candidates.trimesh_embree:trace
 """

@@ -159,7 +159,7 @@ class SceneVerdict:
     problem: str = ""  # why there is no comparison at all: a crash of the reference, with its output
     size: tuple[int, int] = (0, 0)  # of the film
     resized: bool = False  # another film than the scene's own
-    statistics: SceneStatistics = field(default_factory=SceneStatistics)
+    composition: SceneStatistics = field(default_factory=SceneStatistics)
     allowed: dict[str, float] = field(default_factory=dict)  # the scene's own [check.AOV]: shares of bounds
     adjudicated: int = 0  # pixels compared with exact arithmetic
     exact_seconds: Seconds = 0.0  # what that took, of `seconds`

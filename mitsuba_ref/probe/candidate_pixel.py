@@ -102,7 +102,7 @@ class CandidatePixel:
     alone: str = ""  # its answer to this ray alone
     notes: tuple[str, ...] = ()
     problem: str = ""  # why there is nothing to judge
-    saying: WitnessAnswer | None = None  # the same, as a witness among the others
+    witness: WitnessAnswer | None = None  # the same, as a witness among the others
 
     @property
     def ok(self) -> bool:
@@ -110,7 +110,7 @@ class CandidatePixel:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON, but for infinite numbers."""
-        found = {name: value for name, value in vars(self).items() if name != "saying"}
+        found = {name: value for name, value in vars(self).items() if name != "witness"}
         return found | {"ok": self.ok}
 
 
@@ -127,8 +127,8 @@ def probe_candidate(
     try:
         response = request_answer(candidate, scene, alone=row)
     except NoAnswer as error:
-        saying = WitnessAnswer(CANDIDATE, "", -1, np.nan, problem="no answer")
-        return CandidatePixel(candidate.name, UNDECIDED, problem=str(error), saying=saying)
+        witness = WitnessAnswer(CANDIDATE, "", -1, np.nan, problem="no answer")
+        return CandidatePixel(candidate.name, UNDECIDED, problem=str(error), witness=witness)
     here = response._replace(
         scene=response.scene.with_film(crop=(x, y, x + 1, y + 1)),
         rays=one_of(response.rays, row),
@@ -165,7 +165,7 @@ def _judged(name: str, judge: Judge, response: SubjectResponse) -> CandidatePixe
         "" if 0 not in judgement.cases else UNLISTED if case is None else str(case),
         _answer_alone_text(response.alone, answer),
         (*answer.notes, *response.limits, *failure_hints(answer, judgement)),
-        saying=as_witness(judge, judgement, off),
+        witness=as_witness(judge, judgement, off),
     )
 
 

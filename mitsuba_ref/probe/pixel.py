@@ -126,8 +126,8 @@ def probe_with_evidence(
         why=full_reason(judge, judgement, diagnose(judge, judgement).by_row(), 0),
         case=_case(judgement),
         witnesses=found_witnesses
-        if theirs is None or theirs.saying is None
-        else (theirs.saying, *found_witnesses),
+        if theirs is None or theirs.witness is None
+        else (theirs.witness, *found_witnesses),
         candidate=theirs,
     )
     return found, ProbeEvidence(judge, judgement)

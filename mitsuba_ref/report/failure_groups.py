@@ -44,21 +44,21 @@ def checks_of(scene: SceneVerdict) -> frozenset[str]:
 
 
 def shapes_of(scene: SceneVerdict) -> frozenset[str]:
-    return frozenset(scene.statistics.shapes)
+    return frozenset(scene.composition.shapes)
 
 
 def cameras_of(scene: SceneVerdict) -> frozenset[str]:
-    return frozenset({scene.statistics.camera} - {""})
+    return frozenset({scene.composition.camera} - {""})
 
 
 def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
     """The failing scene with the fewest primitives, then shapes, then pixels; None below MIN_FAILING_SCENES."""
     failing = [scene for scene in scenes if not scene.ok]
-    known = [scene for scene in failing if scene.statistics.primitives]
+    known = [scene for scene in failing if scene.composition.primitives]
     if len(failing) < MIN_FAILING_SCENES or not known:
         return None
     return min(
-        known, key=lambda s: (s.statistics.primitives, sum(s.statistics.shapes.values()), s.pixels, s.name)
+        known, key=lambda s: (s.composition.primitives, sum(s.composition.shapes.values()), s.pixels, s.name)
     )
 
 
@@ -69,6 +69,6 @@ def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     if traits:
         yield f"in common:  of all {failing} that fail: {'; '.join(traits)}"
     if first is not None:
-        count = first.statistics.primitives
+        count = first.composition.primitives
         size = f"{count} primitive{'s' if count > 1 else ''}, {first.pixels} pixels"
         yield f"look first: {first.name}, the simplest of them ({size})"

@@ -130,7 +130,7 @@ def judge_entry(
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
         verdict = SceneVerdict(entry.name, entry.path, problem=f"cannot be judged: {error}")
     found = replace(
-        verdict, resized=entry.resized, options=entry.options, statistics=scene_statistics(entry.scene)
+        verdict, resized=entry.resized, options=entry.options, composition=scene_statistics(entry.scene)
     )
     return with_replay(found)
 

@@ -128,14 +128,14 @@ SAVE = "\nwrite_exr(exr, channels)\n"
 FAILING = [
     (
         "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
-        "the program was ended by SIGSEGV; it said nothing",
+        "the program was ended by SIGSEGV; it printed nothing",
     ),
     ("print('no licence'); raise SystemExit(3)", "ended with exit code 3; its last words:\nno licence"),
     ("import time; print('slow', flush=True); time.sleep(60)", "killed after 1 s; its last words:\nslow"),
     ("pass", "ended well, but wrote no {exr}"),
     ("import sys; open(sys.argv[1], 'w')", "cannot be read"),
     (WRITE + SAVE + "open(exr, 'r+').truncate(400)", "a damaged or truncated EXR"),
-    (WRITE + "del channels['depth.Z']" + SAVE, "the picture has no channel depth.Z"),
+    (WRITE + "del channels['depth.Z']" + SAVE, "the image has no channel depth.Z"),
     (WRITE + "del channels['normal.Y']" + SAVE, "has normal.X, normal.Z, but not all of"),
     (
         WRITE + "channels = {n: a[:-1] for n, a in channels.items()}" + SAVE,
@@ -156,7 +156,7 @@ FAILING = [
     (
         "import sys, numpy as np, OpenEXR; h = np.ones((12, 16), np.float32)\n"
         "OpenEXR.File([OpenEXR.Part({}, {'depth.Z': h}, n) for n in 'ab']).write(sys.argv[1])",
-        "the picture has no channel depth.Z, the distance from the eye along the ray; it has a.depth.Z, b.depth.Z",
+        "the image has no channel depth.Z, the distance from the eye along the ray; it has a.depth.Z, b.depth.Z",
     ),
 ]
 

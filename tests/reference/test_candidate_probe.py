@@ -66,7 +66,7 @@ def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys, tmp_
 @pytest.mark.parametrize("trace", [candidates.ours, candidates.ours_rounded, candidates.without_normals])
 def test_a_right_candidate_is_right_and_how_far_off_it_is_is_told(at, trace):
     found = at(trace)
-    assert found.ok and found.verdict == "agree" and found.saying.right and "bounds" in found.why
+    assert found.ok and found.verdict == "agree" and found.witness.right and "bounds" in found.why
     assert found.off["t_share"] < 1.0 and abs(found.off["t_ulps"]) < 2.0
     assert found.alone == "the same, to the bit"
     if trace is candidates.without_normals:
@@ -84,7 +84,7 @@ def test_a_factor_on_t_is_told_in_ulps_and_in_units_of_the_bound(at):
         1e-4 * t / np.spacing(t), rel=1e-3
     )
     assert re.search(r"beyond its bound: t [\d.]+e\+\d+x$", found.why) and "normal" not in found.why
-    assert found.says["t_hex"] == found.says["t"].hex() and not found.saying.right
+    assert found.says["t_hex"] == found.says["t"].hex() and not found.witness.right
 
 
 def test_a_normal_that_is_wrong_is_named_with_its_factor(at):
@@ -137,7 +137,7 @@ def test_no_answer_is_said_in_the_words_of_validate_and_fails(at, send):
     found = at(raising)
     told = validate_scene(small(), "scene", subject=FunctionSubject("raising", raising), send=send)
     assert found.problem == told.problem and "raised RuntimeError: no such shape" in found.problem
-    assert not found.ok and found.saying.problem == "no answer"
+    assert not found.ok and found.witness.problem == "no answer"
 
 
 def test_the_text_has_the_candidate_between_ours_and_mitsuba(at, monkeypatch, brought):

@@ -226,7 +226,7 @@ def test_a_file_that_is_no_verdict_is_told(folder, capsys):
         ("", "expected JSON"),
         ("[1]", "expected a verdict of format"),
         (json.dumps(good | {"format": 1}), "expected a verdict of format 3, got 1"),
-        (json.dumps(good | {"ok": False}), "it says ok: False, its scenes say True"),
+        (json.dumps(good | {"ok": False}), "its ok is False, by its scenes it is True"),
         (json.dumps({k: v for k, v in good.items() if k != "scenes"}), "not a whole verdict"),
         (json.dumps(good | {"scenes": [{}]}), "not a whole verdict"),
     ):

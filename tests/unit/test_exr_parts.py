@@ -112,7 +112,7 @@ REFUSED = {
     "contradiction": (
         {"a": of("A"), "b": of("Z")},
         {"a": {"caster/scene_sha256": "1"}, "b": {"caster/scene_sha256": "2"}},
-        "its parts say different things of 'caster/scene_sha256'",
+        "its parts have different values of 'caster/scene_sha256'",
     ),
 }
 

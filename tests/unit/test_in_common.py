@@ -22,7 +22,7 @@ def scene(name, shapes=("sphere",), *, ok=False, checks=("depth",), camera="pinh
     failing = {} if ok or one.problem else dict.fromkeys(checks, 3)
     of = SceneStatistics(camera, dict.fromkeys(shapes, 1), primitives)
     failures = tuple(replace(each, check=checks[0]) for each in one.failures)
-    return replace(one, failing_by=failing, statistics=of, failures=failures)
+    return replace(one, failing_by=failing, composition=of, failures=failures)
 
 
 A, B = scene("a", ("sphere", "mesh"), checks=("depth", "exact")), scene("b", checks=("normal", "depth"))
@@ -51,7 +51,7 @@ A, B = scene("a", ("sphere", "mesh"), checks=("depth", "exact")), scene("b", che
         ([A, scene("b", problem="crash")], []),
         ([scene("a", problem="crash"), scene("b", problem="no mesh")], ["there is no comparison"]),
         (
-            [replace(A, statistics=SceneStatistics()), B, scene("p", ("disk",), ok=True)],
+            [replace(A, composition=SceneStatistics()), B, scene("p", ("disk",), ok=True)],
             ["depth fails"],
         ),  # not told
     ],
@@ -77,7 +77,7 @@ def test_the_simplest_has_the_fewest_primitives_then_shapes_then_pixels():
 
 def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_nothing_to_say():
     failing = verdict(
-        A, replace(B, statistics=replace(B.statistics, primitives=9)), scene("p", ("disk",), ok=True)
+        A, replace(B, composition=replace(B.composition, primitives=9)), scene("p", ("disk",), ok=True)
     )
     lines = summary_text(failing, 1.0).splitlines()
     at = lines.index("in common:  of all 2 that fail: depth fails; shape sphere (in 0 of 1 that pass)")
@@ -97,5 +97,5 @@ def test_a_verdict_says_what_its_scene_is_made_of_also_after_json_and_where_ther
     entry = scene_runner.SceneEntry(ball, "ball", "ball.toml")
     for found in (made("ball"), made("ball", problem="crash")):
         judged = scene_runner.judge_entry(entry, None, validate=Mock(return_value=found))
-        assert judged.statistics == SceneStatistics("pinhole", {"sphere": 1, "cube": 1}, 13)
-        assert scene_of(judged.to_dict()).statistics == judged.statistics
+        assert judged.composition == SceneStatistics("pinhole", {"sphere": 1, "cube": 1}, 13)
+        assert scene_of(judged.to_dict()).composition == judged.composition

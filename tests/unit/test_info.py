@@ -80,7 +80,7 @@ def test_what_no_image_of_ours_holds_is_a_warning_with_its_pixel(tmp_path):
     assert info["warnings"] == [
         "depth.Z is infinite in 1 pixels, first [11, 20]",
         "normal.Z is NaN in 1 pixels, first [10, 21]",
-        "depth.Z is finite where A says miss in 1 pixels, first [12, 21]",
+        "depth.Z is finite where A is a miss in 1 pixels, first [12, 21]",
     ]
     assert info["channels"]["normal.Z"]["first_nan"] == [10, 21]
 

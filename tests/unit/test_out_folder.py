@@ -221,14 +221,14 @@ def report(tmp_path, monkeypatch):
     )
     monkeypatch.setattr("mitsuba_ref.report.html.html_report.page", lambda *_: ["<title>ray-reference"])
 
-    def statistics(*scenes, spared=()):
+    def made_from(*scenes, spared=()):
         one = HtmlReport(tmp_path, len(scenes))
         for each in scenes:
             one.add(one.keep(each))
         one.write()
         return one, one.sweep(spared)
 
-    return statistics
+    return made_from
 
 
 class Recorded:

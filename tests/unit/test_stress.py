@@ -344,7 +344,7 @@ def test_the_page_is_made_from_the_json_of_a_run(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["stress_page.py", str(file), str(tmp_path)])
     stress_page.main()
     page = " ".join((tmp_path / "stress.md").read_text().split())
-    assert "In 1 sweeps, 2 settings and 50 rays, of which exact arithmetic looked at 50" in page
+    assert "In 1 sweeps, 2 settings and 50 rays, 50 of them decided by exact arithmetic" in page
     assert "**0 wrong hits or misses, 0 wrong primitives and 0 errors" in page
     assert "(stress/tangency.svg)" in page and (tmp_path / "stress/tangency.svg").is_file()
 

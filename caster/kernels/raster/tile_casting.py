@@ -131,7 +131,7 @@ def bounds_in_tile(pixels: Any, k: int, box: Box) -> Box:
 
 
 # Triangles that cover so many pixels across in a tile are looked for row by row, where they are: half of the box around
-# a triangle is not in it, and to find a row's part takes as long as three or four bundles of lanes.
+# a triangle is not in it, and to find a row's part takes as long as three or four vectors of lanes.
 ROW_BOUNDS_MIN_WIDTH = 64
 
 
