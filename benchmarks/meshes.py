@@ -15,8 +15,8 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from caster.geometry.mesh import Mesh
 from caster.geometry.mesh_files import load_mesh
+from caster.geometry.triangle_mesh import Mesh
 from caster.shapes.heightfield import tessellate_heightfield
 
 

@@ -14,10 +14,9 @@ import stress_plots
 from pages import WIDTH, write_page
 
 from mitsuba_ref.experiment.results import markdown, read_result
-from mitsuba_ref.stress import table
-from mitsuba_ref.stress.score import Score
+from mitsuba_ref.stress import sweeps
+from mitsuba_ref.stress.score import WITNESSES, Score
 from mitsuba_ref.stress.sweeps import OUR_KEYS, StressRun, SweepResult
-from mitsuba_ref.stress.witnesses import WITNESSES
 
 PAGE, IMAGE_FOLDER = "stress.md", "stress"
 
@@ -96,7 +95,7 @@ def summary(run: StressRun) -> Iterator[str]:
     witnesses = [witness for witness in WITNESSES if witness.key != "screen"]
     rows = [["sweep", "stressed quantity", *(witness.title for witness in witnesses)]]
     for sweep in run.families:
-        found = [table.breakdown(sweep, witness.key) for witness in witnesses]
+        found = [sweeps.breakdown(sweep, witness.key) for witness in witnesses]
         rows.append([f"[{sweep.name}](#{sweep.name})", sweep.quantity, *found])
     yield markdown(rows)
     yield ""
@@ -110,9 +109,9 @@ def section(sweep: SweepResult) -> Iterator[str]:
     yield f"![{name}: errors and wrong answers over the {sweep.quantity}]({image})\n"
     yield from (f"FAIL: {problem}\n" for problem in sweep.problems)
     if not sweep.misses:
-        yield f"{table.leaks(sweep).capitalize()}.\n"
+        yield f"{sweeps.leaks(sweep).capitalize()}.\n"
     yield "<details><summary>numbers</summary>\n"
-    yield markdown(table.rows(sweep))
+    yield markdown(sweeps.rows(sweep))
     yield "\n</details>\n"
 
 

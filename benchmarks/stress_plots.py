@@ -10,10 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mitsuba_ref.stress.score import Score
-from mitsuba_ref.stress.sweeps import SettingResult, SweepResult
-from mitsuba_ref.stress.table import breakdown, shown_witnesses
-from mitsuba_ref.stress.witnesses import Witness
+from mitsuba_ref.stress.score import Score, Witness
+from mitsuba_ref.stress.sweeps import SettingResult, SweepResult, breakdown, shown_witnesses
 
 # Colours after Okabe and Ito (2008), which people of any colour vision tell apart; markers and dashes differ as well.
 STYLE: dict[str, dict[str, Any]] = {

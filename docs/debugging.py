@@ -16,7 +16,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/debugging-an-edge-case.md"
 PICTURE = "docs/debugging/pixel.png"
-FILE = "caster/kernels/exact/intersections.py"
+FILE = "caster/kernels/exact/primitives.py"
 GOOD, BAD = "    if sign(u) * sign(v) < 0:\n", "    if sign(u) * sign(v) <= 0:\n"
 SCENE = "scenes/shared-edges-cube.toml"
 MODULES = {"mitsuba-ref": "mitsuba_ref", "caster": "caster"}

@@ -39,7 +39,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_report_header() -> list[str]:
     """What is missing is named here: no test is skipped for it in silence."""
-    from mitsuba_ref.reference.installation import CHROMIUM, report
+    from mitsuba_ref.cli.doctor import CHROMIUM, report
 
     found = {finding.name: finding for finding in report()}
     old = (

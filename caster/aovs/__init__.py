@@ -2,7 +2,7 @@
 
 NAME, CHANNELS: of the AOV, and of its channels in an EXR file; one channel is an image (h, w), more are (h, w, c).
 DTYPE, MISS: np.float64 (images have the requested dtype) or np.int32; the value where nothing is hit.
-NEEDS: fields of `caster.kernels.surface.hit.Hit` beyond the ray and t; what no AOV needs is not computed.
+NEEDS: fields of `caster.kernels.surface.per_hit.Hit` beyond the ray and t; what no AOV needs is not computed.
 PREVIEW: how its image is coloured, a key of `caster.image.aov_views.COLORINGS`.
 evaluate(hit): the per-hit kernel; a number, or a tuple with one for each channel.
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from caster.aovs import albedo, depth, diffuse, hit, normal, position, prim_id, shading_normal, shape_id, uv
 from caster.jit.decorators import implement, inlined
-from caster.kernels.surface.hit import NEEDED_FIELDS, per_hit
+from caster.kernels.surface.per_hit import NEEDED_FIELDS, per_hit
 
 __all__ = ["AOVS", "BY_NAME", "Aov", "kernel_of", "needs_of", "register", "unregister"]
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from caster.kernels.surface.hit import Hit, length
+from caster.kernels.surface.per_hit import Hit, length
 
 NAME, CHANNELS, DTYPE, MISS = "depth", ("depth.Z",), np.float64, math.inf
 NEEDS = ()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from caster.kernels.protocol import Vec3
-from caster.kernels.surface.hit import Hit
+from caster.kernels.surface.per_hit import Hit
 
 NAME, CHANNELS, DTYPE, MISS = "position", ("position.X", "position.Y", "position.Z"), np.float64, 0.0
 NEEDS = ("position",)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from caster.kernels.protocol import Vec3
-from caster.kernels.surface.hit import Hit
+from caster.kernels.surface.per_hit import Hit
 
 NAME, DTYPE, MISS = "shading_normal", np.float64, 0.0
 CHANNELS = ("shading_normal.X", "shading_normal.Y", "shading_normal.Z")

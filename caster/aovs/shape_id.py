@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from caster.kernels.surface.hit import Hit
+from caster.kernels.surface.per_hit import Hit
 
 NAME, CHANNELS, DTYPE, MISS = "shape_id", ("id.shape",), np.int32, -1  # 0xFFFFFFFF in a file
 NEEDS = ("shape_id",)

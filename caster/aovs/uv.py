@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from caster.kernels.surface.hit import Hit
+from caster.kernels.surface.per_hit import Hit
 
 NAME, CHANNELS, DTYPE, MISS = "uv", ("uv.U", "uv.V"), np.float64, 0.0
 NEEDS = ("uv",)

@@ -1,15 +1,18 @@
-"""Exceptions for users, and the formatting of values in their messages."""
+"""Exceptions for users, and diagnostics of invalid scenes: paths into the data, messages, translation of Pydantic's."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+
+from pydantic import BaseModel, ValidationError
+
+__all__ = ["Diagnostic", "FileMissing", "SceneError", "diagnostics_of", "join_words", "suggestion"]
+
 
 if TYPE_CHECKING:
     from pydantic_core import PydanticCustomError
-
-__all__ = ["FileMissing", "SceneError", "join_words", "suggestion"]
 
 
 class SceneError(Exception):
@@ -72,3 +75,187 @@ def field_error(text: str) -> PydanticCustomError:
 def expectation_error(expected: str, got: Any, hint: str = "") -> PydanticCustomError:
     """The field error 'must be EXPECTED, got GOT'."""
     return field_error(f"must be {expected}, got {format_value(got)}{hint}")
+
+
+DataPath = tuple[str | int, ...]
+Model = type[BaseModel]
+
+PLURAL = {"shape": "shapes", "light": "lights", "material": "materials", "check": "checks"}
+SINGULAR = {many: one for one, many in PLURAL.items()}
+
+
+class Diagnostic(NamedTuple):
+    """A message, and the path through the input data to the value it concerns."""
+
+    path: DataPath
+    text: str
+
+
+def value_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
+    """Diagnostic of one value: 'shapes[3] (disk "lid"): radius must be ...'; `text` follows the value's name."""
+    return Diagnostic(path, _message(path, text, data, model))
+
+
+def table_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
+    """Diagnostic of the table that the last step of the path is a key of: 'shapes[3] (disk "lid"): needs ...'."""
+    return Diagnostic(path, _message(path[:-1], text, data, model))
+
+
+def format_path(path: DataPath) -> str:
+    """A path as text: to_world[1].rotate.axis"""
+    steps = (f"[{step}]" if isinstance(step, int) else f".{_bare(step)}" for step in path)
+    return "".join(steps).removeprefix(".")
+
+
+def _bare(key: str) -> str:
+    return key if key.replace("-", "_").isidentifier() else format_value(key)
+
+
+def child_of(value: Any, step: str | int) -> Any:
+    """The child of a table, list or description; None if there is none."""
+    if isinstance(value, Mapping):
+        return value.get(step)
+    if isinstance(step, int):
+        return value[step] if isinstance(value, (list, tuple)) and step < len(value) else None
+    return getattr(value, step, None) if isinstance(value, BaseModel) else None
+
+
+def _message(path: DataPath, text: str, data: Any, model: Model) -> str:
+    depth = getattr(model, "ELEMENTS", {}).get(path[0], 0) if path else 0
+    depth = depth if depth <= len(path) else 0
+    name = format_path(path[depth:])
+    return f"{_subject(path[:depth], data, model)}: {name}{' ' if name else ''}{text}"
+
+
+def _subject(path: DataPath, data: Any, model: Model) -> str:
+    """The element that a message concerns: shapes[3] (disk "lid")."""
+    item = data
+    for step in path:
+        item = child_of(item, step)
+    kind, name = child_of(item, "type"), child_of(item, "name")
+    label = f" {format_value(name)}" if isinstance(name, str) and name else ""
+    if not path:
+        return model.__name__.lower() + label
+    where = format_path((PLURAL.get(str(path[0]), path[0]), *path[1:]))
+    details = f"{_bare(kind) if isinstance(kind, str) else ''}{label}".strip()
+    return f"{where} ({details})" if details else where
+
+
+CROSS_ELEMENT_ERROR = "cross_element"  # type of the error of a check across several elements
+
+
+def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diagnostic]:
+    """All errors of a validation as diagnostics, and those of checks across elements."""
+    found: dict[Any, Diagnostic] = {}
+    for finding in error.errors(include_url=False):
+        if finding["type"] != CROSS_ELEMENT_ERROR:  # repeated below on the input data
+            problem = _diagnostic(finding, _locate(finding["loc"], data, model), data, model)
+            found[problem.path, finding["type"]] = problem  # Pydantic reports a list too short by two twice
+    return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]
+
+
+class _Location(NamedTuple):
+    path: DataPath
+    around: tuple[Model, ...]  # description classes that contain the last step
+    models: tuple[Model, ...]  # description classes that the end of the path may have
+
+
+def _locate(loc: DataPath, data: Any, model: Model) -> _Location:
+    """Resolve Pydantic's error location in the data. It also contains the `type` of each union member on the way."""
+    path: DataPath = ()
+    around: tuple[Model, ...] = (model,)
+    models, here = around, data
+    for step in loc:
+        if isinstance(step, str) and len(models) > 1:
+            models = tuple(m for m in models if m.model_fields["type"].default == step)
+        elif isinstance(step, int) and isinstance(here, Mapping):
+            continue  # a single table in place of a list
+        elif isinstance(here, (Mapping, list, tuple, BaseModel)):
+            path, here = (*path, step), child_of(here, step)
+            around, models = models, _below(models, step)
+        else:  # a number in place of a vector: the rest is not in the file
+            break
+    return _Location(path, around, models)
+
+
+def _below(models: tuple[Model, ...], step: str | int) -> tuple[Model, ...]:
+    fields = (field for m in models for name, field in m.model_fields.items() if step in (name, field.alias))
+    annotations = [field.annotation for field in fields]
+    if not annotations:
+        return models  # an index, or a user-defined name
+    return tuple(found for annotation in annotations for found in _models_in(annotation))
+
+
+def _models_in(annotation: Any) -> tuple[Model, ...]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return (annotation,)
+    return tuple(found for part in get_args(annotation) for found in _models_in(part))
+
+
+def _diagnostic(finding: Any, place: _Location, data: Any, model: Model) -> Diagnostic:
+    path, around, models = place
+    kind, got = finding["type"], finding["input"]
+    if kind == "missing" and isinstance(path[-1], int):
+        text = f"must be {path[-1] + 1} items, got {len(got)}: {format_value(got)}"
+        return value_diagnostic(path[:-1], text, data, model)
+    if kind == "missing":
+        return table_diagnostic(path, f"needs the key '{path[-1]}'", data, model)
+    if kind == "extra_forbidden":
+        return value_diagnostic(path, _unknown_key(str(path[-1]), around), data, model)
+    if kind.startswith("union_tag"):
+        noun = SINGULAR.get(str(path[0]), str(path[0]))
+        return table_diagnostic((*path, "type"), _unknown_type(got, noun, models), data, model)
+    return value_diagnostic(path, _text(kind, got, finding.get("ctx", {})), data, model)
+
+
+def _unknown_key(key: str, around: Sequence[Model]) -> str:
+    known = [field.alias or name for model in around for name, field in model.model_fields.items()]
+    if SINGULAR.get(key) in known:  # either spelling is valid, but not both
+        return f"is a second '{SINGULAR[key]}': write one of them only"
+    return f"is an unknown key{suggestion(key, known)}"
+
+
+def _unknown_type(got: Any, noun: str, models: Sequence[Model]) -> str:
+    known = [model.model_fields["type"].default for model in models]
+    kind = child_of(got, "type")
+    if kind is None:
+        return f"needs the key 'type': {join_words(known)}"
+    return (
+        f"unknown {noun} type {format_value(kind)}{suggestion(str(kind), known)} (known: {', '.join(known)})"
+    )
+
+
+def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:
+    """The message after the value's name."""
+    if kind == "field":
+        return str(ctx["text"])
+    if kind == "value_error":  # raised by a validator of the whole description
+        return str(ctx["error"])
+    if kind == "too_long":
+        return f"must be {ctx['max_length']} items, got {ctx['actual_length']}: {format_value(got)}"
+    if kind == "literal_error":
+        words = str(ctx["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
+        expected = join_words(map(format_value, words))
+        return f"must be {expected}, got {format_value(got)}{suggestion(str(got), words)}"
+    if kind in LIMIT_SIGNS:
+        sign, key = LIMIT_SIGNS[kind]
+        return f"must be {sign} {format_value(ctx[key])}, got {format_value(got)}"
+    return f"must be {EXPECTED_TYPES.get(kind, 'something else')}, got {format_value(got)}"
+
+
+LIMIT_SIGNS = {
+    "greater_than": (">", "gt"),
+    "greater_than_equal": (">=", "ge"),
+    "less_than": ("<", "lt"),
+    "less_than_equal": ("<=", "le"),
+}
+EXPECTED_TYPES = {
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a string",
+    "string_unicode": "a string of Unicode characters",
+    "tuple_type": "a list",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+}

@@ -19,8 +19,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from caster.description import transform
-from caster.description.diagnostics import diagnostics_of
-from caster.description.errors import SceneError, expectation_error, field_error, format_value
+from caster.description.errors import SceneError, diagnostics_of, expectation_error, field_error, format_value
 
 HEX_FLOAT = r"^[+-]?0[xX][0-9a-fA-F]+(\.[0-9a-fA-F]*)?([pP][+-]?[0-9]+)?$"
 

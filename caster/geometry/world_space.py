@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from caster.description.fields import Shape
-from caster.geometry.mesh import Mesh, vertex_normals
+from caster.geometry.triangle_mesh import Mesh, vertex_normals
 from caster.kernels.triangles import Triangles
 
 __all__ = ["Rounding", "as_float32", "as_given"]

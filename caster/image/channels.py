@@ -6,7 +6,7 @@ import numpy as np
 
 from caster import __version__
 from caster.aovs import AOVS
-from caster.geometry.rejected import in_words
+from caster.geometry.packing import in_words
 from caster.image.exr import NO_ID, write_exr
 from caster.rendering.images import Aovs
 from caster.scene.model import Scene

@@ -6,9 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import implement, inlined, jit
-from caster.kernels.exact.intersections import exact_triangle
+from caster.kernels.exact.primitives import exact_triangle
 from caster.kernels.exact.surds import Root
-from caster.kernels.math.error_free import cross_of_edges
 from caster.kernels.math.vec import (
     LARGEST_SQUARE,
     SMALLEST_SQUARE,
@@ -19,6 +18,7 @@ from caster.kernels.math.vec import (
     certain_in_range,
     component_max,
     cross,
+    cross_of_edges,
     dot,
     filter_result,
     l1_norm,

@@ -9,10 +9,8 @@ import numpy as np
 
 from caster.geometry.packing import Kind, Packed
 from caster.jit.simd import CHILDREN, LANES
-from caster.kernels.brute_force import cast_brute_force
 from caster.kernels.bvh.build import LEAF_SIZE, STACK_SIZE
-from caster.kernels.bvh.packet import cast_packets, cast_packets_brute_force
-from caster.kernels.bvh.traversal import cast_bvh
+from caster.kernels.bvh.traversal import cast_bvh, cast_packets, cast_packets_brute_force
 from caster.kernels.nearest import (
     CountCandidates,
     ListCandidates,
@@ -20,6 +18,7 @@ from caster.kernels.nearest import (
     NearestMode,
     Rays,
     UncertainHits,
+    cast_brute_force,
     exact_hit,
     merge,
     nearest_of_candidates,
@@ -34,7 +33,7 @@ from caster.kernels.raster.tile import (
     store_blocked,
     store_ray_range,
 )
-from caster.rendering.acceleration import bvh_of, has_bvh
+from caster.rendering.bvh import bvh_of, has_bvh
 from caster.rendering.threads import parallel_for
 
 __all__ = ["Culling", "find_nearest"]

@@ -4,9 +4,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from caster.aovs import BY_NAME
-from caster.geometry.packing import Kind
-from caster.geometry.rejected import in_words, rejected_faces
-from caster.rendering.acceleration import bvh_of, has_bvh
+from caster.geometry.packing import Kind, in_words, rejected_faces
+from caster.rendering.bvh import bvh_of, has_bvh
 from caster.rendering.casting import uses_bvh
 from caster.rendering.images import RenderResult
 from caster.rendering.plan import Step

@@ -12,10 +12,10 @@ from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.packing import packed as packed
 from caster.geometry.world_space import Rounding, as_given
+from caster.kernels.camera_rays import OUT_OF_RANGE, find_invalid_ray
 from caster.kernels.nearest import Nearest, Rays, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import PIXELS, WIDTH, Box, clear_rays, load_hits
-from caster.kernels.surface.camera_rays import OUT_OF_RANGE, find_invalid_ray
 from caster.kernels.surface.lighting import shadow_rays_of
 from caster.rendering.casting import find_any, find_nearest, prim_offsets
 from caster.rendering.plan import plan

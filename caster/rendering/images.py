@@ -13,13 +13,13 @@ from caster.description.errors import SceneError, suggestion
 from caster.description.fields import Camera
 from caster.geometry.packing import Packed, pack, packed
 from caster.geometry.world_space import Rounding, as_given
+from caster.kernels.camera_rays import generate_rays, generate_rays_at
 from caster.kernels.nearest import Rays, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import WIDTH, Box, generate_camera_rays
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
-from caster.kernels.surface.camera_rays import generate_rays, generate_rays_at
-from caster.kernels.surface.hit import NO_IDS, store_hits
 from caster.kernels.surface.normals import film_of_own_origins, film_of_shared_origin
+from caster.kernels.surface.per_hit import NO_IDS, store_hits
 from caster.rendering.casting import Culling, exact_nearest, find_nearest, tile_caster
 from caster.rendering.hits import RayHits
 from caster.rendering.plan import Plan, culling_for, plan

@@ -11,8 +11,7 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.geometry.edge_distances import EDGE_ON, EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed
-from caster.kernels.brute_force import intersect_each
-from caster.kernels.nearest import Rays, nearest_of_candidates, no_hits
+from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
 from caster.rendering.casting import find_nearest
 from caster.rendering.images import camera_rays, trace_film
 from caster.scene.model import Scene

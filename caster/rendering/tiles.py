@@ -29,7 +29,9 @@ from caster.kernels.raster.tile import (
     T,
     new_tile,
 )
-from caster.kernels.surface.hit import (
+from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
+from caster.kernels.surface.normals import normals_in_tile
+from caster.kernels.surface.per_hit import (
     NO_IDS,
     PrimitiveIds,
     fill_miss,
@@ -37,13 +39,6 @@ from caster.kernels.surface.hit import (
     surfaces_in_tile,
     write_aov,
 )
-from caster.kernels.surface.lighting import (
-    add_ambient,
-    add_light,
-    materials_in_tile,
-    shadow_rays_in_tile,
-)
-from caster.kernels.surface.normals import normals_in_tile
 from caster.rendering.casting import exact_nearest, prim_offsets, scene_prim_ids, tile_caster
 from caster.rendering.plan import Plan
 from caster.scene.model import Scene

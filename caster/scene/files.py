@@ -8,8 +8,16 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from caster.description.diagnostics import Diagnostic, Model, child_of, diagnostics_of, value_diagnostic
-from caster.description.errors import FileMissing, SceneError, format_value
+from caster.description.errors import (
+    Diagnostic,
+    FileMissing,
+    Model,
+    SceneError,
+    child_of,
+    diagnostics_of,
+    format_value,
+    value_diagnostic,
+)
 from caster.description.registry import type_name
 from caster.scene.model import Scene
 from caster.scene.text import SceneFormat, format_diagnostics, parse, read_text

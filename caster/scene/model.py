@@ -8,16 +8,18 @@ from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model
 from pydantic_core import PydanticCustomError
 
 from caster.cameras import CAMERAS
-from caster.description.diagnostics import (
+from caster.description.errors import (
     CROSS_ELEMENT_ERROR,
     PLURAL,
     SINGULAR,
     DataPath,
     Diagnostic,
     child_of,
+    field_error,
+    format_value,
+    suggestion,
     value_diagnostic,
 )
-from caster.description.errors import field_error, format_value, suggestion
 from caster.description.fields import Camera, Name, Shape
 from caster.description.quantities import Description, PositiveNumber, row
 from caster.description.registry import load_plugins

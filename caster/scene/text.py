@@ -9,8 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from caster.description.diagnostics import Diagnostic
-from caster.description.errors import FileMissing, SceneError
+from caster.description.errors import Diagnostic, FileMissing, SceneError
 
 __all__ = ["Span", "format_excerpt", "read_text"]
 

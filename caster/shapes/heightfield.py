@@ -9,7 +9,7 @@ from pydantic import Field
 
 from caster.description.errors import SceneError
 from caster.description.fields import NonNegative, Positive
-from caster.geometry.mesh import Floats, Ints, Mesh, check_integer, check_length, normalize_rows
+from caster.geometry.triangle_mesh import Floats, Ints, Mesh, check_integer, check_length, normalize_rows
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Heightfield", "tessellate_heightfield"]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from caster.geometry.mesh import Floats, Ints, Mesh, check_integer, normalize_rows
+from caster.geometry.triangle_mesh import Floats, Ints, Mesh, check_integer, normalize_rows
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Icosphere", "tessellate_icosphere"]

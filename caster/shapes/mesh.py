@@ -4,8 +4,8 @@ import functools
 import os
 from typing import Literal
 
-from caster.geometry.mesh import Mesh
 from caster.geometry.mesh_files import load_mesh
+from caster.geometry.triangle_mesh import Mesh
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["MeshFile"]

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 
 from caster.description.fields import Shape
-from caster.geometry.mesh import Mesh
+from caster.geometry.triangle_mesh import Mesh
 from caster.geometry.world_space import Rounding, transform_mesh
 from caster.kernels.triangles import Triangles
 

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from caster.geometry.mesh import Floats, Ints, Mesh, check_integer, normalize_rows
+from caster.geometry.triangle_mesh import Floats, Ints, Mesh, check_integer, normalize_rows
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Teapot", "tessellate_teapot"]

@@ -19,7 +19,7 @@ from caster.geometry.edge_distances import (
     sqrt_fraction,
     square,
 )
-from caster.geometry.mesh import Mesh
+from caster.geometry.triangle_mesh import Mesh
 from caster.geometry.world_space import Rounding, transform_mesh
 from caster.kernels.triangles import Triangles
 

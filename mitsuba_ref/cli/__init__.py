@@ -74,15 +74,11 @@ COMMANDS = (
     Command(
         "schema",
         "print the JSON Schema of a result, such as verdict.json",
-        "mitsuba_ref.cli.installation_and_formats",
-        run="run_schema",
-        arguments="add_schema_arguments",
+        "mitsuba_ref.cli.schema",
     ),
     Command(
         "doctor",
         "list what was found on this machine, and what each missing part would add",
-        "mitsuba_ref.cli.installation_and_formats",
-        run="run_doctor",
-        arguments="add_doctor_arguments",
+        "mitsuba_ref.cli.doctor",
     ),
 )

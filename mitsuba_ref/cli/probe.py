@@ -45,8 +45,7 @@ def run(args: argparse.Namespace) -> int:
     if args.picture:
         check_can_draw()
     candidate = requested_candidate(args)  # its errors come before any work
-    from mitsuba_ref.probe.pixel import probe_with_evidence
-    from mitsuba_ref.probe.probe_text import as_text
+    from mitsuba_ref.probe.pixel import as_text, probe_with_evidence
 
     with error_prefix(args.scene):
         found, probed = probe_with_evidence(scene, args.x, args.y, candidate)

@@ -25,9 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Sweep the selected families; 0 ours is right everywhere, 1 it is not, 5 nothing selected, 130 interrupted."""
-    from mitsuba_ref.stress import registry
+    from mitsuba_ref import stress
 
-    families = options.select(registry.FAMILIES, "family", args.families, args.expression)
+    families = options.select(stress.FAMILIES, "family", args.families, args.expression)
     if not families:
         print(f"nothing selected: no family matches -k {args.expression!r}", file=sys.stderr)
         return NOTHING_SELECTED
@@ -46,13 +46,13 @@ def run(args: argparse.Namespace) -> int:
 
 def sweep_all(families: list[Family], args: argparse.Namespace, done: list[SweepResult]) -> None:
     """Print each family's table as soon as it is done."""
-    from mitsuba_ref.stress import sweeps, table
+    from mitsuba_ref.stress import sweeps
 
     for i, family in enumerate(families):
         progress = options.Progress(f"{i + 1}/{len(families)} {family.name}")
         done.append(sweeps.sweep(family, args.seed, args.rays, progress))
         progress.clear()
-        print(f"{table.as_text(done[-1])}\n", file=options.table_stream(args), flush=True)
+        print(f"{sweeps.as_text(done[-1])}\n", file=options.table_stream(args), flush=True)
 
 
 def report(done: list[SweepResult], families: list[Family], args: argparse.Namespace) -> None:

@@ -13,8 +13,8 @@ from caster.image.exr import NO_ID, Exr
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.intersections import KU
-from mitsuba_ref.exr_compare.exr_layers import Array
-from mitsuba_ref.judge.scene_checks.scene_check import pixel_centers
+from mitsuba_ref.exr_compare.exr_pair import Array
+from mitsuba_ref.judge.scene_checks import pixel_centers
 from mitsuba_ref.reference.rendering import camera_reference
 
 DISTANCE, ALONG_Z, FROM_NEAR = "distance", "z", "near"

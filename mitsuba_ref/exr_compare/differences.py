@@ -18,8 +18,7 @@ from mitsuba_ref.error_model.tolerances import (
     Tolerances,
 )
 from mitsuba_ref.exr_compare.comparison_result import GroupResult, Worst
-from mitsuba_ref.exr_compare.exr_layers import LAYERS, Array, stacked
-from mitsuba_ref.exr_compare.exr_pair import Conditioning, ExrPair
+from mitsuba_ref.exr_compare.exr_pair import LAYERS, Array, Conditioning, ExrPair, stacked
 
 DERIVED = "K u S / cos"
 

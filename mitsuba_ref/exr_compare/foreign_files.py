@@ -19,8 +19,9 @@ from mitsuba_ref.exr_compare.depth_conventions import (
     convention_of,
     misses_of,
 )
-from mitsuba_ref.exr_compare.exr_layers import (
+from mitsuba_ref.exr_compare.exr_pair import (
     COLOR_CHANNELS,
+    SCENE_JSON,
     AmbiguousChannel,
     Array,
     check_maps,
@@ -28,7 +29,6 @@ from mitsuba_ref.exr_compare.exr_layers import (
     recognised,
     stacked,
 )
-from mitsuba_ref.exr_compare.exr_pair import SCENE_JSON
 
 GEOMETRY = ("normal", "shading_normal", "position")  # groups whose values on a miss mean nothing
 

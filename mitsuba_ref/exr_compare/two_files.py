@@ -18,8 +18,14 @@ from caster.image.exr import read_exr, write_exr
 from mitsuba_ref.error_model.tolerances import Tolerances
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, failing_groups, result_messages
 from mitsuba_ref.exr_compare.differences import Judged, judge, judge_hits, present_groups
-from mitsuba_ref.exr_compare.exr_layers import Array
-from mitsuba_ref.exr_compare.exr_pair import SCENE_HASH, ExrPair, ignored_channels, incompatibilities, size_of
+from mitsuba_ref.exr_compare.exr_pair import (
+    SCENE_HASH,
+    Array,
+    ExrPair,
+    ignored_channels,
+    incompatibilities,
+    size_of,
+)
 from mitsuba_ref.exr_compare.foreign_files import Reading, to_our_conventions
 
 __all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]

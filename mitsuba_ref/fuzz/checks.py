@@ -12,7 +12,7 @@ from caster.rendering.hits import Hits, validated_rays
 from caster.rendering.images import Aovs, camera_rays, render
 from caster.rendering.plan import culling_for
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.float64_bounds import DEPTH_ULPS, UNIT_LENGTH_ATOL, t_bounds
+from mitsuba_ref.error_model.bounds import DEPTH_ULPS, UNIT_LENGTH_ATOL, t_bounds
 from mitsuba_ref.fuzz.aims import RayBatch
 from mitsuba_ref.fuzz.findings import Finding, Tally, t_text
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain

@@ -39,9 +39,8 @@ from mitsuba_ref.judge.comparison import (
     pair_images,
     self_checks,
 )
-from mitsuba_ref.judge.defect_features import FeatureMeasurement
 from mitsuba_ref.judge.diffuse import DiffuseComparison, diffuse_within_float64, judge_diffuse, shading_points
-from mitsuba_ref.judge.known_defects import defect_of
+from mitsuba_ref.judge.known_defects import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,

@@ -18,8 +18,14 @@ from mitsuba_ref.error_model.tolerances import (
     MATCH_RTOL,
 )
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
-from mitsuba_ref.judge.explanations import open_reason, subject_name
-from mitsuba_ref.judge.pixel_shift import MAX_DIAGNOSED_PIXELS, WrongPixels, find_pixel_shift, wrong_pixels
+from mitsuba_ref.judge.explanations import (
+    MAX_DIAGNOSED_PIXELS,
+    WrongPixels,
+    find_pixel_shift,
+    open_reason,
+    subject_name,
+    wrong_pixels,
+)
 from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.scene.model import Scene
-from mitsuba_ref.error_model import lambert, shadows
+from mitsuba_ref.error_model import lambert
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import KU, KU_OURS, Intersections
@@ -69,7 +69,7 @@ def diffuse_within_float64(
     lit, shaded = np.ones(shape, bool), np.zeros(shape, bool)
     if scene.shading.shadows:
         for i, light in enumerate(each):
-            lit[i], shaded[i] = shadows.our_visibility(bracket, hit, light, prim)
+            lit[i], shaded[i] = lambert.our_visibility(bracket, hit, light, prim)
     doubtful = np.array([light.doubtful for light in each], bool).reshape(shape)
     either = [np.where(light.doubtful[:, None], light.either_side, light.radiance) for light in each]
     first = np.where(lit[..., None], _stacked(either, prim), 0.0)
@@ -152,6 +152,6 @@ def _shadow_may_differ(
     """(n,) bool: where Mitsuba's answer for a light and our contrary one are both within bounds."""
     ours, theirs = brackets
     p, n = (aov_rows(pair.reference, name)[rows] for name in ("position", "normal"))
-    they_lit, they_shaded = shadows.reference_visibility(theirs, hit, lit, p, n)
-    we_lit, we_shaded = shadows.our_visibility(ours, hit, lit, pair.prim[rows])
+    they_lit, they_shaded = lambert.reference_visibility(theirs, hit, lit, p, n)
+    we_lit, we_shaded = lambert.our_visibility(ours, hit, lit, pair.prim[rows])
     return np.where(visible, they_lit & we_shaded, they_shaded & we_lit)

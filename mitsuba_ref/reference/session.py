@@ -148,9 +148,7 @@ class ResidentSession:
 def main(folder: Path) -> int:
     """The child's side of one request: read it in `folder`, write the response there. 1 where Mitsuba refuses it."""
     try:
-        from mitsuba_ref.reference import (
-            mitsuba_process,  # here, so that sending needs no Mitsuba in this process
-        )
+        from mitsuba_ref.reference import mitsuba_process
 
         pieces = TraceRequest.read(folder).per_scene()
         response = merge_responses([mitsuba_process.trace_request(piece) for piece in pieces])

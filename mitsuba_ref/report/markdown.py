@@ -10,7 +10,7 @@ from pathlib import Path
 from caster.image.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
 from mitsuba_ref.report.failure_groups import group_lines
-from mitsuba_ref.report.replay import replay
+from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.terminal import CLASS_TITLES, candidate_lines, failure_text, worst_words
 
 # GitHub drops the whole summary of a step that is larger: https://docs.github.com/actions, "step isolation and limits".

@@ -22,7 +22,7 @@ from mitsuba_ref.judge.verdict import (
     Verdict,
 )
 from mitsuba_ref.report.failure_groups import group_lines, simplest_failing
-from mitsuba_ref.report.replay import replay
+from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.text_table import Column, format_table
 
 MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer

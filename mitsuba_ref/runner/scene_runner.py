@@ -18,7 +18,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
-from mitsuba_ref.report.replay import with_replay
+from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.runner.validation import validate_scene
 
 Result = TypeVar("Result")

@@ -19,22 +19,17 @@ from mitsuba_ref.judge.aggregate import (
     listed_failures,
     quantities_not_given,
 )
+from mitsuba_ref.judge.bias import check_bias, error_statistics
 from mitsuba_ref.judge.classification import judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
-from mitsuba_ref.judge.scene_checks.bias import check_bias, error_statistics
-from mitsuba_ref.judge.scene_checks.render_checks import (
-    CHECKS_OF_OUR_CASTER,
-    CHECKS_OF_SHARED_INPUT,
-    check_sensor,
-)
+from mitsuba_ref.judge.scene_checks import CHECKS_OF_OUR_CASTER, CHECKS_OF_SHARED_INPUT, check_sensor
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.report.class_images import write_images
 from mitsuba_ref.report.html.evidence import Evidence
 from mitsuba_ref.report.html.html_report import write_report
-from mitsuba_ref.report.replay import with_replay
-from mitsuba_ref.report.reproducers import StoredReproducers, write_reproducers
+from mitsuba_ref.report.reproducers import StoredReproducers, with_replay, write_reproducers
 from mitsuba_ref.subjects.answer import NoAnswer
 from mitsuba_ref.subjects.function import function_subject
 from mitsuba_ref.subjects.ours import OURS

@@ -19,12 +19,12 @@ from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
     U,
+    by_matrix,
     dot,
     mat_vec_rows,
     norm,
     position_error,
 )
-from mitsuba_ref.error_model.rounding_groups import by_matrix
 from mitsuba_ref.oracle.exact_quadrics import CYLINDERS as EXACT_CYLINDERS
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.descriptions import unit_shape_matrix
@@ -36,7 +36,13 @@ from mitsuba_ref.shapes.quadric_error import (
     sphere_roots,
     world_normal,
 )
-from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
+from mitsuba_ref.shapes.shape_reference import (
+    Fields,
+    PrimitiveReference,
+    ShapeReference,
+    XmlShape,
+    to_world_fields,
+)
 from mitsuba_ref.shapes.targets import (
     BESIDE_DECADES,
     Rng,
@@ -49,7 +55,6 @@ from mitsuba_ref.shapes.targets import (
     to_world_points,
     unit_circle_points,
 )
-from mitsuba_ref.shapes.xml_shape import XmlShape, to_world_fields
 
 
 def to_xml(out: ShapeWriter, shape: Cylinder, part: Any) -> list[XmlElement]:

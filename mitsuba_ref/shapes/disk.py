@@ -18,11 +18,11 @@ from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
+    by_normal,
     finite_or_zero,
     norm,
     position_error,
 )
-from mitsuba_ref.error_model.rounding_groups import by_normal
 from mitsuba_ref.oracle.exact_planar import DISKS as EXACT_DISKS
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.descriptions import unit_shape_matrix
@@ -32,7 +32,14 @@ from mitsuba_ref.shapes.quadric_error import (
     rays_in_object_space,
     world_normal,
 )
-from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
+from mitsuba_ref.shapes.shape_reference import (
+    MIRROR_Z,
+    Fields,
+    PrimitiveReference,
+    ShapeReference,
+    XmlShape,
+    unit_shape_importer,
+)
 from mitsuba_ref.shapes.targets import (
     Rng,
     SurfacePoints,
@@ -43,7 +50,6 @@ from mitsuba_ref.shapes.targets import (
     unit_circle_points,
 )
 from mitsuba_ref.shapes.triangle_error import UNRESOLVABLE
-from mitsuba_ref.shapes.xml_shape import MIRROR_Z, XmlShape, unit_shape_importer
 
 
 def to_xml(out: ShapeWriter, shape: Disk, part: Any) -> list[XmlElement]:

@@ -13,21 +13,17 @@ import numpy as np
 from caster.geometry.packing import Triangles
 from caster.shapes.plane import Plane, Planes
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
-from mitsuba_ref.error_model.independent_transform import (
-    ExpectedNumbers,
-    expected_point,
-    transformed_normals,
-)
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point, transformed_normals
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
+    by_normal,
     dot,
     finite_or_zero,
     norm,
     position_error,
     unit,
 )
-from mitsuba_ref.error_model.rounding_groups import by_normal
 from mitsuba_ref.oracle.exact_planar import PLANES as EXACT_PLANES
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
 from mitsuba_ref.shapes import triangle_error

@@ -13,20 +13,18 @@ from mitsuba_ref.error_model.defect_conditions import (
     DefectView,
     KnownDefect,
 )
-from mitsuba_ref.error_model.independent_transform import (
-    ExpectedNumbers,
-    expected_point,
-    up_to_rounding,
-)
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point, up_to_rounding
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
+    by_approach,
+    by_center,
+    by_matrix,
     dot,
     mat_vec_rows,
     norm,
     position_error,
 )
-from mitsuba_ref.error_model.rounding_groups import by_approach, by_center, by_matrix
 from mitsuba_ref.oracle.exact_quadrics import ELLIPSOIDS as EXACT_ELLIPSOIDS
 from mitsuba_ref.oracle.exact_quadrics import SPHERES as EXACT_SPHERES
 from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
@@ -39,7 +37,13 @@ from mitsuba_ref.shapes.quadric_error import (
     sphere_roots,
     world_normal,
 )
-from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
+from mitsuba_ref.shapes.shape_reference import (
+    Fields,
+    PrimitiveReference,
+    ShapeReference,
+    XmlShape,
+    to_world_fields,
+)
 from mitsuba_ref.shapes.targets import (
     Rng,
     SurfacePoints,
@@ -51,7 +55,6 @@ from mitsuba_ref.shapes.targets import (
     to_world_points,
     unit_circle_points,
 )
-from mitsuba_ref.shapes.xml_shape import XmlShape, to_world_fields
 
 
 def to_xml(out: ShapeWriter, shape: Sphere, part: Any) -> list[XmlElement]:

@@ -15,7 +15,7 @@ from mitsuba_ref.error_model.intersections import (
     position_error,
     unit,
 )
-from mitsuba_ref.oracle.exact_triangles import TRIANGLES
+from mitsuba_ref.oracle.exact_planar import TRIANGLES
 
 # Where the relative error of n.d reaches this, float32 does not resolve on which side of edge-on the ray passes.
 UNRESOLVABLE = 0.5

@@ -1,15 +1,74 @@
-"""The protocol of a subject, whoever is judged: it answers the rays of a scene with an `Answer`."""
+"""The protocol of a subject, whoever is judged: it answers the rays of a scene; and the scene as it is traced."""
 
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
+import numpy as np
+
+from caster.geometry.packing import Packed, Triangles
+from caster.image.atomic_files import check_folder, write_bytes
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.xml_writer import ply_bytes, safe_name
+from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.subjects.answer import Answer
-from mitsuba_ref.subjects.traced_scene import scene_as_traced
+
+PrimitiveDescription = dict[str, Any]
+
+
+def describe_primitive(part: Any, k: int) -> PrimitiveDescription:
+    """A description of primitive k of a shape's arrays. Raises LookupError for a kind that has none."""
+    return kind_of(part).describe(part, k)
+
+
+def describe_surface(part: Any, k: int) -> PrimitiveDescription:
+    """A description of the same surface, of whatever bits. Raises LookupError for a kind that has none."""
+    kind = kind_of(part)
+    return (kind.describe_surface or kind.describe)(part, k)
+
+
+def packs_identically(part: Any, k: int, packed: Packed) -> bool:
+    """Whether a scene packs to primitive k of these arrays and nothing else; a sphere's turn, for uv, apart."""
+    if len(packed.parts) != 1 or type(packed.parts[0]) is not type(part):
+        return False
+    numbers = kind_of(part).numbers
+    there, here = numbers(packed.parts[0], 0), numbers(part, k)
+    return all(np.array_equal(a, b) for a, b in zip(there, here, strict=True))
+
+
+# The scene in the very numbers that both sides trace: float32 values, meshes in world space.
+
+
+def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
+    """Film, camera, lights and materials as they were; shapes packed to float32, described anew.
+
+    Everything made of triangles is a `mesh` without a to_world, its PLY file in `folder`/meshes; a sphere is a `sphere`
+    by centre and radius; ellipsoids, cylinders and disks are their unit shape under one matrix; planes have a normal
+    and a point. packed: by as_float32.
+    """
+    check_folder(folder / "meshes")
+    shapes = [_described(scene, packed, i, folder) for i in range(len(scene.shapes))]
+    fields = {name: getattr(scene, name) for name in ("film", "camera", "lights", "materials", "shading")}
+    return Scene(**fields, shapes=shapes)
+
+
+def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> dict[str, Any]:
+    part, shape = packed.parts[i], scene.shapes[i]
+    if isinstance(part, Triangles):
+        path = folder / "meshes" / f"{i:04d}-{safe_name(scene.shape_names()[i])}.ply"
+        write_bytes(path, ply_bytes(part))
+        found: dict[str, Any] = {"type": "mesh", "file": str(path)}
+        if not part.smooth.any():
+            found["face_normals"] = True
+    else:
+        found = describe_surface(part, 0)
+    return {**found, "name": scene.shape_names()[i], "material": shape.material}
+
+
+# The protocol of a subject, whoever is judged: it answers the rays of a scene with an `Answer`.
 
 
 @dataclass(frozen=True)

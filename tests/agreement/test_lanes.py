@@ -7,8 +7,7 @@ from caster.jit import simd
 from caster.jit.decorators import jit
 from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import CHILDREN, LANES
-from caster.kernels.bvh.packet import PacketBoxSetup
-from caster.kernels.bvh.traversal import RayBoxSetup
+from caster.kernels.bvh.traversal import PacketBoxSetup, RayBoxSetup
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba there is only the plain text")
 

@@ -15,7 +15,7 @@ from same_bits import assert_same_bits
 from caster.cameras import Panorama, Pinhole
 from caster.description.fields import Camera, Shape
 from caster.rendering import casting, rasterization, threads
-from caster.rendering.acceleration import bvh_of
+from caster.rendering.bvh import bvh_of
 from caster.rendering.hits import packed
 from caster.shapes import Sphere, Torus
 

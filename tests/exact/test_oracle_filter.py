@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oracle_aims import KINDS, SCALES, aim, packed, triangles
 
-from mitsuba_ref.oracle import exact_triangles as triangles_module
+from mitsuba_ref.oracle import exact_planar as triangles_module
 from mitsuba_ref.oracle import primitive_index
 from mitsuba_ref.oracle.exact_numbers import integer_ray
 from mitsuba_ref.oracle.oracle import Oracle, exact_kinds

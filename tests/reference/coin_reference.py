@@ -9,8 +9,7 @@ from coin_plugin import Coin, Coins
 from caster.shapes.disk import Disks
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
-from mitsuba_ref.error_model.intersections import ErrorModel, Intersections
-from mitsuba_ref.error_model.rounding_groups import by_normal
+from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, by_normal
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, scaled, shifted, sub
 from mitsuba_ref.oracle.interface import (
     NO_INTERSECTION,

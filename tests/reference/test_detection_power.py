@@ -21,9 +21,9 @@ from mitsuba_ref import validate
 from mitsuba_ref.error_model.intersections import K
 from mitsuba_ref.error_model.scene_model import SceneModel, model_of
 from mitsuba_ref.error_model.tolerances import LARGEST_Z
+from mitsuba_ref.judge.bias import check_bias, error_statistics
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images
-from mitsuba_ref.judge.scene_checks.bias import check_bias, error_statistics
 from mitsuba_ref.judge.verdict import ErrorStatistics
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays, shared_rays

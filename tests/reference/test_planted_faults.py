@@ -54,7 +54,7 @@ SCREEN, TREE, PLACING = (
     "caster/kernels/bvh/traversal.py",
     "caster/geometry/world_space.py",
 )
-TILE, BUNDLE = "caster/kernels/raster/tile.py", "caster/kernels/bvh/packet.py"
+TILE, BUNDLE = "caster/kernels/raster/tile.py", "caster/kernels/bvh/traversal.py"
 
 ODD = "15", "15"  # pixel centres on the edges that faces share
 SIDE_BY_SIDE_SIZE = (
@@ -310,7 +310,7 @@ FAULTS = (
         "turns the other way",
         "transforms",
         "placement",
-        "caster/description/to_world.py",
+        "caster/description/fields.py",
         "self.rotate.axis, self.rotate.degrees",
         "self.rotate.axis, -self.rotate.degrees",
         FEW,
@@ -337,7 +337,7 @@ FAULTS = (
         "generated normals not weighted by angles",
         "ply-normals",
         "geometry",
-        "caster/geometry/mesh.py",
+        "caster/geometry/triangle_mesh.py",
         "[:, None, :] * angle[:, :, None]",
         "[:, None, :] * (angle > 0.0)[:, :, None]",
     ),

@@ -11,13 +11,11 @@ from mitsuba_ref.reference import messages, session
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.rendering import export
 from mitsuba_ref.reference.variants import SCALAR, usable_variants
-from mitsuba_ref.stress import sweeps, witnesses
+from mitsuba_ref.stress import FAMILIES, score, sweeps
 from mitsuba_ref.stress.family import Setting
-from mitsuba_ref.stress.registry import FAMILIES
-from mitsuba_ref.stress.score import Score
+from mitsuba_ref.stress.score import Score, Witness
 from mitsuba_ref.stress.surfaces import WATERTIGHT_EDGES
 from mitsuba_ref.stress.sweeps import SettingResult, SweepResult
-from mitsuba_ref.stress.witnesses import Witness
 
 RAYS = 16
 ROBUST, PLAIN = (Witness(str(robust), "", SCALAR, robust=robust) for robust in (True, False))
@@ -28,7 +26,7 @@ def easiest() -> dict[str, SettingResult]:
     settings = [
         setting for family in FAMILIES for setting in family.settings(0, RAYS) if setting.x == family.easiest
     ]
-    ready = [witnesses.prepare_setting(setting) for setting in settings]
+    ready = [score.prepare_setting(setting) for setting in settings]
     said = sweeps.observe(ready, lambda words: None)
     outcomes = (sweeps.score_setting(each, sights) for each, sights in zip(ready, said, strict=True))
     return {family.name: found for family, found in zip(FAMILIES, outcomes, strict=True)}
@@ -52,7 +50,7 @@ def test_everybody_agrees_where_a_family_is_easiest():
 
 def leaks(witness: Witness, setting: Setting) -> int:
     with tempfile.TemporaryDirectory() as folder:
-        (sight,) = witnesses.ask_reference(witness, [witnesses.prepare_setting(setting)], Path(folder))
+        (sight,) = score.ask_reference(witness, [score.prepare_setting(setting)], Path(folder))
     return int(np.sum(~sight.hit))
 
 
@@ -64,7 +62,7 @@ def test_the_robust_mode_is_switched_off_where_that_is_asked_for():
 
 
 def test_a_scene_is_exported_for_the_robust_mode_unless_told():
-    ready = witnesses.prepare_setting(next(iter(WATERTIGHT_EDGES.settings(0, RAYS))))
+    ready = score.prepare_setting(next(iter(WATERTIGHT_EDGES.settings(0, RAYS))))
     robust, plain = (
         export(ready.setting.scene, ready.model, **options).xml for options in ({}, {"robust": False})
     )

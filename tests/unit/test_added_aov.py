@@ -11,7 +11,7 @@ import pytest
 import caster
 from caster.aovs import BY_NAME, register, unregister
 from caster.kernels.protocol import Vec3
-from caster.kernels.surface.hit import Hit
+from caster.kernels.surface.per_hit import Hit
 from caster.rendering.hits import RayHits
 from caster.rendering.images import trace_film
 

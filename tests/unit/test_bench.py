@@ -23,17 +23,7 @@ from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import measuring, run, scenes
 from mitsuba_ref.bench.contestants import BY_KEY, CONTESTANTS, Contestant, contestants_for
 from mitsuba_ref.bench.measuring import ContestantEnded, ContestantProcess, Settings, time_scene
-from mitsuba_ref.bench.result import (
-    Row,
-    Run,
-    SceneResult,
-    Score,
-    Series,
-    Sweep,
-    as_text,
-    fitted_slope,
-    ratio,
-)
+from mitsuba_ref.bench.result import Row, Run, SceneResult, Score, Series, Sweep, as_text, fitted_slope, ratio
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING, Work
 from mitsuba_ref.bench.worker import peak_memory

@@ -13,9 +13,9 @@ from caster.geometry.world_space import as_float32
 from caster.scene.files import load_scene
 from caster.shapes import SHAPES
 from caster.shapes.sphere import Spheres
-from mitsuba_ref.error_model.intersections import K
-from mitsuba_ref.error_model.rounding_groups import (
+from mitsuba_ref.error_model.intersections import (
     SAME_NORMAL_TOLERANCE,
+    K,
     by_approach,
     by_center,
     by_corner,
@@ -24,13 +24,7 @@ from mitsuba_ref.error_model.rounding_groups import (
     single_group,
 )
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
-from mitsuba_ref.judge.scene_checks.bias import (
-    check_bias,
-    extremes,
-    looseness,
-    weakest_bias,
-    z_of_groups,
-)
+from mitsuba_ref.judge.bias import check_bias, extremes, looseness, weakest_bias, z_of_groups
 from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneVerdict, Verdict
 from mitsuba_ref.report.junit import junit
 from mitsuba_ref.report.terminal import failure_text, summary_text

@@ -12,8 +12,8 @@ from caster.kernels.math.vec import UNIT_SQUARE_ATOL
 from caster.kernels.nearest import Rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
-from mitsuba_ref.judge.scene_checks import render_checks
-from mitsuba_ref.judge.scene_checks.render_checks import check_camera, pixel_centers
+from mitsuba_ref.judge import scene_checks
+from mitsuba_ref.judge.scene_checks import check_camera, pixel_centers
 from mitsuba_ref.reference.rendering import camera_reference
 
 TYPES = [cls.model_fields["type"].default for cls in CAMERAS if issubclass(cls, Camera)]  # that look around
@@ -165,7 +165,7 @@ def fixed_scene(camera: str) -> Scene:
 def seen(monkeypatch: pytest.MonkeyPatch, scene: Scene, fault: Fault) -> bool:
     assert check_camera(scene).ok
     rays = fault(scene)
-    monkeypatch.setattr(render_checks, "camera_rays", lambda scene: rays)
+    monkeypatch.setattr(scene_checks, "camera_rays", lambda scene: rays)
     return not check_camera(scene).ok
 
 

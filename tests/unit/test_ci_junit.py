@@ -6,7 +6,7 @@ import pytest
 from made_verdicts import scene, verdict
 
 from mitsuba_ref.report.junit import junit
-from mitsuba_ref.report.replay import replay
+from mitsuba_ref.report.reproducers import replay
 
 # What Jenkins, GitLab, GitHub actions and Azure read: element -> (attributes that must be there, that may, children in
 # order). `file` is GitLab's. Everything else is refused.

@@ -14,7 +14,7 @@ import caster.rendering.threads
 from caster.__main__ import main
 from caster.aovs import AOVS
 from caster.image.channels import channels_to_aovs
-from caster.rendering.acceleration import bvh_of
+from caster.rendering.bvh import bvh_of
 from caster.rendering.hits import packed
 
 pytestmark = pytest.mark.usefixtures("warm")

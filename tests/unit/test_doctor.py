@@ -11,7 +11,7 @@ import pytest
 
 from caster.cli import installation
 from caster.cli.installation import Finding, Package, find_package
-from mitsuba_ref.reference import installation as judge_doctor
+from mitsuba_ref.cli import doctor as judge_doctor
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 NAMED = {finding.name: finding for finding in installation.report()}

@@ -29,9 +29,8 @@ from caster.shapes import (
     Triangle,
 )
 from mitsuba_ref.error_model.scene_model import reference_of
-from mitsuba_ref.judge.scene_checks import shape_checks
-from mitsuba_ref.judge.scene_checks.scene_check import Shares
-from mitsuba_ref.judge.scene_checks.shape_checks import PRECISIONS, check_geometry
+from mitsuba_ref.judge import scene_checks
+from mitsuba_ref.judge.scene_checks import PRECISIONS, Shares, check_geometry
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"
 SCENES = sorted(FOLDER.glob("*.toml"))
@@ -99,9 +98,9 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
                 claim = claim._replace(packed=claim.packed + off * np.maximum(np.abs(claim.packed), off))
             yield claim
 
-    monkeypatch.setattr(shape_checks, "pack", pack_and_note)
+    monkeypatch.setattr(scene_checks, "pack", pack_and_note)
     assert check_geometry(scene_of(shape)).ok
-    monkeypatch.setattr(shape_checks, "reference_of", lambda shape: SimpleNamespace(expected=placed))
+    monkeypatch.setattr(scene_checks, "reference_of", lambda shape: SimpleNamespace(expected=placed))
     found = check_geometry(scene_of(shape))
     assert not found.ok
     assert found.what == f"{what} of shape-0 ({precision})"

@@ -340,7 +340,7 @@ def plant(root: Path, path: str, source: str) -> list[str]:
         ("mitsuba_ref/reference/session.py", "import drjit", "only mitsuba_ref/reference/mitsuba_process.py"),
         ("mitsuba_ref/reference/rendering.py", "import OpenEXR", "only caster imports"),
         ("mitsuba_ref/probe/pixel.py", "import open3d", "a peer is imported by its entry alone"),
-        ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.mesh import Mesh", "shares no code"),
+        ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.triangle_mesh import Mesh", "shares no code"),
         ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.packing import joined", "shares no code"),
         (
             "mitsuba_ref/oracle/oracle.py",

@@ -17,11 +17,9 @@ from mitsuba_ref.error_model.bracket import Claims
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
 from mitsuba_ref.error_model.scene_model import SceneModel, model_of
-from mitsuba_ref.judge.defect_features import FeatureMeasurement
-from mitsuba_ref.judge.known_defects import defect_of
-from mitsuba_ref.judge.scene_checks import render_checks, shape_checks
-from mitsuba_ref.judge.scene_checks.render_checks import check_render
-from mitsuba_ref.judge.scene_checks.shape_checks import check_geometry
+from mitsuba_ref.judge import scene_checks
+from mitsuba_ref.judge.known_defects import FeatureMeasurement, defect_of
+from mitsuba_ref.judge.scene_checks import check_geometry, check_render
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.shapes import cylinder, disk, sphere, triangle_error
@@ -60,7 +58,7 @@ def altered(monkeypatch: pytest.MonkeyPatch, change: Any) -> None:
         ours = render(scene, names)
         return Aovs({**{name: ours[name].copy() for name in names}, **change(ours)}, ours.hit)
 
-    monkeypatch.setattr(render_checks, "render", other)
+    monkeypatch.setattr(scene_checks, "render", other)
 
 
 @pytest.mark.parametrize(
@@ -81,10 +79,10 @@ def test_a_faulty_picture_behind_a_near_plane_is_still_seen(change, monkeypatch)
 def test_a_picture_that_forgets_the_near_plane_is_seen(monkeypatch):
     """It shows the triangle, which ends before a near plane at 0.55; beyond that there is the ball."""
     scene = behind_a_near_plane(near=0.55)
-    without = render(behind_a_near_plane(near=0.0), render_checks.CHECKED_AOVS)
+    without = render(behind_a_near_plane(near=0.0), scene_checks.CHECKED_AOVS)
     assert check_render(scene).ok
     assert (without["depth"] < 0.55).any()
-    monkeypatch.setattr(render_checks, "render", lambda scene, names: without)
+    monkeypatch.setattr(scene_checks, "render", lambda scene, names: without)
     assert not check_render(scene).ok
 
 
@@ -260,11 +258,11 @@ def test_denormal_corners_are_rounded_by_the_spacing_of_denormal_numbers(tiny):
 
 
 def test_corners_that_are_off_by_more_than_that_are_seen():
-    float32 = shape_checks.PRECISIONS[1][2:]
+    float32 = scene_checks.PRECISIONS[1][2:]
     off = 2.0**-140
     right = ExpectedNumbers("vertices", np.zeros(3), np.full(3, 2.0**-149), np.full(3, 2.0**-149))
-    assert shape_checks._packing_error_ratio(right, *float32) <= 1.0
-    assert shape_checks._packing_error_ratio(right._replace(expected=right.packed + off), *float32) > 1.0
+    assert scene_checks._packing_error_ratio(right, *float32) <= 1.0
+    assert scene_checks._packing_error_ratio(right._replace(expected=right.packed + off), *float32) > 1.0
     assert (
-        shape_checks._packing_error_ratio(right._replace(size=np.zeros(3), rounded=False), *float32) == np.inf
+        scene_checks._packing_error_ratio(right._replace(size=np.zeros(3), rounded=False), *float32) == np.inf
     )

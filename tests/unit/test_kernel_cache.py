@@ -20,7 +20,7 @@ SMALL = """
 import sys
 import numpy as np
 from caster.jit.decorators import COMPILATION_LOG
-from caster.kernels.surface.hit import store_hits
+from caster.kernels.surface.per_hit import store_hits
 from caster.kernels.raster.tile import new_tile, PRIM, clear_rays
 from caster.kernels.bvh.build import best_split_bin
 COMPILATION_LOG.compiling = lambda name: print("compiling", name)

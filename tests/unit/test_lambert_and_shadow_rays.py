@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from caster.scene.model import Scene
-from mitsuba_ref.error_model import shadows
+from mitsuba_ref.error_model import lambert
 from mitsuba_ref.error_model.intersections import KU, Intersections
 from mitsuba_ref.error_model.lambert import ShadingPoints, ambient_radiance, light_contribution
 
@@ -106,8 +106,8 @@ def test_ambient_light_is_reflectance_times_radiance():
 
 
 def test_mitsubas_constants():
-    assert 1500 * np.finfo(np.float32).eps / 2 == shadows.RAY_EPSILON
-    assert shadows.SHADOW_EPSILON == 10 * shadows.RAY_EPSILON
+    assert 1500 * np.finfo(np.float32).eps / 2 == lambert.RAY_EPSILON
+    assert lambert.SHADOW_EPSILON == 10 * lambert.RAY_EPSILON
 
 
 def test_mitsubas_shadow_rays_start_off_the_surface_and_stop_short_of_the_light():
@@ -115,7 +115,7 @@ def test_mitsubas_shadow_rays_start_off_the_surface_and_stop_short_of_the_light(
     hit, normals = some(rng), units(rng)
     point, sun = (light_contribution(SCENE, SCENE.lights[i], hit, KU) for i in (0, 1))
     p = hit.p + 1e-6 * units(rng)
-    near, far = (shadows.reference_shadow_rays(hit, light, p, normals) for light in (point, sun))
+    near, far = (lambert.reference_shadow_rays(hit, light, p, normals) for light in (point, sun))
     for rays, way in ((near, np.array(LIGHTS[0]["position"]) - p), (far, sun.to_light)):
         height = np.sum((rays.o - p) * normals, axis=1)
         assert np.allclose(np.abs(height), (1.0 + np.abs(p).max(axis=1)) * 8.940697e-05, rtol=1e-6)

@@ -5,7 +5,7 @@ import pytest
 
 import caster
 from caster.__main__ import main
-from caster.geometry.rejected import RejectedFaces, rejected_faces
+from caster.geometry.packing import RejectedFaces, rejected_faces
 from caster.geometry.world_space import LARGEST_COORDINATE, as_float32
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\n"

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from caster import Pinhole, Scene
-from caster.geometry.packing import pack
-from caster.geometry.rejected import rejected_faces
+from caster.geometry.packing import pack, rejected_faces
 from caster.shapes import Heightfield
 
 RESOLUTION = 500

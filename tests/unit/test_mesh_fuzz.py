@@ -7,9 +7,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from caster.description.errors import SceneError
-from caster.geometry.mesh import check_mesh
 from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_ply
+from caster.geometry.triangle_mesh import check_mesh
 from caster.geometry.world_space import as_given, transform_mesh
 
 HEADER = (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from caster.description.errors import SceneError
-from caster.geometry.mesh import Mesh, check_mesh, normalize_rows, vertex_normals
+from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows, vertex_normals
 
 # About twenty roundings of u = 2^-53 lie between the corners and a component of a unit vector.
 ROUNDING = 32 * 2.0**-53

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from caster.description.errors import FileMissing, SceneError
-from caster.geometry.mesh import vertex_normals
 from caster.geometry.mesh_files import load_mesh
+from caster.geometry.triangle_mesh import vertex_normals
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 SQUARE_VERTICES = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]

@@ -4,8 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from caster.kernels.math.error_free import two_diff, two_product
-from caster.kernels.math.vec import U, cross, permanent, sub
+from caster.kernels.math.vec import U, cross, permanent, sub, two_diff, two_product
 from caster.kernels.triangles import MIN_SIN_SQUARED, triangle_normal
 
 SAMPLES = 300

@@ -8,7 +8,7 @@ import pytest
 from caster.scene.model import Scene
 from caster.shapes import Disk, Sphere
 from mitsuba_ref.error_model.independent_transform import compose_transform, transform_error_ratio
-from mitsuba_ref.judge.scene_checks.render_checks import check_placement
+from mitsuba_ref.judge.scene_checks import check_placement
 
 TURN = {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}}
 MOVE = {"translate": [0.3, -0.7, 1.9]}

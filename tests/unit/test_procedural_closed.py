@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from caster.description.errors import SceneError
-from caster.geometry.mesh import check_mesh
+from caster.geometry.triangle_mesh import check_mesh
 from caster.shapes.icosphere import tessellate_icosphere
 from caster.shapes.torus import tessellate_torus
 

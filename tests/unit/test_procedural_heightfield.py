@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from caster.description.errors import SceneError
-from caster.geometry.mesh import check_mesh, vertex_normals
+from caster.geometry.triangle_mesh import check_mesh, vertex_normals
 from caster.shapes.heightfield import tessellate_heightfield
 
 HEIGHTS_OF_SEED_7 = [-0.0273371284359051, 0.043852821948381485, 0.18399232340427396, 0.2501909393129043]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from caster.description.errors import SceneError
-from caster.geometry.mesh import check_mesh, normalize_rows
+from caster.geometry.triangle_mesh import check_mesh, normalize_rows
 from caster.shapes.teapot import PARTS, patches, tessellate_teapot
 
 # Three roundings of u = 2^-53 for a weight and three for the sum, of numbers below 4.

@@ -17,12 +17,10 @@ from mitsuba_ref.cli.experiment_options import select
 from mitsuba_ref.experiment import results
 from mitsuba_ref.experiment.results import as_json, read_result, schema, write_result
 from mitsuba_ref.reference.variants import Variants
-from mitsuba_ref.stress import score, sweeps, table, witnesses
-from mitsuba_ref.stress.registry import FAMILIES
-from mitsuba_ref.stress.score import Scorer
+from mitsuba_ref.stress import FAMILIES, score, sweeps
+from mitsuba_ref.stress.score import Absent, Observation, Scorer
 from mitsuba_ref.stress.surfaces import check_closed
 from mitsuba_ref.stress.sweeps import StressRun, SweepResult
-from mitsuba_ref.stress.witnesses import Absent, Observation
 
 RAYS = 25
 BY_NAME = {family.name: family for family in FAMILIES}
@@ -52,7 +50,7 @@ STRESSED = (
 def no_mitsuba(monkeypatch):
     """A machine where no variant works: the sweeps go on with ours and exact arithmetic."""
     nothing = Variants(False, False, None, "planted: nothing works")
-    monkeypatch.setattr(witnesses, "usable_variants", lambda: nothing)
+    monkeypatch.setattr(score, "usable_variants", lambda: nothing)
     monkeypatch.setattr(results, "usable_variants", lambda: nothing)
 
 
@@ -67,7 +65,7 @@ def shortened(monkeypatch, name: str, *places: int) -> None:
     """Let a family have some of its settings only."""
     family = BY_NAME[name]
     short = replace(family, values=tuple(family.values[i] for i in places))
-    monkeypatch.setattr("mitsuba_ref.stress.registry.FAMILIES", (short,))
+    monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", (short,))
 
 
 @pytest.mark.parametrize("word", STRESSED)
@@ -161,8 +159,8 @@ FAULTS = {
     ("fault", "name"), [(fault, name) for fault, names in FAULTS.items() for name in names]
 )
 def test_a_fault_of_ours_fails_the_run(fault, name, monkeypatch, capsys):
-    honest = witnesses.cast_by_bvh
-    monkeypatch.setattr(witnesses, "cast_by_bvh", lambda ready: fault(honest(ready)))
+    honest = score.cast_by_bvh
+    monkeypatch.setattr(score, "cast_by_bvh", lambda ready: fault(honest(ready)))
     shortened(monkeypatch, name, -1)
     assert main(["stress", name, "--rays", str(RAYS)]) == 1
     shown = capsys.readouterr().out
@@ -170,8 +168,8 @@ def test_a_fault_of_ours_fails_the_run(fault, name, monkeypatch, capsys):
 
 
 def test_a_fault_of_the_screen_alone_fails_the_run(monkeypatch, capsys):
-    honest = witnesses.cast_by_raster
-    monkeypatch.setattr(witnesses, "cast_by_raster", lambda ready: without_a_primitive(honest(ready)))
+    honest = score.cast_by_raster
+    monkeypatch.setattr(score, "cast_by_raster", lambda ready: without_a_primitive(honest(ready)))
     shortened(monkeypatch, "film-size", 0)
     assert main(["stress", "film-size"]) == 1
     assert "screen: " in capsys.readouterr().out
@@ -189,12 +187,10 @@ def test_rays_that_show_nothing_fail_the_run(monkeypatch, capsys):
 
     def only_hits(rng, x, count):
         setting = family.make(rng, x, 100)
-        sight = witnesses.cast_by_bvh(witnesses.prepare_setting(setting))
+        sight = score.cast_by_bvh(score.prepare_setting(setting))
         return replace(setting, o=setting.o[sight.hit], d=setting.d[sight.hit])
 
-    monkeypatch.setattr(
-        "mitsuba_ref.stress.registry.FAMILIES", (replace(family, make=only_hits, values=(1e-2,)),)
-    )
+    monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", (replace(family, make=only_hits, values=(1e-2,)),))
     assert main(["stress"]) == 1
     assert "exact arithmetic has no misses" in capsys.readouterr().out
 
@@ -208,7 +204,7 @@ def test_an_open_mesh_is_no_closed_one():
 
 
 def test_a_closed_mesh_that_exact_arithmetic_gets_out_of_is_an_error():
-    ready = witnesses.prepare_setting(replace(next(iter(BY_NAME["tangency"].settings(0, RAYS))), closed=True))
+    ready = score.prepare_setting(replace(next(iter(BY_NAME["tangency"].settings(0, RAYS))), closed=True))
     with pytest.raises(AssertionError, match="leaves a closed mesh"):
         score.exact_answers(ready, np.zeros(RAYS, bool))
 
@@ -220,8 +216,8 @@ def test_a_closed_mesh_that_exact_arithmetic_gets_out_of_is_an_error():
 def ball() -> tuple[Scorer, Observation]:
     """One sphere on another: every hit is a tie."""
     family = BY_NAME["coincident-spheres"]
-    ready = witnesses.prepare_setting(family.make(np.random.default_rng(3), 0.0, RAYS))
-    return Scorer(ready, score.exact_answers(ready, np.zeros(RAYS, bool))), witnesses.cast_by_bvh(ready)
+    ready = score.prepare_setting(family.make(np.random.default_rng(3), 0.0, RAYS))
+    return Scorer(ready, score.exact_answers(ready, np.zeros(RAYS, bool))), score.cast_by_bvh(ready)
 
 
 def test_any_member_of_a_tie_is_right(ball):
@@ -268,7 +264,7 @@ def test_the_first_breakdown_is_looked_for_on_both_sides_of_the_easiest_setting(
     broken = replace(sweep, settings=tuple(outcomes))
     x = BY_NAME["scale-sphere"].values
     assert sweep.breakdowns["ours"] == [] and broken.breakdowns["ours"] == [x[2], x[15]]
-    assert "ours 1e-20 and 1e+18" in table.as_text(broken) and not broken.ok
+    assert "ours 1e-20 and 1e+18" in sweeps.as_text(broken) and not broken.ok
 
 
 def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
@@ -305,18 +301,18 @@ def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
 
 def test_what_is_missing_is_said_in_table_picture_and_json():
     sweep = run("tangency", 0, -1)
-    assert "Mitsuba LLVM, robust: missing: planted: nothing works" in table.as_text(sweep)
+    assert "Mitsuba LLVM, robust: missing: planted: nothing works" in sweeps.as_text(sweep)
     assert b"Mitsuba LLVM, robust: missing" in stress_plots.as_svg(sweep)
     text = json.dumps(as_json(StressRun(0, {}, ("tangency",), (sweep,))))
     assert text.count('"status": "missing"') == 3 * len(sweep.settings)
 
 
 def test_leaks_are_added_up(monkeypatch):
-    honest = witnesses.cast_by_bvh
-    monkeypatch.setattr(witnesses, "cast_by_bvh", lambda ready: without_a_primitive(honest(ready)))
+    honest = score.cast_by_bvh
+    monkeypatch.setattr(score, "cast_by_bvh", lambda ready: without_a_primitive(honest(ready)))
     sweep = run("watertight-vertices", 0, 1)
     lost = sum(outcome.witnesses["ours"].false_misses for outcome in sweep.settings)
-    assert lost > 0 and f"leaks of {2 * RAYS} rays: ours {lost}, screen 0, scalar missing" in table.as_text(
+    assert lost > 0 and f"leaks of {2 * RAYS} rays: ours {lost}, screen 0, scalar missing" in sweeps.as_text(
         sweep
     )
 

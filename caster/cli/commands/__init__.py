@@ -13,7 +13,7 @@ COMMANDS = (
     Command(
         "probe",
         "one pixel: its ray, its hit and the intersections of each shape, in decimal and hex",
-        f"{_HERE}.probe",
+        f"{_HERE}.probe_pixel",
     ),
     Command("check", "validate scene files: every error with file:line:col", f"{_HERE}.check"),
     Command(
@@ -52,6 +52,6 @@ COMMANDS = (
     Command(
         "doctor",
         "list the packages found on this machine, and what each missing one would add",
-        f"{_HERE}.doctor",
+        "caster.cli.installation",
     ),
 )

@@ -21,8 +21,7 @@ def run(args: argparse.Namespace) -> int:
 
 def check_file(path: str, mesh_dirs: list[str]) -> int:
     """Validate one scene file with its meshes and print the outcome; its exit code."""
-    from caster.geometry.packing import pack
-    from caster.geometry.rejected import in_words
+    from caster.geometry.packing import in_words, pack
     from caster.scene.files import load_scene
 
     try:

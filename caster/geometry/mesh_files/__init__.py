@@ -5,9 +5,9 @@ from os import PathLike
 from pathlib import Path
 
 from caster.description.errors import FileMissing, SceneError
-from caster.geometry.mesh import Mesh, check_mesh, normalize_rows
 from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_ply
+from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 
 FORMATS: dict[str, Callable[[bytes, str], Mesh]] = {".obj": parse_obj, ".ply": parse_ply}
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caster.description.errors import SceneError
-from caster.geometry.mesh import Floats, Mesh, format_row, triangle_fans, vertex_normals
 from caster.geometry.mesh_files.plain_text import read_plain_obj
+from caster.geometry.triangle_mesh import Floats, Mesh, format_row, triangle_fans, vertex_normals
 
 Corner = tuple[int, int, int]  # 0-based indices v, vt, vn; -1 if absent
 

@@ -6,7 +6,6 @@ Both ways give the same bits (tests/unit/test_mesh_plain_text.py).
 import numpy as np
 from numpy.typing import NDArray
 
-from caster.geometry.mesh import Floats
 from caster.geometry.mesh_files.text_kernels import (
     NEWLINE,
     PARSE_FAILED,
@@ -16,6 +15,7 @@ from caster.geometry.mesh_files.text_kernels import (
     read_obj,
     read_real_rows,
 )
+from caster.geometry.triangle_mesh import Floats
 from caster.jit.kernel_cache import COMPILED
 
 MAX_UNCERTAIN_NUMBERS = 4096  # per kind; files with more are read in Python

@@ -1,12 +1,259 @@
-"""Reader of PLY files: the elements `vertex` and `face` become a mesh; others are ignored."""
+"""Reader of PLY files, binary and ascii: the elements `vertex` and `face` become a mesh; others are ignored."""
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from caster.description.errors import SceneError
-from caster.geometry.mesh import Floats, Mesh, format_row, triangle_fans
-from caster.geometry.mesh_files.ply_body import read_ascii, read_binary
-from caster.geometry.mesh_files.ply_header import Lists, Table, parse_header
+from caster.geometry.mesh_files.plain_text import read_plain_lists, read_plain_rows
+from caster.geometry.mesh_files.ply_header import (
+    Column,
+    Columns,
+    Element,
+    Header,
+    Lists,
+    Property,
+    Table,
+    parse_header,
+)
+from caster.geometry.triangle_mesh import Floats, Mesh, format_row, triangle_fans
+from caster.jit.kernel_cache import COMPILED
+
+
+def read_binary(data: bytes, header: Header, where: str) -> dict[str, Table]:
+    """The tables of all elements. Raises SceneError if the body is too short or too long."""
+    at = header.end
+    tables = {}
+    for element in header.elements:
+        body = _Body(data, element, header.byte_order, where)
+        columns, at = body.read_at_once(at) or body.read_rows(at)
+        tables[element.name] = Table(columns, None)
+    if at < len(data):
+        more = len(data) - at
+        raise SceneError(f"{where}: expected the end after the last element, got {more} more bytes")
+    return tables
+
+
+class _Body:
+    """The bytes of one element."""
+
+    def __init__(self, data: bytes, element: Element, byte_order: str, where: str) -> None:
+        self.data, self.element, self.where = data, element, where
+        self.types = [np.dtype(byte_order + p.type) for p in element.properties]
+        self.count_types = [np.dtype(byte_order + (p.count_type or "u1")) for p in element.properties]
+
+    def read_at_once(self, at: int) -> tuple[Columns, int] | None:
+        """All rows at once if all lists have the length of the first row's; else None."""
+        count = self.element.rows
+        sizes = self._row(at, 0)[1] if count else [0] * len(self.types)
+        row = self._row_type(sizes)
+        end = at + count * row.itemsize
+        if end > len(self.data):
+            return None
+        table = np.frombuffer(self.data, row, count, at) if count else np.empty(0, row)
+        columns: Columns = {}
+        for k, p in enumerate(self.element.properties):
+            values = table[f"value{k}"]
+            if p.count_type and not np.all(table[f"size{k}"] == sizes[k]):
+                return None
+            columns[p.name] = Lists(np.full(count, sizes[k]), values.ravel()) if p.count_type else values
+        return columns, end
+
+    def _row_type(self, sizes: list[int]) -> np.dtype[np.void]:
+        """NumPy type of one row. Fields are numbered, since properties may have any name."""
+        fields: list[tuple[str, np.dtype[np.generic], tuple[int, ...]]] = []
+        for k, p in enumerate(self.element.properties):
+            if p.count_type:
+                fields.append((f"size{k}", self.count_types[k], ()))
+            fields.append((f"value{k}", self.types[k], (sizes[k],) if p.count_type else ()))
+        return np.dtype(fields)
+
+    def read_rows(self, at: int) -> tuple[Columns, int]:
+        """Row by row: the length of a list determines the offset of the next property."""
+        chunks: list[list[bytes]] = [[] for _ in self.types]
+        sizes: list[list[int]] = [[] for _ in self.types]
+        for row in range(self.element.rows):
+            starts, row_max_norms, at = self._row(at, row)
+            for k, start in enumerate(starts):
+                chunks[k].append(self.data[start : start + row_max_norms[k] * self.types[k].itemsize])
+                sizes[k].append(row_max_norms[k])
+        columns: Columns = {}
+        for k, p in enumerate(self.element.properties):
+            values = np.frombuffer(b"".join(chunks[k]), self.types[k])
+            columns[p.name] = Lists(np.array(sizes[k], np.int64), values) if p.count_type else values
+        return columns, at
+
+    def _row(self, at: int, row: int) -> tuple[list[int], list[int], int]:
+        """(offsets of the values of each property, their counts, end of the row)."""
+        starts, sizes = [], []
+        for k, p in enumerate(self.element.properties):
+            size = 1
+            if p.count_type:
+                size = self._size(at, k, row, p)
+                at += self.count_types[k].itemsize
+            starts.append(at)
+            sizes.append(size)
+            at += size * self.types[k].itemsize
+        if at > len(self.data):
+            raise self._truncated(row)
+        return starts, sizes, at
+
+    def _size(self, at: int, k: int, row: int, p: Property) -> int:
+        type_ = self.count_types[k]
+        raw = self.data[at : at + type_.itemsize]
+        if len(raw) < type_.itemsize:
+            raise self._truncated(row)
+        size = int.from_bytes(raw, "big" if type_.str[0] == ">" else "little", signed=type_.kind == "i")
+        if size < 0:
+            raise SceneError(
+                f"{self.where}: row {row} of element '{self.element.name}': list '{p.name}' "
+                f"must have a length >= 0, got {size}"
+            )
+        return size
+
+    def _truncated(self, row: int) -> SceneError:
+        return SceneError(
+            f"{self.where}: truncated: expected {self.element.rows} rows of element '{self.element.name}', "
+            f"got {row} whole ones before the end of the file ({len(self.data)} bytes)"
+        )
+
+
+# Ascii bodies: one line per row; all numbers are float64, exact up to 2^53.
+
+
+class _Line(NamedTuple):
+    number: int
+    words: list[bytes]
+
+
+def read_ascii(data: bytes, header: Header, where: str) -> dict[str, Table]:
+    """The tables of all elements. Raises SceneError with `where`:line."""
+    return _read_plain(data, header) or read_any_ascii(data, header, where)
+
+
+def _read_plain(data: bytes, header: Header) -> dict[str, Table] | None:
+    """The same by kernels, for rows of numbers or of a single list, one line each; None otherwise."""
+    if not COMPILED:
+        return None
+    at, line, tables = header.end, header.end_line, {}
+    for element in header.elements:
+        lines = range(line, line + element.rows)
+        found = _plain_columns(data, at, element)
+        if found is None:
+            return None
+        tables[element.name], at, line = Table(found[0], lines), found[1], line + element.rows
+    return tables if not data[at:].strip() else None
+
+
+def _plain_columns(data: bytes, at: int, element: Element) -> tuple[Columns, int] | None:
+    properties = element.properties
+    if not any(p.count_type for p in properties):
+        rows = read_plain_rows(data, at, element.rows, len(properties))
+        return None if rows is None else ({p.name: rows[0][:, k] for k, p in enumerate(properties)}, rows[1])
+    lists = read_plain_lists(data, at, element.rows) if len(properties) == 1 else None
+    return None if lists is None else ({properties[0].name: Lists(lists[0], lists[1])}, lists[2])
+
+
+def read_any_ascii(data: bytes, header: Header, where: str) -> dict[str, Table]:
+    """The same in Python, line by line."""
+    numbered = enumerate(data[header.end :].splitlines(), header.end_line)
+    lines = [_Line(number, words) for number, text in numbered if (words := text.split())]
+    start = 0
+    tables = {}
+    for element in header.elements:
+        rows = lines[start : start + element.rows]
+        if len(rows) < element.rows:
+            expected = f"{element.rows} rows of element '{element.name}'"
+            raise SceneError(f"{where}: truncated: expected {expected}, got {len(rows)}")
+        tables[element.name] = _table(rows, element, where)
+        start += element.rows
+    if start < len(lines):
+        place, got = f"{where}:{lines[start].number}", _text(lines[start])
+        raise SceneError(f"{place}: expected the end of the file after the last element, got {got}")
+    return tables
+
+
+def _table(rows: list[_Line], element: Element, where: str) -> Table:
+    numbers = _numbers(rows, where)
+    read = _with_lists if any(p.count_type for p in element.properties) else _scalars
+    return Table(read(rows, numbers, element, where), [row.number for row in rows])
+
+
+def _numbers(rows: list[_Line], where: str) -> list[float]:
+    try:
+        return [_number(word) for row in rows for word in row.words]
+    except ValueError:
+        bad = next(row for row in rows if not _is_numeric(row))
+        raise SceneError(f"{where}:{bad.number}: expected numbers, got {_text(bad)}") from None
+
+
+def _number(word: bytes) -> float:
+    if b"_" in word:  # Python accepts 1_000
+        raise ValueError
+    return float(word)
+
+
+def _is_numeric(row: _Line) -> bool:
+    try:
+        return bool([_number(word) for word in row.words])
+    except ValueError:
+        return False
+
+
+def _scalars(rows: list[_Line], numbers: list[float], element: Element, where: str) -> Columns:
+    width = len(element.properties)
+    for row in rows:
+        if len(row.words) != width:
+            raise _wrong_width(row, element, width, where)
+    table = np.array(numbers, np.float64).reshape(len(rows), width)
+    return {p.name: table[:, k] for k, p in enumerate(element.properties)}
+
+
+def _with_lists(rows: list[_Line], numbers: list[float], element: Element, where: str) -> Columns:
+    """Row by row: the length of a list determines the offset of the next property."""
+    found: dict[str, list[float]] = {p.name: [] for p in element.properties}
+    sizes: dict[str, list[int]] = {p.name: [] for p in element.properties if p.count_type}
+    at = 0
+    for row in rows:
+        end = at + len(row.words)
+        for p in element.properties:
+            size = 1
+            if p.count_type:
+                size = _size(numbers, at, end, row, p, where)
+                sizes[p.name].append(size)
+                at += 1
+            found[p.name] += numbers[at : at + size]
+            at += size
+        if at != end:
+            raise _wrong_width(row, element, len(row.words) + at - end, where)
+    return {name: _column(values, sizes.get(name)) for name, values in found.items()}
+
+
+def _column(values: list[float], sizes: list[int] | None) -> Column | Lists:
+    column = np.array(values, np.float64)
+    return column if sizes is None else Lists(np.array(sizes, np.int64), column)
+
+
+def _size(numbers: list[float], at: int, end: int, row: _Line, p: Property, where: str) -> int:
+    """The length of the list at `at`, an integer not beyond the rest of the line."""
+    size = numbers[at] if at < end else 0.0
+    if at < end and 0.0 <= size <= end - at - 1 and size.is_integer():
+        return int(size)
+    expected = f"list '{p.name}' to be its length and as many values"
+    raise SceneError(f"{where}:{row.number}: expected {expected}, got {_text(row)}")
+
+
+def _wrong_width(row: _Line, element: Element, width: int, where: str) -> SceneError:
+    return SceneError(
+        f"{where}:{row.number}: expected {width} numbers for a row of element '{element.name}', "
+        f"got {len(row.words)}: {_text(row)}"
+    )
+
+
+def _text(row: _Line) -> str:
+    return repr(b" ".join(row.words)[:60].decode("ascii", "backslashreplace"))
+
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")

@@ -11,7 +11,7 @@ from caster.kernels.protocol import Vec3, hull_point, hull_size
 
 LEAF_SIZE = 4
 BINS = 16
-# Below this depth runs are halved. A large tree grows in two goes (caster/rendering/acceleration.py), so that
+# Below this depth runs are halved. A large tree grows in two goes (caster/rendering/bvh.py), so that
 # with 2^31 primitives it is less than 2 (40 + 31) deep; a traversal holds all but one of a node's boxes a level.
 MAX_SAH_DEPTH = 40
 BUILD_STACK_SIZE = 160  # nodes in two that wait for their turn

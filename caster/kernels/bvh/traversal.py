@@ -1,11 +1,20 @@
-"""Culling 2: a tree of boxes, for any rays, one after the other."""
+"""Traversal of BVHs: by any rays one after the other, and by packets of neighbouring rays, LANES at a time."""
 
 import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import inlined, jit
-from caster.jit.simd import intersect_boxes, lowest_bit
+from caster.jit.simd import (
+    LANES,
+    intersect_boxes,
+    intersect_boxes_packet,
+    lane_max,
+    lane_max_of_sums,
+    lane_min,
+    lowest_bit,
+)
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
+from caster.kernels.nearest import NearestMode
 from caster.kernels.protocol import (
     Vec3,
     intersect,
@@ -15,6 +24,23 @@ from caster.kernels.protocol import (
     store_best,
     surely_misses,
     update_best,
+)
+from caster.kernels.raster.tile import (
+    DX,
+    DY,
+    DZ,
+    OX,
+    OY,
+    OZ,
+    PRIM,
+    STRIDE,
+    T_ERROR,
+    T_MAX,
+    T_MIN,
+    UNCERTAIN,
+    T,
+    cast_lanes,
+    lane,
 )
 
 # A box is met from (low + c) / d to (high + c) / d along an axis, c being its reference point relative to the origin,
@@ -131,3 +157,169 @@ def cast_bvh(
         store_best(
             mode, record, i, traverse(mode, prims, tree, i, ray, load_best(mode, record, i), workspace)
         )
+
+
+# Packets: neighbours in a tile traverse the tree together.
+
+
+PACKET_SIZE = lane(LANES)
+
+Bounds3 = tuple[Vec3, Vec3]
+
+
+class PacketBoxSetup(NamedTuple):
+    """Slab-test constants of a packet of rays. An axis along which some go forwards, some backwards bounds nothing."""
+
+    near: tuple[int, int, int]  # rows of Tree.boxes[node]
+    far: tuple[int, int, int]
+    least: Vec3  # of 1/d
+    most: Vec3
+    enter: Vec3  # the tree's centre relative to that origin from which the near side is nearest, less the pad
+    leave: Vec3  # the far side is farthest, more the pad
+    unit: float
+
+
+@inlined
+def packet_bounds(tile: Any, field: Any, first: Any) -> Bounds3:
+    """The least x, y, z of a packet's origins or directions, and the largest."""
+    x, y, z = field + first, field + lane(STRIDE) + first, field + lane(2 * STRIDE) + first
+    return (
+        (lane_min(tile, x), lane_min(tile, y), lane_min(tile, z)),
+        (lane_max(tile, x), lane_max(tile, y), lane_max(tile, z)),
+    )
+
+
+# Rays go together whose directions differ by no more than this share of the first one's, and whose origins by no more
+# than this share of the tree's size: about where going together takes as long as going alone.
+COHERENCE_LIMIT = 0.25
+
+
+@inlined
+def is_coherent(tree: Any, tile: Any, first: Any, origins: Bounds3, directions: Bounds3) -> bool:
+    """Whether the rays of a packet intersect much the same boxes. It changes no bit."""
+    turn = abs(tile[DX + first]) + abs(tile[DY + first]) + abs(tile[DZ + first])
+    return (l1_extent(origins) <= COHERENCE_LIMIT * tree.unit) & (
+        l1_extent(directions) <= COHERENCE_LIMIT * turn
+    )
+
+
+@inlined
+def l1_extent(ends: Bounds3) -> float:
+    low, high = ends
+    return (high[0] - low[0]) + (high[1] - low[1]) + (high[2] - low[2])
+
+
+@inlined
+def packet_box_setup(tree: Any, origins: Bounds3, directions: Bounds3) -> PacketBoxSetup:
+    """How rays whose origins and directions lie between these see the boxes of a tree."""
+    pad = max(box_padding(tree, origins[0]), box_padding(tree, origins[1]))
+    x, y, z = (
+        axis_setup(tree, origins, directions, pad, 0),
+        axis_setup(tree, origins, directions, pad, 1),
+        axis_setup(tree, origins, directions, pad, 2),
+    )
+    return PacketBoxSetup(
+        (0 if x[4] else 3, 1 if y[4] else 4, 2 if z[4] else 5),
+        (3 if x[4] else 0, 4 if y[4] else 1, 5 if z[4] else 2),
+        (x[0], y[0], z[0]),
+        (x[1], y[1], z[1]),
+        (x[2], y[2], z[2]),
+        (x[3], y[3], z[3]),
+        tree.unit,
+    )
+
+
+@inlined
+def axis_setup(
+    tree: Any, origins: Bounds3, directions: Bounds3, pad: float, axis: int
+) -> tuple[float, float, float, float, bool]:
+    """Of one axis: least, most, enter, leave, and whether the rays go forwards."""
+    low_d, high_d = directions[0][axis], directions[1][axis]
+    mixed, forwards = (low_d < 0.0) & (high_d > 0.0), low_d >= 0.0
+    low_d = max(low_d, tree.flat) if forwards else min(low_d, -tree.flat)
+    high_d = max(high_d, tree.flat) if forwards else min(high_d, -tree.flat)
+    low = tree.center[axis] - origins[1][axis] - pad
+    high = tree.center[axis] - origins[0][axis] + pad
+    return (
+        1.0 if mixed else 1.0 / high_d,
+        1.0 if mixed else 1.0 / low_d,
+        -math.inf if mixed else (low if forwards else high),
+        math.inf if mixed else (high if forwards else low),
+        forwards,
+    )
+
+
+@jit
+def cast_rays_singly(
+    prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool
+) -> None:
+    """Nearest hits of a packet's rays, one by one."""
+    mode = NearestMode(tree.order, any_hit)  # whose numbers are not read
+    for i in range(first, first + PACKET_SIZE):
+        o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
+        held = tile[T + i], tile[T_ERROR + i], -1, False
+        best = traverse(mode, prims, tree, i, (o, d, tile[T_MIN + i], tile[T_MAX + i]), held, workspace)
+        if best[2] >= 0:
+            tile[T + i], tile[T_ERROR + i], tile[PRIM + i] = best[0], best[1], float(base + best[2])
+        if best[3]:
+            tile[UNCERTAIN + i] = 1.0
+
+
+@jit
+def cast_packets(
+    prims: Any, tree: Any, base: int, count: int, tile: Any, workspace: Any, any_hit: bool
+) -> None:
+    """The first `count` rays of a tile against a kind whose places begin at `base`.
+
+    any_hit: whether to stop at anything that is hit for sure.
+    """
+    for first in range(lane(0), lane(count), PACKET_SIZE):
+        origins, directions = packet_bounds(tile, OX, first), packet_bounds(tile, DX, first)
+        if is_coherent(tree, tile, first, origins, directions):
+            view = packet_box_setup(tree, origins, directions)
+            cast_packet(prims, tree, base, tile, first, view, workspace, any_hit)
+        else:
+            cast_rays_singly(prims, tree, base, tile, first, workspace, any_hit)
+
+
+@inlined
+def cast_packet(
+    prims: Any,
+    tree: Any,
+    base: int,
+    tile: Any,
+    first: Any,
+    view: PacketBoxSetup,
+    workspace: Any,
+    any_hit: bool,
+) -> None:
+    """Nearest hits of a packet's rays together: `traverse` for boxes that any of them may enter."""
+    stack, entries, near = workspace
+    t_min, t_max = lane_min(tile, T_MIN + first), lane_max(tile, T_MAX + first)
+    limit = min(t_max, lane_max_of_sums(tile, T + first, T_ERROR + first))
+    inside, top, entries[0] = 0, 1, -math.inf
+    while top > 0:
+        if inside >= 0:
+            mask = intersect_boxes_packet(tree.boxes, inside, view, t_min, limit, near)
+            if mask != 0:
+                inside, top = push_children(tree.links, inside, mask, top, workspace)
+                continue
+        else:
+            start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE
+            for at in range(start, start + number):
+                k = tree.order[at]
+                cast_lanes(prims, load(prims, k), float(base + k), tile, first, any_hit)
+            limit = min(t_max, lane_max_of_sums(tile, T + first, T_ERROR + first))
+        top = pop_beyond(top, limit, workspace) - 1
+        inside = stack[top]
+
+
+@jit
+def cast_packets_brute_force(
+    prims: Any, number: int, base: int, count: int, tile: Any, any_hit: bool
+) -> None:
+    """The same for a kind without a tree: all of its primitives."""
+    for k in range(number):
+        prim, prim_number = load(prims, k), float(base + k)
+        for first in range(lane(0), lane(count), PACKET_SIZE):
+            cast_lanes(prims, prim, prim_number, tile, first, any_hit)

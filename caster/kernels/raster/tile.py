@@ -32,7 +32,7 @@ T, T_ERROR, PRIM, UNCERTAIN, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (
 # T, OFF: the nearest so far, the true t within OFF; PLACE: number of the primitive, kind by kind, -1 for none;
 # DOUBT: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
 
-# Behind the fields: the ray bounds for box tests (caster/kernels/bvh/packet.py).
+# Behind the fields: the ray bounds for box tests (caster/kernels/bvh/traversal.py).
 SCRATCH = lane(STRIDE * FIELDS)
 SCRATCH_SIZE = 9 * LANES
 

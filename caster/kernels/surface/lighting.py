@@ -7,7 +7,7 @@ from caster.jit.decorators import generic_inlined, implement, inlined, jit
 from caster.kernels.math.vec import dot, max_norm, point_at, row, scaled, sub
 from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import PRIM, T_MAX, UNCERTAIN, WIDTH, Box, T, clear_rays, lane, start_ray
-from caster.kernels.surface.hit import ALBEDO, FLUX, ONE, RADIANCE, SH_N, SIDES, N, P, get, put, ray_of
+from caster.kernels.surface.per_hit import ALBEDO, FLUX, ONE, RADIANCE, SH_N, SIDES, N, P, get, put, ray_of
 
 # A computed hit lies within 16 u (|o| + t + |p|) of the surface (caster/kernels/math/quadric_roots.py,
 # triangles.py); shadow rays start

@@ -21,7 +21,7 @@ from caster.kernels.raster.tile import (
     lane,
 )
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
-from caster.kernels.surface.hit import (
+from caster.kernels.surface.per_hit import (
     Hit,
     fill_miss,
     per_hit,

@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from mitsuba_ref.judge.verdict import UNLISTED, WRONG, SceneVerdict, json_number
-from mitsuba_ref.report.replay import replay, replay_around
+from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.terminal import failure_text
 
 ABOUT_PART = "about"  # the part that all others need

@@ -9,7 +9,7 @@ from cases import whole
 from cases.case import FLOAT64, Case, Maker, Question
 from cases.shapes import mesh_of
 from caster import cast
-from caster.geometry.rejected import rejected_faces
+from caster.geometry.packing import rejected_faces
 
 TOO_LARGE = 1.844e18  # Embree's limit, which is ours: such a face is left out
 BAD = (np.nan, np.inf, -np.inf, TOO_LARGE, -1e19, 1e30)

@@ -1,4 +1,4 @@
-"""`mitsuba-ref schema` and `mitsuba-ref doctor`: formats of results, and what this machine has."""
+"""`mitsuba-ref schema`: JSON Schemas of the results."""
 
 import argparse
 import json
@@ -6,7 +6,6 @@ from importlib import import_module
 from typing import Any
 
 from caster.cli.exit_codes import OK
-from caster.cli.installation import print_findings
 
 # Result -> module and class of its model.
 RESULTS = {
@@ -19,11 +18,11 @@ RESULTS = {
 }
 
 
-def add_schema_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("result", choices=RESULTS, help="whose --json the schema describes")
 
 
-def run_schema(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Print the JSON Schema of a result."""
     print(json.dumps(result_schema(args.result), indent=2))
     return OK
@@ -35,14 +34,3 @@ def result_schema(name: str) -> dict[str, Any]:
 
     module, model = RESULTS[name]
     return TypeAdapter(getattr(import_module(module), model)).json_schema(mode="serialization")
-
-
-def add_doctor_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="as JSON")
-
-
-def run_doctor(args: argparse.Namespace) -> int:
-    """Print the findings; 4 when something needed is missing."""
-    from mitsuba_ref.reference import installation
-
-    return print_findings(installation.report(), args.json)

@@ -1,36 +1,151 @@
-"""`render`, which is what users get, against the way that pixels are judged.
-
-Judged rays start at the near plane and have no least t; those of `render` start in the eye. Without a near plane the
-two are the same rays, and check_culling demands the same bits. With one they are others, by the rounding of where the
-near plane is, which is as large as the last digit of the eye's coordinates. So where bits differ, `render` is held to
-its own rays, from the eye, with their least t: what the float64 bracket allows there, with no room for the move.
-"""
+"""Checks made once a scene: the transform, packing and material of each shape, and `render` against the judged rays."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.description.fields import Camera
+from caster.description.fields import Camera, Shape
 from caster.geometry.packing import pack
-from caster.geometry.world_space import as_given
+from caster.geometry.world_space import Rounding, as_float32, as_given
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import trace, trace_rays
 from caster.rendering.images import Aovs, camera_rays, evaluate, film_window, render
+from caster.scene.materials import Diffuse
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
-from mitsuba_ref.error_model.bounds import aov_rows, nearest_root
+from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
 from mitsuba_ref.error_model.intersections import KU, KU_OURS, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
-from mitsuba_ref.error_model.scene_model import model_of
-from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS
+from mitsuba_ref.error_model.scene_model import model_of, reference_of
+from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, TRANSFORM_ROUNDINGS
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
-from mitsuba_ref.judge.scene_checks.scene_check import bits_differ, pixel_centers, worst_pixel
-from mitsuba_ref.judge.scene_checks.shape_checks import check_geometry, check_materials, check_placement
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import ReferenceResult, camera_reference
+
+
+class Shares:
+    """Errors over their bounds by what was checked; a second value of one name would hide the first and is refused."""
+
+    def __init__(self) -> None:
+        self._shares: dict[str, float] = {}
+
+    def add(self, what: str, share: float) -> None:
+        if what in self._shares:
+            raise ValueError(f"{what} is checked twice, and a verdict has room for one share of it")
+        self._shares[what] = share
+
+    def worst(self) -> tuple[str, float]:
+        """The largest share and what it is of."""
+        what = max(self._shares, key=lambda name: self._shares[name], default="nothing to look at")
+        return what, self._shares.get(what, 0.0)
+
+
+def bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
+    """(n,) bool: pixels where one AOV of two images has other bits."""
+    rows, others = aov_rows(a, name), aov_rows(b, name)
+    different = rows.view(f"u{rows.itemsize}") != others.view(f"u{rows.itemsize}")
+    return different if different.ndim == 1 else different.any(axis=1)
+
+
+def pixel_centers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of the window's pixel centres, row by row."""
+    x0, y0, x1, y1 = scene.film.crop or (0, 0, scene.film.width, scene.film.height)
+    y, x = np.meshgrid(np.arange(y0, y1) + 0.5, np.arange(x0, x1) + 0.5, indexing="ij")
+    return x.ravel(), y.ravel()
+
+
+def worst_pixel(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> SceneCheck:
+    """The largest share of all, and the pixel it is at."""
+    table = np.array([np.where(among, error_over_bound(share, np.ones(1)), 0.0) for share in shares.values()])
+    if not table.size:
+        return SceneCheck(name, 0.0, "nothing to look at")
+    part, pixel = np.unravel_index(int(np.argmax(table)), table.shape)
+    x0, y0, x1, _y1 = scene.film.window
+    x, y = x0 + int(pixel) % (x1 - x0), y0 + int(pixel) // (x1 - x0)
+    return SceneCheck(name, float(table[part, pixel]), f"{list(shares)[int(part)]} at ({x}, {y})")
+
+
+# What is checked once for each shape of a scene: where it stands, the numbers it packs to, and its material.
+
+
+def check_placement(scene: Scene) -> SceneCheck:
+    """Each shape's matrix against its steps, composed a second time."""
+    ratios = [transform_error_ratio(shape) for shape in scene.shapes if shape.to_world]
+    names = [name for name, shape in zip(scene.shape_names(), scene.shapes, strict=True) if shape.to_world]
+    if not ratios:
+        return SceneCheck("placement", 0.0, "no shape has a to_world")
+    worst = int(np.argmax(ratios))
+    return SceneCheck("placement", ratios[worst], f"to_world of {names[worst]}")
+
+
+class Precision(NamedTuple):
+    """How the numbers of a shape are rounded when it is packed."""
+
+    name: str
+    rounded: Rounding
+    unit_roundoff: float
+    # Below it the spacing of numbers stays what it is there, and so does what a rounding may take: half of it, the
+    # unit round-off of the smallest normal number.
+    smallest_normal: float
+
+
+PRECISIONS = (
+    Precision("float64", as_given, 2.0**-53, 2.0**-1022),  # what `render` casts
+    Precision("float32", as_float32, 2.0**-24, 2.0**-126),  # what is judged against the reference
+)
+
+
+def check_geometry(scene: Scene) -> SceneCheck:
+    """Each shape's numbers in the world, float64 and float32, against its description, worked out a second time."""
+    shares = Shares()
+    for precision in PRECISIONS:
+        parts = pack(scene, precision.rounded).parts
+        for name, shape, part in zip(scene.shape_names(), scene.shapes, parts, strict=True):
+            for claim in reference_of(shape).expected(shape, part):
+                share = _packing_error_ratio(claim, precision.unit_roundoff, precision.smallest_normal)
+                shares.add(f"{claim.what} of {name} ({precision.name})", share)
+    worst, share = shares.worst()
+    return SceneCheck("geometry", share, worst)
+
+
+def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float) -> float:
+    """Largest error over its bound; inf where there are other numbers than expected."""
+    if claim.packed.shape != np.shape(claim.expected):
+        return float("inf")
+    error = np.abs(claim.packed - claim.expected)
+    size = np.maximum(claim.size, normal) if claim.rounded else claim.size
+    bound = TRANSFORM_ROUNDINGS * rounding * np.broadcast_to(size, error.shape)
+    hopeless = np.isposinf(bound)  # normals that cancel: their direction is undefined
+    return float(np.where(hopeless, 0.0, error_over_bound(error, bound)).max(initial=0.0))
+
+
+def check_materials(scene: Scene) -> SceneCheck:
+    """Each shape's material is the one it names: Mitsuba gets what the caster looks up."""
+    ratios = [
+        0.0 if scene.material_of(shape) == _described_material(scene, shape) else np.inf
+        for shape in scene.shapes
+    ]
+    if not ratios:
+        return SceneCheck("materials", 0.0, "no shape")
+    worst = int(np.argmax(ratios))
+    return SceneCheck("materials", ratios[worst], f"material of {scene.shape_names()[worst]}")
+
+
+def _described_material(scene: Scene, shape: Shape) -> Diffuse:
+    return scene.materials[shape.material] if shape.material else Diffuse()
+
+
+# `render`, which is what users get, against the way that pixels are judged.
+#
+# Judged rays start at the near plane and have no least t; those of `render` start in the eye. Without a near plane the
+# two are the same rays, and check_culling demands the same bits. With one they are others, by the rounding of where the
+# near plane is, which is as large as the last digit of the eye's coordinates. So where bits differ, `render` is held to
+# its own rays, from the eye, with their least t: what the float64 bracket allows there, with no room for the move.
+
 
 CHECKED_AOVS = ("depth", "normal", "shading_normal", "position", "shape_id", "diffuse", "prim_id")
 RENDER_PIXELS_CHECKED = 4096  # pixels that are judged where bits may differ: a few tenths of a second

@@ -1,12 +1,12 @@
-"""Installation check of the judge: what this machine has, and what each missing part would add.
+"""`mitsuba-ref doctor`: what this machine has for the judge, and what each missing part would add.
 
 Mitsuba is imported in a child process: a bad libLLVM aborts the process that loads it.
 """
 
+import argparse
 import importlib.metadata
 import json
 import shutil
-import subprocess
 import sys
 from collections.abc import Sequence
 from ctypes.util import find_library
@@ -19,11 +19,13 @@ from caster.cli.installation import (
     exit_code,
     find_package,
     format_json,
+    print_findings,
     usable,
 )
-from mitsuba_ref.reference.subprocess_runner import exit_name
+from mitsuba_ref.reference import subprocess_runner
 
 __all__ = ["Finding", "exit_code", "format", "format_json", "report", "usable"]
+
 
 # The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
@@ -50,6 +52,15 @@ import json
 from mitsuba_ref.reference.mitsuba_process import describe_installation
 print(json.dumps(describe_installation()))
 """
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the findings; 4 when something needed is missing."""
+    return print_findings(report(), args.json)
 
 
 def report() -> list[Finding]:
@@ -94,20 +105,16 @@ def _pinned(name: str) -> Finding:
 
 def _run_probe(probe: Sequence[str]) -> tuple[dict[str, Any], str]:
     """(description of Mitsuba, why there is none)"""
-    try:
-        child = subprocess.run(
-            probe, capture_output=True, text=True, timeout=PROBE_TIMEOUT_SECONDS, check=True
-        )
-    except subprocess.TimeoutExpired:
+    end = subprocess_runner.run(probe, PROBE_TIMEOUT_SECONDS)
+    if end.code is None:
         return {}, f"no answer within {PROBE_TIMEOUT_SECONDS} s"
-    except subprocess.CalledProcessError as error:
-        return {}, _exit_description(error.returncode, error.stderr)
-    return _parse_description(child.stdout)
+    return _parse_description(end.output) if end.code == 0 else ({}, _exit_description(end.code, end.output))
 
 
 def _parse_description(output: str) -> tuple[dict[str, Any], str]:
-    """Of the last line; Mitsuba may have printed warnings before it."""
-    last = "".join(output.splitlines()[-1:])
+    """Of the last line that is one; Mitsuba may have printed warnings beside it."""
+    lines = output.splitlines() or [""]
+    last = next((line for line in reversed(lines) if line.startswith("{")), lines[-1])
     try:
         return dict(json.loads(last)), ""
     except (ValueError, TypeError):
@@ -115,7 +122,12 @@ def _parse_description(output: str) -> tuple[dict[str, Any], str]:
 
 
 def _exit_description(code: int, output: str) -> str:
-    return ": ".join([f"importing Mitsuba ended with {exit_name(code)}", *output.strip().splitlines()[-1:]])
+    return ": ".join(
+        [
+            f"importing Mitsuba ended with {subprocess_runner.exit_name(code)}",
+            *output.strip().splitlines()[-1:],
+        ]
+    )
 
 
 def _variants(answer: dict[str, Any], problem: str) -> Finding:

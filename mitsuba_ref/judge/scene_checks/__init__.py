@@ -1,1 +1,0 @@
-"""Checks made once per scene, beside its pixels."""
