@@ -13,7 +13,7 @@ INSTALLED := .venv/installed-$(HERE)
 
 unexport PYTHONPATH PYTHONHOME
 .DELETE_ON_ERROR:
-.PHONY: help install validate test lint docs stress bench guard fuzz faults nightly clean
+.PHONY: help install validate test lint docs stress bench guard fuzz faults mutants nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -33,9 +33,13 @@ fuzz: $(INSTALLED) ## random scenes against exact arithmetic and Mitsuba for a m
 faults: $(INSTALLED) ## plant every fault there is in a copy of the caster: fuzz has to find each; ten minutes
 	@FAULTS=all $(BIN)/python -m pytest -n $(JOBS) tests/reference/test_fuzz_faults.py $(ARGS)
 
+mutants: $(INSTALLED) ## plant small faults by rule, a sample of each group of modules: writes docs/mutants.md; hours
+	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --page docs/mutants.md $(ARGS)
+
 nightly: $(INSTALLED) faults ## what make test has no time for: all faults, 200,000 hard rays a shape, 12 million at edges and corners
 	@$(BIN)/mitsuba-ref fuzz --rays 200000
 	@$(BIN)/mitsuba-ref stress watertight --rays 1000000
+	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --seed $$(date +%j) --out build/mutants-nightly
 
 lint: $(INSTALLED) ## style, format and types: ruff, mypy
 	@$(BIN)/ruff check .

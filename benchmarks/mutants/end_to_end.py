@@ -1,0 +1,52 @@
+"""What a mutant is held against beside the tests: `fuzz` without Mitsuba and `validate`, on small films."""
+
+from pathlib import Path
+
+import pytest
+
+from caster.scene.files import load_scene
+from mitsuba_ref.fuzz.campaign import check_example
+from mitsuba_ref.fuzz.families import FAMILIES, example
+from mitsuba_ref.fuzz.findings import Tally
+from mitsuba_ref.reference.session import ResidentSession
+from mitsuba_ref.runner.validation import validate_scene
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = 3  # of each family and group
+GROUPS = 2
+FILM = (14, 10)
+SEED = 11
+LARGE = (
+    "hills-131072-triangles",
+    "every-shape",
+    "torus-smooth",
+    "teapot",
+    "two-thousand-spheres",
+    "transforms",
+)
+SCENES = sorted(
+    path for path in (ROOT / "scenes").glob("*.toml") if path.stem not in LARGE
+)  # slow without the compiler
+
+
+@pytest.mark.parametrize("group", range(GROUPS))
+@pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.name)
+def test_fuzz_finds_nothing(family, group):
+    for number in range(group * EXAMPLES, (group + 1) * EXAMPLES):
+        found = check_example(example(SEED, number, [family]), Tally())
+        assert not found, found[0].what
+
+
+@pytest.fixture(scope="module")
+def session():
+    with ResidentSession() as resident:
+        yield resident
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_validate_passes(path, session):
+    scene = load_scene(path)
+    width, height = FILM
+    film = {"width": width, "height": height, **({"crop": (2, 1, 12, 9)} if scene.film.crop else {})}
+    verdict = validate_scene(scene.with_film(**film), path.stem, str(path), send=session.send)
+    assert verdict.ok, (verdict.problem, verdict.failing_by, [c for c in verdict.checks if not c.ok])

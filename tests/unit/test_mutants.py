@@ -1,0 +1,142 @@
+"""The tool that plants mutants: its operators, and the exact score of a module with planted mutants."""
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mutants.operators import keys_of, mutants_of
+from mutants.page import interval, page, score
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULE = b'''"""Docstring 1 + 1."""
+__all__ = ["largest"[0:7]]
+UNUSED: "int | None" = None
+
+
+def largest(a, b):
+    """The larger one: 2 of 2."""
+    if a > b:
+        return a
+    return b
+
+
+def unused(a):
+    raise ValueError("never", 1 + a)
+'''
+# By hand: > of largest gives >= (equal to it) and <=; the condition gives True, False and its negation; each
+# return gives None. `raise` of a function that no test calls vanishes.
+KILLABLE = {"(a <= b)", "(not (a > b))", "True", "False", "None"}
+EQUIVALENT = {"(a >= b)"}
+ASSERTING = """
+from caster.module import largest
+
+
+def test_largest():
+    assert (largest(1, 2), largest(2, 1), largest(3, 3)) == (2, 2, 3)
+"""
+EMPTY = ASSERTING.replace(
+    "assert (largest(1, 2), largest(2, 1), largest(3, 3)) == (2, 2, 3)", "largest(1, 2)"
+)
+
+
+def test_each_operator_makes_its_edits_and_no_others():
+    made = [(mutant.operator, mutant.new) for mutant in mutants_of(MODULE)]
+    assert made.count(("returned early", "None")) == 2 and made.count(("dropped statement", "pass")) == 1
+    assert {new for _, new in made} == KILLABLE | EQUIVALENT | {"pass"} and len(made) == 8
+
+
+@pytest.mark.parametrize(
+    ("source", "edits"),
+    [
+        ("x = a[0] - b", {"(a[0] + b)", "(a[0])", "b", "(1)", "(-1)"}),
+        ("x = -a * f(b, c)", {"(-a / f(b, c))", "(-a)", "(f(b, c))", "a", "(f(c, b))"}),
+        ("x = a and not b", {"(a or not b)", "(not b)", "a", "b"}),
+        ("x = max(a, 0.5)", {"(min(a, 0.5))", "(0.25)"}),
+        ("x: float | None = 1.0", {"(0.5)"}),
+        ("x[0] = 2", {"pass", "(1)", "(-1)", "(3)"}),
+        ("f(a)", {"pass"}),
+        ("LOG.debug(1 + 2)", set()),
+        ("assert a, 1 + 2", set()),
+        ("x = 'a' + b", set()),
+    ],
+)
+def test_edits_of_an_expression(source, edits):
+    assert {mutant.new for mutant in mutants_of(source.encode())} == edits
+
+
+def test_every_mutant_of_a_module_parses_and_differs_and_has_a_key_of_its_own():
+    source = (ROOT / "caster/kernels/raster/tile_casting.py").read_bytes()
+    found = mutants_of(source)
+    assert len(found) > 500 and len(set(keys_of(source, found))) == len(found)
+    before = ast.dump(ast.parse(source))
+    assert all(ast.dump(ast.parse(mutant.applied(source))) != before for mutant in found[::20])
+
+
+WRONG = "def test_wrong():\n    assert False\n"
+
+# In a process of its own, which has loaded neither package.
+CAMPAIGN = """
+import json, pathlib, sys
+from mutants.campaign import Settings, run
+sources = {"planted": ("caster/module.py",)}
+for name in sys.argv[1:]:
+    tree = pathlib.Path(name)
+    out, options = tree.with_name(tree.name + "-out"), {"sources": sources, "tests": ("test_*.py",)}
+    settings = Settings(out, ("planted",), sample=0, jobs=1, root=tree, **options)
+    try:
+        run(settings)
+    except RuntimeError as error:
+        (tree / "error").write_text(str(error))
+"""
+
+
+@pytest.fixture(scope="module")
+def trees(tmp_path_factory) -> dict[str, Path]:
+    """Folders of finished campaigns over MODULE, each with other tests."""
+    found = {}
+    for name, tests in {"asserting": ASSERTING, "empty": EMPTY, "wrong": WRONG}.items():
+        tree = found[name] = tmp_path_factory.mktemp(name)
+        for package in ("caster", "mitsuba_ref"):
+            (tree / package).mkdir()
+            (tree / package / "__init__.py").write_text("")
+        (tree / "caster/module.py").write_bytes(MODULE)
+        (tree / "test_module.py").write_text(tests)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "benchmarks")}
+    command = [sys.executable, "-P", "-c", CAMPAIGN, *map(str, found.values())]
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr
+    return found
+
+
+def result_in(tree: Path) -> dict:
+    return json.loads((tree.with_name(f"{tree.name}-out") / "campaign.json").read_text())
+
+
+def test_the_score_of_planted_mutants_is_exact(trees):
+    result = result_in(trees["asserting"])
+    survivors = {row["new"]: row["status"] for row in result["outcomes"] if row["status"] != "killed"}
+    assert survivors == {"(a >= b)": "survived", "pass": "not executed"}
+    known = {row["key"]: "both are the same number" for row in result["outcomes"] if row["new"] in EQUIVALENT}
+    found = score(result["outcomes"], known)
+    assert (found["run"], found["killed"], found["equivalent"], found["survived"]) == (8, 6, 1, 1)
+    text = page(result, known)
+    assert "| planted | 8 | 8 | 6 | 0 | 1 | 1 | 85.7% |" in text and "equivalent: both are the same" in text
+
+
+def test_tests_that_assert_nothing_find_nothing(trees):
+    outcomes = result_in(trees["empty"])["outcomes"]
+    assert len(outcomes) == 8 and score(outcomes, {})["score"] == 0.0
+
+
+def test_without_a_test_that_passes_there_is_no_score(trees):
+    assert "no test passes" in (trees["wrong"] / "error").read_text()
+
+
+def test_the_interval_of_a_score_is_wilsons():
+    low, high = interval(95, 100)  # 0.8882 to 0.9785, as published tables have it
+    assert low == pytest.approx(0.8882, abs=1e-4) and high == pytest.approx(0.9785, abs=1e-4)
+    assert interval(0, 0) == (0.0, 1.0)
