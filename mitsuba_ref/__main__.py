@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from caster.cli import application, exit_codes
 from mitsuba_ref.cli import COMMANDS
-from mitsuba_ref.subjects import supervisor
+from mitsuba_ref.runner import supervisor
 
 ABOUT = "A judge of ray casters: compares them with Mitsuba 3, ray by ray, within derived bounds."
 CODES = tuple(code for code in exit_codes.MEANINGS if code != exit_codes.PIPE_CLOSED)

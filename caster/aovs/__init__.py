@@ -9,6 +9,7 @@ evaluate(hit): the per-hit kernel; a number, or a tuple with one for each channe
 An AOV from elsewhere is added by `register` and rendered like these.
 """
 
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -17,7 +18,7 @@ from caster.aovs import albedo, depth, diffuse, hit, normal, position, prim_id, 
 from caster.jit.decorators import implement, inlined
 from caster.kernels.surface.per_hit import NEEDED_FIELDS, per_hit
 
-__all__ = ["AOVS", "BY_NAME", "Aov", "kernel_of", "needs_of", "register", "unregister"]
+__all__ = ["AOVS", "BY_NAME", "Aov", "Aovs", "kernel_of", "needs_of", "register", "unregister"]
 
 
 class Aov(Protocol):
@@ -31,6 +32,23 @@ class Aov(Protocol):
     PREVIEW: str
 
     def evaluate(self, hit: Any) -> Any: ...
+
+
+class Aovs(Mapping[str, np.ndarray]):
+    """Images by AOV name, (h, w) or (h, w, c) each. `hit` is always there."""
+
+    def __init__(self, images: Mapping[str, np.ndarray], hit: np.ndarray):
+        self._images = dict(images)
+        self.hit = hit  # (h, w) bool
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._images[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._images)
+
+    def __len__(self) -> int:
+        return len(self._images)
 
 
 class PerHit(NamedTuple):

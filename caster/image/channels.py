@@ -5,10 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from caster import __version__
-from caster.aovs import AOVS
+from caster.aovs import AOVS, Aovs
 from caster.geometry.packing import in_words
 from caster.image.exr import NO_ID, write_exr
-from caster.rendering.images import Aovs
 from caster.scene.model import Scene
 
 __all__ = [

@@ -1,20 +1,20 @@
 """Previews of renders and EXR files, labelled strips and sheets, thumbnails of scenes."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
 from caster import __version__
+from caster.aovs import Aovs
 from caster.description.errors import SceneError, suggestion
 from caster.image.aov_views import LabelledImage, aov_view, class_map_view
 from caster.image.channels import channels_to_aovs
 from caster.image.exr import Exr, read_exr
 from caster.image.exr_info import hit_mask
 from caster.image.image_files import BACKGROUND, label_image, write_image
-from caster.rendering.images import Aovs, render
 from caster.scene.model import Scene
 
 Array = np.ndarray[Any, np.dtype[Any]]
@@ -150,16 +150,16 @@ UNLIT_AOV = "normal"  # shown instead of diffuse for a scene without lights
 
 
 def thumbnail(
-    scene: Scene, name: str, side: int, aov: str = "diffuse", threads: int | None = None
+    scene: Scene, name: str, side: int, aov: str, render: Callable[[Scene, Sequence[str]], Aovs]
 ) -> LabelledImage:
-    """Render a scene at a longer side of `side` pixels; a smaller film is enlarged by an integer factor."""
+    """A scene rendered at a longer side of `side` pixels; a smaller film is enlarged by an integer factor."""
     film = scene.film
     share = min(1.0, side / max(film.width, film.height))
     small = scene.with_film(
         width=max(1, round(share * film.width)), height=max(1, round(share * film.height))
     )
     aov = aov if aov != "diffuse" or scene.lights else UNLIT_AOV
-    aovs = render(small, (aov,), threads=threads)
+    aovs = render(small, (aov,))
     image = aov_view(aov, aovs[aov].astype(np.float64) if aov == "hit" else aovs[aov], aovs.hit)
     times = max(1, side // max(image.pixels.shape[:2]))
     return LabelledImage(name, image.pixels.repeat(times, axis=0).repeat(times, axis=1), image.legend)

@@ -1,6 +1,6 @@
 """Films of a scene: its AOVs as images."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.aovs import BY_NAME, kernel_of
+from caster.aovs import BY_NAME, Aovs, kernel_of
 from caster.description.errors import SceneError, suggestion
 from caster.description.fields import Camera
 from caster.geometry.packing import Packed, pack, packed
@@ -35,30 +35,13 @@ from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_c
 from caster.rendering.tiles import NO_START, UNUSED_SURFACE, TileShader, TileWorkspace, new_image
 from caster.scene.model import Scene
 
-__all__ = ["Aovs", "camera_rays", "evaluate", "film_window", "render", "trace_film"]
+__all__ = ["camera_rays", "evaluate", "film_window", "render", "trace_film"]
 
 DEFAULT_AOVS = ("hit", "depth", "normal", "position", "diffuse")
 
 
 # Called with the number of pixels that have just been done, from any thread.
 OnProgress = Callable[[int], None] | None
-
-
-class Aovs(Mapping[str, np.ndarray]):
-    """Images by AOV name, (h, w) or (h, w, c) each. `hit` is always there."""
-
-    def __init__(self, images: Mapping[str, np.ndarray], hit: np.ndarray):
-        self._images = dict(images)
-        self.hit = hit  # (h, w) bool
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        return self._images[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._images)
-
-    def __len__(self) -> int:
-        return len(self._images)
 
 
 def render(

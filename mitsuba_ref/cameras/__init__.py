@@ -1,12 +1,36 @@
-"""The registry of cameras on the judge's side: one entry for every camera of caster.cameras.CAMERAS."""
+"""The registry of cameras on the judge's side: one entry for every camera of caster.cameras.CAMERAS.
 
+A plug-in (mitsuba_ref/shapes/__init__.py) adds a camera by `register`.
+"""
+
+from caster.description.fields import Camera, Description
 from mitsuba_ref.cameras import orthographic, pinhole, without_sensor
+from mitsuba_ref.cameras.camera_reference import CameraReference
+from mitsuba_ref.reference.xml_writer import MissingReferenceError, missing_reference
 
-REFERENCES = (
+__all__ = ["REFERENCES", "reference_of_camera", "register"]
+
+REFERENCES: dict[type[Description], CameraReference] = {}
+
+
+def register(reference: CameraReference) -> None:
+    """Add a camera; a second reference of a camera takes the place of the first."""
+    REFERENCES[reference.describes] = reference
+
+
+def reference_of_camera(camera: Camera) -> CameraReference:
+    """The entry of a camera. Raises MissingReferenceError, whose text is what to write."""
+    if type(camera) not in REFERENCES:
+        raise MissingReferenceError(missing_reference(type(camera).__name__, "cameras"))
+    return REFERENCES[type(camera)]
+
+
+for _reference in (
     pinhole.REFERENCE,
     orthographic.REFERENCE,
     without_sensor.FISHEYE,
     without_sensor.PANORAMA,
     without_sensor.PARABOLIC,
     without_sensor.RAY,
-)
+):
+    register(_reference)

@@ -9,7 +9,11 @@ COMMANDS = (
         "mitsuba_ref.cli.validate",
     ),
     Command(
-        "merge", "merge the verdicts of all shards of a run; a missing one fails", "mitsuba_ref.cli.merge"
+        "merge",
+        "merge the verdicts of all shards of a run; a missing one fails",
+        "mitsuba_ref.cli.validate",
+        run="run_merge",
+        arguments="add_merge_arguments",
     ),
     Command(
         "render",

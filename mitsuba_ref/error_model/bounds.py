@@ -1,15 +1,14 @@
 """Error bounds of the reference at each pixel, at the primitive that the subject hits there; and of our float64."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.aovs import Aovs
 from caster.geometry.packing import Packed
-from caster.rendering.images import Aovs
-from caster.scene.model import Scene
-from mitsuba_ref.error_model.intersections import KU, KU_OURS, Intersections
-from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel, reference_of
+from mitsuba_ref.error_model.intersections import KU, KU_OURS, ErrorModel, Intersections
+from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
 
 
 class Bounds(NamedTuple):
@@ -113,15 +112,19 @@ DEPTH_ULPS = 4.0
 UNIT_LENGTH_ATOL = 16 * 2.0**-53
 
 
+ErrorModels = Sequence[Callable[[Any], ErrorModel]]  # for each shape, from its arrays
+
+
 def t_bounds(
-    scene: Scene,
+    models: ErrorModels,
     packed: Packed,
     hits: tuple[np.ndarray, np.ndarray],
     rays: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
     """(n,) bound on |t - exact t| of each hit; inf where float64 cannot resolve it, NaN on a miss.
 
-    hits: t, primitive number (n,). rays: o, d (n, 3). The judge's error model with K u of float64: numbers perturbed by
+    models: of each shape. hits: t, primitive number (n,). rays: o, d (n, 3).
+    The judge's error model with K u of float64: numbers perturbed by
     4 units in their last places, times the condition of each intersection, at the root nearest to t.
     """
     (t, prim), (o, d) = hits, rays
@@ -130,7 +133,7 @@ def t_bounds(
     for number in np.unique(shape[prim >= 0]):
         rows = np.flatnonzero((shape == number) & (prim >= 0))
         part = packed.parts[number]
-        model = reference_of(scene.shapes[number]).model_of(part)
+        model = models[number](part)
         intersect = model.intersect_ours or model.intersect
         with np.errstate(all="ignore"):
             k = prim[rows] - packed.first[number]

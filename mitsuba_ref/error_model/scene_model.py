@@ -1,38 +1,14 @@
 """The scene as it is judged: its primitives in float32, what stands in for them, and their error models."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.description.errors import SceneError
-from caster.description.fields import Shape
-from caster.geometry.packing import Packed, concatenate_parts
-from caster.scene.model import Scene
+from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, norm, unit
-from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.shapes import REFERENCES
-from mitsuba_ref.shapes.shape_reference import ShapeReference
-
-
-class MissingReferenceError(SceneError, LookupError):
-    """A scene with a shape or a camera that has no reference."""
-
-
-def reference_of(shape: Shape) -> ShapeReference:
-    """Raises MissingReferenceError with what to write, where a shape has no reference yet."""
-    if type(shape) not in REFERENCES:
-        raise MissingReferenceError(missing_reference(type(shape).__name__, "shapes"))
-    return REFERENCES[type(shape)]
-
-
-def missing_reference(name: str, kind: str) -> str:
-    return (
-        f"{name} has no reference: write mitsuba_ref/{kind}/{name.lower()}.py and add its line to "
-        f"mitsuba_ref/{kind}/__init__.py (docs/adding-a-shape.md)"
-    )
 
 
 class PairIntersections(NamedTuple):
@@ -91,25 +67,6 @@ def with_edges(at: Intersections) -> Intersections:
 def no_intersections() -> Intersections:
     none, rows, flags = np.zeros(0), np.zeros((0, 3)), np.zeros(0, bool)
     return Intersections(none, none, rows, none, rows, none, flags, flags, none, np.zeros((0, 6)), none)
-
-
-def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
-    """The judge's view of packed float32 geometry; stand-ins are cut to these rays."""
-    references = [reference_of(shape) for shape in scene.shapes]
-    real = rays.t_max >= 0.0
-    o, d = rays.o[real].astype(np.float64), rays.d[real].astype(np.float64)
-    parts = tuple(
-        reference.stand_in(part, o, d) for reference, part in zip(references, packed.parts, strict=True)
-    )
-    members = [np.flatnonzero(packed.kind_of == place) for place in range(len(packed.kinds))]
-    kinds = tuple(concatenate_parts([parts[s] for s in shapes]) for shapes in members)
-    models = tuple(_model(references, packed, shapes) for shapes in members)
-    return SceneModel(packed, parts, kinds, models)
-
-
-def _model(references: Sequence[ShapeReference], packed: Packed, shapes: np.ndarray) -> ErrorModel:
-    first = int(shapes[0])
-    return references[first].model_of(packed.parts[first])
 
 
 RAYS_PER_RING, RING_RADII = 8, (1.0,)

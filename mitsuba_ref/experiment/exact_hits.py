@@ -9,9 +9,10 @@ from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import reference_bounds
-from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.shapes import model_of
 
 
 @dataclass(frozen=True)

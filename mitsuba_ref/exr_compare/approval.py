@@ -18,7 +18,6 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, reference_bounds
 from mitsuba_ref.error_model.intersections import KU
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
-from mitsuba_ref.error_model.scene_model import model_of
 from mitsuba_ref.error_model.tolerances import COLOR_RTOL, Tolerances
 from mitsuba_ref.exr_compare.approved_reference import (
     AMBIGUOUS_CLASSES,
@@ -40,6 +39,7 @@ from mitsuba_ref.exr_compare.two_files import compare_exr
 from mitsuba_ref.judge.comparison import PixelPairs, compare
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import shared_rays
+from mitsuba_ref.shapes import model_of
 from mitsuba_ref.subjects.ours import answer_of_view, cast_ours
 
 COLORS = ("R", "G", "B")

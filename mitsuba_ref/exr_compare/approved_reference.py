@@ -14,7 +14,6 @@ from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import Window, read_exr, write_exr
 from caster.rendering.images import film_window
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.scene_model import model_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.comparison import pair_images
 from mitsuba_ref.judge.verdict import EXCUSED, TIE
@@ -22,6 +21,7 @@ from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.rendering import aovs_of, trace_reference
 from mitsuba_ref.report import class_images
+from mitsuba_ref.shapes import model_of
 from mitsuba_ref.subjects.ours import answer_of_view, cast_ours
 
 # The class of each pixel on approval: on edges and ties another answer is right as well.

@@ -11,11 +11,11 @@ import numpy as np
 
 from caster.image.exr import NO_ID, Exr
 from caster.scene.model import Scene
+from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.intersections import KU
 from mitsuba_ref.exr_compare.exr_pair import Array
 from mitsuba_ref.judge.scene_checks import pixel_centers
-from mitsuba_ref.reference.rendering import camera_reference
 
 DISTANCE, ALONG_Z, FROM_NEAR = "distance", "z", "near"
 CONVENTION_MEANINGS = {
@@ -57,7 +57,7 @@ class ViewRays:
     def of(cls, scene: Scene, near: float | None = None) -> "ViewRays":
         """near: of a near plane that the scene's camera has not, along the view axis."""
         x, y = pixel_centers(scene)
-        rays = camera_reference(scene.camera).rays(scene.camera, scene.film, x, y)
+        rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
         x0, y0, x1, y1 = scene.film.window
         cosine = (rays.d @ camera_axes(scene.camera)[2]) / np.linalg.norm(rays.d, axis=1)
         start = rays.t_min if near is None else near / cosine

@@ -6,17 +6,19 @@ from typing import NamedTuple
 import numpy as np
 
 from caster import cast
+from caster.aovs import Aovs
 from caster.geometry.packing import Packed, pack
 from caster.rendering.casting import Culling, find_nearest
 from caster.rendering.hits import Hits, validated_rays
-from caster.rendering.images import Aovs, camera_rays, render
+from caster.rendering.images import camera_rays, render
 from caster.rendering.plan import culling_for
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import DEPTH_ULPS, UNIT_LENGTH_ATOL, t_bounds
+from mitsuba_ref.error_model.bounds import DEPTH_ULPS, UNIT_LENGTH_ATOL, ErrorModels, t_bounds
 from mitsuba_ref.fuzz.aims import RayBatch
 from mitsuba_ref.fuzz.findings import Finding, Tally, t_text
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
 from mitsuba_ref.reference.rays import pixel_of
+from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.shapes.targets import Rng
 
 LIMITED_RAYS_PER_EXAMPLE = 12  # rays of an example that are cast again with other limits
@@ -136,6 +138,10 @@ def check_rays(subject: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng | 
     return findings + adjudicate(subject, rays, ours, tally)
 
 
+def error_models(scene: Scene) -> ErrorModels:
+    return [reference_of(shape).model_of for shape in scene.shapes]
+
+
 def adjudicate(subject: PreparedScene, rays: RayBatch, ours: NearestHits, tally: Tally) -> list[Finding]:
     """Ours against the exact answers: hit or miss, primitive, and t within its bound."""
     try:
@@ -143,7 +149,7 @@ def adjudicate(subject: PreparedScene, rays: RayBatch, ours: NearestHits, tally:
     except OutsideDomain:
         tally.outside += len(rays.t_min)
         return []
-    bounds = t_bounds(subject.scene, subject.packed, ours, (rays.o, rays.d))
+    bounds = t_bounds(error_models(subject.scene), subject.packed, ours, (rays.o, rays.d))
     count_exact_hits(tally, answers, bounds)
     rows = list(zip(answers, ours.t.tolist(), ours.prim.tolist(), bounds.tolist(), strict=True))
     tally.worst = max((tally.worst, *(error_over_bound(*row) for row in rows)))
@@ -254,7 +260,9 @@ def _adjudicate_image(subject: PreparedScene, image: Aovs, tally: Tally) -> list
     depth = image["depth"].ravel()
     number = np.where(shape < 0, -1, packed.first[np.maximum(shape, 0)] + prim)
     found = NearestHits(depth / length, number)
-    bounds = t_bounds(scene, packed, found, (rays.o, rays.d)) + DEPTH_ULPS * np.spacing(np.abs(found.t))
+    bounds = t_bounds(error_models(scene), packed, found, (rays.o, rays.d)) + DEPTH_ULPS * np.spacing(
+        np.abs(found.t)
+    )
     count_exact_hits(tally, answers, bounds)
     rows = zip(answers, found.t.tolist(), found.prim.tolist(), bounds.tolist(), strict=True)
     wrong = ((i, discrepancy(answer, *rest)) for i, (answer, *rest) in enumerate(rows))

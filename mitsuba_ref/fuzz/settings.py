@@ -120,7 +120,7 @@ def random_camera(
     films: Sequence[tuple[int, int]] = FILM_SIZES,
 ) -> tuple[Fields, Fields]:
     """(film, camera) as a scene file describes them; the camera of one of these types, or of any registered one."""
-    known = {each.type_name: each for each in cameras.REFERENCES}
+    known = {each.type_name: each for each in cameras.REFERENCES.values()}
     kind = str(rng.choice(kinds or tuple(known)))
     reference = registered(known, kind, "camera")
     width, height = films[int(rng.integers(len(films)))]

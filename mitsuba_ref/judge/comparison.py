@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.aovs import Aovs
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed
-from caster.rendering.images import Aovs, film_window
+from caster.rendering.images import film_window
 from caster.scene.model import Check, Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
 from mitsuba_ref.error_model.intersections import KU_OURS

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.intersections import Intersections
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement
 from mitsuba_ref.judge.known_defects import defect_name
@@ -20,7 +21,6 @@ from mitsuba_ref.judge.verdict import (
     UNDECIDED,
     UNLISTED,
 )
-from mitsuba_ref.reference.rendering import camera_reference
 
 QUANTITY_NAMES = {EXACT: "t by exact arithmetic", "mask": "hit or miss", "shape_id": "the shape"}
 COMPARED_AT_HITS = ("depth", "position", "normal", "shading_normal")  # compared where both sides hit
@@ -221,7 +221,7 @@ class ShiftSamples(NamedTuple):
         """(m,) t of the same primitives along rays through another place of their pixels, the root nearest to t."""
         scene = self.judge.scene
         x, y = (centers[self.rows] for centers in pixel_centers(scene))
-        rays = camera_reference(scene.camera).rays(scene.camera, scene.film, x + shift.x, y + shift.y)
+        rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x + shift.x, y + shift.y)
         o = rays.o + rays.t_min[:, None] * rays.d
         met = self.judge.model.intersect(self.prim, o, rays.d, self.judge.answer.ku, ours=True)
         found = np.full(len(self.rows), np.nan)

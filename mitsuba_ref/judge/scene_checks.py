@@ -5,26 +5,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.aovs import Aovs
 from caster.description.fields import Camera, Shape
 from caster.geometry.packing import pack
 from caster.geometry.world_space import Rounding, as_float32, as_given
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import trace, trace_rays
-from caster.rendering.images import Aovs, camera_rays, evaluate, film_window, render
+from caster.rendering.images import camera_rays, evaluate, film_window, render
 from caster.scene.materials import Diffuse
 from caster.scene.model import Scene
+from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
 from mitsuba_ref.error_model.intersections import KU, KU_OURS, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
-from mitsuba_ref.error_model.scene_model import model_of, reference_of
 from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, TRANSFORM_ROUNDINGS
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.rendering import ReferenceResult, camera_reference
+from mitsuba_ref.reference.rendering import ReferenceResult
+from mitsuba_ref.shapes import model_of, reference_of
 
 
 class Shares:
@@ -200,7 +202,7 @@ def check_camera(scene: Scene) -> SceneCheck:
     """Our rays in float64 against the camera's formula, written a second time."""
     ours = camera_rays(scene)
     x, y = pixel_centers(scene)
-    expected = camera_reference(scene.camera).rays(scene.camera, scene.film, x, y)
+    expected = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
     size = float(np.abs(expected.o).max(initial=np.finfo(np.float64).tiny))
     rounding = CAMERA_ROUNDINGS * KU_OURS / _up_sine(scene.camera)
     seen, rim = expected.t_max >= 0.0, _on_rim(scene, x, y)
@@ -222,7 +224,7 @@ def _up_sine(camera: Camera) -> float:
 
 def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(n,) bool: pixels on the edge of a round image, up to rounding, so that either side may have a ray there."""
-    film, reference = scene.film, camera_reference(scene.camera)
+    film, reference = scene.film, reference_of_camera(scene.camera)
     middle_x, middle_y = film.width / 2.0, film.height / 2.0
     seen = []
     for scale in (1.0 - KU_OURS, 1.0 + KU_OURS):
@@ -238,10 +240,10 @@ def check_sensor(scene: Scene, witness: ReferenceResult) -> SceneCheck:
     """Our rays against those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
     answer = witness.answer
     if answer.sensor_d is None or answer.sensor_o is None or answer.sensor_t_max is None:
-        expected = camera_reference(scene.camera).to_xml is not no_sensor
+        expected = reference_of_camera(scene.camera).to_xml is not no_sensor
         what = "the answer lacks its rays" if expected else f"Mitsuba has no {scene.camera.type} camera"
         return SceneCheck("sensor", np.inf if expected else 0.0, what)
-    ours, reference = camera_rays(scene), camera_reference(scene.camera)
+    ours, reference = camera_rays(scene), reference_of_camera(scene.camera)
     o, d = answer.sensor_o.astype(np.float64), answer.sensor_d.astype(np.float64)
     if len(d) != len(ours.d):
         return SceneCheck("sensor", np.inf, f"Mitsuba gives {len(d)} rays, we {len(ours.d)}")

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.aovs import Aovs
 from caster.description.errors import SceneError
-from caster.rendering.images import Aovs
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.bracket import latest_hits

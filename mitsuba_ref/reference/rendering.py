@@ -7,38 +7,27 @@ from pathlib import Path
 
 import numpy as np
 
-from caster.aovs import AOVS
-from caster.description.fields import Camera
+from caster.aovs import AOVS, Aovs
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
-from caster.rendering.images import Aovs, film_window
+from caster.rendering.images import film_window
 from caster.scene.model import Scene
-from mitsuba_ref.cameras import REFERENCES
-from mitsuba_ref.cameras.camera_reference import CameraReference, ClipRange
-from mitsuba_ref.error_model.scene_model import (
-    MissingReferenceError,
-    SceneModel,
-    missing_reference,
-    model_of,
-    reference_of,
-)
+from mitsuba_ref.cameras import reference_of_camera
+from mitsuba_ref.cameras.camera_reference import ClipRange
+from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.variants import variant_for
-from mitsuba_ref.reference.xml_writer import SceneExport, ShapeWriter, scene_document
-
-REFERENCE_OF_CAMERA = {reference.describes: reference for reference in REFERENCES}
+from mitsuba_ref.reference.xml_writer import (
+    SceneExport,
+    ShapeWriter,
+    scene_document,
+)
+from mitsuba_ref.shapes import model_of, reference_of
 
 # Clip planes of a sensor whose camera has none, in units of how far the scene reaches.
 NEAR_PER_REACH, FAR_PER_REACH = 2.0**-20, 2.0**10
-
-
-def camera_reference(camera: Camera) -> CameraReference:
-    """The entry of a camera. Raises MissingReferenceError, whose text is what to write."""
-    if type(camera) not in REFERENCE_OF_CAMERA:
-        raise MissingReferenceError(missing_reference(type(camera).__name__, "cameras"))
-    return REFERENCE_OF_CAMERA[type(camera)]
 
 
 def export_scene(scene: Scene) -> SceneExport:
@@ -53,7 +42,7 @@ def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExpo
     for name, shape, part in zip(shape_ids(scene), scene.shapes, model.parts, strict=True):
         out.name = name
         shapes += reference_of(shape).to_xml(out, shape, part)
-    sensor = camera_reference(scene.camera).to_xml(scene.camera, scene.film, clip_range(scene, model))
+    sensor = reference_of_camera(scene.camera).to_xml(scene.camera, scene.film, clip_range(scene, model))
     if sensor is None:
         out.notes.append(f"no sensor: Mitsuba has no {scene.camera.type} camera, so rays are handed over")
     text = scene_document(scene, shapes, sensor, out, robust=robust)

@@ -8,10 +8,22 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 
+from caster.description.errors import SceneError
 from caster.description.fields import Shape
 from caster.image.atomic_files import check_folder, write_bytes, write_text
 from caster.scene.materials import Diffuse
 from caster.scene.model import Scene
+
+
+class MissingReferenceError(SceneError, LookupError):
+    """A scene with a shape or a camera that has no reference."""
+
+
+def missing_reference(name: str, kind: str) -> str:
+    return (
+        f"{name} has no reference: write mitsuba_ref/{kind}/{name.lower()}.py and add its line to "
+        f"mitsuba_ref/{kind}/__init__.py (docs/adding-a-shape.md)"
+    )
 
 
 def ply_bytes(part: Any) -> bytes:

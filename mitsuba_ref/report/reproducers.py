@@ -18,12 +18,12 @@ from caster.image.atomic_files import write_text
 from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.lambert import direction_to_light
-from mitsuba_ref.error_model.scene_model import reference_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, scene_judge
 from mitsuba_ref.judge.formatting import format_primitive, reproducer_header
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import pixel_of
+from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.subject import describe_primitive, packs_identically
 
 TRAILING_ZEROS = re.compile(r"\.?0+(?=p)")  # of a hex float's digits behind the point, which there always is

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.rendering.images import Aovs
+from caster.aovs import Aovs
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
 
 FLOAT32, FLOAT64 = "float32", "float64"

@@ -11,11 +11,13 @@ from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
 from caster.scene.model import Scene
+from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import clip_planes
 from mitsuba_ref.error_model.intersections import KU
-from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel, model_of
+from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
-from mitsuba_ref.reference.rendering import camera_reference, clip_range
+from mitsuba_ref.reference.rendering import clip_range
+from mitsuba_ref.shapes import model_of
 from mitsuba_ref.subjects.answer import DEFAULT_SECONDS, PRECISIONS, Answer, NoAnswer
 from mitsuba_ref.subjects.command import PLACEHOLDERS, command_of
 from mitsuba_ref.subjects.function import import_function, is_function
@@ -62,7 +64,7 @@ def subject_view(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
     """The model as a subject may see it: rays of a camera of its own are known up to the rounding of a camera."""
     if not answer.own_camera:
         return model
-    turn = KU * camera_reference(scene.camera).amplification(scene.camera, scene.film)
+    turn = KU * reference_of_camera(scene.camera).amplification(scene.camera, scene.film)
     reach = float(np.abs(scene.camera.eye).max()) + getattr(scene.camera, "width", 0.0)
     return UncertainRaysModel(model.packed, model.parts, model.kinds, model.models, turn, turn * reach)
 

@@ -10,12 +10,13 @@ import pytest
 from edited_tree import ROOT, run
 
 import caster
+from caster.aovs import Aovs
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
-from caster.rendering.images import Aovs, render
+from caster.rendering.images import render
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.error_model import scene_model as judges_model
+from mitsuba_ref import shapes as judges_model
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.adjudication import AGREEING_PIXELS_ADJUDICATED
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge

@@ -16,8 +16,8 @@ from mitsuba_ref.judge.verdict import WRONG
 from mitsuba_ref.probe import pixel
 from mitsuba_ref.probe.candidate_pixel import CandidatePixel, probe_candidate
 from mitsuba_ref.probe.pixel import as_text
+from mitsuba_ref.runner import supervisor
 from mitsuba_ref.runner.validation import validate_scene
-from mitsuba_ref.subjects import supervisor
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.subject import Subject
 

@@ -19,7 +19,7 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref import validate
 from mitsuba_ref.error_model.intersections import K
-from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import LARGEST_Z
 from mitsuba_ref.judge.bias import check_bias, error_statistics
 from mitsuba_ref.judge.classification import Judge
@@ -29,6 +29,7 @@ from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 from mitsuba_ref.reference.session import SendRequest
+from mitsuba_ref.shapes import model_of
 from mitsuba_ref.subjects.ours import answer_of_view, cast_ours
 
 

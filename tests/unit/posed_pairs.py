@@ -12,7 +12,7 @@ from exact_meetings import Met, exactly
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from mitsuba_ref.error_model.intersections import Intersections
-from mitsuba_ref.error_model.scene_model import reference_of
+from mitsuba_ref.shapes import reference_of
 
 Off = Callable[[np.ndarray], np.ndarray]
 

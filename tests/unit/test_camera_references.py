@@ -12,9 +12,9 @@ from caster.kernels.math.vec import UNIT_SQUARE_ATOL
 from caster.kernels.nearest import Rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
+from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.judge import scene_checks
 from mitsuba_ref.judge.scene_checks import check_camera, pixel_centers
-from mitsuba_ref.reference.rendering import camera_reference
 
 TYPES = [cls.model_fields["type"].default for cls in CAMERAS if issubclass(cls, Camera)]  # that look around
 every_camera = pytest.mark.parametrize("camera", TYPES)
@@ -72,7 +72,7 @@ def rays_of(
 ) -> Rays:
     """What the second formula gives another camera, another film or other pixels."""
     x, y = pixel_centers(scene)
-    found = camera_reference(camera).rays(camera, film, *move(x, y))
+    found = reference_of_camera(camera).rays(camera, film, *move(x, y))
     return Rays(found.o, found.d, found.t_min, found.t_max)
 
 

@@ -28,9 +28,9 @@ from caster.shapes import (
     Torus,
     Triangle,
 )
-from mitsuba_ref.error_model.scene_model import reference_of
 from mitsuba_ref.judge import scene_checks
 from mitsuba_ref.judge.scene_checks import PRECISIONS, Shares, check_geometry
+from mitsuba_ref.shapes import reference_of
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"
 SCENES = sorted(FOLDER.glob("*.toml"))

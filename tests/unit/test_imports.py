@@ -47,16 +47,14 @@ MAKE_KERNELS = tuple(
 # Both packages in the order of the flow of data: each imports what stands before it.
 FLOW = tuple(architecture.FLOW)
 
-# Against the flow, but no circle: the oracle, the model and the exporter look kinds up in the registries of shapes and
-# cameras, whose entries are made of their parts; and stand-ins are cut to the shared rays.
+# Against the flow, but no circle: the oracle and the exporter look kinds up in the registries of shapes and cameras,
+# whose entries are made of exact arithmetic and of XML elements.
 LOOKUPS = frozenset(
     {
-        ("mitsuba_ref.error_model.scene_model", "mitsuba_ref.reference.rays"),
-        ("mitsuba_ref.error_model.scene_model", "mitsuba_ref.shapes"),
-        ("mitsuba_ref.error_model.scene_model", "mitsuba_ref.shapes.shape_reference"),
         ("mitsuba_ref.oracle.oracle", "mitsuba_ref.shapes"),
         ("mitsuba_ref.reference.rendering", "mitsuba_ref.cameras"),
         ("mitsuba_ref.reference.rendering", "mitsuba_ref.cameras.camera_reference"),
+        ("mitsuba_ref.reference.rendering", "mitsuba_ref.shapes"),
     }
 )
 

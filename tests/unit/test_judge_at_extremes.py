@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from caster.aovs import Aovs
 from caster.cameras import Orthographic, Pinhole
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
-from caster.rendering.images import Aovs, render
+from caster.rendering.images import render
 from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Plane, Sphere, Triangle
 from mitsuba_ref.cameras.camera_reference import ClipRange, clip_planes
@@ -16,13 +17,13 @@ from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import Claims
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
-from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.judge import scene_checks
 from mitsuba_ref.judge.known_defects import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.scene_checks import check_geometry, check_render
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.shapes import cylinder, disk, sphere, triangle_error
+from mitsuba_ref.shapes import cylinder, disk, model_of, sphere, triangle_error
 from mitsuba_ref.subjects.ours import cast_ours
 
 # --- a near plane far from the origin

@@ -10,8 +10,9 @@ from caster.shapes import Plane
 from mitsuba_ref.error_model import bracket
 from mitsuba_ref.error_model.bracket import PRIMS_PER_GROUP, BroadPhase, morton_order, spread_bits
 from mitsuba_ref.error_model.intersections import KU_OURS
-from mitsuba_ref.error_model.scene_model import SceneModel, model_of
+from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.shapes import model_of
 
 SETTINGS = (
     Setting(),

@@ -8,9 +8,10 @@ from caster.description.fields import Shape
 from caster.geometry.world_space import MeshShape
 from caster.shapes import SHAPES
 from mitsuba_ref import cameras, shapes
-from mitsuba_ref.error_model.scene_model import missing_reference, reference_of
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
+from mitsuba_ref.reference.xml_writer import missing_reference
+from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.ours import COMPARED_AOVS
 
 # AOVs that are not compared with the reference, and why; all but uv have to follow from our own hits (coherence.py).
@@ -30,7 +31,7 @@ def test_every_shape_has_exactly_one_reference():
 
 
 def test_every_camera_has_exactly_one_reference():
-    described = [reference.describes for reference in cameras.REFERENCES]
+    described = list(cameras.REFERENCES)
     for camera in CAMERAS:
         assert described.count(camera) == 1, missing_reference(camera.__name__, "cameras")
     assert len(described) == len(CAMERAS), "a reference without its camera in caster/cameras/__init__.py"

@@ -24,8 +24,8 @@ from caster.cli.scene_arguments import (
 from caster.description.errors import SceneError
 
 if TYPE_CHECKING:
+    from caster.aovs import Aovs
     from caster.cli.progress import ProgressBar
-    from caster.rendering.images import Aovs
     from caster.scene.model import Scene
 
 CROP_METAVARS = ("X0", "Y0", "X1", "Y1")

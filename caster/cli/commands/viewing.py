@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from functools import partial
 from pathlib import Path
 
 from caster.cli.exit_codes import NOTHING_SELECTED, OK
@@ -102,7 +103,7 @@ def sheet(args: argparse.Namespace) -> int:
     from caster.image import previews
     from caster.image.atomic_files import check_writable
     from caster.image.image_files import check_image_name, write_image
-    from caster.rendering.images import check_names
+    from caster.rendering.images import check_names, render
     from caster.scene.files import load_scene
 
     check_image_name("-o", args.output)
@@ -113,10 +114,10 @@ def sheet(args: argparse.Namespace) -> int:
         print(f"nothing selected: no scene file in {', '.join(args.scenes)}", file=sys.stderr)
         return NOTHING_SELECTED
     scenes = [load_scene(file, args.mesh_dir) for file in files]  # all errors before any rendering
-    images = []
+    images, draw = [], partial(render, threads=args.threads)
     for file, scene, name in zip(files, scenes, display_names(files), strict=True):
         with error_prefix(file), announce_compilation(type_names(scene)):
-            images.append(previews.thumbnail(scene, name, args.side, args.aov, args.threads))
+            images.append(previews.thumbnail(scene, name, args.side, args.aov, draw))
     columns = args.columns or previews.sheet_columns(len(images))
     about = {"Description": ", ".join(image.name for image in images)}
     write_image(args.output, previews.sheet(images, columns), about)

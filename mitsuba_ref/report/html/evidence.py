@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.aovs import Aovs
 from caster.geometry.packing import Packed
-from caster.rendering.images import Aovs
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, row_distance
 from mitsuba_ref.judge.classification import Judge, Judgement

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.aovs import Aovs
 from caster.image.image_files import encode_image
-from caster.rendering.images import Aovs
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE
 from mitsuba_ref.judge.formatting import format_exact_hit

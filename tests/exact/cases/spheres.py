@@ -11,7 +11,7 @@ from cases.case import FLOAT64, Case, Maker, Question
 from cases.refusals import refused
 from cases.shapes import CLOSED, KINDS, ROUND, Aim, across, every_kind, rays_at, shape_of, turn
 from caster import Cube, Cylinder, Disk, Ray, Scene, Sphere, cast, occluded, render
-from caster.rendering.images import Aovs
+from caster.aovs import Aovs
 
 
 def distances(make: Maker) -> Iterator[Question]:

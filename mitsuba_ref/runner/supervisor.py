@@ -19,7 +19,7 @@ INTERRUPT_GRACE_SECONDS = (
 )
 CHILD_SOURCE = (
     "import sys; sys.path[:] = {path!r}; from mitsuba_ref.__main__ import main; "
-    "from mitsuba_ref.subjects.supervisor import looked_after; looked_after({fd}, main)"
+    "from mitsuba_ref.runner.supervisor import looked_after; looked_after({fd}, main)"
 )
 
 
