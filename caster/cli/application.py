@@ -9,7 +9,9 @@ from importlib import import_module
 from typing import NamedTuple
 
 from caster import __version__
-from caster.cli.exit_codes import exit_codes_help, run_command
+from caster.cli.exit_codes import INTERRUPTED, exit_codes_help, run_command
+from caster.cli.path_arguments import checked_paths
+from caster.cli.signals import end_process
 
 __all__ = [
     "Command",
@@ -46,9 +48,19 @@ def main(
         words = sys.argv[1:] if argv is None else list(argv)
         chosen = next((word for word in words if not word.startswith("-")), "")
         args = build_parser(name, about, commands, codes, (chosen,)).parse_args(words)
-        return int(args.run(args))
+        with checked_paths(args):
+            return int(args.run(args))
 
-    return run_command(run)
+    code = run_command(run)
+    if code == INTERRUPTED and argv is None:
+        end_process()  # threads may still be in compiled code, for which Python would wait
+    return code
+
+
+class _Parser(argparse.ArgumentParser):
+    """Without colours of Python 3.14, whose escapes `printable` would show."""
+
+    color = False
 
 
 def build_parser(
@@ -60,7 +72,7 @@ def build_parser(
 ) -> argparse.ArgumentParser:
     """The parser of a program. loaded: the commands whose arguments it needs, default all."""
     epilog = exit_codes_help(*codes)
-    top = argparse.ArgumentParser(name, description=about, epilog=epilog, allow_abbrev=False)
+    top = _Parser(name, description=about, epilog=epilog, allow_abbrev=False)
     top.add_argument("--version", action="version", version=f"{name} {__version__}")
     group = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in commands:

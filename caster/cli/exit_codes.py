@@ -4,9 +4,12 @@ import contextlib
 import io
 import os
 import sys
+import tempfile
 import traceback
 from collections.abc import Callable
 
+from caster.cli.printable_stream import printable_streams
+from caster.cli.signals import handled_signals
 from caster.description.errors import SceneError
 
 __all__ = [
@@ -55,15 +58,25 @@ def run_command(command: Callable[[], int]) -> int:
     """
     reopen_closed_streams()
     _escape_unencodable()
-    try:
-        code = _exit_code(command)
-        sys.stdout.flush()  # here, so that a closed pipe or a full disk is detected
-        return code
-    except BrokenPipeError:
-        return _discard_output(PIPE_CLOSED)
-    except OSError as error:
-        text = str(error) if error.filename else f"standard output: {error.strerror or error}"
-        return _discard_output(_report_error(text, FILE))
+    with printable_streams():
+        try:
+            with handled_signals():
+                code = _exit_code(command)
+            sys.stdout.flush()  # here, so that a closed pipe or a full disk is detected
+            return code
+        except BrokenPipeError:
+            return _discard_output(PIPE_CLOSED)
+        except OSError as error:
+            return _discard_output(_report_error(_os_error_text(error), FILE))
+
+
+def _os_error_text(error: OSError) -> str:
+    """The file and what is wrong with it; where an error names no file, the folder of temporary files."""
+    if error.filename is not None:
+        return f"{os.fsdecode(error.filename)}: {error.strerror or error}"
+    return (
+        f"{error.strerror or error} (a file without a name; temporary files are in {tempfile.gettempdir()})"
+    )
 
 
 def reopen_closed_streams() -> None:
@@ -88,7 +101,7 @@ def _exit_code(command: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         return _report_error("interrupted", INTERRUPTED)
     except MemoryError as error:
-        return _report_error(f"not enough memory: {error}; a smaller film takes less", INTERNAL)
+        return _report_error(f"not enough memory{f': {error}' if str(error) else ''}", USAGE)
     except OSError:
         raise
     except Exception as error:

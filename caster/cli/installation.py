@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from caster.cli.exit_codes import OK
+from caster.cli.path_arguments import InputPath
 
 if TYPE_CHECKING:
     from caster.rendering.warm_up import WarmUpCounts
@@ -70,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--warm",
         nargs="*",
         metavar="SCENE",
+        type=InputPath,
         help="compile the kernels that `caster render` would compile at first use, for these scene files; "
         "without any, for all shapes and cameras, which takes minutes",
     )

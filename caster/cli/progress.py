@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, TextIO
 
+from caster.cli.printable_stream import printable, unfiltered
+
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.live import Live
@@ -40,7 +42,7 @@ class StatusLine:
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
-        self.stream = stream or sys.stderr or io.StringIO()
+        self.stream = unfiltered(stream or sys.stderr or io.StringIO())
         self.live = self.stream.isatty() and os.environ.get("TERM") not in DUMB_TERMINALS
         self._display: Live | None = None
 
@@ -52,7 +54,11 @@ class StatusLine:
 
         if self._display is None:
             self._display = _started_display(self.stream)
-        line = Text(content, no_wrap=True, overflow="crop") if isinstance(content, str) else content
+        line = (
+            Text(printable(content, keep=""), no_wrap=True, overflow="crop")
+            if isinstance(content, str)
+            else content
+        )
         self._display.update(line, refresh=True)
 
     def erase(self) -> None:
@@ -63,7 +69,7 @@ class StatusLine:
 
     def log(self, text: str) -> None:
         """Write a line that stays, at once."""
-        self.stream.write(text + "\n")
+        self.stream.write(printable(text) + "\n")
         self.stream.flush()
 
 
@@ -130,7 +136,7 @@ class ProgressBar:
         for _ in range(3):
             row.add_column(no_wrap=True, overflow="crop")
         bar = Bar(total=self.total, completed=self.done, width=BAR_CHARACTERS)
-        row.add_row(self.what, bar, self.text(seconds))
+        row.add_row(printable(self.what, keep=""), bar, self.text(seconds))
         self.line.show(row)
 
     def text(self, seconds: float) -> str:

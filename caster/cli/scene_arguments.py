@@ -11,6 +11,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from caster.cli.path_arguments import InputPath
 from caster.description.errors import FileMissing, SceneError
 
 __all__ = [
@@ -44,7 +45,7 @@ DEFAULT_AOV_LIST = "hit,depth,normal,position,diffuse"
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """Add SCENE, --mesh-dir and --size."""
-    parser.add_argument("scene", metavar="SCENE", help=SCENE_FILE)
+    parser.add_argument("scene", metavar="SCENE", type=InputPath, help=SCENE_FILE)
     add_mesh_dirs(parser)
     parser.add_argument(
         "--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scene's own"
@@ -57,6 +58,7 @@ def add_mesh_dirs(parser: argparse.ArgumentParser) -> None:
         "--mesh-dir",
         action="append",
         default=[],
+        type=InputPath,
         metavar="DIR",
         help="a folder beyond the scene's own whose meshes it may use; may be given several times",
     )

@@ -1,16 +1,34 @@
-"""Atomic file writes: a file is written completely or not at all."""
+"""Atomic file writes, and temporary folders: what a process leaves behind is removed by the next one.
+
+Temporary files and folders are locked by the process that uses them. Those without a lock belong to no live process.
+"""
 
 import contextlib
 import errno
 import os
+import re
 import secrets
 import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from caster.description.errors import SceneError
+from caster.description.input_files import is_input
 
-__all__ = ["OutputError", "atomic_write", "check_folder", "check_writable", "write_bytes", "write_text"]
+if os.name == "posix":  # elsewhere nothing is locked, and nothing abandoned is removed
+    import fcntl
+
+__all__ = [
+    "OutputError",
+    "ScratchFolder",
+    "atomic_write",
+    "check_folder",
+    "check_output",
+    "check_writable",
+    "write_bytes",
+    "write_text",
+]
 
 WRITE_ERRNOS = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES)
 
@@ -23,8 +41,8 @@ class OutputError(SceneError):
 
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise OutputError if no file can be created at this path; to be called before long work."""
-    with _os_errors_as_output_errors(target := _resolved_target(path)):
-        _create_temporary(target).unlink()
+    with _os_errors_as_output_errors(target := _resolved_target(path)), _temporary_file(target):
+        pass
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
@@ -53,27 +71,138 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Any exception of the body becomes an OutputError; an existing file of that name is then unchanged.
     """
-    with _os_errors_as_output_errors(target := _resolved_target(path)):
-        temporary = _create_temporary(target)  # an invalid folder fails before any work
-        try:
-            yield temporary
-            os.replace(temporary, target)
-        finally:
-            temporary.unlink(missing_ok=True)
+    target = _resolved_target(path)
+    with _os_errors_as_output_errors(target), _temporary_file(target) as temporary:
+        yield temporary
+        os.replace(temporary, target)
+
+
+def check_output(path: str | os.PathLike[str]) -> None:
+    """Raise OutputError for a file that this command has read."""
+    if is_input(path):
+        raise OutputError(f"{path}: not written: this file is an input of the same command; name another one")
 
 
 def _resolved_target(path: str | os.PathLike[str]) -> Path:
     target = Path(os.path.realpath(path))  # resolves links, so that a link stays a link
     if target.exists() and not target.is_file():
         raise OutputError(f"{target}: expected a file to write, this is a folder or a device")
+    check_output(target)
     return target
 
 
-def _create_temporary(target: Path) -> Path:
-    """Create an empty temporary file beside the target, with permissions by the umask."""
-    temporary = target.parent / f".{secrets.token_hex(8)}.part"
-    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-    return temporary
+@contextlib.contextmanager
+def _temporary_file(target: Path) -> Iterator[Path]:
+    """An empty, locked file beside the target, with permissions by the umask; removed at the end."""
+    _remove_abandoned(target.parent, PART)
+    while True:
+        temporary = target.parent / f".{secrets.token_hex(8)}.part"
+        file = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        if _lock(file, temporary):
+            break
+        os.close(file)
+    _temporaries.add(temporary)
+    try:
+        yield temporary
+    finally:
+        temporary.unlink(missing_ok=True)
+        _temporaries.discard(temporary)
+        os.close(file)
+
+
+class ScratchFolder(tempfile.TemporaryDirectory[str]):
+    """A locked temporary folder of this process. prefix: of its name, and of the abandoned ones that are removed."""
+
+    def __init__(self, prefix: str = "mitsuba-ref-") -> None:
+        _remove_abandoned(Path(tempfile.gettempdir()), re.compile(re.escape(prefix) + r"scratch-\w+"))
+        while True:
+            super().__init__(prefix=f"{prefix}scratch-", ignore_cleanup_errors=True)
+            self._file = os.open(self.name, os.O_RDONLY)
+            if _lock(self._file, Path(self.name)):
+                break
+            os.close(self._file)
+        _temporaries.add(Path(self.name))
+
+    def cleanup(self) -> None:
+        """Remove the folder; a second call does nothing."""
+        super().cleanup()
+        _temporaries.discard(Path(self.name))
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+PART = re.compile(r"\.[0-9a-f]{16}\.part")
+_temporaries: set[Path] = set()  # of this process
+_searched: set[tuple[Path, str]] = set()  # folders that were searched for abandoned files, once a process
+
+
+def remove_temporaries() -> None:
+    """Remove temporary files and folders of this process, before it is ended without its `finally` clauses."""
+    for path in list(_temporaries):
+        _remove(path)
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[bool]:
+    """Lock a folder while the body runs; False where another process has locked it."""
+    file = os.open(folder, os.O_RDONLY)
+    try:
+        yield _try_lock(file)
+    finally:
+        os.close(file)
+
+
+def _try_lock(file: int) -> bool:
+    """Lock an open file or folder; False if another process has. File systems without locks: True."""
+    if os.name != "posix":
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _lock(file: int, path: Path) -> bool:
+    """Lock a file that was just created; False if another process took it for abandoned in between."""
+    if not _try_lock(file):
+        return False
+    try:
+        return os.path.samestat(os.fstat(file), os.stat(path))
+    except FileNotFoundError:
+        return False
+
+
+def _remove_abandoned(folder: Path, names: re.Pattern[str]) -> None:
+    """Remove this user's files and folders of such names that no process has locked."""
+    if os.name != "posix" or (folder, names.pattern) in _searched:
+        return
+    _searched.add((folder, names.pattern))
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(folder):
+            if names.fullmatch(entry.name) and Path(entry.path) not in _temporaries:
+                with contextlib.suppress(OSError):
+                    _remove_if_abandoned(entry.path)
+
+
+def _remove_if_abandoned(path: str) -> None:
+    file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        if os.fstat(file).st_uid == os.getuid():
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _remove(Path(path))
+    finally:
+        os.close(file)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from caster.description.errors import Diagnostic, FileMissing, SceneError
+from caster.description.input_files import record_input
 
 __all__ = ["Span", "format_excerpt", "read_text"]
 
@@ -151,6 +152,7 @@ MAX_LINE_CHARACTERS = 100  # of a line in an excerpt
 def read_text(path: str | PathLike[str]) -> str:
     """Read a text file in UTF-8. Raises FileMissing, or SceneError if it is not UTF-8."""
     try:
+        record_input(path)
         return Path(path).read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: not a text in UTF-8: byte {error.start + 1} is none of it") from None

@@ -2,7 +2,6 @@
 
 import json
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from caster.image.atomic_files import ScratchFolder
 from mitsuba_ref.bench.contestants import Contestant
 from mitsuba_ref.bench.result import Row, SceneResult, Score
 from mitsuba_ref.bench.scenes import BenchScene
@@ -212,7 +212,7 @@ def time_scene(
 ) -> SceneResult:
     """Rows of all contestants, cast in turns. judged: whether errors are measured as well."""
     begun = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-bench-") as name:
+    with ScratchFolder() as name:
         on_progress("making the scene")
         ready = write_scene(scene, Path(name), settings.size)
         runs = [ContestantRun(contestant, settings) for contestant in contestants]

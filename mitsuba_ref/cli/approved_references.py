@@ -6,12 +6,12 @@ import argparse
 import json
 import shlex
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from caster.cli.exit_codes import DIFFERENCES, FILE, NOTHING_SELECTED, OK
+from caster.cli.path_arguments import InputPath, OutputFolder
 from caster.cli.scene_arguments import mesh_dir_options
 from mitsuba_ref.cli.options import add_selection, selected_entries
 
@@ -25,7 +25,7 @@ MAX_NAMES_IN_COMMAND = 4  # more are not listed in the command that approves the
 
 
 def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
-    add_references(parser)
+    add_references(parser, OutputFolder)
     parser.add_argument(
         "--update",
         choices=MODES,
@@ -39,7 +39,7 @@ def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_check_arguments(parser: argparse.ArgumentParser) -> None:
-    add_references(parser)
+    add_references(parser, InputPath)
     add = parser.add_argument
     add("--fresh", action="store_true", help="compare a fresh render of Mitsuba, to the bit, instead of ours")
     may = "so many pixels of a scene may differ (never by NaN or inf)"
@@ -47,13 +47,13 @@ def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     add("--json", action="store_true", help="as JSON")
 
 
-def add_references(parser: argparse.ArgumentParser) -> None:
+def add_references(parser: argparse.ArgumentParser, folder: type[str]) -> None:
     """What both share: scenes, the folder of references, the variant."""
     add_selection(parser)
     add = parser.add_argument
     references = "the folder of reference EXRs, NAME.exr for each scene"
-    add("--references", metavar="DIR", required=True, help=references)
-    add("--variant", metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
+    add("--references", metavar="DIR", type=folder, required=True, help=references)
+    add("--variant", type=str, metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
 
 
 def selection(args: argparse.Namespace) -> list[SceneEntry]:
@@ -145,11 +145,12 @@ def run_check(args: argparse.Namespace) -> int:
     entries = selection(args)
     if not entries:
         return NOTHING_SELECTED
+    from caster.image.atomic_files import ScratchFolder
     from mitsuba_ref.exr_compare.approval import ReferenceChecks, check_scene
     from mitsuba_ref.report.text_table import print_lines
     from mitsuba_ref.runner.scene_runner import map_in_order
 
-    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-check-") as scratch:
+    with ScratchFolder() as scratch:
 
         def check_of(entry: SceneEntry) -> ReferenceCheck:
             path = Path(args.references) / f"{entry.name}.exr"

@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.cli.path_arguments import InputPath
 from caster.description.errors import SceneError
 from mitsuba_ref.cli import experiment_options as options
 from mitsuba_ref.cli.options import positive_int
@@ -49,7 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--sweeps", action="store_true", help="also time against triangles, pixels and threads")
     options.add_json(parser)
-    add("--from", metavar="FILE", dest="before", help="time nothing: print the tables of an earlier --json")
+    add(
+        "--from",
+        metavar="FILE",
+        type=InputPath,
+        dest="before",
+        help="time nothing: print the tables of an earlier --json",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -75,7 +82,6 @@ def run(args: argparse.Namespace) -> int:
         raise SceneError(f"--threads {threads}: this process may use {processors()}")
     work = BenchmarkRun(scenes, Settings(args.size, args.alternations, threads, args.seed, args.peers))
     progress = options.Progress("bench")
-    options.terminate_as_interrupt()
     try:
         work.time_scenes(progress, lambda scene: show(scene, progress, args))
         if args.sweeps:

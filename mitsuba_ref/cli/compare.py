@@ -2,6 +2,8 @@
 
 import argparse
 
+from caster.cli.path_arguments import InputPath, OutputFile
+
 NUMBERS = {
     "depth_rtol": "of depth and position, instead of the derived bound",
     "normal_atol": "of normals, instead of the derived bound",
@@ -13,9 +15,15 @@ NUMBERS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("ours", metavar="OURS.exr")
-    add("reference", metavar="REF.exr")
-    add("-o", "--output", metavar="DIFF.exr", help="write the differences, and a class for each pixel")
+    add("ours", metavar="OURS.exr", type=InputPath)
+    add("reference", metavar="REF.exr", type=InputPath)
+    add(
+        "-o",
+        "--output",
+        metavar="DIFF.exr",
+        type=OutputFile,
+        help="write the differences, and a class for each pixel",
+    )
     for name, what in NUMBERS.items():
         add(f"--{name.replace('_', '-')}", type=float, metavar="TOL", help=f"tolerance {what}")
     add(
@@ -27,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--ignore",
+        type=str,
         action="append",
         default=[],
         metavar="CHANNEL",
@@ -41,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = group.add_argument
     add(
         "--map",
+        type=str,
         action="append",
         default=[],
         metavar="OURS=THEIRS",
@@ -51,14 +61,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("distance", "z", "near"),
         help="what depth is: along the ray, along z, or from the near plane",
     )
-    add("--miss", metavar="VALUE", help="the depth of a miss, such as 0, inf, 1e10 or FLT_MAX")
+    add("--miss", type=str, metavar="VALUE", help="the depth of a miss, such as 0, inf, 1e10 or FLT_MAX")
     add(
         "--near",
         type=float,
         metavar="N",
         help="of the near plane, along the view axis, if depth counts from there",
     )
-    add("--scene", metavar="SCENE", help="the scene whose camera rendered the images")
+    add("--scene", metavar="SCENE", type=InputPath, help="the scene whose camera rendered the images")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 from collections.abc import Sequence
 from typing import Protocol, TextIO, TypeVar
 
+from caster.cli.path_arguments import OutputFile
 from caster.cli.progress import StatusLine
 from caster.description.errors import SceneError, suggestion
 
@@ -23,15 +23,22 @@ def add_selection(parser: argparse.ArgumentParser, what: str, words: str) -> Non
     """The items by name, -k and --list. what: "family" or "scene"."""
     plural = {"family": "families", "scene": "scenes"}[what]
     add = parser.add_argument
-    add(plural, metavar=what.upper(), nargs="*", help=words)
+    add(plural, metavar=what.upper(), type=str, nargs="*", help=words)
     example = "'scale and not mesh'" if what == "family" else "'mesh and not lit'"
-    add("-k", metavar="EXPR", dest="expression", help=f"{plural} whose name matches, such as {example}")
+    add(
+        "-k",
+        type=str,
+        metavar="EXPR",
+        dest="expression",
+        help=f"{plural} whose name matches, such as {example}",
+    )
     add("--list", action="store_true", help=f"list the {plural} and stop")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json",
+        type=OutputFile,
         metavar="FILE",
         help="write the result as JSON; - is standard output, which then holds nothing else",
     )
@@ -43,11 +50,6 @@ def check_json(args: argparse.Namespace) -> None:
 
     if args.json and args.json != "-":
         check_writable(args.json)
-
-
-def terminate_as_interrupt() -> None:
-    """Let SIGTERM end the work as Ctrl-C does, so that a cancelled job keeps what is done."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def table_stream(args: argparse.Namespace) -> TextIO:

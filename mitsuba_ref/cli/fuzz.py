@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
 from caster.cli.progress import StatusLine
 from caster.description.errors import SceneError, suggestion
 from mitsuba_ref.cli import experiment_options as options
@@ -37,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--family",
+        type=str,
         metavar="NAME",
         action="append",
         default=[],
@@ -44,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--out",
+        type=OutputFolder,
         metavar="DIR",
         default="fuzz-failures",
         help="where failing scenes are kept; default: fuzz-failures",
@@ -55,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=3,
         help="findings of one kind in one family that are shrunk and kept; all are counted; default: 3",
     )
-    add("--json", metavar="FILE", help="write the result as JSON")
+    add("--json", metavar="FILE", type=OutputFile, help="write the result as JSON")
     add(
         "--judge-every",
         metavar="N",
@@ -63,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=16,
         help="one scene in N, on average, is also compared with Mitsuba; 0: none; default: 16",
     )
-    add("--replay", metavar="FILE|DIR", help="check kept scenes again, and nothing else")
+    add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")
     add(
         "--rays",
         metavar="N",
@@ -72,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--shape",
+        type=str,
         metavar="TYPE",
         action="append",
         default=[],
@@ -104,7 +108,6 @@ def run(args: argparse.Namespace) -> int:
     if args.shape and args.rays is None:
         raise SceneError("--shape goes with --rays; families of random scenes are chosen by --family")
     options.check_json(args)
-    options.terminate_as_interrupt()
     return long_run(args) if args.rays is not None else search(args)
 
 

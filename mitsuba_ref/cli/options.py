@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from caster.cli.path_arguments import InputPath, OutputFile
 from caster.cli.scene_arguments import add_mesh_dirs, display_names, scene_files
 from caster.description.errors import SceneError
 
@@ -45,8 +46,21 @@ def positive_seconds(text: str) -> float:
 def add_selection(parser: argparse.ArgumentParser) -> None:
     """Scenes, -k, -j, --size and --mesh-dir."""
     add = parser.add_argument
-    add("scenes", metavar="SCENE|DIR", nargs="*", default=["scenes"], help="default: the folder scenes")
-    add("-k", metavar="EXPR", dest="expression", help="scenes whose name fits, such as 'mesh and not teapot'")
+    add(
+        "scenes",
+        metavar="SCENE|DIR",
+        type=InputPath,
+        nargs="*",
+        default=[InputPath("scenes")],
+        help="default: the folder scenes",
+    )
+    add(
+        "-k",
+        type=str,
+        metavar="EXPR",
+        dest="expression",
+        help="scenes whose name fits, such as 'mesh and not teapot'",
+    )
     add("-j", metavar="N", dest="workers", type=positive_int, help="scenes at a time; default: one a core")
     add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scenes' own")
     add_mesh_dirs(parser)
@@ -86,6 +100,7 @@ def add_candidate(
     group = parser.add_argument_group(title)
     group.add_argument(
         "--candidate",
+        type=str,
         metavar="X",
         help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
         "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height})",
@@ -142,10 +157,10 @@ def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
 def add_verdict_files(parser: argparse.ArgumentParser) -> None:
     """--json, --junit and --summary-md."""
     add = parser.add_argument
-    add("--json", metavar="FILE", help="write the verdict as JSON")
-    add("--junit", metavar="FILE", help="write the verdict as JUnit XML")
+    add("--json", metavar="FILE", type=OutputFile, help="write the verdict as JSON")
+    add("--junit", metavar="FILE", type=OutputFile, help="write the verdict as JUnit XML")
     help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
-    add("--summary-md", metavar="FILE", help=help_)
+    add("--summary-md", metavar="FILE", type=OutputFile, help=help_)
 
 
 def check_verdict_files(args: argparse.Namespace) -> None:

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import DIFFERENCES, OK
+from caster.cli.path_arguments import OutputFile
+from caster.cli.printable_stream import printable
 from caster.cli.scene_arguments import add_pixel, add_scene, error_prefix, load
 from mitsuba_ref.cli.options import add_candidate, candidate_words, requested_candidate
 
@@ -25,11 +27,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_pixel(parser)
     parser.add_argument("--json", action="store_true", help="as JSON")
     parser.add_argument(
-        "--save", metavar="FILE", help="write this ray and what it may hit as a scene of its own"
+        "--save",
+        metavar="FILE",
+        type=OutputFile,
+        help="write this ray and what it may hit as a scene of its own",
     )
     parser.add_argument(
         "--picture",
         metavar="PNG",
+        type=OutputFile,
         help="draw the pixel's surroundings: classes, edges in it, and beside its ray",
     )
     add_candidate(parser, "one more witness: another ray caster (docs/candidates.md)")
@@ -70,8 +76,6 @@ def about_candidate(args: argparse.Namespace, found: PixelVerdict) -> list[str]:
     """Comment lines on the candidate's answer, for a scene file about our caster and Mitsuba."""
     if found.candidate is None:
         return []
-    from mitsuba_ref.subjects.answer import printable
-
     words = found.candidate.problem or found.candidate.why
     summary = f"{found.candidate.verdict}: {words}".splitlines()[0]
     again = shlex.join(["mitsuba-ref", "probe", "THIS-FILE", "0", "0", *candidate_words(args)])

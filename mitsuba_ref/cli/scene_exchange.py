@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import DIFFERENCES, OK
+from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
 from caster.cli.scene_arguments import (
     AOV_NAMES,
     DEFAULT_AOV_LIST,
@@ -28,14 +29,15 @@ COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
 def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add = parser.add_argument
-    add("-o", "--output", metavar="REF.exr", required=True)
+    add("-o", "--output", metavar="REF.exr", type=OutputFile, required=True)
     add(
         "--aov",
+        type=str,
         metavar="A,B,...",
         default=DEFAULT_AOV_LIST,
         help=f"of {', '.join(KNOWN_AOVS)}; default: {DEFAULT_AOV_LIST}",
     )
-    add("--variant", metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
+    add("--variant", type=str, metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
 
 
 def run_render(args: argparse.Namespace) -> int:
@@ -73,9 +75,19 @@ def run_render(args: argparse.Namespace) -> int:
 
 def add_import_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("file", metavar="FILE", help="Mitsuba's .xml, or .txt of MIT 6.837")
-    add("-o", "--output", metavar="SCENE.toml", required=True, help="the scene file to write")
-    add("-D", dest="parameters", action="append", default=[], metavar="NAME=VALUE", help="a $NAME of the XML")
+    add("file", metavar="FILE", type=InputPath, help="Mitsuba's .xml, or .txt of MIT 6.837")
+    add(
+        "-o", "--output", metavar="SCENE.toml", type=OutputFile, required=True, help="the scene file to write"
+    )
+    add(
+        "-D",
+        type=str,
+        dest="parameters",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a $NAME of the XML",
+    )
     add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the file's own")
     add_mesh_dirs(parser)
 
@@ -154,7 +166,12 @@ def folders_beyond(scene: object, folder: Path) -> set[str]:
 def add_export_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument(
-        "-o", "--output", metavar="DIR", required=True, help="folder to write into; made if need be"
+        "-o",
+        "--output",
+        metavar="DIR",
+        type=OutputFolder,
+        required=True,
+        help="folder to write into; made if need be",
     )
 
 

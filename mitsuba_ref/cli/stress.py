@@ -36,7 +36,6 @@ def run(args: argparse.Namespace) -> int:
         return OK
     options.check_json(args)
     done: list[SweepResult] = []
-    options.terminate_as_interrupt()
     try:
         sweep_all(families, args, done)
     finally:  # what is done is kept, whatever ends the work

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import time
 from contextlib import closing
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
 from caster.description.errors import SceneError
 from mitsuba_ref.cli.options import (
     add_candidate,
@@ -34,10 +34,15 @@ HTML_SUFFIX = ".html"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_selection(parser)
     add = parser.add_argument
-    add("--out", metavar="DIR", help="write verdict.json, EXR files and reproducers into this folder")
+    add(
+        "--out",
+        metavar="DIR",
+        type=OutputFolder,
+        help="write verdict.json, EXR files and reproducers into this folder",
+    )
     add_verdict_files(parser)
     html_help = f"write a report for the browser: a folder, or one file if PATH ends in {HTML_SUFFIX}"
-    add("--html", metavar="PATH", help=html_help)
+    add("--html", metavar="PATH", type=html_output, help=html_help)
     add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
     add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by pixels")
     add(
@@ -46,6 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="reuse from --out what was judged of the very same scene, code, variant and options",
     )
     add_candidate(parser)
+
+
+def html_output(text: str) -> str:
+    """The type of --html."""
+    return OutputFile(text) if text.lower().endswith(HTML_SUFFIX) else OutputFolder(text)
 
 
 def shard(text: str) -> Shard:
@@ -68,7 +78,6 @@ def run(args: argparse.Namespace) -> int:
     variants.variant_for(has_quadrics=False)
     start = time.perf_counter()
     running = ValidationRun(entries, run_options(args), candidate)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a cancelled job cleans up as after Ctrl-C
     try:
         print_rows(running)
     finally:  # whatever ends the work, the results so far are written
@@ -148,6 +157,7 @@ def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "verdicts",
         metavar="VERDICT.json|DIR",
+        type=InputPath,
         nargs="+",
         help="of each shard: --json's file, or --out's folder",
     )

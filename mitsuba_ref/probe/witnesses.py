@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from caster.image.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
 from mitsuba_ref.judge.classification import Judge
@@ -65,7 +65,7 @@ def other_variant_answers(
     for name in set(variants.VARIANT_NAMES) - set(works.names):
         yield from (((name, mode), f"does not work here: {works.why}") for mode in MODES)
     wanted = {name: [m for m in MODES if (name, m) != (variant, "robust")] for name in works.names}
-    with TemporaryDirectory(prefix="mitsuba-ref-") as folder, ThreadPoolExecutor() as pool:
+    with ScratchFolder() as folder, ThreadPoolExecutor() as pool:
         xml = {
             mode: export(judge.scene, judge.model, robust=robust).write(Path(folder) / mode)
             for mode, robust in MODES.items()

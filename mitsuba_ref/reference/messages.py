@@ -6,7 +6,6 @@ Arrays go into .npz, everything else into .json; no pickle, so that a half-writt
 import json
 import os
 import sys
-import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -16,6 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from caster.image.atomic_files import ScratchFolder
 from mitsuba_ref.reference.subprocess_runner import ProcessEnd, exit_name, import_path, run
 
 RowLayout = dict[str, tuple[tuple[int, ...], type]]  # field -> shape of a row, dtype
@@ -167,7 +167,7 @@ def run_request(
     command: Sequence[str] = CHILD_COMMAND,
 ) -> TraceResponse | Crash:
     """Send one request to a process of its own, which is gone afterwards. environment: added to this process's."""
-    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as name:
+    with ScratchFolder() as name:
         folder = Path(name)
         request.write(folder)
         end = run(

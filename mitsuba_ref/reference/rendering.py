@@ -1,6 +1,5 @@
 """Export of scenes to Mitsuba, tracing of shared rays by it, and its images under the names of the caster's AOVs."""
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 from caster.aovs import AOVS, Aovs
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
+from caster.image.atomic_files import ScratchFolder
 from caster.rendering.images import film_window
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
@@ -120,7 +120,7 @@ def trace_reference(
     send: SendRequest = send_request,
 ) -> ReferenceResult | Crash:
     """Trace these rays by Mitsuba, in a process that `send` reaches. A crash is a result, too."""
-    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as folder:
+    with ScratchFolder() as folder:
         xml = export(scene, model).write(Path(folder))
         job = TraceRequest(
             xml, variant or variant_of(scene), rays.o, rays.d, rays.t_max, lights=lights, sensor=True

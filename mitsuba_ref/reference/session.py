@@ -1,7 +1,6 @@
 """Mitsuba sessions: requests to child processes, in which an abort, a hang or a refusal is a result."""
 
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from caster.image.atomic_files import ScratchFolder
 from mitsuba_ref.reference import messages, variants
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse, crash_of, response_in
 from mitsuba_ref.reference.subprocess_runner import (
@@ -124,7 +124,7 @@ class ResidentSession:
         """The response to one request; a first one may take START_SECONDS more."""
         process = self.processes.get(request.variant)
         allowed = timeout
-        with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as name:
+        with ScratchFolder() as name:
             request.write(Path(name))
             try:
                 if process is None or not process.alive:

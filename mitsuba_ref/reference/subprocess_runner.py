@@ -26,10 +26,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, NamedTuple
 
+from caster.cli.signals import at_forced_exit
+
 OUTPUT_HEAD_BYTES, OUTPUT_TAIL_BYTES = 1000, 3000  # of captured output that are kept
 REAP_SECONDS = 5.0  # for a killed process, or one that closed its pipe, to be gone
 ANSI_ESCAPE = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]  # the folder that the package lies in
+
+PARENT_VARIABLE = "MITSUBA_REF_PARENT"  # in the environment of children: the process that started them
 
 _running: set[int] = set()  # process groups of one-shot runs
 _starting = threading.Lock()
@@ -81,6 +85,9 @@ def kill_subprocesses() -> None:
         _starts_refused.set()
         for group in list(_running):
             _kill_group(group)
+
+
+at_forced_exit(kill_subprocesses)
 
 
 def allow_subprocesses() -> None:
@@ -225,8 +232,8 @@ def run_attached(
 ) -> AttachedEnd:
     """Run a command on this process's stdin, stdout and stderr, and read what it reports through a pipe.
 
-    command: from the descriptor's number, to which the child may write. Ctrl-C and SIGTERM are passed on as SIGINT; a
-    child that runs on for `interrupt_seconds` after it is killed.
+    command: from the descriptor's number, to which the child may write. Ctrl-C, SIGTERM and SIGHUP are passed on as
+    SIGINT; a child that runs on for `interrupt_seconds` after it is killed.
     """
     reading, writing = os.pipe()
     child = subprocess.Popen(
@@ -246,7 +253,9 @@ def run_attached(
 
 
 def _wait_interruptibly(child: subprocess.Popen[bytes], interrupt_seconds: float) -> int | None:
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for each in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(each) is not signal.SIG_IGN:
+            signal.signal(each, signal.default_int_handler)
     try:
         return child.wait()
     except KeyboardInterrupt:
@@ -267,12 +276,17 @@ def serve(handle: Callable[[str], str], replies: int) -> None:
 
 
 def die_with_parent() -> None:
-    """Have Linux kill this process with the one that started it, even if that one is killed itself."""
+    """Have Linux kill this process with the one that started it, even if that one is killed itself.
+
+    Ends this process where that one is gone already.
+    """
     if sys.platform == "linux":
         import ctypes
 
         set_parent_death_signal = 1
         ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
+    if os.environ.get(PARENT_VARIABLE, str(os.getppid())) != str(os.getppid()):
+        os._exit(1)
 
 
 def import_path() -> str:
@@ -311,7 +325,7 @@ def _start(
         child = subprocess.Popen(
             command,
             cwd=cwd,
-            env={**os.environ, **(environment or {})},
+            env={**os.environ, **(environment or {}), PARENT_VARIABLE: str(os.getpid())},
             stdin=stdin,
             stdout=output,
             stderr=subprocess.STDOUT,

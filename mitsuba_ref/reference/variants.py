@@ -8,7 +8,6 @@ import os
 import platform
 import re
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from caster.description.errors import SceneError
+from caster.image.atomic_files import ScratchFolder
 from mitsuba_ref.reference import messages
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 
@@ -48,7 +48,7 @@ SMOKE_TEST_XML = """<scene version="3.0.0">
 
 def smoke_test(variant: str, settings: Mapping[str, str]) -> str:
     """Trace a small scene by one variant: '' if the result is right, else what happened. settings: environment."""
-    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as name:
+    with ScratchFolder() as name:
         folder = Path(name)
         (folder / "square.ply").write_text(SMOKE_TEST_PLY)
         (folder / "scene.xml").write_text(SMOKE_TEST_XML)

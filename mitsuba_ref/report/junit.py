@@ -3,6 +3,7 @@
 from pathlib import PurePath
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+from caster.cli.printable_stream import printable
 from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict, Verdict
 from mitsuba_ref.reference.xml_writer import XmlElement
 from mitsuba_ref.report.terminal import failure_text
@@ -86,8 +87,3 @@ def _errors(scene: SceneVerdict) -> str:
     return (
         f"k_t={found.k_t.largest:.2f} k_normal={found.k_normal.largest:.2f} z={found.z:.1f} " if found else ""
     )
-
-
-def printable(text: str) -> str:
-    """Without the control characters that XML forbids."""
-    return "".join(c if c in "\n\t" or c.isprintable() else "\ufffd" for c in text)

@@ -7,7 +7,8 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from caster.image.atomic_files import OutputError
+from caster.cli.printable_stream import printable
+from caster.image.atomic_files import OutputError, check_output
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
 from mitsuba_ref.report.failure_groups import group_lines
 from mitsuba_ref.report.reproducers import replay
@@ -28,6 +29,7 @@ def append(
 
     Raises OutputError.
     """
+    check_output(path)
     try:
         before = Path(path).stat().st_size if Path(path).exists() else 0
         with open(path, "a", encoding="utf-8") as file:
@@ -158,15 +160,13 @@ SCENE_TEXT_LIMIT_BYTES = 16384  # of one scene: the output of Mitsuba may be lon
 
 def _failing_text(scene: SceneVerdict) -> str:
     """The terminal's text, folded; within <pre> only HTML's own characters need escapes."""
-    words = html.escape(
-        "".join(c if c in "\n\t" or c.isprintable() else "\ufffd" for c in failure_text(scene))
-    )
+    words = html.escape(printable(failure_text(scene)))
     words = words.encode()[:SCENE_TEXT_LIMIT_BYTES].decode(errors="ignore")
     return f"<details><summary>{html.escape(one_line(scene.name))}</summary>\n\n<pre>\n{words}\n</pre>\n</details>\n\n"
 
 
 def one_line(text: str) -> str:
-    return "".join(c if c.isprintable() else "\ufffd" for c in text)
+    return printable(text, keep="")
 
 
 def escaped(text: str) -> str:

@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from caster.cli.printable_stream import printable, unfiltered
+
 UNLIMITED_WIDTH = 10_000  # characters: lines of a log are never wrapped or cut
 STATUS_STYLES = {"PASS": "green", "FAIL": "bold red"}
 
@@ -33,7 +35,7 @@ def format_table(
             title, justify=column.justify, min_width=column.width, no_wrap=True, vertical="bottom"
         )
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*(Text(printable(cell, keep="")) for cell in row))
     out = StringIO()
     Console(file=out, width=UNLIMITED_WIDTH, color_system=None, highlight=False).print(table)
     return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
@@ -42,10 +44,11 @@ def format_table(
 def print_lines(text: str, stream: TextIO | None = None) -> None:
     """Print text at once; on a terminal, PASS and FAIL at the start of a line in colour, unless NO_COLOR is set."""
     stream = stream or sys.stdout
+    text = printable(text)
     if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         print(text, file=stream, flush=True)
         return
-    console = Console(file=stream, highlight=False, soft_wrap=True)
+    console = Console(file=unfiltered(stream), highlight=False, soft_wrap=True)
     for line in text.splitlines():
         styled = Text(line)
         if line[:4] in STATUS_STYLES:

@@ -15,7 +15,7 @@ from mitsuba_ref.reference.subprocess_runner import exit_name, run_attached
 
 SUPERVISED_VARIABLE = "MITSUBA_REF_SUPERVISED"  # in the environment of the one that is looked after
 INTERRUPT_GRACE_SECONDS = (
-    20.0  # seconds for the scenes that are being judged to end, and to be written down, after an interruption
+    4.8  # seconds for the scenes that are being judged to end, and to be written down, after an interruption
 )
 CHILD_SOURCE = (
     "import sys; sys.path[:] = {path!r}; from mitsuba_ref.__main__ import main; "

@@ -1,15 +1,13 @@
 """Surface points, numbers of shapes and mesh files, drawn at random: what the fuzzer aims at and draws shapes from."""
 
-import atexit
 import functools
-import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.image.atomic_files import ScratchFolder
 from caster.shapes.icosphere import tessellate_icosphere
 
 Rng = np.random.Generator
@@ -140,11 +138,16 @@ MESH_BUILDERS = (octahedron, dented_icosphere, fan_of_slivers, pinched_sheet, do
 
 
 @functools.cache
+def _mesh_folder() -> ScratchFolder:
+    return ScratchFolder()
+
+
+@functools.cache
 def mesh_files() -> tuple[str, ...]:
     """These meshes as OBJ files, in a folder that goes away with this process."""
-    folder = Path(tempfile.mkdtemp(prefix="mitsuba-ref-fuzz-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return tuple(_write_obj(folder / f"{make.__name__}.obj", *make()) for make in MESH_BUILDERS)
+    return tuple(
+        _write_obj(Path(_mesh_folder().name) / f"{make.__name__}.obj", *make()) for make in MESH_BUILDERS
+    )
 
 
 def _write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray) -> str:

@@ -1,6 +1,5 @@
 """Sweeps of families through all witnesses, and their results; tables, JSON and pages are views of these."""
 
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -10,6 +9,7 @@ import numpy as np
 from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
+from caster.image.atomic_files import ScratchFolder
 from mitsuba_ref.experiment.results import NOTHING, aligned
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.stress import score
@@ -168,7 +168,7 @@ def observe(settings: Sequence[PreparedSetting], on_progress: Progress) -> list[
     """What each witness finds in each setting. Mitsuba runs in child processes beside our caster."""
     pool = ThreadPoolExecutor(PARALLEL_PROCESSES)
     try:
-        with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as folder:
+        with ScratchFolder() as folder:
             submitted = {
                 witness.key: pool.submit(score.ask_reference, witness, settings, Path(folder) / witness.key)
                 for witness in REFERENCES

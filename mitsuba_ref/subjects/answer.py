@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from caster.aovs import Aovs
+from caster.cli.printable_stream import printable
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
 
 FLOAT32, FLOAT64 = "float32", "float64"
@@ -133,11 +134,6 @@ def exception_text(error: BaseException) -> str:
     except Exception as another:
         return f"(its message raises {type(another).__name__})"
     return printable(words[:LAST_WORDS]) + (" ..." if len(words) > LAST_WORDS else "")
-
-
-def printable(words: str) -> str:
-    """Without what would move the cursor, change colours, or fit into no file."""
-    return "".join(c if c in "\n\t" or c.isprintable() else " " for c in words)
 
 
 def _hints(t: np.ndarray, precision: str | None) -> tuple[str, ...]:

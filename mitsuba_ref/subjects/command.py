@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from caster.cli.printable_stream import printable
 from caster.description.errors import FileMissing, SceneError
 from caster.image.exr import Exr, UnreadableExr, read_exr
 from mitsuba_ref.error_model.intersections import U
 from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.reference.rendering import export
 from mitsuba_ref.reference.subprocess_runner import exit_name, run
-from mitsuba_ref.subjects.answer import FLOAT32, LAST_WORDS, Answer, NoAnswer, checked_answer, printable
+from mitsuba_ref.subjects.answer import FLOAT32, LAST_WORDS, Answer, NoAnswer, checked_answer
 from mitsuba_ref.subjects.subject import CastRequest
 
 SCENE_PLACEHOLDERS = ("xml", "toml")

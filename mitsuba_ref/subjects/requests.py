@@ -1,6 +1,5 @@
 """Requests to a subject: the rays of a scene, in the very numbers that Mitsuba traces."""
 
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -10,6 +9,7 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
+from caster.image.atomic_files import ScratchFolder
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import clip_planes
@@ -50,7 +50,7 @@ def request_answer(
     scene, ends = with_far_plane(scene, packed) if subject.reads_xml else (scene, ())
     rays = shared_rays(scene)
     model = model_of(scene, packed, rays if whole is None else whole)
-    with tempfile.TemporaryDirectory(prefix="mitsuba-ref-") as folder:
+    with ScratchFolder() as folder:
         request = CastRequest(scene, model, rays, Path(folder))
         try:
             answer = subject.answer(request)

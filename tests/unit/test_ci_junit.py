@@ -79,7 +79,7 @@ def test_what_is_written_is_what_servers_read(found):
 
 def test_a_run_that_judged_a_candidate_says_so_even_where_no_scene_is_done():
     (told,) = ElementTree.fromstring(junit(VERDICTS["candidate"])).iter("property")
-    assert told.attrib == {"name": "candidate", "value": "mine\ufffd:trace"}
+    assert told.attrib == {"name": "candidate", "value": "mine\\u0007:trace"}
     assert not [*ElementTree.fromstring(junit(VERDICTS["passes"])).iter("property")]
 
 

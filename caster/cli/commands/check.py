@@ -4,12 +4,13 @@ import argparse
 import json
 
 from caster.cli.exit_codes import FILE, OK, USAGE
+from caster.cli.path_arguments import InputPath
 from caster.cli.scene_arguments import SCENE_FILE, add_mesh_dirs, error_prefix
 from caster.description.errors import SceneError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scenes", metavar="SCENE", nargs="+", help=SCENE_FILE)
+    parser.add_argument("scenes", metavar="SCENE", type=InputPath, nargs="+", help=SCENE_FILE)
     add_mesh_dirs(parser)
 
 

@@ -6,22 +6,29 @@ import argparse
 import sys
 
 from caster.cli.exit_codes import OK
+from caster.cli.path_arguments import InputPath, OutputFile, output_file_unless_number
 from caster.cli.scene_arguments import add_mesh_dirs, add_threads, error_prefix
 from caster.description.errors import SceneError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("-input", metavar="SCENE.txt", required=True, help="a scene file of the course")
+    add("-input", metavar="SCENE.txt", type=InputPath, required=True, help="a scene file of the course")
     add("-size", nargs=2, type=int, metavar=("W", "H"), default=(100, 100), help="default: 100 100")
-    add("-output", metavar="IMAGE", help="the colours: diffuse and ambient light, .png or .tga")
+    add(
+        "-output",
+        metavar="IMAGE",
+        type=OutputFile,
+        help="the colours: diffuse and ambient light, .png or .tga",
+    )
     add(
         "-depth",
         nargs=3,
+        type=output_file_unless_number,
         metavar=("NEAR", "FAR", "IMAGE"),
         help="t along the ray: white at NEAR, black at FAR and where nothing is hit",
     )
-    add("-normals", metavar="IMAGE", help="|x|, |y|, |z| of the normal as red, green, blue")
+    add("-normals", metavar="IMAGE", type=OutputFile, help="|x|, |y|, |z| of the normal as red, green, blue")
     add("-shade_back", action="store_true", help="light surfaces from behind, too, instead of black")
     add("-shadows", action="store_true", help="lights cast shadows")
     add_threads(parser)

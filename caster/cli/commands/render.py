@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import OK
+from caster.cli.path_arguments import OutputFile
 from caster.cli.scene_arguments import (
     AOV_NAMES,
     DEFAULT_AOV_LIST,
@@ -34,8 +35,14 @@ CROP_METAVARS = ("X0", "Y0", "X1", "Y1")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add = parser.add_argument
-    add("-o", "--output", metavar="OUT.exr", help="default: the scene's name with .exr, in this folder")
-    add("--aov", metavar="A,B,...", help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}")
+    add(
+        "-o",
+        "--output",
+        metavar="OUT.exr",
+        type=OutputFile,
+        help="default: the scene's name with .exr, in this folder",
+    )
+    add("--aov", type=str, metavar="A,B,...", help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}")
     add(
         "--crop",
         nargs=4,
@@ -48,11 +55,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--json", action="store_true", help="print the same as JSON, with counts of the work done")
     add(
         "--preview",
+        type=OutputFile,
         metavar="PNG",
         help="write an image for viewing as well, and its colour legend to standard error",
     )
     add(
         "--preview-aov",
+        type=str,
         metavar="A,B,...",
         help="which AOVs it shows; several become a labelled strip; default: diffuse, else normal or depth",
     )

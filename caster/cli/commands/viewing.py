@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from caster.cli.exit_codes import NOTHING_SELECTED, OK
+from caster.cli.path_arguments import InputPath, OutputFile
 from caster.cli.scene_arguments import (
     add_mesh_dirs,
     add_threads,
@@ -21,7 +22,9 @@ from caster.cli.scene_arguments import (
 
 
 def add_info_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE.exr", help="an EXR file; of a multi-part one, all parts")
+    parser.add_argument(
+        "file", metavar="FILE.exr", type=InputPath, help="an EXR file; of a multi-part one, all parts"
+    )
     parser.add_argument("--json", action="store_true", help="as JSON, with all of the provenance")
 
 
@@ -42,15 +45,22 @@ def info(args: argparse.Namespace) -> int:
 
 def add_preview_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("file", metavar="FILE.exr", help="a file of `caster render`, or of verdicts or differences")
+    add(
+        "file",
+        metavar="FILE.exr",
+        type=InputPath,
+        help="a file of `caster render`, or of verdicts or differences",
+    )
     add(
         "-o",
         "--output",
         metavar="IMAGE",
+        type=OutputFile,
         help=".png or .tga; default: the file's name with .png, in this folder",
     )
     add(
         "--aov",
+        type=str,
         metavar="A,B,...",
         help="which; several become a labelled strip; default: diffuse, else class, normal or depth",
     )
@@ -78,10 +88,14 @@ def preview(args: argparse.Namespace) -> int:
 
 def add_sheet_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("scenes", metavar="SCENE|DIR", nargs="+", help="scene files, or folders of them")
-    add("-o", "--output", metavar="PNG", default="sheet.png", help="default: sheet.png")
+    add("scenes", metavar="SCENE|DIR", type=InputPath, nargs="+", help="scene files, or folders of them")
+    add("-o", "--output", metavar="PNG", type=OutputFile, default="sheet.png", help="default: sheet.png")
     add(
-        "--aov", metavar="A", default="diffuse", help="default: diffuse, and normals of scenes without lights"
+        "--aov",
+        type=str,
+        metavar="A",
+        default="diffuse",
+        help="default: diffuse, and normals of scenes without lights",
     )
     add(
         "--side",

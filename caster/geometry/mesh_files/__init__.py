@@ -5,6 +5,7 @@ from os import PathLike
 from pathlib import Path
 
 from caster.description.errors import FileMissing, SceneError
+from caster.description.input_files import record_input
 from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_ply
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
@@ -40,6 +41,7 @@ def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:
 
 def _bytes_of(where: str) -> bytes:
     try:
+        record_input(where)
         return Path(where).read_bytes()
     except OSError as error:
         raise FileMissing(f"{where}: cannot read this mesh file: {error.strerror or error}") from error

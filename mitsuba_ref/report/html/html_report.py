@@ -1,6 +1,5 @@
 """The HTML report, written scene by scene, as a folder or as one file."""
 
-import tempfile
 import threading
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -9,7 +8,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from caster.image.atomic_files import OutputError, atomic_write, check_folder, check_writable, write_text
+from caster.image.atomic_files import (
+    OutputError,
+    ScratchFolder,
+    atomic_write,
+    check_folder,
+    check_writable,
+    write_text,
+)
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict
 from mitsuba_ref.report.html import page_writer
 from mitsuba_ref.report.html.page_writer import as_json, index_row, page
@@ -58,7 +64,7 @@ class HtmlReport:
         self._written = float("-inf")
         if self.one_file:
             check_writable(self.path)
-            self._temporary = tempfile.TemporaryDirectory(prefix="mitsuba-ref-report-")
+            self._temporary = ScratchFolder()
             self.data = Path(self._temporary.name)
         else:
             refuse_page_of_others(self.path / "index.html")

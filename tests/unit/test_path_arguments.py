@@ -1,0 +1,190 @@
+"""Paths among the arguments: all commands and options are walked, so that a new one is covered by itself."""
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import caster.__main__
+import mitsuba_ref.__main__
+from caster.cli.application import build_parser
+from caster.cli.commands import COMMANDS
+from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
+from caster.image.atomic_files import OutputError, ScratchFolder, atomic_write, write_text
+from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
+from mitsuba_ref.cli.validate import html_output
+
+PROGRAMS = {
+    "caster": (caster.__main__.main, COMMANDS),
+    "mitsuba-ref": (mitsuba_ref.__main__.main, JUDGE_COMMANDS),
+}
+OUTPUT_TYPES = (OutputFile, output_file_unless_number, html_output)
+NUMBERS = {int, float}
+
+
+def parsers() -> Iterator[tuple[str, str, argparse.ArgumentParser]]:
+    for program, (_, commands) in PROGRAMS.items():
+        top = build_parser(program, "", commands, (0,))
+        (sub,) = (each for each in top._actions if isinstance(each, argparse._SubParsersAction))
+        yield from ((program, name, parser) for name, parser in sub.choices.items())
+
+
+def valued(parser: argparse.ArgumentParser) -> list[argparse.Action]:
+    return [action for action in parser._actions if action.nargs != 0 and action.choices is None]
+
+
+def words(action: argparse.Action, path: str) -> list[str]:
+    """An argument with this value; numbers where it takes several."""
+    count = action.nargs if isinstance(action.nargs, int) else 1
+    return [*action.option_strings[-1:], *["1"] * (count - 1), path]
+
+
+def value_for(action: argparse.Action, folder: Path) -> str:
+    """Some valid value of a required argument."""
+    if action.type in (InputPath, *OUTPUT_TYPES, OutputFolder):
+        return str(folder / f"other-{action.dest}.toml")
+    return "1"
+
+
+def pairs() -> Iterator[Any]:
+    """Every input with every output file of the same command."""
+    for program, name, parser in parsers():
+        inputs = [action for action in valued(parser) if action.type is InputPath]
+        outputs = [action for action in valued(parser) if action.type in OUTPUT_TYPES]
+        for source in inputs:
+            for output in outputs:
+                yield pytest.param(
+                    program, name, parser, source, output, id=f"{program}-{name}-{source.dest}-{output.dest}"
+                )
+
+
+ALIASES: dict[str, Callable[[Path], Path]] = {
+    "itself": lambda path: path,
+    "relative": lambda path: path.parent / "sub" / ".." / path.name,
+    "symbolic": lambda path: linked(path, os.symlink),
+    "hard": lambda path: linked(path, os.link),
+}
+
+
+def linked(path: Path, link: Callable[[Path, Path], None]) -> Path:
+    name = path.parent / "alias.html"
+    name.unlink(missing_ok=True)
+    link(path, name)
+    return name
+
+
+@pytest.mark.parametrize(("program", "name", "parser"), [*parsers()])
+def test_every_option_declares_whether_it_names_a_path(program, name, parser):
+    for action in valued(parser):
+        assert action.type is not None, (
+            f"{program} {name} {action.dest}: expected type=InputPath, OutputFile, ... or str"
+        )
+        path_like = any(
+            mark in str(action.metavar) for mark in ("FILE", "DIR", "PATH", "PNG", "IMAGE", ".exr")
+        )
+        if path_like:
+            assert action.type in (InputPath, OutputFolder, *OUTPUT_TYPES), f"{program} {name} {action.dest}"
+
+
+@pytest.mark.parametrize(("program", "name", "parser", "source", "output"), [*pairs()])
+def test_no_output_is_an_input(program, name, parser, source, output, tmp_path, capsys):
+    (tmp_path / "sub").mkdir()
+    precious = tmp_path / "precious.html"  # --html takes a file of this suffix
+    required = [each for each in valued(parser) if each.required and each not in (source, output)]
+    others = [words(action, value_for(action, tmp_path)) for action in required]
+    for alias in ALIASES.values():
+        precious.write_text("precious")
+        given = [words(source, str(precious)), words(output, str(alias(precious))), *others]
+        given.sort(key=lambda each: len(each) > 1)  # positional ones first
+        argv = [name, *(word for each in given for word in each)]
+        assert PROGRAMS[program][0](argv) == 2, argv
+        assert "expected another path than the input" in capsys.readouterr().err
+        assert precious.read_text() == "precious"
+
+
+def test_a_scene_of_an_input_folder_is_no_output(tmp_path, capsys):
+    (tmp_path / "a.toml").write_text("precious")
+    argv = ["validate", str(tmp_path), "--json", str(tmp_path / "a.toml")]
+    assert mitsuba_ref.__main__.main(argv) == 2
+    assert (tmp_path / "a.toml").read_text() == "precious"
+
+
+def test_a_mesh_of_the_scene_is_no_output(tmp_path, capsys):
+    """No argument names the mesh: it is recorded when it is read."""
+    mesh = tmp_path / "a.ply"
+    mesh.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    )
+    before = mesh.read_bytes()
+    scene = (
+        '[film]\nwidth = 4\nheight = 4\n[camera]\ntype = "pinhole"\neye = [0, 0, 3]\nlook_at = [0, 0, 0]\n'
+    )
+    (tmp_path / "s.toml").write_text(scene + '[[shape]]\ntype = "mesh"\nfile = "a.ply"\n')
+    os.link(mesh, tmp_path / "s.exr")
+    argv = ["render", str(tmp_path / "s.toml"), "-o", str(tmp_path / "s.exr"), "--aov", "depth"]
+    assert caster.__main__.main(argv) == 4
+    assert "input of the same command" in capsys.readouterr().err
+    assert mesh.read_bytes() == before
+
+
+def test_two_outputs_are_two_files(tmp_path, capsys):
+    argv = ["merge", str(tmp_path), "--json", str(tmp_path / "x"), "--junit", str(tmp_path / "." / "x")]
+    assert mitsuba_ref.__main__.main(argv) == 2
+    assert "expected another file than that of --json" in capsys.readouterr().err
+
+
+def test_a_second_run_in_one_folder_is_refused(tmp_path, capsys):
+    holder = (
+        "import sys; from caster.image.atomic_files import locked; from pathlib import Path\n"
+        "with locked(Path(sys.argv[1])): print('locked', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", holder, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        code = mitsuba_ref.__main__.main(["validate", "scenes/one-sphere.toml", "--out", str(tmp_path)])
+        other.communicate()
+    assert code == 4
+    assert "another run writes into this folder" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_folder_that_stays_empty_is_removed(tmp_path, capsys):
+    argv = ["validate", str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")]
+    assert mitsuba_ref.__main__.main(argv) == 4
+    assert not (tmp_path / "out").exists()
+
+
+# ---- temporary files ----
+
+
+def test_leftovers_of_dead_processes_are_removed_and_those_of_live_ones_stay(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    dead = tmp_path / f".{'0' * 16}.part"
+    dead.write_text("half")
+    (tmp_path / "mitsuba-ref-scratch-dead").mkdir()
+    (tmp_path / "mitsuba-ref-scratch-dead" / "job.npz").write_text("half")
+    with ScratchFolder() as first, atomic_write(tmp_path / "x") as live:
+        monkeypatch.setattr("caster.image.atomic_files._searched", set())
+        with ScratchFolder() as second:
+            write_text(tmp_path / "y", "")
+            found = {path.name for path in tmp_path.iterdir()}
+        assert found == {Path(first).name, Path(second).name, live.name, "y"}
+    assert {path.name for path in tmp_path.iterdir()} == {"x", "y"}
+
+
+def test_an_output_of_the_library_may_replace_what_it_read(tmp_path):
+    """Only a command records its inputs: a program may load, change and save a scene."""
+    text = Path("scenes/one-sphere.toml").read_text()
+    (tmp_path / "a.toml").write_text(text)
+    scene = caster.load_scene(tmp_path / "a.toml")
+    write_text(tmp_path / "a.toml", scene.to_toml())
+    with pytest.raises(OutputError, match="folder or a device"):
+        write_text(tmp_path, "")

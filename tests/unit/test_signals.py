@@ -1,0 +1,109 @@
+"""Signals end every command in the same way, whatever it is doing, and leave nothing behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from caster.cli import signals
+from mitsuba_ref.reference import subprocess_runner
+
+COMMAND = """
+import hashlib, sys, time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from caster.cli import signals
+from caster.cli.application import Command, main
+from caster.image.atomic_files import ScratchFolder, atomic_write
+signals.GRACE_SECONDS = 0.5
+def add_arguments(parser):
+    parser.add_argument("what", choices=("compiled", "threads", "orderly"))
+def endless():
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)  # without the interpreter's lock, and not to be interrupted
+def run(args):
+    with ScratchFolder(), atomic_write("out.txt"):
+        Path("ready").touch()
+        if args.what == "compiled":
+            endless()
+        elif args.what == "threads":
+            with ThreadPoolExecutor(1) as pool:
+                pool.submit(endless).result()
+        try:
+            time.sleep(60)
+        finally:
+            Path("kept").touch()
+sys.modules["command"] = sys.modules["__main__"]
+main("program", "", [Command("go", "", "command")], (0,), None)
+"""
+
+
+def started(folder: Path, what: str) -> subprocess.Popen[str]:
+    child = subprocess.Popen(
+        [sys.executable, "-c", COMMAND, "go", what],
+        cwd=folder,
+        env={**os.environ, "TMPDIR": str(folder), "PYTHONPATH": os.pathsep.join(sys.path)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 30.0
+    while not (folder / "ready").exists():
+        assert child.poll() is None and time.monotonic() < deadline, child.stderr and child.stderr.read()
+        time.sleep(0.01)
+    return child
+
+
+@pytest.mark.parametrize(
+    ("what", "number"),
+    [("compiled", signal.SIGTERM), ("threads", signal.SIGHUP), ("orderly", signal.SIGINT)],
+)
+def test_a_signal_ends_the_command_in_time_without_leftovers(what, number, tmp_path):
+    child = started(tmp_path, what)
+    child.send_signal(number)
+    _, err = child.communicate(timeout=5.0)
+    assert child.returncode == 130
+    assert "interrupted" in err and "Traceback" not in err
+    assert {path.name for path in tmp_path.iterdir()} <= {"ready", "kept"}
+    assert (tmp_path / "kept").exists() == (what == "orderly")
+
+
+def test_a_second_signal_ends_the_command_at_once(tmp_path):
+    child = started(tmp_path, "threads")
+    begin = time.monotonic()
+    child.send_signal(signal.SIGTERM)
+    time.sleep(0.05)
+    child.send_signal(signal.SIGTERM)
+    child.communicate(timeout=5.0)
+    assert (child.returncode, time.monotonic() - begin < 0.4) == (130, True)
+
+
+def test_an_ignored_signal_stays_ignored(monkeypatch):
+    """nohup starts a command with SIGHUP ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with signals.handled_signals():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_child_of_a_dead_parent_ends():
+    """The parent may end before the child has asked for its death signal."""
+    source = "from mitsuba_ref.reference.subprocess_runner import die_with_parent; die_with_parent(); print('lives')"
+    found = {}
+    for parent in (os.getpid(), 1):
+        environment = {
+            **os.environ,
+            subprocess_runner.PARENT_VARIABLE: str(parent),
+            "PYTHONPATH": os.pathsep.join(sys.path),
+        }
+        done = subprocess.run(
+            [sys.executable, "-c", source], env=environment, capture_output=True, text=True, check=False
+        )
+        found[parent] = done.stdout
+    assert found == {os.getpid(): "lives\n", 1: ""}
