@@ -12,9 +12,8 @@ from caster.description.errors import SceneError
 from caster.image.atomic_files import check_folder, write_text
 from caster.scene.model import Scene
 from mitsuba_ref.fuzz import cases
-from mitsuba_ref.fuzz.aims import RayBatch
 from mitsuba_ref.fuzz.cases import SCENE_ERRORS, Case, exception_finding, findings_of
-from mitsuba_ref.fuzz.checks import check_image, check_rays, prepared_scene
+from mitsuba_ref.fuzz.checks import check_image, check_rays
 from mitsuba_ref.fuzz.families import (
     FAMILIES,
     LIMIT_STREAM,
@@ -26,6 +25,8 @@ from mitsuba_ref.fuzz.families import (
 )
 from mitsuba_ref.fuzz.findings import Failure, Finding, Outcome, Tally, first_of_each_kind
 from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Budget, smallest_case
+from mitsuba_ref.judge.independent_checks.aims import RayBatch
+from mitsuba_ref.judge.independent_checks.exact_rays import prepared_scene
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.session import ResidentSession
 from mitsuba_ref.runner.validation import validate_scene

@@ -22,10 +22,11 @@ from caster.image.atomic_files import check_folder, write_text
 from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.fuzz.aims import RayBatch
-from mitsuba_ref.fuzz.checks import check_image, check_rays, prepared_scene
+from mitsuba_ref.fuzz.checks import check_image, check_rays
 from mitsuba_ref.fuzz.families import scene_of
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally
+from mitsuba_ref.judge.independent_checks.aims import RayBatch
+from mitsuba_ref.judge.independent_checks.exact_rays import prepared_scene
 from mitsuba_ref.oracle.oracle import OutsideDomain
 from mitsuba_ref.report.reproducers import with_hex_floats
 

@@ -9,13 +9,10 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
-from mitsuba_ref.fuzz import aims
-from mitsuba_ref.fuzz.aims import Aim, RayBatch, Targets, aimed_rays
 from mitsuba_ref.fuzz.groups import coincident_shapes, slivers, triangle_fan
 from mitsuba_ref.fuzz.settings import (
     FILM_SIZES,
     Fields,
-    Setting,
     bounded_types,
     log_uniform,
     random_camera,
@@ -26,6 +23,8 @@ from mitsuba_ref.fuzz.settings import (
     shape_types,
     vector,
 )
+from mitsuba_ref.judge.independent_checks import aims
+from mitsuba_ref.judge.independent_checks.aims import Aim, RayBatch, Setting, Targets, aimed_rays
 from mitsuba_ref.shapes.targets import Rng
 
 RAYS_PER_EXAMPLE = 40  # before those with limits

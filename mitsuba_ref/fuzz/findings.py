@@ -4,10 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from mitsuba_ref.experiment.results import aligned
-from mitsuba_ref.fuzz.aims import RayBatch
+from mitsuba_ref.judge.independent_checks.aims import RayBatch
 
 # The kinds of findings, the most informative first.
 FINDING_KINDS = {
@@ -89,10 +87,6 @@ def first_of_each_kind(findings: list[Finding]) -> list[Finding]:
     order = {kind: i for i, kind in enumerate(FINDING_KINDS)}
     firsts = {finding.kind: finding for finding in reversed(findings)}
     return sorted(firsts.values(), key=lambda finding: order[finding.kind])
-
-
-def t_text(t: float) -> str:
-    return f"{t!r} ({float(t).hex()})" if np.isfinite(t) else "a miss"
 
 
 @dataclass(frozen=True)

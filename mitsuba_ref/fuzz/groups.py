@@ -7,14 +7,13 @@ import numpy as np
 
 from mitsuba_ref.fuzz.settings import (
     Fields,
-    Setting,
     log_uniform,
-    perturbed_by_ulps,
     random_rotation,
     random_shape,
     shape_types,
     triangle_of,
 )
+from mitsuba_ref.judge.independent_checks.aims import Setting, perturbed_by_ulps
 from mitsuba_ref.shapes.targets import Rng
 
 Shapes = list[Fields]

@@ -8,15 +8,21 @@ from typing import Any
 import numpy as np
 
 from mitsuba_ref.experiment.results import aligned
-from mitsuba_ref.fuzz.aims import Targets, aimed_rays
 from mitsuba_ref.fuzz.campaign import KEPT_PER_KIND_AND_FAMILY, case_of
 from mitsuba_ref.fuzz.cases import SCENE_ERRORS, findings_of, write_kept
-from mitsuba_ref.fuzz.checks import adjudicate, cast_by_culling, concatenated, prepared_scene, with_limits
+from mitsuba_ref.fuzz.checks import adjudicate
 from mitsuba_ref.fuzz.families import scene_of, seed_of_name
 from mitsuba_ref.fuzz.findings import Failure, Finding, Outcome, Tally, first_of_each_kind
 from mitsuba_ref.fuzz.groups import nearly_equal_spheres
-from mitsuba_ref.fuzz.settings import Fields, Setting, random_camera, random_setting, random_shape
+from mitsuba_ref.fuzz.settings import Fields, random_camera, random_setting, random_shape
 from mitsuba_ref.fuzz.shrink import smallest_case
+from mitsuba_ref.judge.independent_checks.aims import Setting, Targets, aimed_rays
+from mitsuba_ref.judge.independent_checks.exact_rays import (
+    cast_by_culling,
+    concatenated,
+    prepared_scene,
+    with_limits,
+)
 from mitsuba_ref.shapes.targets import Rng
 
 RAYS_PER_SCENE = 2048

@@ -1,13 +1,13 @@
 """Random settings, transforms, shapes and cameras of fuzzed scenes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 
 from caster.description.errors import SceneError
 from mitsuba_ref import cameras
+from mitsuba_ref.judge.independent_checks.aims import Setting
 from mitsuba_ref.shapes import REFERENCES
 from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng, random_directions
 
@@ -17,37 +17,9 @@ Fields = dict[str, Any]  # of a shape, a camera or a film, as a scene file gives
 FILM_SIZES = ((5, 5), (6, 4), (4, 4), (7, 3))  # pixels; odd sides have a pixel in the centre of the view
 
 
-@dataclass(frozen=True)
-class Setting:
-    """Frame of a random scene: size, position, condition of transforms, lattice or not."""
-
-    size: float = 1.0  # of a shape, scene units; a power of two on the lattice
-    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    condition: float = 1.0  # upper bound, of the linear parts of to_world
-    lattice: bool = False
-
-    def on_lattice(self, points: np.ndarray) -> np.ndarray:
-        """The points, rounded to the lattice if this setting has one."""
-        if not self.lattice:
-            return points
-        step = self.size / LATTICE_STEPS
-        return step * np.round(points / step)
-
-
 def log_uniform(rng: Rng, low: float, high: float) -> float:
     """Random number between low and high, uniform in its logarithm."""
     return float(10.0 ** rng.uniform(np.log10(low), np.log10(high)))
-
-
-def perturbed_by_ulps(rng: Rng, numbers: np.ndarray, ulps: int = 2) -> np.ndarray:
-    """Each number moved by up to this many units in the last place."""
-    steps = rng.integers(-ulps, ulps + 1, np.shape(numbers))
-    out = np.array(numbers, np.float64)
-    with np.errstate(over="ignore", under="ignore"):
-        for step in range(1, ulps + 1):
-            beyond = np.nextafter(out, np.copysign(np.inf, steps))
-            out = np.where(np.abs(steps) >= step, beyond, out)
-    return out
 
 
 def random_rotation(rng: Rng) -> np.ndarray:

@@ -20,6 +20,7 @@ from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, scene_judge
 from mitsuba_ref.judge.formatting import format_primitive, reproducer_header
+from mitsuba_ref.judge.independent_checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import pixel_of
@@ -159,6 +160,20 @@ def write_reproducers(
             write_reproducer(path, judge, judgement, row, f"{source}, pixel ({x}, {y})")
             files.append(path.name)
     return StoredReproducers(tuple(files), left_out)
+
+
+def write_aimed_reproducers(
+    folder: Path, name: str, failures: Sequence[AimedFailure], source: str
+) -> StoredReproducers:
+    """NAME.knife-edge.K.toml for aimed rays that are wrong; `validate` of one shows the same. Raises OutputError."""
+    files = []
+    for number, failure in enumerate(failures):
+        path = folder / f"{name}.knife-edge.{number}.toml"
+        notes = ("all shapes of the scene: those of the two answers alone do not show it",) * failure.whole
+        head = [f"A ray aimed at {source}, in float64.", f"Wrong:     {failure.what}"]
+        write_text(path, Reproducer(failure.scene, (), notes).text(head))
+        files.append(path.name)
+    return StoredReproducers(tuple(files), 0)
 
 
 def write_reproducer(

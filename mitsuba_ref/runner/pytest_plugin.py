@@ -36,7 +36,17 @@ PIXEL_CHECKS = (
     "diffuse",
     "exact",
 )
-SCENE_CHECKS = ("placement", "geometry", "materials", "camera", "render", "culling", "sensor", "bias")
+SCENE_CHECKS = (
+    "placement",
+    "geometry",
+    "materials",
+    "camera",
+    "render",
+    "culling",
+    "knife_edges",
+    "sensor",
+    "bias",
+)
 VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and there is evidence
 SUFFIXES = (".toml", ".json")
 SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene

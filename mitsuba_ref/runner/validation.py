@@ -22,14 +22,20 @@ from mitsuba_ref.judge.aggregate import (
 from mitsuba_ref.judge.bias import check_bias, error_statistics
 from mitsuba_ref.judge.classification import judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
+from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges
 from mitsuba_ref.judge.scene_checks import CHECKS_OF_OUR_CASTER, CHECKS_OF_SHARED_INPUT, check_sensor
-from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.report.class_images import write_images
 from mitsuba_ref.report.html.evidence import Evidence
 from mitsuba_ref.report.html.html_report import write_report
-from mitsuba_ref.report.reproducers import StoredReproducers, with_replay, write_reproducers
+from mitsuba_ref.report.reproducers import (
+    StoredReproducers,
+    with_replay,
+    write_aimed_reproducers,
+    write_reproducers,
+)
 from mitsuba_ref.subjects.answer import NoAnswer
 from mitsuba_ref.subjects.function import function_subject
 from mitsuba_ref.subjects.ours import OURS
@@ -89,7 +95,13 @@ def validate_scene(
     """
     start = time.perf_counter()
     ours = subject is OURS
-    checks = tuple(check(scene) for check in CHECKS_OF_OUR_CASTER) if ours else ()
+    checks: tuple[SceneCheck, ...] = ()
+    stored = StoredReproducers((), 0)
+    if ours:
+        at_edges, wrong_rays = knife_edges(scene)
+        checks = (*(check(scene) for check in CHECKS_OF_OUR_CASTER), at_edges)
+        if folder:
+            stored = write_aimed_reproducers(folder, name, wrong_rays, path or name)
 
     def without_comparison(problem: str) -> SceneVerdict:
         x0, y0, x1, y1 = scene.film.window
@@ -103,6 +115,7 @@ def validate_scene(
             size=(scene.film.width, scene.film.height),
             candidate=subject.name,
             unjudged=() if ours else NEVER_GIVEN,
+            reproducers=stored.files,
         )
 
     try:
@@ -114,11 +127,12 @@ def validate_scene(
         return without_comparison(judge.message)
     judgement, pair, answer = judge.judge(), judge.pair, judge.answer
     diagnosis = diagnose(judge, judgement)
-    stored, errors = StoredReproducers((), 0), None
+    errors = None
     if folder:
         write_images(folder, name, judge, judgement)
     if folder and ours:
-        stored = write_reproducers(folder, name, judge, judgement, path or name)
+        of_pixels = write_reproducers(folder, name, judge, judgement, path or name)
+        stored = StoredReproducers((*of_pixels.files, *stored.files), of_pixels.left_out)
     if not ours:
         checks = tuple(check(response.scene) for check in CHECKS_OF_SHARED_INPUT)
     checks = (*checks, check_sensor(response.scene, pair.result))

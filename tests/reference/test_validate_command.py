@@ -200,6 +200,7 @@ def test_out_holds_the_verdict_and_the_pictures_it_is_about(ref, tmp_path):
         "camera",
         "sensor",
         "culling",
+        "knife_edges",
         "geometry",
     }
 

@@ -13,7 +13,8 @@ from caster.shapes import SHAPES
 from mitsuba_ref.fuzz.campaign import check_example
 from mitsuba_ref.fuzz.families import BY_NAME, FAMILIES, example, scene_of
 from mitsuba_ref.fuzz.findings import Tally
-from mitsuba_ref.fuzz.settings import Setting, perturbed_by_ulps, random_camera, random_setting, random_shape
+from mitsuba_ref.fuzz.settings import random_camera, random_setting, random_shape
+from mitsuba_ref.judge.independent_checks.aims import Setting, perturbed_by_ulps
 from mitsuba_ref.shapes import KINDS, kind_of
 
 FEW = 8  # examples of each family

@@ -1,14 +1,42 @@
 """Adversarial rays: aimed at corners, edges, rims and tangents of the primitives of a scene."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from caster.geometry.packing import Packed, primitive_count
-from mitsuba_ref.fuzz.settings import Setting, perturbed_by_ulps
 from mitsuba_ref.shapes import kind_of
-from mitsuba_ref.shapes.targets import POINT_KINDS, Rng, SurfacePoints, random_directions
+from mitsuba_ref.shapes.targets import LATTICE_STEPS, POINT_KINDS, Rng, SurfacePoints, random_directions
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Frame of a random scene: size, position, condition of transforms, lattice or not."""
+
+    size: float = 1.0  # of a shape, scene units; a power of two on the lattice
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    condition: float = 1.0  # upper bound, of the linear parts of to_world
+    lattice: bool = False
+
+    def on_lattice(self, points: np.ndarray) -> np.ndarray:
+        """The points, rounded to the lattice if this setting has one."""
+        if not self.lattice:
+            return points
+        step = self.size / LATTICE_STEPS
+        return step * np.round(points / step)
+
+
+def perturbed_by_ulps(rng: Rng, numbers: np.ndarray, ulps: int = 2) -> np.ndarray:
+    """Each number moved by up to this many units in the last place."""
+    steps = rng.integers(-ulps, ulps + 1, np.shape(numbers))
+    out = np.array(numbers, np.float64)
+    with np.errstate(over="ignore", under="ignore"):
+        for step in range(1, ulps + 1):
+            beyond = np.nextafter(out, np.copysign(np.inf, steps))
+            out = np.where(np.abs(steps) >= step, beyond, out)
+    return out
 
 
 class PrimitivePicks(NamedTuple):

@@ -1,0 +1,144 @@
+"""Rays aimed at edges, vertices, silhouettes and tangents of a scene, decided by exact arithmetic.
+
+Pixels of an image rarely meet a place where rounding decides. Here a few hundred rays of each scene do, in float64:
+an error bound of a kernel that is too small shows as another first hit, or as a t that is off.
+"""
+
+import zlib
+from typing import NamedTuple
+
+import numpy as np
+
+from caster.cameras.ray import Ray
+from caster.geometry.packing import Packed
+from caster.rendering.images import camera_rays
+from caster.scene.model import Film, Scene
+from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
+from mitsuba_ref.error_model.bounds import t_bounds
+from mitsuba_ref.judge.independent_checks.aims import ALL_AIMS, Aim, RayBatch, Setting, Targets, aimed_rays
+from mitsuba_ref.judge.independent_checks.exact_rays import (
+    PreparedScene,
+    cast_by_culling,
+    concatenated,
+    discrepancy,
+    error_models,
+    error_over_bound,
+    prepared_scene,
+    with_limits,
+)
+from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.shapes.targets import Rng
+
+# Rays of one scene: one for every so many pixels of its film, within limits, so that a small film stays quick.
+PIXELS_PER_AIMED_RAY = 4
+FEWEST_AIMED_RAYS, MOST_AIMED_RAYS = 32, 320
+SHARE_OF_OTHERS = (
+    0.1  # more rays of the scene's own camera, and as many cast again with t_min or t_max at the hit
+)
+SIZE_SAMPLES = 64  # points that the size of the scene is taken from
+REPRODUCERS = 2  # files of one scene
+
+
+class AimedFailure(NamedTuple):
+    """One ray with another first hit than exact arithmetic gives, or another t."""
+
+    what: str
+    scene: Scene  # one pixel, whose ray it is
+    whole: bool  # all shapes are there: the involved ones alone do not show it
+
+
+def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
+    """First hits of aimed rays against exact arithmetic: primitive, and t within its float64 bound.
+
+    Some of the rays that fail come with it, as scenes of one ray.
+    """
+    subject = prepared_scene(scene)
+    if not subject.oracle.count:
+        return SceneCheck("knife_edges", 0.0, "no primitive to aim at"), ()
+    rays = rays_at_edges(subject)
+    ratios, texts, prims = compare_exactly(subject, rays)
+    bad = np.flatnonzero(ratios > 1.0)
+    if not len(bad):
+        return SceneCheck("knife_edges", float(ratios.max()), f"{len(ratios)} aimed rays"), ()
+    found = tuple(
+        _failure(subject, rays.taken(slice(i, i + 1)), prims[i], texts[i]) for i in bad[:REPRODUCERS]
+    )
+    o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
+    words = f"{len(bad)} of {len(ratios)} aimed rays, first from {o} along {d}: {texts[bad[0]]}"
+    return SceneCheck("knife_edges", float(ratios.max()), words), found
+
+
+@np.errstate(all="ignore")  # of kernels in plain Python, on directions of 1e-30 and 1e30
+def rays_at_edges(subject: PreparedScene) -> RayBatch:
+    """Aimed rays, some of the camera's own, and some of both with other limits; the same for the same scene."""
+    rng = np.random.default_rng(content_seed(subject.packed))
+    targets = Targets(subject.packed)
+    aims = (*ALL_AIMS, _from_eye(np.array(subject.scene.camera.eye, np.float64)))
+    film = camera_rays(subject.scene, threads=1)
+    count = int(np.clip(len(film.o) // PIXELS_PER_AIMED_RAY, FEWEST_AIMED_RAYS, MOST_AIMED_RAYS))
+    others = int(SHARE_OF_OTHERS * count)
+    there = np.flatnonzero(film.t_max > 0.0)
+    rows = np.sort(rng.choice(there, min(others, len(there)), replace=False))
+    own = RayBatch(film.o, film.d, film.t_min, film.t_max).taken(rows)
+    rays = concatenated(own, aimed_rays(rng, targets, _setting(rng, targets), count, aims))
+    first = cast_by_culling(subject.packed, rays, "bvh")
+    return concatenated(rays, with_limits(rng, rays, first, others))
+
+
+def content_seed(packed: Packed) -> int:
+    """A number that depends on the geometry in world space alone, not on names and files."""
+    seed = 0
+    for part in packed.parts:
+        for array in part:
+            seed = zlib.crc32(np.ascontiguousarray(array).view(np.uint8).data, seed)
+    return seed
+
+
+def _setting(rng: Rng, targets: Targets) -> Setting:
+    """Centre and size of what is there: medians, so that one far primitive does not count."""
+    p = targets.points(rng, targets.pick(rng, SIZE_SAMPLES), "inside").p
+    center = np.median(p, axis=0)
+    size = float(np.median(np.abs(p - center).max(axis=1)))
+    x, y, z = center.tolist()
+    return Setting(size if size > 0.0 else 1.0, (x, y, z))
+
+
+def _from_eye(eye: np.ndarray) -> Aim:
+    def aim(rng: Rng, targets: Targets, setting: Setting, count: int) -> tuple[np.ndarray, np.ndarray]:
+        at = targets.points(rng, targets.pick(rng, count))
+        return np.tile(eye, (count, 1)), at.p - eye
+
+    return aim
+
+
+@np.errstate(all="ignore")
+def compare_exactly(subject: PreparedScene, rays: RayBatch) -> tuple[np.ndarray, list[str], list[set[int]]]:
+    """(error over bound (n,), inf for another first hit; that in words; the primitives of both answers)."""
+    ours = cast_by_culling(subject.packed, rays, "bvh")
+    answers = subject.oracle.first_hits(*rays)
+    bounds = t_bounds(error_models(subject.scene), subject.packed, ours, (rays.o, rays.d))
+    ratios, texts, prims = np.zeros(len(answers)), [], []
+    for i, row in enumerate(zip(answers, ours.t.tolist(), ours.prim.tolist(), bounds.tolist(), strict=True)):
+        kind, text = discrepancy(*row)
+        ratios[i] = error_over_bound(*row) if kind in ("", "t") else np.inf
+        if kind:
+            ratios[i] = max(ratios[i], np.nextafter(1.0, 2.0))
+        texts.append(text)
+        prims.append({hit.prim for hit in row[0].ties} | {row[2]} - {-1})
+    return ratio_of(ratios, np.ones(1)), texts, prims
+
+
+def _failure(subject: PreparedScene, ray: RayBatch, prims: set[int], text: str) -> AimedFailure:
+    """A scene of this ray and the shapes of both answers, or of all shapes where those do not show it."""
+    limit = float(ray.t_max[0])
+    camera = Ray(origin=ray.o[0], direction=ray.d[0], t_max=limit if 0.0 < limit < np.inf else None)
+    scene = subject.scene
+    shapes = sorted({int(subject.packed.shape_of(np.array([prim]))[0]) for prim in prims})
+    parts = {"film": Film(width=1, height=1), "camera": camera, "lights": (), "shading": scene.shading}
+    few = Scene(materials=scene.materials, shapes=[scene.shapes[i] for i in shapes], **parts)
+    if float(ray.t_min[0]) == 0.0:
+        again = prepared_scene(few)
+        if compare_exactly(again, ray)[0][0] > 1.0:
+            return AimedFailure(text, few, False)
+    whole = Scene(materials=scene.materials, shapes=scene.shapes, **parts)
+    return AimedFailure(text, whole, True)

@@ -1,0 +1,61 @@
+"""Aimed rays of a scene check: every kind is aimed at, the same scene gives the same rays, and errors show."""
+
+import numpy as np
+import pytest
+
+from caster.scene.model import Scene
+from mitsuba_ref.judge.independent_checks import knife_edges as module
+from mitsuba_ref.judge.independent_checks.exact_rays import cast_by_culling, prepared_scene
+from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges, rays_at_edges
+
+SHAPES = [
+    {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": 0.5},
+    {"type": "triangle", "vertices": [[-1.0, -1.0, -1.0], [1.0, -1.0, -1.0], [0.0, 1.0, -1.0]]},
+    {"type": "disk", "to_world": [{"translate": [2.0, 0.0, 0.0]}]},
+    {"type": "cylinder", "to_world": [{"translate": [-3.0, 0.0, 0.0]}]},
+]
+
+
+def scene_of(shapes=SHAPES, size=16):
+    camera = {"type": "pinhole", "eye": [0.0, 0.0, 5.0], "direction": [0.0, 0.0, -1.0]}
+    return Scene.model_validate({"film": {"width": size, "height": size}, "camera": camera, "shape": shapes})
+
+
+def test_rays_depend_on_the_geometry_alone():
+    first, second = (rays_at_edges(prepared_scene(scene_of())) for _ in range(2))
+    moved = rays_at_edges(prepared_scene(scene_of([*SHAPES[1:], {"type": "sphere", "radius": 0.25}])))
+    assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+    assert not np.array_equal(first.d, moved.d)
+
+
+def test_many_rays_hit_edges_rims_and_tangents_of_every_shape():
+    subject = prepared_scene(scene_of(size=40))
+    rays = rays_at_edges(subject)
+    hits = [hit for answer in subject.oracle.first_hits(*rays) for hit in answer.ties]
+    assert {hit.prim for hit in hits} == {0, 1, 2, 3}
+    assert sum(hit.where != "inside" for hit in hits) >= 20
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda hits: hits._replace(t=np.nextafter(hits.t, np.inf) * (1.0 + 1e-9)), "off"),
+        (
+            lambda hits: hits._replace(prim=np.full_like(hits.prim, -1), t=np.full_like(hits.t, np.inf)),
+            "ours misses",
+        ),
+        (lambda hits: hits._replace(prim=np.where(hits.prim == 2, 3, hits.prim)), "ours hits primitive 3"),
+    ],
+)
+def test_a_wrong_hit_fails_with_a_scene_of_its_ray(monkeypatch, spoil, words):
+    check, failures = knife_edges(scene_of())
+    assert check.ok and not failures
+    monkeypatch.setattr(module, "cast_by_culling", lambda *given: spoil(cast_by_culling(*given)))
+    check, failures = knife_edges(scene_of())
+    assert not check.ok and words in check.what
+    assert failures and all(failure.scene.camera.type == "ray" for failure in failures)
+
+
+def test_nothing_to_aim_at_is_no_failure():
+    check, failures = knife_edges(scene_of([]))
+    assert check.ok and check.what == "no primitive to aim at" and not failures
