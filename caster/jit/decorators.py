@@ -24,7 +24,7 @@ from caster.jit.arguments import (
     named_tuple_names,
     signature_key,
 )
-from caster.jit.kernel_cache import COMPILED, cache_folder
+from caster.jit.kernel_cache import COMPILED, CompileResultCache, cache_folder
 from caster.jit.simd import (
     CHILDREN,
     FAR_PADDING,
@@ -41,11 +41,7 @@ from caster.jit.simd import (
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-OPTIONS = {
-    "cache": True,
-    "nogil": True,
-    "error_model": "numpy",
-}  # no fast-math, IEEE division, no GIL, kept on disk
+OPTIONS = {"nogil": True, "error_model": "numpy"}  # no fast-math, IEEE division, no GIL
 
 GIVES = {"none": "", "int64": INTEGER, "float64": REAL}  # what machine code can answer, by Numba's names
 
@@ -80,27 +76,13 @@ def _class_ids(args: Any) -> list[Any]:
     return [(id(type(arg)), _class_ids(arg)) for arg in args if isinstance(arg, tuple)]
 
 
-class _CacheOfOwn:
-    """Numba's cache of a dispatcher, for arguments whose classes are cacheable; none for others."""
-
-    def __init__(self, cache: Any) -> None:
-        self._cache = cache
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._cache, name)
-
-    def load_overload(self, signature: Any, context: Any) -> Any:
-        return self._cache.load_overload(signature, context) if self._keeps(signature) else None
-
-    def save_overload(self, signature: Any, result: Any) -> None:
-        if self._keeps(signature):
-            self._cache.save_overload(signature, result)
-
-    def _keeps(self, types: Any) -> bool:
-        return all(
-            is_cacheable(getattr(each, "instance_class", int)) and self._keeps(getattr(each, "types", ()))
-            for each in getattr(types, "args", types)
-        )
+def _cacheable_signature(types: Any) -> bool:
+    """Whether that holds for the classes of all tuples in a signature of Numba, or among some of its types."""
+    return all(
+        is_cacheable(getattr(each, "instance_class", int))
+        and _cacheable_signature(getattr(each, "types", ()))
+        for each in getattr(types, "args", types)
+    )
 
 
 class CompilationLog:
@@ -123,9 +105,6 @@ def _numba() -> Any:
     numba: Any = importlib.import_module("numba")
     importlib.import_module("numba.extending")
     importlib.import_module("numba.core.event")
-    numba.config.CACHE_DIR = str(
-        cache_folder()
-    )  # also where NUMBA_CACHE_DIR names another: that one outlives edits
     for entry in _GENERICS.values():
         entry.overload(numba)
     _overload_lanes(numba)
@@ -141,7 +120,7 @@ class Kernel:
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         update_wrapper(self, function)
         self.function = function
-        self.options = {**OPTIONS, "cache": _is_own(function.__module__), **options}
+        self.options = {**OPTIONS, **options}
         self._calls: dict[str | None, Callable[..., Any]] = {}  # by `signature_key` the arguments
         self._latest: dict[type, Callable[..., Any]] = {}  # by the class of the first argument
         self._dispatcher: Any = None
@@ -165,7 +144,9 @@ class Kernel:
         with _LOCK:
             if self._dispatcher is None:
                 self._dispatcher = _numba().njit(**self.options)(self.function)
-                self._dispatcher._cache = _CacheOfOwn(self._dispatcher._cache)
+                if _is_own(self.function.__module__):
+                    name = f"{self.function.__module__}.{self.function.__qualname__}"
+                    self._dispatcher._cache = CompileResultCache(name, _cacheable_signature, _numba())
             return self._dispatcher
 
     @property
@@ -179,11 +160,11 @@ class Kernel:
         with _LOCK:
             call = self._calls.get(key) if key is not None else None
             if call is None:
-                code = None if key is None else self._found(key, args) or self._made(key, args)
-                if code is None:
+                call = None if key is None else self._found(key, args) or self._made(key, args)
+                if call is None:
                     self._compiled(args)
                     COMPILATION_LOG.slowly.append(_named(self.__name__, args))
-                call = self.dispatcher if code is None else checked_call(args, code.entry(), code.gives)
+                    call = self.dispatcher
                 self._calls[key] = call
         if call is not self._dispatcher:  # which serves all arguments
             self._latest[type(args[0])] = call
@@ -203,15 +184,16 @@ class Kernel:
     def _kept(self, args: tuple[Any, ...]) -> bool:
         return _is_own(self.function.__module__) and _all_cacheable(args)
 
-    def _found(self, key: str, args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
-        if not self._kept(args):
-            return None
-        code = machine_code.read(self._place(key)[1])
-        if code is not None:
+    def _found(self, key: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
+        """Machine code from the cache; None if there is none that can be loaded."""
+        symbol, path = self._place(key)
+        code = machine_code.read(path) if self._kept(args) else None
+        call = _loaded(code, args) if code is not None and code.symbol == symbol else None
+        if call is not None:
             COMPILATION_LOG.loaded.append(_named(self.__name__, args))
-        return code
+        return call
 
-    def _made(self, key: str, args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
+    def _made(self, key: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
         """Compiled, and kept; None if it needs Numba to run."""
         result = self._compiled(args)
         gives = GIVES.get(str(result.signature.return_type))
@@ -222,7 +204,7 @@ class Kernel:
         code = machine_code.extract_object_code(result.library, function, symbol, argument_forms(args), gives)
         if code is not None and self._kept(args):
             code.write(path)
-        return code
+        return None if code is None else _loaded(code, args)
 
     def _compiled(self, args: tuple[Any, ...]) -> Any:
         """Numba's result for such arguments, counted once."""
@@ -255,6 +237,14 @@ def _announcing(numba: Any, name: str) -> Iterator[None]:
 
     with numba.core.event.install_listener("numba:compile", Listener()):
         yield
+
+
+def _loaded(code: machine_code.ObjectCode, args: tuple[Any, ...]) -> Callable[..., Any] | None:
+    """Machine code in this process, to be called with such arguments; None where LLVM cannot load it."""
+    try:
+        return checked_call(args, code.entry(), code.gives)
+    except (RuntimeError, OSError, KeyError):
+        return None
 
 
 def _named(name: str, args: tuple[Any, ...]) -> str:

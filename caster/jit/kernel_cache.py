@@ -1,15 +1,18 @@
-"""The cache folder of compiled kernels, whose name changes with every source file of the package."""
+"""The cache of compiled kernels: its folder, named after the sources, and its files, each sealed by a digest."""
 
 import atexit
 import contextlib
 import hashlib
 import os
+import pickle
 import shutil
 import stat
 import tempfile
+from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 PACKAGE = Path(__file__).resolve().parents[1]
 MAX_CACHE_FOLDERS = 4  # one for each of a few checkouts that are worked on in turn
@@ -19,6 +22,7 @@ WITHOUT_KERNELS = (
     "cli",
     "image",
 )  # folders that no kernel, and no argument of one, comes from
+NOWHERE = Path(os.devnull) / "kernels"  # a folder that cannot exist: nothing is read, nothing written
 
 
 def compiler_version() -> str:
@@ -86,7 +90,10 @@ def distrust(found: os.stat_result) -> str:
 
 
 def _temporary_folder() -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="caster-kernels-"))  # which only this user may enter
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="caster-kernels-"))  # which only this user may enter
+    except OSError:  # a full disk, or none
+        return NOWHERE
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
@@ -105,15 +112,74 @@ def write_atomically(path: Path, data: bytes) -> None:
         try:
             with open(handle, "wb") as file:
                 file.write(data)
+                file.flush()
+                os.fsync(handle)  # or a name could outlive a power cut without its content
             os.replace(name, path)
         except OSError:
             os.unlink(name)
             raise
 
 
-def read_trusted(path: Path) -> bytes:
-    """The content of a file that nobody else can have written. Raises OSError for any other."""
+def write_sealed(path: Path, data: bytes) -> None:
+    """Write a file below the SHA-256 of its name and content; OSErrors are dropped, as in `write_atomically`."""
+    write_atomically(path, _seal(path, data) + b"\n" + data)
+
+
+def read_sealed(path: Path) -> bytes:
+    """The content of a file as `write_sealed` wrote it under this name.
+
+    Raises OSError where it cannot be read or another user may have written it, ValueError where any byte differs.
+    """
     with path.open("rb") as file:
         if why := distrust(os.fstat(file.fileno())):
             raise PermissionError(f"{path}: {why}")
-        return file.read()
+        seal, _, data = file.read().partition(b"\n")
+    if seal != _seal(path, data):
+        raise ValueError(f"{path}: its digest does not fit its content")
+    return data
+
+
+def _seal(path: Path, data: bytes) -> bytes:
+    return hashlib.sha256(path.name.encode() + b"\0" + data).hexdigest().encode()
+
+
+class CompileResultCache:
+    """Numba's cache interface of one dispatcher over sealed files; what cannot be loaded is compiled again.
+
+    Numba's own files are pickles without a digest: a flipped bit in one is executed. name: of the function; keeps:
+    whether results for a signature may be kept; numba: the loaded module. Nothing here raises: without a cache
+    everything is compiled.
+    """
+
+    cache_path = None  # Numba lists it among a dispatcher's statistics
+
+    def __init__(self, name: str, keeps: Callable[[Any], bool], numba: Any) -> None:
+        self._name, self._keeps, self._numba = name, keeps, numba
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        if not self._keeps(signature):
+            return None
+        context.refresh()
+        key = (signature, context.codegen().magic_tuple())
+        path = self._path(key)
+        try:
+            kept_key, payload = pickle.loads(read_sealed(path))
+            if kept_key != key:  # two classes of one name
+                return None
+            return self._numba.core.compiler.CompileResult._rebuild(context, *payload)
+        except FileNotFoundError:
+            return None
+        except Exception:  # whatever a damaged or foreign file leads to: it is compiled once more
+            with contextlib.suppress(OSError):
+                path.unlink()
+            return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        if not self._keeps(signature) or result.lifted or result.library.has_dynamic_globals:
+            return
+        key = (signature, result.codegen.magic_tuple())
+        write_sealed(self._path(key), self._numba.core.serialize.dumps((key, result._reduce())))
+
+    def _path(self, key: Any) -> Path:
+        digest = hashlib.sha256(f"{self._name}\n{key}".encode()).hexdigest()[:32]
+        return cache_folder() / f"{self._name.rpartition('.')[2]}-{digest}.numba"

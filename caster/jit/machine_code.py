@@ -5,7 +5,6 @@ it frees before it returns, so that a record is all of its memory.
 """
 
 import ctypes
-import hashlib
 import json
 import os
 import platform
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from caster.jit.arguments import ARRAY, BOOLEAN, INTEGER, NONE, REAL, C, Form
-from caster.jit.kernel_cache import read_trusted, write_atomically
+from caster.jit.kernel_cache import read_sealed, write_sealed
 
 # A record as Numba's code reads it: count of references, two fields for others, address of the data, size of the data.
 RECORD = 64  # bytes, of which it reads 40
@@ -148,28 +147,17 @@ class ObjectCode:
         return prototype(_load(self.symbol, self.data))
 
     def write(self, path: Path) -> None:
-        about = {
-            "symbol": self.symbol,
-            "taken": self.taken,
-            "gives": self.gives,
-            "sha256": _digest(self.data),
-        }
-        write_atomically(path, json.dumps(about).encode() + b"\n" + self.data)
+        head = json.dumps({"symbol": self.symbol, "taken": self.taken, "gives": self.gives})
+        write_sealed(path, head.encode() + b"\n" + self.data)
 
 
 def read(path: Path) -> ObjectCode | None:
-    """What was written; None if it is not there, not whole, or may be by another user."""
+    """What was written; None if it is not there, not what was written, or may be by another user."""
     try:
-        head, _, data = read_trusted(path).partition(b"\n")
-        about = json.loads(head)
-        code = ObjectCode(about["symbol"], about["taken"], about["gives"], data)
-        return code if about["sha256"] == _digest(data) else None
-    except (OSError, ValueError, KeyError, TypeError):
+        head, _, data = read_sealed(path).partition(b"\n")
+        return ObjectCode(**json.loads(head), data=data)
+    except (OSError, ValueError, TypeError):
         return None
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
 
 
 @cache
@@ -188,7 +176,10 @@ def _load(symbol: str, data: bytes) -> int:
     engine = _engine()
     engine.add_object_file(llvm.ObjectFileRef.from_data(data))
     engine.finalize_object()
-    return int(engine.get_function_address(symbol))
+    address = int(engine.get_function_address(symbol))
+    if not address:
+        raise RuntimeError(f"no {symbol} in this object code")
+    return address
 
 
 def extract_object_code(

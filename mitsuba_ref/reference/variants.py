@@ -1,5 +1,6 @@
 """Mitsuba's variants: which of them work on this machine, found by tracing a small scene in a child process."""
 
+import contextlib
 import glob
 import hashlib
 import importlib.metadata
@@ -123,7 +124,7 @@ def usable_variants() -> Variants:
     candidates = list(_candidates())
     key = _cache_key(candidates)
     if key not in _usable_by_key:
-        _usable_by_key[key] = _load_cached(key) or _try_variants(candidates, key)
+        _usable_by_key[key] = _load_cached(key, candidates) or _try_variants(candidates, key)
     return _usable_by_key[key]
 
 
@@ -221,26 +222,30 @@ def _cache_file(key: str) -> Path:
     return Path(home) / "caster" / "variants" / f"{key}.json"
 
 
-def _load_cached(key: str) -> Variants | None:
-    """The cached outcome; None where there is none that can be read."""
+def _load_cached(key: str, candidates: list[str]) -> Variants | None:
+    """The cached outcome; None where there is none that can be read, or its library is none of the candidates.
+
+    The library is loaded, which runs its code: a path that only the file names is not taken.
+    """
     try:
         values: dict[str, Any] = json.loads(_cache_file(key).read_text(encoding="utf-8"))
         found = Variants(**values)
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, TypeError, RecursionError):
         return None
-    return found if found.scalar is True and _is_consistent(found) else None
-
-
-def _is_consistent(found: Variants) -> bool:
-    return isinstance(found.why, str) and found.llvm is isinstance(found.libllvm, str)
+    library = (
+        found.libllvm in candidates if found.llvm is True else found.llvm is False and found.libllvm is None
+    )
+    return found if found.scalar is True and isinstance(found.why, str) and library else None
 
 
 def _store_cached(key: str, found: Variants) -> None:
+    """Keep the outcome; where that fails, the next process takes a second or two to find it again."""
     file = _cache_file(key)
+    part = file.with_suffix(f".{os.getpid()}")
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(f".{os.getpid()}")
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         part.write_text(json.dumps(asdict(found)), encoding="utf-8")
         os.replace(part, file)
-    except OSError:  # it costs the next process a second or two
-        pass
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)

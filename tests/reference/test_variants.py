@@ -249,3 +249,23 @@ def test_a_choice_that_does_not_work_here_is_an_error_that_says_why(libraries, t
     monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, "llvm_ad_rgb")
     with pytest.raises(VariantError, match=r"'llvm_ad_rgb': it does not work here: .*libLLVM-14.so.1: abort"):
         variant_for(False)
+
+
+def test_a_library_that_only_the_kept_file_names_is_not_loaded(libraries, trials, monkeypatch):
+    """Whoever may write the file would have code run: its path has to be one that was found on this machine."""
+    before = usable_variants()
+    (kept,) = (Path(os.environ["XDG_CACHE_HOME"]) / "caster/variants").glob("*.json")
+    written = kept.read_text(encoding="utf-8")
+    planted = str(kept.with_name("libLLVM.so.99"))
+    for text in (
+        written.replace(before.libllvm, planted),
+        json.dumps(json.loads(written) | {"llvm": False}),
+        json.dumps(json.loads(written) | {"libllvm": None}),
+        json.dumps(json.loads(written) | {"llvm": 1}),
+        "[" * 100_000,
+    ):
+        assert text != written
+        kept.write_text(text, encoding="utf-8")
+        forget(monkeypatch)
+        trials.clear()
+        assert usable_variants() == before and trials

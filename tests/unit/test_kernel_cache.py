@@ -1,15 +1,22 @@
 """Kernels are compiled once: what was done for them is counted, in processes with a cache folder of their own."""
 
+import itertools
 import os
+import platform
+import random
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import llvmlite.binding as llvm
+import numpy as np
 import pytest
 
-from caster.jit import machine_code
+from caster.jit import kernel_cache, machine_code
 from caster.jit.arguments import MISMATCH, checked_call, signature_key
-from caster.jit.kernel_cache import COMPILED, compiler_version, source_hash
+from caster.jit.kernel_cache import COMPILED, compiler_version, read_sealed, source_hash
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -53,18 +60,161 @@ def test_all_that_is_kept_lies_in_a_folder_named_after_the_source(tmp_path):
     done = run(tmp_path / "home", "-c", SMALL, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
     assert done.returncode == 0, done.stderr
     assert [path.name for path in (tmp_path / "kept").iterdir()] == [source_hash(compiler_version())]
-    assert list((tmp_path / "kept").rglob("*.nbi")) and not (tmp_path / "home").exists()
+    assert list((tmp_path / "kept").rglob("*.numba")) and not (tmp_path / "home").exists()
 
 
-def test_a_kept_kernel_that_is_damaged_is_compiled_anew(tmp_path):
-    run(tmp_path, "-c", SMALL)
-    kept = sorted(tmp_path.rglob("*.o"))
-    assert len(kept) == 3
-    kept[0].write_bytes(kept[0].read_bytes()[:-100])
-    kept[1].write_bytes(b"")
-    third = run(tmp_path, "-c", SMALL)
-    assert third.returncode == 0, third.stderr
-    assert third.stdout.endswith("True\n") and machine_code.read(kept[0]) is not None
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A folder with the cache of three kernels, as one process left it."""
+    home = tmp_path_factory.mktemp("kept")
+    assert run(home, "-c", SMALL).returncode == 0
+    return home
+
+
+def files(home: Path) -> list[Path]:
+    found = sorted(path for path in home.rglob("*") if path.is_file())
+    assert {path.suffix for path in found} == {".o", ".numba"} and len(found) >= 6
+    return found
+
+
+def flipped(data: bytes, rng: random.Random) -> bytes:
+    """One bit of a hundred places: of the digest, of the header, of the code."""
+    changed = bytearray(data)
+    for at in {0, 63, 64, 70, *(rng.randrange(len(data)) for _ in range(100))}:
+        changed[at] ^= 1 << rng.randrange(8)
+    return bytes(changed)
+
+
+DAMAGE = {
+    "bits": flipped,
+    "one bit": lambda data, rng: data[:90] + bytes([data[90] ^ 1]) + data[91:],
+    "truncated": lambda data, rng: data[: rng.randrange(len(data))],
+    "empty": lambda data, rng: b"",
+    "longer": lambda data, rng: data + b"\0",
+    "another file": lambda data, rng: b"[" * 100_000,
+}
+
+
+@pytest.mark.parametrize("turn", range(2))
+def test_kept_kernels_that_are_damaged_are_compiled_anew(kept, tmp_path, turn):
+    """Every file of the cache at once, Numba's compile results included; after that the cache is whole again."""
+    shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
+    rng = random.Random(turn)
+    for path, damage in zip(files(tmp_path), itertools.cycle([*DAMAGE.values()][turn:]), strict=False):
+        path.write_bytes(damage(path.read_bytes(), rng))
+    after = run(tmp_path, "-c", SMALL)
+    assert after.returncode == 0 and after.stdout.endswith("compiled 3 loaded 0 True\n"), after.stderr
+    assert all(read_sealed(path) for path in files(tmp_path))
+
+
+def test_no_byte_of_a_kept_file_can_change(kept, tmp_path):
+    """Neither can its name: the code of one kernel is never loaded as another's."""
+    whole = min(files(kept), key=lambda path: path.stat().st_size)
+    data, copy = whole.read_bytes(), tmp_path / whole.name
+    copy.write_bytes(data)
+    copy.chmod(0o600)
+    assert read_sealed(copy) == data.partition(b"\n")[2]
+    for at in range(len(data)):
+        copy.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+        with pytest.raises(ValueError, match="digest"):
+            read_sealed(copy)
+    copy.write_bytes(data)
+    with pytest.raises(ValueError, match="digest"):
+        read_sealed(copy.rename(tmp_path / "other.o"))
+
+
+def test_code_that_llvm_cannot_load_is_compiled_anew(kept, tmp_path):
+    """Sealed as it should be, and yet no object code: of another version of this package, say."""
+    shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
+    (path,) = (path for path in files(tmp_path) if path.name.startswith("clear_rays-caster_"))
+    code = machine_code.read(path)
+    assert code is not None
+    machine_code.ObjectCode("caster_other", code.taken, code.gives, code.data).write(path)
+    after = run(tmp_path, "-c", SMALL)
+    assert after.returncode == 0 and after.stdout.endswith("compiled 0 loaded 3 True\n"), after.stderr
+    assert machine_code.read(path).symbol == code.symbol
+
+
+def test_a_disk_without_room_means_no_cache(tmp_path):
+    """No file may grow beyond 1,000 bytes: kernels are compiled in each process, and nothing half-written stays."""
+    limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n" + SMALL
+    for _ in range(2):
+        done = run(tmp_path, "-c", limited)
+        assert done.returncode == 0 and done.stdout.endswith("compiled 3 loaded 0 True\n"), done.stderr
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_no_folder_at_all_means_no_cache(tmp_path):
+    done = run(tmp_path / "no", "-c", SMALL, XDG_CACHE_HOME=os.devnull, TMPDIR=os.devnull)
+    assert done.returncode == 0 and done.stdout.endswith("compiled 3 loaded 0 True\n"), done.stderr
+
+
+# ---- the name of the folder ----
+
+
+def source_copy(folder: Path) -> list[Path]:
+    """The sources that kernels come from, copied; the largest of them first."""
+    for path in (ROOT / "caster").rglob("*.py"):
+        copy = folder / path.relative_to(ROOT / "caster")
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(path.read_bytes())
+    left_out = {folder / name for name in kernel_cache.WITHOUT_KERNELS}
+    found = [path for path in folder.rglob("*.py") if not left_out & set(path.parents)]
+    return sorted(found, key=lambda path: -path.stat().st_size)
+
+
+def unchanged_names(folder: Path, name_of, places=8) -> Iterator[str]:
+    """The places of bytes that may change without the name: the ends of every source, and some between."""
+    rng = random.Random(7)
+    paths = source_copy(folder)
+    assert paths[0].stat().st_size > 3 * 4096  # so that a digest of a file's first block is found
+    before = name_of("compiler")
+    for path in paths:
+        data = path.read_bytes()
+        middle = [rng.randrange(len(data)) for _ in range(places)] if path in paths[:12] else []
+        for at in sorted({0, len(data) - 1, *middle}) if data else ():
+            path.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+            if name_of("compiler") == before:
+                yield f"{path.relative_to(folder)}:{at}"
+        path.write_bytes(data)
+    assert name_of("compiler") == before
+
+
+def test_any_byte_of_any_source_changes_the_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(kernel_cache, "PACKAGE", tmp_path)
+    assert not list(unchanged_names(tmp_path, source_hash))
+    assert len({source_hash(version) for version in ("numba 1", "numba 2", "")}) == 3
+    before = source_hash("compiler")
+    (tmp_path / "kernels/nearest.py").rename(tmp_path / "kernels/farthest.py")
+    assert source_hash("compiler") != before
+
+
+@pytest.mark.parametrize(
+    "digest_of",
+    [
+        lambda data: data[:4096],
+        lambda data: data.strip(),
+        lambda data: bytes(len(data)),
+        lambda data: b"".join(sorted(data.splitlines()[:100])),
+    ],
+    ids=["first 4096 bytes", "stripped", "size", "first lines"],
+)
+def test_a_digest_that_leaves_out_a_part_is_found(tmp_path, monkeypatch, digest_of):
+    class Planted(type(tmp_path)):
+        def read_bytes(self):
+            return digest_of(super().read_bytes())
+
+    monkeypatch.setattr(kernel_cache, "PACKAGE", Planted(tmp_path))
+    assert any(unchanged_names(tmp_path, source_hash))
+
+
+def test_another_machine_or_setting_has_its_own_entries(monkeypatch):
+    monkeypatch.setenv("NUMBA_OPT", "3")
+    before = machine_code.target_description.__wrapped__()
+    for part in (platform.python_version(), np.__version__, llvm.get_host_cpu_name(), "NUMBA_OPT=3"):
+        assert part in before
+    monkeypatch.setenv("NUMBA_OPT", "1")
+    assert machine_code.target_description.__wrapped__() != before
 
 
 def test_a_render_says_when_it_compiles_and_loads_no_compiler_when_it_need_not(tmp_path):
@@ -85,8 +235,6 @@ print(sorted({{"numba", "llvmlite"}} & set(sys.modules)))
 
 def test_a_call_made_for_some_classes_of_arguments_takes_no_others():
     """Machine code reads memory as it is told: an array of another type would be read beyond its end."""
-    import numpy as np
-
     args = (np.zeros((3, 2)), 1, 2.5, (4, None))
     call = checked_call(args, lambda *flat: 0, "")
     assert call(*args) is None and call(np.ones((9, 2)), 7, np.float64(1), (0, None)) is None
