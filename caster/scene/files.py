@@ -1,7 +1,7 @@
 """Scene files: loading and validation, resolution of mesh paths, and the JSON Schema."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,11 +19,11 @@ from caster.description.errors import (
     value_diagnostic,
 )
 from caster.description.registry import type_name
-from caster.scene.model import Scene
+from caster.scene.model import Film, Scene
 from caster.scene.text import SceneFormat, format_diagnostics, parse, read_text
 from caster.shapes import SHAPES
 
-__all__ = ["MeshFolders", "load_scene", "resolve_mesh_files"]
+__all__ = ["MeshFolders", "film_pixels", "load_scene", "resolve_mesh_files"]
 
 
 def _mesh_shape(kind: Any) -> Any:
@@ -111,6 +111,20 @@ def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str
             f"{where}: unknown scene format: expected a file ending in {' or '.join(SCENE_FORMATS)}"
         )
     return scene_from_text(read_text(where), kind, where, folder=Path(where).parent, mesh_dirs=mesh_dirs)
+
+
+def film_pixels(path: str | PathLike[str], size: Sequence[int] | None = None) -> int:
+    """Pixels of the window of a scene file, without reading its meshes; 1 where the file has no valid film.
+
+    size: width and height of the film instead of the scene's own.
+    """
+    try:
+        data, _ = parse(read_text(path), SCENE_FORMATS[Path(path).suffix.lower()], "")
+        film = Film.model_validate(child_of(data, "film") or {})
+        x0, y0, x1, y1 = (film.resized(*size) if size else film).window
+    except (SceneError, ValidationError, MemoryError, KeyError):
+        return 1
+    return (x1 - x0) * (y1 - y0)
 
 
 def scene_from_text(

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, TextIO
 from caster.cli.exit_codes import DIFFERENCES, FILE, NOTHING_SELECTED, OK
 from caster.cli.path_arguments import InputPath, OutputFolder
 from caster.cli.scene_arguments import mesh_dir_options
+from caster.description.errors import SceneError
 from mitsuba_ref.cli.options import add_selection, selected_entries
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.approval import Proposal, ReferenceCheck
-    from mitsuba_ref.runner.scene_runner import SceneEntry
+    from mitsuba_ref.runner.scene_runner import Entry, SceneSource
 
 # Stated here as well, since loading the approval loads the kernels (tests/unit/test_cli_help.py compares).
 MODES = ("missing", "changed", "all")
@@ -56,8 +57,8 @@ def add_references(parser: argparse.ArgumentParser, folder: type[str]) -> None:
     add("--variant", type=str, metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
 
 
-def selection(args: argparse.Namespace) -> list[SceneEntry]:
-    """The selected scenes, loaded. Raises SceneError, also for an unknown variant."""
+def selection(args: argparse.Namespace) -> list[SceneSource]:
+    """The selected scenes. Raises SceneError, also for an unknown variant."""
     if args.variant:
         from mitsuba_ref.reference.variants import VARIANT_NAMES, VariantError
 
@@ -76,12 +77,22 @@ def run_approve(args: argparse.Namespace) -> int:
         return NOTHING_SELECTED
     folder = Path(args.references)
     from caster.image.atomic_files import check_folder
-    from mitsuba_ref.exr_compare.approval import propose, unused_references
-    from mitsuba_ref.runner.scene_runner import map_in_order
+    from mitsuba_ref.exr_compare.approval import Proposal, propose, unused_references
+    from mitsuba_ref.runner.scene_runner import map_in_order, problem_of
 
-    def proposal_of(entry: SceneEntry) -> Proposal:
+    def proposal_of(entry: Entry) -> Proposal:
         command = approve_command(args, entry.path)
-        return propose(entry.scene, entry.name, entry.path, folder, args.update, args.variant, command)
+        try:
+            scene = entry.load().scene
+            return propose(scene, entry.name, entry.path, folder, args.update, args.variant, command)
+        except (SceneError, MemoryError) as error:
+            return Proposal(
+                entry.name,
+                folder / f"{entry.name}.exr",
+                "failed",
+                False,
+                tuple(problem_of(error).splitlines()),
+            )
 
     out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
     found = []
@@ -146,16 +157,20 @@ def run_check(args: argparse.Namespace) -> int:
     if not entries:
         return NOTHING_SELECTED
     from caster.image.atomic_files import ScratchFolder
-    from mitsuba_ref.exr_compare.approval import ReferenceChecks, check_scene
+    from mitsuba_ref.exr_compare.approval import ReferenceCheck, ReferenceChecks, check_scene
     from mitsuba_ref.report.text_table import print_lines
-    from mitsuba_ref.runner.scene_runner import map_in_order
+    from mitsuba_ref.runner.scene_runner import map_in_order, problem_of
 
     with ScratchFolder() as scratch:
 
-        def check_of(entry: SceneEntry) -> ReferenceCheck:
+        def check_of(entry: Entry) -> ReferenceCheck:
             path = Path(args.references) / f"{entry.name}.exr"
             options = args.variant, args.fresh, args.max_pixels
-            return check_scene(entry.scene, entry.name, entry.path, path, Path(scratch), *options)
+            try:
+                scene = entry.load().scene
+                return check_scene(scene, entry.name, entry.path, path, Path(scratch), *options)
+            except (SceneError, MemoryError) as error:
+                return ReferenceCheck(entry.name, str(path), False, tuple(problem_of(error).splitlines()))
 
         out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
         found = []

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from caster.cli.path_arguments import InputPath, OutputFile
-from caster.cli.scene_arguments import add_mesh_dirs, display_names, scene_files
+from caster.cli.scene_arguments import add_mesh_dirs, display_names, error_prefix, scene_files
 from caster.description.errors import SceneError
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.runner.scene_runner import SceneEntry
+    from mitsuba_ref.runner.scene_runner import SceneSource
     from mitsuba_ref.subjects.subject import Subject
 
 # Stated here as well, since loading the judge loads the kernels (tests/unit/test_cli_help.py compares).
@@ -66,23 +66,22 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     add_mesh_dirs(parser)
 
 
-def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
-    """The selected scenes, loaded; where there is none, this is printed. Raises SceneError with every error."""
-    from mitsuba_ref.runner.scene_runner import load_entry
+def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
+    """The selected scenes, not loaded yet; where there is none, this is printed. Raises SceneError."""
+    from caster.scene.model import Film
+    from mitsuba_ref.runner.scene_runner import source_of
     from mitsuba_ref.runner.scene_selection import matching
 
     fits = matching(args.expression)
     files = [file for file in scene_files(args.scenes) if fits(Path(file).stem)]
-    entries, errors = [], []
-    for file, name in zip(files, display_names(files), strict=True):
-        try:
-            again = candidate_words(args)
-            entries.append(load_entry(file, name, size=args.size, mesh_dirs=args.mesh_dir, options=again))
-        except SceneError as error:
-            errors.append(error)
-    if errors:
-        worst = min(errors, key=lambda error: error.exit_code)
-        raise type(worst)("\n".join(map(str, errors)))
+    if args.size:
+        with error_prefix("--size", *args.size):
+            Film(width=args.size[0], height=args.size[1])
+    again = candidate_words(args)
+    entries = [
+        source_of(file, name, size=args.size, mesh_dirs=args.mesh_dir, options=again)
+        for file, name in zip(files, display_names(files), strict=True)
+    ]
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
         print(f"nothing selected: no scene file{fitting} in {', '.join(args.scenes)}", file=sys.stderr)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+import traceback
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.cli.exit_codes import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
 from caster.description.errors import SceneError
 from mitsuba_ref.cli.options import (
@@ -25,6 +27,7 @@ from mitsuba_ref.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from mitsuba_ref.judge.verdict import Verdict
     from mitsuba_ref.runner.shards import Shard
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
 
@@ -89,7 +92,25 @@ def run(args: argparse.Namespace) -> int:
         finally:
             if removed := running.finish_report(verdict):
                 print(removed, file=sys.stderr)
-    return OK if verdict.ok else DIFFERENCES
+    return exit_code(verdict, running.errors)
+
+
+def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
+    """0 where all pass; 70 or 4 for an internal error or a file that cannot be written; 2 or 4 where nothing else
+    fails than scenes that cannot be loaded; else 1."""
+    from caster.image.atomic_files import OutputError
+
+    if verdict.ok:
+        return OK
+    for error in errors:
+        if not isinstance(error, (SceneError, MemoryError, OSError)):
+            traceback.print_exception(error)
+            return INTERNAL
+    if any(isinstance(error, OutputError) for error in errors):
+        return FILE
+    codes = [error.exit_code if isinstance(error, SceneError) else USAGE for error in errors]
+    alone = sum(not scene.ok for scene in verdict.scenes) + len(verdict.not_judged) == len(codes)
+    return min(codes) if codes and alone else DIFFERENCES
 
 
 def check_outputs(args: argparse.Namespace) -> None:

@@ -151,9 +151,9 @@ class ScenePlugin:
         named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
         try:
             entry = scene_runner.load_entry(named, path.stem, size=self.size, mesh_dirs=self.mesh_dirs)
-            (verdict,) = scene_runner.run([entry], workers=1)
-        except SceneError as error:
+        except (SceneError, MemoryError) as error:
             return str(error)
+        (verdict,) = scene_runner.run([entry], workers=1)
         return verdict
 
 
@@ -218,7 +218,9 @@ class CheckItem(pytest.Item):
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
         if text := check_problem(plugin.verdict_of(self.path), self.name):
-            raise CheckFailed(text)
+            from caster.cli.printable_stream import printable
+
+            raise CheckFailed(printable(text))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """The text alone, and its first line in the summary; a traceback only for unexpected exceptions."""

@@ -3,17 +3,19 @@
 import os
 import threading
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+from caster.cli import signals
 from caster.cli.progress import ProgressBar
 from caster.cli.scene_arguments import error_prefix
 from caster.description.errors import SceneError
-from caster.scene.files import load_scene
+from caster.image.atomic_files import OutputError
+from caster.scene.files import film_pixels, load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
@@ -23,10 +25,12 @@ from mitsuba_ref.runner.validation import validate_scene
 
 Result = TypeVar("Result")
 
+INTERRUPTED_SECONDS = 1.5  # for scenes that are being judged to end after an interruption
+
 
 @dataclass(frozen=True)
 class SceneEntry:
-    """A scene to validate."""
+    """A loaded scene to validate."""
 
     scene: Scene
     name: str
@@ -34,9 +38,51 @@ class SceneEntry:
     resized: bool = False  # by --size, which a replay has to repeat
     options: tuple[str, ...] = ()  # others that a replay has to repeat
 
+    @property
+    def pixels(self) -> int:
+        """Rays of the film window."""
+        x0, y0, x1, y1 = self.scene.film.window
+        return (x1 - x0) * (y1 - y0)
 
+    def load(self) -> "SceneEntry":
+        """Itself."""
+        return self
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """A scene file to validate, loaded when its turn comes and released after it."""
+
+    name: str
+    path: str
+    pixels: int  # of the film window, for progress and shards
+    size: tuple[int, int] | None = None  # of the film instead of the scene's own
+    mesh_dirs: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+
+    def load(self) -> SceneEntry:
+        """Read the file. Raises SceneError, FileMissing."""
+        return load_entry(
+            self.path, self.name, size=self.size, mesh_dirs=self.mesh_dirs, options=self.options
+        )
+
+
+Entry = SceneEntry | SceneSource
 JudgeScene = Callable[[SceneEntry, Path | None], SceneVerdict]
 """Judges one scene; the folder, if any, receives the images of subject and reference."""
+
+
+def source_of(
+    path: str,
+    name: str,
+    *,
+    size: Sequence[int] | None = None,
+    mesh_dirs: Sequence[str] = (),
+    options: tuple[str, ...] = (),
+) -> SceneSource:
+    """A scene file of which only the film is read yet; parameters as of `load_entry`."""
+    film = (size[0], size[1]) if size else None
+    return SceneSource(name, path, film_pixels(path, film), film, tuple(mesh_dirs), options)
 
 
 def load_entry(
@@ -65,45 +111,56 @@ def default_workers() -> int:
 
 
 def map_in_order(
-    work: Callable[[SceneEntry], Result], entries: Sequence[SceneEntry], workers: int | None = None
+    work: Callable[[Entry], Result], entries: Sequence[Entry], workers: int | None = None
 ) -> Generator[Result, None, None]:
     """work(entry) for each, several at a time, in order; after an interruption no further one is started."""
     stop = threading.Event()
 
-    def unless_stopped(entry: SceneEntry) -> Result | None:
+    def unless_stopped(entry: Entry) -> Result | None:
         return None if stop.is_set() else work(entry)
 
     pool = ThreadPoolExecutor(workers or default_workers())
+    futures = [pool.submit(unless_stopped, entry) for entry in entries]
     try:
-        for future in [pool.submit(unless_stopped, entry) for entry in entries]:
+        for place, future in enumerate(futures):
             result = future.result()
             assert result is not None  # only after a stop, and then no result is read
+            futures[place] = Future()  # whoever has the result may release it
             yield result
     finally:
         stop.set()
         pool.shutdown(wait=False, cancel_futures=True)
         subprocess_runner.kill_subprocesses()
-        pool.shutdown(wait=True)
+        if signals.interrupted.is_set():  # work in compiled code ends with the process
+            wait([each for each in futures if each.running()], timeout=INTERRUPTED_SECONDS)
+        else:
+            pool.shutdown(wait=True)
         subprocess_runner.allow_subprocesses()
 
 
 def run(
-    entries: Sequence[SceneEntry],
+    entries: Sequence[Entry],
     workers: int,
     maxfail: int | None = None,
     folder: Path | None = None,
     judge: JudgeScene | None = None,
     record: Callable[[SceneVerdict], SceneVerdict] | None = None,
+    on_error: Callable[[Exception], None] = lambda error: None,
 ) -> Generator[SceneVerdict, None, None]:
     """Verdicts in the order of the entries; at most maxfail that fail. folder: for images of subject and reference.
 
     record: called by the worker with verdict and evidence; returns it without the evidence, to keep memory small.
+    A scene that cannot be loaded, judged or written has a verdict with that problem; on_error gets the exception.
     """
     judge = judge or partial(judge_entry, keep=record is not None)
 
-    def work(entry: SceneEntry) -> SceneVerdict:
-        verdict = judge(entry, folder)
-        return record(verdict) if record else verdict
+    def work(entry: Entry) -> SceneVerdict:
+        try:
+            verdict = judge(entry.load(), folder)
+            return record(verdict) if record else verdict
+        except Exception as error:
+            on_error(error)
+            return with_replay(SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error)))
 
     failed = 0
     with closing(map_in_order(work, entries, workers)) as verdicts:
@@ -112,6 +169,19 @@ def run(
             failed += not verdict.ok
             if maxfail is not None and failed >= maxfail:
                 return
+
+
+def problem_of(error: Exception) -> str:
+    """Why a scene has no verdict."""
+    if isinstance(error, OutputError):
+        return f"cannot be written: {error}"
+    if isinstance(error, SceneError):
+        return f"cannot be judged: {error}"
+    if isinstance(error, MemoryError):
+        return f"cannot be judged: not enough memory{f': {error}' if str(error) else ''}"
+    if isinstance(error, OSError):
+        return f"cannot be judged: {error.filename or 'a file'}: {error.strerror or error}"
+    return f"internal error, please report it: {type(error).__name__}: {error}"
 
 
 def judge_entry(
@@ -127,25 +197,21 @@ def judge_entry(
     """
     try:
         verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep)
+    except OutputError:
+        raise
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
-        verdict = SceneVerdict(entry.name, entry.path, problem=f"cannot be judged: {error}")
+        verdict = SceneVerdict(entry.name, entry.path, problem=problem_of(error))
     found = replace(
         verdict, resized=entry.resized, options=entry.options, composition=scene_statistics(entry.scene)
     )
     return with_replay(found)
 
 
-def progress_bar(entries: Sequence[SceneEntry]) -> ProgressBar:
+def progress_bar(entries: Sequence[Entry]) -> ProgressBar:
     """A bar over all rays: scenes differ too much in size to count scenes."""
-    return ProgressBar("validating", sum(map(ray_count, entries)), "rays")
+    return ProgressBar("validating", sum(entry.pixels for entry in entries), "rays")
 
 
-def count_scene(bar: ProgressBar, entries: Sequence[SceneEntry], done: int) -> None:
+def count_scene(bar: ProgressBar, entries: Sequence[Entry], done: int) -> None:
     """Advance the bar by scene number `done`, counted from 1."""
-    bar.add(ray_count(entries[done - 1]), f"{done} of {len(entries)} scenes")
-
-
-def ray_count(entry: SceneEntry) -> int:
-    """Rays of the film window."""
-    x0, y0, x1, y1 = entry.scene.film.window
-    return (x1 - x0) * (y1 - y0)
+    bar.add(entries[done - 1].pixels, f"{done} of {len(entries)} scenes")

@@ -7,6 +7,9 @@ from caster.description.errors import SceneError
 
 TOKENS = re.compile(r"\s*([()]|[^\s()]+)")
 
+MAX_DEPTH = 50  # nested parentheses
+MAX_SHOWN = 200  # characters of an expression in its error
+
 Predicate = Callable[[str], bool]
 
 
@@ -26,7 +29,7 @@ class _Reader:
     def __init__(self, expression: str):
         self.expression = expression
         self.tokens: Sequence[str] = TOKENS.findall(expression)
-        self.place = 0
+        self.place, self.depth = 0, 0
 
     def read(self) -> Predicate:
         predicate = self._any()
@@ -47,11 +50,19 @@ class _Reader:
         return lambda name: all(part(name) for part in parts)
 
     def _one(self) -> Predicate:
-        if self._take("not"):
-            inner = self._one()
-            return lambda name: not inner(name)
+        negated = False
+        while self._take("not"):
+            negated = not negated
+        inner = self._atom()
+        return (lambda name: not inner(name)) if negated else inner
+
+    def _atom(self) -> Predicate:
         if self._take("("):
+            self.depth += 1
+            if self.depth > MAX_DEPTH:
+                raise self._error(f"more than {MAX_DEPTH} parentheses are nested")
             inner = self._any()
+            self.depth -= 1
             if not self._take(")"):
                 raise self._error("a ')' is missing")
             return inner
@@ -68,5 +79,5 @@ class _Reader:
 
     def _error(self, what: str) -> SceneError:
         return SceneError(
-            f"-k {self.expression!r}: expected parts of names with and, or, not and parentheses; {what}"
+            f"-k {self.expression[:MAX_SHOWN]!r}: expected parts of names with and, or, not and parentheses; {what}"
         )

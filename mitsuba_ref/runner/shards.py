@@ -5,17 +5,17 @@ import heapq
 import importlib.metadata
 import platform
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 from caster.cli.exit_codes import NOT_COMPARABLE
 from caster.description.errors import SceneError
-from caster.rendering.images import film_window
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
-from mitsuba_ref.runner.scene_runner import SceneEntry
+from mitsuba_ref.runner.scene_runner import Entry
 
 # Python, OpenEXR and pydantic read and write; these compute.
 COMPUTING_LIBRARIES = ("mitsuba", "drjit", "numpy", "numba", "llvmlite")
@@ -24,6 +24,7 @@ RECORDED_PER_SCENE = (
     "drjit",
 )  # versions in each answer of Mitsuba; variants differ between scenes
 NONE = "none"
+MAX_MISSING_LISTED = 50  # shards; --shard 1/100000000 is valid
 
 
 def judged_with() -> dict[str, str]:
@@ -98,15 +99,16 @@ def parse_shard(text: str) -> Shard:
     raise argparse.ArgumentTypeError(f"expected I/N with 1 <= I <= N, such as 2/4, got '{text}'")
 
 
-def scenes_of_shard(entries: Sequence[SceneEntry], shard: Shard) -> list[SceneEntry]:
+def scenes_of_shard(entries: Sequence[Entry], shard: Shard) -> list[Entry]:
     """The entries of one shard, in their order. Each entry is in exactly one of the shards.
 
     The largest first, each to the shard with the fewest pixels so far: none has more than 4/3 of the optimum
     (Graham 1969). It depends only on names and film sizes.
     """
-    pixels = [film_window(entry.scene).width * film_window(entry.scene).height for entry in entries]
+    pixels = [entry.pixels for entry in entries]
     order = sorted(range(len(entries)), key=lambda i: (-pixels[i], entries[i].name, i))
-    loads = [(0, number) for number in range(1, shard.parts + 1)]
+    used = min(shard.parts, len(entries))  # no shard gets a second scene before every one has its first
+    loads = [(0, number) for number in range(1, used + 1)]
     mine = set()
     for i in order:
         load, number = heapq.heappop(loads)
@@ -166,8 +168,15 @@ def merge_verdicts(
         first, shard="", selected=(), scene_count=len(names), names=names, judged_with=judged_with
     )
     whole = replace(whole, scenes=tuple(scenes[name] for name in names if name in scenes))
-    missing = [f"shard {number}/{count} is missing" for number in range(1, count + 1) if number not in files]
-    return whole, missing
+    return whole, missing_shards(count, files)
+
+
+def missing_shards(count: int, present: Collection[int]) -> list[str]:
+    """A line for each shard that is missing, at most MAX_MISSING_LISTED; then how many more."""
+    missing = (number for number in range(1, count + 1) if number not in present)
+    listed = [f"shard {number}/{count} is missing" for number in islice(missing, MAX_MISSING_LISTED)]
+    more = count - len(present) - len(listed)
+    return [*listed, f"{more} more shards are missing"] if more else listed
 
 
 def check_same_subject_and_film(parts: Sequence[tuple[str, Verdict]]) -> None:

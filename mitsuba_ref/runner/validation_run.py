@@ -4,16 +4,17 @@ import hashlib
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from caster.description.errors import SceneError
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.report.html.html_report import HtmlReport
 from mitsuba_ref.report.output_manifest import OutFolder, RemovedFiles
 from mitsuba_ref.runner import scene_runner
 from mitsuba_ref.runner.resume import ResumableResults, code_hash, recorded
-from mitsuba_ref.runner.scene_runner import JudgeScene, SceneEntry
+from mitsuba_ref.runner.scene_runner import Entry, JudgeScene, SceneEntry
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard
 from mitsuba_ref.runner.validation import validate_scene
 from mitsuba_ref.subjects.subject import Subject
@@ -36,13 +37,14 @@ class ValidationRun:
     """Judges scenes one after the other; `verdict` and `finish` hold for those that are done so far."""
 
     def __init__(
-        self, entries: Sequence[SceneEntry], options: RunOptions, candidate: Subject | None = None
+        self, entries: Sequence[Entry], options: RunOptions, candidate: Subject | None = None
     ) -> None:
         """entries: the scenes of all shards; candidate: in place of our caster. Raises OutputError."""
         self.every, self.options, self.candidate = entries, options, candidate
         self.entries = scenes_of_shard(entries, options.shard) if options.shard else list(entries)
         self.candidate_name = candidate.name if candidate else ""
         self.done: list[SceneVerdict] = []
+        self.errors: list[Exception] = []  # of scenes that could not be loaded, judged or written
         self.out = OutFolder(options.out) if options.out else None
         self.html = HtmlReport(options.html, len(self.entries), self.candidate_name) if options.html else None
 
@@ -54,7 +56,13 @@ class ValidationRun:
         workers = self.options.workers or scene_runner.default_workers()
         record = self.html.keep if self.html else None
         running = scene_runner.run(
-            self.entries, workers, self.options.maxfail, self.options.out, judge, record
+            self.entries,
+            workers,
+            self.options.maxfail,
+            self.options.out,
+            judge,
+            record,
+            self.errors.append,
         )
         with closing(running), closing(scene_runner.progress_bar(self.entries)) as bar:
             for verdict in running:
@@ -68,7 +76,7 @@ class ValidationRun:
     def verdict(self) -> Verdict:
         """Of all scenes that are done."""
         names = tuple(entry.name for entry in self.entries)
-        identity = run_identity(self.every, self.options.shard)
+        identity = self._identity
         return Verdict(
             tuple(self.done),
             scene_count=len(names),
@@ -76,6 +84,10 @@ class ValidationRun:
             requested_candidate=self.candidate_name,
             **identity,
         )
+
+    @cached_property
+    def _identity(self) -> dict[str, Any]:
+        return run_identity(self.every, self.options.shard)
 
     def remove_obsolete(self, verdict: Verdict) -> RemovedFiles:
         """Remove files that earlier runs wrote into `out` and this one did not. Raises OutputError."""
@@ -116,13 +128,21 @@ def candidate_judge(candidate: Subject, *, keep: bool) -> JudgeScene:
     return judge
 
 
-def run_identity(every: Sequence[SceneEntry], shard: Shard | None) -> dict[str, Any]:
+def run_identity(every: Sequence[Entry], shard: Shard | None) -> dict[str, Any]:
     """Fields of a Verdict that name the sources and versions that judged. every: the scenes of all shards."""
     if shard is None:
         return {"code": code_hash(), "judged_with": judged_with()}
     # The scenes are a part of the hash, so that shards of other scenes of the same names are not merged.
     code = hashlib.sha256(code_hash().encode())
     for entry in every:
-        code.update(f"\0{entry.name}\0{entry.scene.sha256()}".encode())
+        code.update(f"\0{entry.name}\0{scene_identity(entry)}".encode())
     names = tuple(entry.name for entry in every)
     return {"code": code.hexdigest(), "judged_with": judged_with(), "shard": str(shard), "selected": names}
+
+
+def scene_identity(entry: Entry) -> str:
+    """The hash of a scene and its meshes, which are released again; "" where it cannot be loaded."""
+    try:
+        return entry.load().scene.sha256()
+    except (SceneError, MemoryError):
+        return ""
