@@ -1,0 +1,108 @@
+"""Scenes are loaded when their turn comes, and what fails about one of them is its row."""
+
+import gc
+import json
+import time
+import weakref
+from pathlib import Path
+
+import pytest
+
+import mitsuba_ref.__main__
+from caster.description.errors import SceneError
+from caster.image.atomic_files import OutputError
+from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict
+from mitsuba_ref.runner import scene_runner, validation_run
+from mitsuba_ref.runner.scene_runner import SceneEntry, run, source_of
+from mitsuba_ref.runner.scene_selection import matching
+from mitsuba_ref.runner.shards import Shard, missing_shards, scenes_of_shard
+
+SCENE = """[film]
+width = 8
+height = 4
+[camera]
+type = "pinhole"
+eye = [0, 0, 3]
+look_at = [0, 0, 0]
+[[shape]]
+type = "sphere"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Thirty scenes, of which the third cannot be parsed."""
+    scenes = tmp_path / "scenes"
+    scenes.mkdir()
+    for i in range(30):
+        (scenes / f"s{i:02}.toml").write_text(SCENE if i != 2 else "[film\n")
+    return scenes
+
+
+def passed(entry: SceneEntry, folder: Path | None) -> SceneVerdict:
+    counts = {name: 32 * (name == "agree") for name in CLASSES}
+    return SceneVerdict(entry.name, entry.path, entry.pixels, hit_pixels=32, counts=counts)
+
+
+def test_few_scenes_are_in_memory_at_a_time(folder):
+    alive: weakref.WeakSet = weakref.WeakSet()
+    most = 0
+
+    def judge(entry, out):
+        nonlocal most
+        alive.add(entry)
+        most = max(most, len(alive))
+        return passed(entry, out)
+
+    sources = [source_of(str(path), path.stem) for path in sorted(folder.iterdir())]
+    assert [source.pixels for source in sources[:4]] == [32, 32, 1, 32]
+    found = list(run(sources, 2, judge=judge))
+    gc.collect()
+    assert [verdict.name for verdict in found] == [f"s{i:02}" for i in range(30)]
+    assert most <= 4 and len(alive) == 0
+
+
+ERRORS = {
+    "s04": (
+        MemoryError("Unable to allocate 64. GiB"),
+        "cannot be judged: not enough memory: Unable to allocate",
+    ),
+    "s05": (OutputError("s05.ours.exr: cannot write: full"), "cannot be written: s05.ours.exr"),
+    "s06": (OSError(5, "Input/output error", "mesh.ply"), "cannot be judged: mesh.ply: Input/output error"),
+    "s07": (ZeroDivisionError("division by zero"), "internal error, please report it: ZeroDivisionError"),
+    "s08": (SceneError("no reference"), "cannot be judged: no reference"),
+}
+
+
+@pytest.mark.parametrize(
+    ("failing", "code"), [((), 2), (("s04",), 2), (("s06",), 2), (("s04", "s05"), 4), (tuple(ERRORS), 70)]
+)
+def test_any_error_is_a_row_and_the_verdict_is_written(folder, tmp_path, monkeypatch, capsys, failing, code):
+    def judge(entry, out, **options):
+        if entry.name in failing:
+            raise ERRORS[entry.name][0]
+        return passed(entry, out)
+
+    monkeypatch.setattr(scene_runner, "judge_entry", judge)
+    monkeypatch.setattr("mitsuba_ref.reference.variants.variant_for", lambda **_: "scalar_rgb")
+    monkeypatch.setattr(validation_run, "run_identity", lambda *_: {})
+    out = tmp_path / "verdict.json"
+    assert mitsuba_ref.__main__.main(["validate", str(folder), "-j", "2", "--json", str(out)]) == code
+    rows = {row["name"]: row for row in json.loads(out.read_text())["scenes"]}
+    assert len(rows) == 30 and {name for name, row in rows.items() if not row["ok"]} == {"s02", *failing}
+    assert "s02.toml:1:6: not valid TOML" in rows["s02"]["problem"]
+    assert all(rows[name]["problem"].startswith(ERRORS[name][1]) for name in failing)
+    assert ("Traceback" in capsys.readouterr().err) == (code == 70)
+
+
+def test_work_is_in_proportion_to_scenes_and_words(folder):
+    begin = time.process_time()
+    sources = [source_of(str(path), path.stem) for path in sorted(folder.iterdir())]
+    parts = [scenes_of_shard(sources, Shard(part, 10**8)) for part in (1, 30, 31, 10**8)]
+    assert [len(part) for part in parts] == [1, 1, 0, 0]
+    lines = missing_shards(10**8, {1})
+    assert (len(lines), lines[-1]) == (51, "99999949 more shards are missing")
+    assert matching("not " * 10_001 + "a")("b") and matching("(" * 50 + "a" + ")" * 50)("a")
+    with pytest.raises(SceneError, match="more than 50 parentheses are nested"):
+        matching("(" * 100_000)
+    assert time.process_time() - begin < 2.0
