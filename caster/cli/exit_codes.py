@@ -15,12 +15,14 @@ from caster.description.errors import SceneError
 __all__ = [
     "DIFFERENCES",
     "FILE",
+    "INTERNAL",
     "INTERRUPTED",
     "MEANINGS",
     "NOTHING_SELECTED",
     "NOT_COMPARABLE",
     "OK",
     "PIPE_CLOSED",
+    "USAGE",
     "reopen_closed_streams",
 ]
 
