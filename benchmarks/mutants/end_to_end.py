@@ -11,6 +11,9 @@ from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.reference.session import ResidentSession
 from mitsuba_ref.runner.validation import validate_scene
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::RuntimeWarning"
+)  # NumPy's scalars warn where machine code does not
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = 3  # of each family and group
 GROUPS = 2

@@ -49,6 +49,7 @@ class Mutant(NamedTuple):
     old: str
     new: str
     where: str  # the function or class around it; "" for the module
+    at_import: bool  # runs when the module is imported, not when a function is called
 
     def applied(self, source: bytes) -> bytes:
         return source[: self.start] + self.new.encode() + source[self.end :]
@@ -94,6 +95,7 @@ class _Walk:
 
     def __init__(self, source: bytes) -> None:
         self.source = source
+        self.depth = 0  # functions around the statement
         self.lines = [0]
         for line in source.split(b"\n"):
             self.lines.append(self.lines[-1] + len(line) + 1)
@@ -102,7 +104,7 @@ class _Walk:
         start = self.lines[node.lineno - 1] + node.col_offset
         end = self.lines[node.end_lineno - 1] + node.end_col_offset
         old = self.source[start:end].decode()
-        return Mutant(operator, start, end, node.lineno, node.end_lineno, old, new, where)
+        return Mutant(operator, start, end, node.lineno, node.end_lineno, old, new, where, self.depth == 0)
 
     def visit_body(self, body: list[ast.stmt], where: str) -> Iterator[Mutant]:
         for statement in body:
@@ -114,7 +116,9 @@ class _Walk:
             if not isinstance(node, ast.ClassDef):
                 for default in (*node.args.defaults, *filter(None, node.args.kw_defaults)):
                     yield from self.expression(default, inside)
+            self.depth += not isinstance(node, ast.ClassDef)
             yield from self.visit_body(node.body, inside)
+            self.depth -= not isinstance(node, ast.ClassDef)
             return
         if isinstance(node, ast.Import | ast.ImportFrom) or _is_excluded(node):
             return

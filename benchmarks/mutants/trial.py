@@ -171,13 +171,17 @@ class Chosen:
             self.report.write_text(json.dumps({"test": test, "what": what[:200]}), encoding="utf-8")
 
 
+def _give_up(number: int, frame: FrameType | None) -> None:
+    pytest.fail("slower than what is used")
+
+
 class Measured:
     """Writes a line of JSON for each test that passes: its CPU seconds and the lines of the packages it executes."""
 
     options = ()
 
-    def __init__(self, tree: Path, out: Path) -> None:
-        self.out = out
+    def __init__(self, tree: Path, out: Path, slowest: float) -> None:
+        self.out, self.slowest = out, slowest  # CPU seconds, after which a test is given up
         self.prefixes = tuple(f"{tree}/{package}/" for package in PACKAGES)
         self.skip = len(str(tree)) + 1
         self.lines: set[tuple[str, int]] = set()
@@ -189,11 +193,14 @@ class Measured:
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
         self.lines, self.calls, self.passed = set(), {}, False
         start = time.process_time() + sum(os.times()[2:4])
+        signal.signal(signal.SIGPROF, _give_up)
+        signal.setitimer(signal.ITIMER_PROF, self.slowest)
         sys.settrace(self._call)
         try:
             return (yield)
         finally:
             sys.settrace(None)
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
             seconds = time.process_time() + sum(os.times()[2:4]) - start
             if self.passed:
                 files: dict[str, list[int]] = {}
