@@ -9,6 +9,16 @@ COMMANDS = (
         "mitsuba_ref.cli.validate",
     ),
     Command(
+        "judge",
+        "compare answers that were computed elsewhere with Mitsuba: hits of any rays, or an EXR file",
+        "mitsuba_ref.cli.judge",
+    ),
+    Command(
+        "rays",
+        "write rays to a file for `judge`: a scene's camera rays, shadow rays, random or aimed ones",
+        "mitsuba_ref.cli.rays",
+    ),
+    Command(
         "merge",
         "merge the verdicts of all shards of a run; a missing one fails",
         "mitsuba_ref.cli.validate",

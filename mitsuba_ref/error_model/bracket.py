@@ -97,12 +97,13 @@ NOT_CLAIMED = np.zeros((0, 3))  # of a normal or a position, of all rays
 class Claims(NamedTuple):
     """The claimed hits of n rays."""
 
-    t: np.ndarray  # (n,) inf on a miss
+    t: np.ndarray  # (n,) inf on a miss; NaN: a hit at no claimed t
     shape: np.ndarray  # (n,) index, -1 on a miss, ANY_SHAPE
     n: np.ndarray  # (n, 3), or NOT_CLAIMED, as all below
     sh_n: np.ndarray = NOT_CLAIMED  # (n, 3)
     p: np.ndarray = NOT_CLAIMED  # (n, 3)
     t_rounding: float | np.ndarray = 0.0  # (n,) how far t is off by itself, worked out from something else
+    prim: np.ndarray | None = None  # (n,) primitive within its shape; None: not claimed
 
 
 class BracketResult(NamedTuple):
@@ -201,9 +202,11 @@ class Bracket:
             certain[found.ray[np.isfinite(latest_hits(found, t_max)) & ~near]] = True
         return possible, certain
 
-    def possible_hits(self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray) -> RayIntersections:
+    def possible_hits(
+        self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, t_min: float | np.ndarray = 0.0
+    ) -> RayIntersections:
         """Every possible intersection of some rays, few enough to be held at once."""
-        line = RaySegments(o, d, np.zeros(len(o)), t_max)
+        line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
         found = [self._meet(ray, prim, line) for ray, prim in self.nearby.pairs(o, d)]
         at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
         return RayIntersections(
@@ -230,12 +233,16 @@ class Bracket:
         t_rounding = np.broadcast_to(claims.t_rounding, claims.t.shape)[ray]
         shape = claims.shape[ray]
         named = (shape == ANY_SHAPE) | (self.model.packed.shape_of(found.prim) == shape)
-        named &= claims.t[ray] <= latest[ray] + t_rounding
+        if claims.prim is not None:
+            named &= claims.prim[ray] == self.model.packed.index_in_shape(found.prim)
+        without_t = np.isnan(claims.t[ray])
+        with np.errstate(invalid="ignore"):
+            named &= without_t | (claims.t[ray] <= latest[ray] + t_rounding)
         named &= within_error(claims.n, ray, at.n, at.n_error)
         with np.errstate(invalid="ignore"):  # inf, of a claimed miss
             matches = (
                 named & np.isfinite(at.t_error) & (np.abs(claims.t[ray] - at.t) <= at.t_error + t_rounding)
-            )
+            ) | (named & without_t)
         matches &= within_error(claims.sh_n, ray, at.sh_n, at.sh_error) & within_error(
             claims.p, ray, p, at.p_error
         )

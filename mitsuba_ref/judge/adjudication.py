@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import nearest_root, row_distance
 from mitsuba_ref.error_model.bracket import Claims
 from mitsuba_ref.error_model.intersections import KU, Intersections, norm
@@ -85,18 +86,18 @@ def has_hit_neighbor(hit: np.ndarray) -> np.ndarray:
 
 
 def oracle_answers(
-    oracle: Oracle, o: np.ndarray, d: np.ndarray, t_max: np.ndarray
+    oracle: Oracle, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, t_min: np.ndarray
 ) -> Sequence[ExactAnswer | None]:
     """One answer a ray; if some ray has none, the others still have theirs."""
     try:
-        return oracle.first_hits(o, d, 0.0, t_max)
+        return oracle.first_hits(o, d, t_min, t_max)
     except OutsideDomain:
         if len(o) == 1:
             return [None]
         half = len(o) // 2
         return [
-            *oracle_answers(oracle, o[:half], d[:half], t_max[:half]),
-            *oracle_answers(oracle, o[half:], d[half:], t_max[half:]),
+            *oracle_answers(oracle, o[:half], d[:half], t_max[:half], t_min[:half]),
+            *oracle_answers(oracle, o[half:], d[half:], t_max[half:], t_min[half:]),
         ]
 
 
@@ -138,9 +139,9 @@ IntersectionsNear = Callable[[np.ndarray, np.ndarray, np.ndarray], Intersections
 
 
 def ratios_of_any_tie(
-    answers: Sequence[ExactAnswer | None], answer: Answer, near: IntersectionsNear
+    answers: Sequence[ExactAnswer | None], answer: Answer, near: IntersectionsNear, packed: Packed
 ) -> ExactRatios:
-    """Of a subject that names no primitives: every member of the tie set is right; of t and the normal.
+    """Of a subject without images: every member of the tie set is right; of t, the normal and ids that are given.
 
     Where rounding cannot resolve t, the normal alone is compared. answer: to the same pixels.
     """
@@ -163,6 +164,11 @@ def ratios_of_any_tie(
     )
     at = near(owner, prim, exact_t)
     ratio = _ratio(error, at.t_error + np.broadcast_to(answer.t_rounding, answer.t.shape)[owner])
+    if answer.hits_only:
+        ratio = np.zeros(len(owner))
+    for ids, number in ((answer.shape_id, packed.shape_of), (answer.prim_id, packed.index_in_shape)):
+        if ids is not None:
+            ratio = np.where(ids[owner] == number(prim), ratio, np.inf)
     if answer.n is not None:
         bound = np.minimum(at.n_error, LARGEST_USEFUL_NORMAL_ERROR)
         ratio = np.maximum(ratio, _ratio(row_distance(answer.n[owner], at.n), bound))

@@ -36,7 +36,10 @@ def quantities_not_given(answer: Answer) -> tuple[str, ...]:
     """What the judge compares, and this answer lacks."""
     if answer.images is not None:
         return ()
-    return NEVER_GIVEN if answer.n is not None else ("normal", *NEVER_GIVEN)
+    if answer.hits_only:
+        return ("depth", "normal", *NEVER_GIVEN)
+    never = tuple(name for name in NEVER_GIVEN if name != "shape_id" or answer.shape_id is None)
+    return never if answer.n is not None else ("normal", *never)
 
 
 def class_counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:

@@ -7,12 +7,13 @@ rounding allows its answer; our caster claims exact visibility, and is not.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
 
 import numpy as np
 
+from caster.aovs import Aovs
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Bracket, Claims
@@ -67,6 +68,8 @@ EXACT = "exact"  # the subject against exact arithmetic, beside the checks of ju
 # Agreeing pixels of a scene whose diffuse values are held to float64's bracket as well: a tenth of a second.
 AGREEING_PIXELS_SHADED = 4096
 
+RAYS_PER_BATCH = 1 << 14  # of a list, whose possible intersections are held at once
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -112,19 +115,23 @@ class Judge:
         self.answer, self.result = pair.answer, pair.result
         self.o, self.d = pair.rays.o.astype(np.float64), pair.rays.d.astype(np.float64)
         self.t_max = pair.rays.t_max.astype(np.float64)
+        self.t_min = np.broadcast_to(np.asarray(pair.rays.t_min, np.float64), self.t_max.shape)
         self.hit = pair.subject.hit.ravel()
         self.reference_prim = reference_prims(self.result, model)
         # The primitive at which the subject is held to bounds: its own, or if it names none, the reference's.
         self.names_prims = self.answer.prim is not None
         self.prim = self.reference_prim if self.answer.prim is None else self.answer.prim
         lines, t = (self.o, self.d), self.answer.t if self.names_prims else self.result.t
-        at = intersections_at(model, self.prim, lines, t, KU, ours=False)
+        reference_t = self.answer.t if self.names_prims else self.reference_t
+        at = intersections_at(model, self.prim, self.reference_lines[:2], reference_t, KU, ours=False)
         self.bounds = Bounds(self._as_subject(self.prim, lines, t), at)
         with np.errstate(invalid="ignore"):
             self.point = self.o + self.answer.t[:, None] * self.d
-        self.pixels = PixelPairs(
-            pair.subject, pair.reference, self.bounds, self.answer, pair.length, self.point
-        )
+        reference = pair.reference
+        if self.answer.prim_id is not None:  # as packed: Mitsuba counts the triangles of a stand-in by itself
+            numbers = model.packed.index_in_shape(self.reference_prim).reshape(pair.shape)
+            reference = Aovs({**reference, "prim_id": numbers}, reference.hit)
+        self.pixels = PixelPairs(pair.subject, reference, self.bounds, self.answer, pair.length, self.point)
         # No rounding excuses images that contradict themselves.
         self.inconsistent = inconsistent_aovs(scene, model.packed, pair)
 
@@ -137,6 +144,17 @@ class Judge:
     def near(self, rows: np.ndarray, prim: np.ndarray, t: np.ndarray) -> Intersections:
         """Intersections of some rays with these primitives as the subject may see them, the root nearest to t."""
         return self._as_subject(prim, (self.o[rows], self.d[rows]), t)
+
+    @cached_property
+    def reference_lines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """o, d, t_max as Mitsuba traced them: (self.o, self.d, self.t_max), but for rays of a list."""
+        rays = self.pair.rays.for_reference()
+        return rays.o.astype(np.float64), rays.d.astype(np.float64), rays.t_max.astype(np.float64)
+
+    @property
+    def reference_t(self) -> np.ndarray:
+        """(n,) Mitsuba's t along `reference_lines`, where self.result.t counts from o."""
+        return self.result.answer.t.astype(np.float64)
 
     @property
     def n(self) -> np.ndarray | None:
@@ -217,7 +235,8 @@ class Judge:
         """(n,) bool: where normals are bounded so loosely that their agreement means nothing."""
         at, own = self.bounds.at, self.bounds.own
         error = np.maximum(at.n_error, at.sh_error) if self.names_prims else own.n_error
-        return self.pixels.both_hit & ~(error <= LARGEST_USEFUL_NORMAL_ERROR)
+        vague = self.pixels.both_hit & ~(error <= LARGEST_USEFUL_NORMAL_ERROR)
+        return vague & (not self.answer.hits_only)
 
     def _is_unresolved(self) -> np.ndarray:
         """(n,) bool: where t has no bound at the primitive in question."""
@@ -230,7 +249,8 @@ class Judge:
             return np.ones(len(self.t_max), bool)
         at, result = self.bounds.at, self.result
         with np.errstate(invalid="ignore"):
-            fits = at.possible & (np.abs(result.t - at.t) <= at.t_error) & (result.t > 0.0)
+            t = self.reference_t
+            fits = at.possible & (np.abs(t - at.t) <= at.t_error) & (t > 0.0)
             fits &= row_distance(aov_rows(self.pair.reference, "normal"), at.n) <= at.n_error
         return np.where(result.hit, fits, True)
 
@@ -239,17 +259,39 @@ class Judge:
         certain = self.bounds.at.certain
         if not self.answer.exact_visibility:
             certain = certain & self.bounds.own.certain
+        if self.pair.rays.is_list:
+            certain = certain & ~self._near_end()
+            agreeing = agreeing & ~self._may_hit()
         rows = needs_adjudication(agreeing, self.hit, certain, self.pair.shape)
         rows = rows[self.t_max[rows] >= 0.0]
-        answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows])
+        answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], self.t_min[rows])
         answer = self.answer
         if answer.prim is not None:
             nearest = ratios_of_named(
                 answers, answer.prim[rows], answer.t[rows], self.bounds.own.t_error[rows]
             )
         else:
-            nearest = ratios_of_any_tie(answers, answer.rows(rows), lambda of, *at: self.near(rows[of], *at))
+            nearest = ratios_of_any_tie(
+                answers, answer.rows(rows), lambda of, *at: self.near(rows[of], *at), self.model.packed
+            )
         return Adjudication(rows, answers, nearest.best), nearest
+
+    def _near_end(self) -> np.ndarray:
+        """(n,) bool: rounding may put what is hit beyond t_min or t_max, or it is there already."""
+        own = self.bounds.own
+        with np.errstate(invalid="ignore"):
+            inside = (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
+        return ~inside
+
+    def _may_hit(self) -> np.ndarray:
+        """(n,) bool: missed by the subject, where something may be hit; rays of a list have no neighbours."""
+        rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
+        found = np.zeros(len(self.hit), bool)
+        for start in range(0, len(rows), RAYS_PER_BATCH):
+            some = rows[start : start + RAYS_PER_BATCH]
+            lines = self.o[some], self.d[some], self.t_max[some], self.t_min[some]
+            found[some[self.bracket.possible_hits(*lines).ray]] = True
+        return found
 
     def _classify_reference(
         self, classes: np.ndarray, disputed: np.ndarray, vague: np.ndarray, exact: Adjudication
@@ -259,16 +301,30 @@ class Judge:
         rows = rows[exact.are_right(rows)]
         if not len(rows):
             return
-        o, d, claims = self.o[rows], self.d[rows], self._reference_claims(rows)
-        found = self.reference_bracket.judge(o, d, self.t_max[rows], claims)
+        (o, d, t_max), claims = (a[rows] for a in self.reference_lines), self._reference_claims(rows)
+        found = self.reference_bracket.judge(o, d, t_max, claims)
         # No numbers within the bounds give a hit at the origin itself: a ray begins beyond it.
         allowed = found.allowed & ((claims.shape < 0) | (claims.t > 0.0))
         useless = vague[rows] | self._is_unresolved()[rows]
         classes[rows] = CLASS_CODE[REFERENCE_WRONG]
         classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CLASS_CODE[OUT_OF_DOMAIN]
         classes[rows[allowed & ~useless]] = CLASS_CODE[EXPLAINED]
-        answers = [exact.of(row) for row in rows]
-        tied = claims_other_tie(self.model, o, d, claims, answers, LARGEST_USEFUL_NORMAL_ERROR)
+        own_o, own_d = self.o[rows], self.d[rows]
+        exponent = (
+            self.pair.rays.rows(rows).reference_exponent
+            if self.pair.rays.is_list
+            else np.zeros(len(rows), int)
+        )
+        same = (o == own_o).all(axis=1) & (np.ldexp(d, exponent[:, None]) == own_d).all(axis=1)
+        answers = [exact.of(row) if alike else None for row, alike in zip(rows, same, strict=True)]
+        tied = claims_other_tie(
+            self.model,
+            own_o,
+            own_d,
+            claims._replace(t=self.result.t[rows]),
+            answers,
+            LARGEST_USEFUL_NORMAL_ERROR,
+        )
         classes[rows[tied]] = CLASS_CODE[TIE]
 
     def _classify_inexact(self, classes: np.ndarray, exact: Adjudication) -> None:
@@ -278,8 +334,9 @@ class Judge:
         if self.answer.exact_visibility or not len(rows):
             return
         claims = self._subject_claims(rows)
-        found = self.bracket.judge(self.o[rows], self.d[rows], self.t_max[rows], claims)
-        allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | (claims.t > 0.0))
+        lines = self.o[rows], self.d[rows], self.t_max[rows]
+        found = self.bracket.judge(*lines, claims, t_min=self.t_min[rows])
+        allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | ~(claims.t <= 0.0))
         lost = np.zeros(len(rows), bool)
         if isinstance(self.view, UncertainRaysModel):
             answers: Sequence[ExactAnswer | None] = [exact.of(row) for row in rows]
@@ -290,16 +347,20 @@ class Judge:
         classes[rows[allowed]] = CLASS_CODE[EXPLAINED]
 
     def _subject_claims(self, rows: np.ndarray) -> Claims:
-        """What the subject answers at some pixels: of a shape only whether one is hit, no position."""
-        answer = self.answer.rows(rows)
-        shape = np.where(answer.hit, ANY_SHAPE, CLAIMED_MISS)
-        return Claims(
-            answer.t, shape, NOT_CLAIMED if answer.n is None else answer.n, t_rounding=answer.t_rounding
-        )
+        """What the subject answers at some pixels: shape and primitive if it names them, no position."""
+        answer, packed = self.answer.rows(rows), self.model.packed
+        shapes = len(packed.parts)
+        named: np.ndarray | int = ANY_SHAPE
+        if answer.shape_id is not None:  # `shapes`: none there is
+            named = np.where((answer.shape_id >= 0) & (answer.shape_id < shapes), answer.shape_id, shapes)
+        shape, prim = np.where(answer.hit, named, CLAIMED_MISS), answer.prim_id
+        t = np.where(answer.hit, np.nan, np.inf) if answer.hits_only else answer.t
+        n = NOT_CLAIMED if answer.n is None else answer.n
+        return Claims(t, shape, n, t_rounding=answer.t_rounding, prim=prim)
 
     def _reference_claims(self, rows: np.ndarray) -> Claims:
         names = ("shape_id", "normal", "shading_normal", "position")
-        return Claims(self.result.t[rows], *(aov_rows(self.pair.reference, name)[rows] for name in names))
+        return Claims(self.reference_t[rows], *(aov_rows(self.pair.reference, name)[rows] for name in names))
 
     def _classify_diffuse(self, classes: np.ndarray, allowed: float) -> DiffuseComparison:
         """Judge diffuse where geometry agrees by Mitsuba's lights, elsewhere by float64 alone; classes change."""
@@ -340,8 +401,10 @@ class Judge:
         cases: dict[int, int | None] = {int(row): None for row in rows}
         rows = rows[~agreeing[rows]]
         if len(rows):
+            lines = tuple(a[rows] for a in self.reference_lines)
             answers = [answer for answer in map(exact.of, rows) if answer is not None]
-            lines = self.o[rows], self.d[rows], self.t_max[rows]
+            if self.pair.rays.is_list:  # along other numbers than the subject's
+                answers = self.oracle.first_hits(lines[0], lines[1], 0.0, lines[2])
             prims = [int(prim) for prim in self.reference_prim[rows]]
             measurement = FeatureMeasurement(self.model, self.oracle)
             features = measurement.all_of(lines, self._reference_claims(rows), answers, prims)
@@ -386,12 +449,15 @@ def judge_of(
 ) -> Judge | Crash:
     """The judge of a subject's response. known: Mitsuba's answer, which is used if it is about the same rays."""
     scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
+    traced = rays.for_reference()
     if known is not None and all(map(np.array_equal, rays, known.rays)):
         result: ReferenceResult | Crash = known.result
     else:
         lights = answer.images is not None
-        result = trace_reference(scene, model, rays, lights=lights, timeout=timeout, send=send)
+        result = trace_reference(scene, model, traced, lights=lights, timeout=timeout, send=send)
     if isinstance(result, Crash):
         return result
+    if rays.is_list:
+        result = replace(result, t=rays.t_of_reference(result.t))
     pair = pair_images(scene, rays, answer, result)
     return Judge(scene, model, pair, response.view)

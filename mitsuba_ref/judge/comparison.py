@@ -90,6 +90,9 @@ def _images_of(answer: Answer, rays: SharedRays, shape: tuple[int, int]) -> Aovs
     if answer.n is not None:
         none = answer.broken.get(NOT_FINITE, np.zeros(len(answer.t), bool))
         images["normal"] = np.where(none[:, None], np.nan, answer.n).reshape(*shape, 3)
+    for name, ids in (("shape_id", answer.shape_id), ("prim_id", answer.prim_id)):
+        if ids is not None:
+            images[name] = ids.reshape(shape)
     return Aovs(images, answer.hit.reshape(shape))
 
 
@@ -230,11 +233,19 @@ def normal_of_named_surface(pixels: PixelPairs) -> np.ndarray:
     return np.where(pixels.both_hit, error_over_bound(row_distance(n, own.n), own.n_error), 0.0)
 
 
-# Of a subject that names none.
+def prim_id_ratio(pixels: PixelPairs) -> np.ndarray:
+    """0 where both name the same primitive of a shape, else inf: the bracket has to allow it."""
+    subject, reference = pixels.pair("prim_id")
+    return np.where(subject == reference, 0.0, np.inf)
+
+
+# Of a subject that gives no images; the last three, if it gives them.
 SURFACE_CHECKS = (
     QuantityCheck("mask", mask_ratio),
     QuantityCheck("depth", depth_to_named_surface),
     QuantityCheck("normal", normal_of_named_surface),
+    QuantityCheck("shape_id", shape_id_ratio),
+    QuantityCheck("prim_id", prim_id_ratio),
 )
 
 
@@ -243,7 +254,14 @@ def checks_of(answer: Answer) -> Iterator[QuantityCheck]:
     if answer.prim is not None:
         yield from CHECKS
         return
-    yield from (check for check in SURFACE_CHECKS if check.name != "normal" or answer.n is not None)
+    given = {
+        "mask": True,
+        "depth": not answer.hits_only,
+        "normal": answer.n is not None,
+        "shape_id": answer.shape_id is not None,
+        "prim_id": answer.prim_id is not None,
+    }
+    yield from (check for check in SURFACE_CHECKS if given[check.name])
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
 
 def _marked_misses(judge: Judge) -> Iterator[tuple[str, np.ndarray]]:
     """A number in place of inf: the same one wherever Mitsuba misses."""
-    rows = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0))
+    rows = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
     t = judge.answer.t[rows]
     if len(rows) > 1 and np.isfinite(t[0]) and (t == t[0]).all():
         yield marked_miss(float(t[0])), rows
@@ -95,13 +95,17 @@ def marked_miss(t: float) -> str:
 
 def hypotheses(judge: Judge, wrong: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
     """(sentence, rows it is true of) where the exact answer is another one, the most comprehensive first."""
-    if (shift := find_pixel_shift(judge, wrong)) is not None:
+    shift = None if judge.pair.rays.is_list else find_pixel_shift(judge, wrong)
+    if shift is not None:
         where = f"({shift.x:+.2f}, {shift.y:+.2f}) of a pixel to the right and down"
         yield f"rays beside the pixel centres, by {where}", wrong.rows
+    if judge.pair.rays.is_list:
+        yield from _wrong_range(judge, wrong)
     yield from _wrong_hits(judge, wrong)
     there = wrong.take(judge.hit[wrong.rows] & wrong.hit)
     if len(there.rows):
-        yield from _wrong_t(judge, there)
+        if not judge.answer.hits_only:
+            yield from _wrong_t(judge, there)
         yield from _wrong_prim(judge, there)
         yield from _wrong_normal(judge, there)
 
@@ -121,6 +125,15 @@ def _wrong_hits(judge: Judge, wrong: WrongPixels) -> Iterator[tuple[str, np.ndar
         all_missed = f"{subject_name(judge)} misses everything"
         yield all_missed if everything else "missed; exact arithmetic hits", missed
     yield "a hit; exact arithmetic misses", rows[hit & ~wrong.hit]
+
+
+def _wrong_range(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
+    """Rows where what is answered lies outside of the ray."""
+    if judge.answer.hits_only:
+        return
+    t, t_min, t_max = judge.answer.t[f.rows], judge.t_min[f.rows], judge.t_max[f.rows]
+    yield "a hit before t_min, where the ray begins", f.rows[t < t_min]
+    yield "a hit beyond t_max, where the ray ends", f.rows[(t > t_max) & np.isfinite(t)]
 
 
 def _wrong_t(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
@@ -154,11 +167,16 @@ def _wrong_t(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
 
 def _wrong_prim(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
     """Rows where t is right, and another primitive is named."""
-    if judge.answer.prim is not None:
-        yield (
-            "another primitive than the first one, at the same t",
-            f.rows[judge.answer.prim[f.rows] != f.prim],
-        )
+    what, answer, packed = (
+        "another primitive than the first one, at the same t",
+        judge.answer,
+        judge.model.packed,
+    )
+    if answer.prim is not None:
+        yield what, f.rows[answer.prim[f.rows] != f.prim]
+    for ids, right in ((answer.shape_id, packed.shape_of), (answer.prim_id, packed.index_in_shape)):
+        if ids is not None:
+            yield what, f.rows[ids[f.rows] != right(f.prim)]
 
 
 def _matches_factor(t: np.ndarray, right: np.ndarray, factor: np.ndarray, off: np.ndarray) -> np.ndarray:
@@ -231,7 +249,7 @@ def _other_root(judge: Judge, f: WrongPixels, t: np.ndarray) -> np.ndarray:
 def _hits_other_surface(judge: Judge, f: WrongPixels, t: np.ndarray) -> np.ndarray:
     """(m,) bool: some other surface on the ray is at t."""
     rows = f.rows[:MAX_DIAGNOSED_PIXELS]
-    possible = judge.bracket.possible_hits(judge.o[rows], judge.d[rows], judge.t_max[rows])
+    possible = judge.bracket.possible_hits(judge.o[rows], judge.d[rows], judge.t_max[rows], judge.t_min[rows])
     found = np.zeros(len(t), bool)
     found[possible.ray[_close(t[possible.ray], possible.at.t)]] = True
     return found

@@ -75,7 +75,9 @@ def exact_answer(judge: Judge, judgement: Judgement, row: int) -> ExactAnswer | 
     known = judgement.exact.of(row)
     if known is not None or judge.t_max[row] < 0.0:
         return known
-    return judge.oracle.first_hit(judge.o[row], judge.d[row], 0.0, float(judge.t_max[row]))
+    return judge.oracle.first_hit(
+        judge.o[row], judge.d[row], float(judge.t_min[row]), float(judge.t_max[row])
+    )
 
 
 class PixelText(NamedTuple):

@@ -135,12 +135,14 @@ class FeatureMeasurement:
         return kind_of(self._place(prim)[0]).name if prim >= 0 else ""
 
     def _at_zero(self, shape: int, prim: int, o: np.ndarray, d: np.ndarray) -> bool:
-        """Whether the primitive, or another one of that shape, is met at t = 0; a stand-in, up to its bound."""
+        """Whether the primitive is hit at t = 0 up to its bound, or another one of that shape exactly there."""
         if shape < 0:
             return False
-        if prim >= 0 and kind_of(self._place(prim)[0]).model.unfold is not None:
+        if prim >= 0:
             at = self.model.intersect(np.array([prim]), o[None], d[None], KU, ours=False).at
-            return bool((np.isfinite(at.t_error) & (np.abs(at.t) <= at.t_error)).any())
+            near = bool((np.isfinite(at.t_error) & (np.abs(at.t) <= at.t_error)).any())
+            if near or kind_of(self._place(prim)[0]).model.unfold is not None:
+                return near
         first, last = (int(n) for n in self.model.packed.first[shape : shape + 2])
         low, high = (corner[first:last] for corner in self.model.boxes)
         away = np.maximum(np.maximum(low - o, o - high), 0.0).max(axis=1)

@@ -299,6 +299,8 @@ CHECKS_OF_SHARED_INPUT: tuple[Callable[[Scene], SceneCheck], ...] = (
     check_camera,
 )
 
+CHECKS_OF_RAY_LISTS: tuple[Callable[[Scene], SceneCheck], ...] = (check_placement, check_geometry)
+
 CHECKS_OF_OUR_CASTER: tuple[Callable[[Scene], SceneCheck], ...] = (
     check_placement,
     check_geometry,

@@ -179,6 +179,11 @@ class SceneVerdict:
     notes: tuple[str, ...] = ()  # what else the verdict rests on
     options: tuple[str, ...] = ()  # of the command line, beside --size, that a replay has to repeat
     replay: str = ""  # the command that shows the scene again
+    command: str = "validate"  # that judged it: validate or judge
+    rays: tuple[int, int] = (
+        0,
+        0,
+    )  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
     # what the verdict rests on, for the HTML report; None if it was not kept
     seen: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)
 
@@ -187,6 +192,15 @@ class SceneVerdict:
     def ok(self) -> bool:
         """No problem, no failing pixel, every check within its bound, and more evidence than excuses."""
         return not self.problem and not self.failing and self.has_evidence and self.checks_pass
+
+    def ray_at(self, x: int, y: int) -> int | None:
+        """The number in its list of the ray that a pixel stands for; None of a camera's film."""
+        return self.rays[0] + y * self.size[0] + x if self.rays[1] else None
+
+    def place(self, x: int, y: int) -> str:
+        """A pixel, or the ray of a list that it stands for, in words."""
+        ray = self.ray_at(x, y)
+        return f"({x}, {y})" if ray is None else f"ray {ray}"
 
     @property
     def failing(self) -> int:

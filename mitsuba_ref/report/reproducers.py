@@ -3,7 +3,7 @@
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,8 +18,8 @@ from caster.image.atomic_files import write_text
 from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.lambert import direction_to_light
-from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, scene_judge
-from mitsuba_ref.judge.formatting import format_primitive, reproducer_header
+from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement, scene_judge
+from mitsuba_ref.judge.formatting import format_primitive, pixel_answers, reproducer_header
 from mitsuba_ref.judge.independent_checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
@@ -60,7 +60,7 @@ def reproducer(judge: Judge, row: int, *, lit: bool = False) -> Reproducer:
 
     Raises SceneError for a pixel without a ray.
     """
-    rays, scene = judge.pair.rays, judge.scene
+    rays, scene = judge.pair.rays.for_reference(), judge.scene
     if rays.t_max[row] < 0.0:
         raise SceneError("there is no ray through this pixel, so there is nothing to reproduce")
     t_max = float(rays.t_max[row])
@@ -92,7 +92,7 @@ def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
     """Numbers of the primitives that float32 may hit, that are hit exactly, and that either side names."""
     o, d, t_max = judge.o[row : row + 1], judge.d[row : row + 1], judge.t_max[row : row + 1]
     found = set(judge.reference_bracket.possible_hits(o, d, t_max).prim.tolist())
-    for answer in judge.oracle.first_hits(o, d, 0.0, t_max):
+    for answer in judge.oracle.first_hits(o, d, judge.t_min[row : row + 1], t_max):
         found |= {hit.prim for hit in answer.ties}
     found |= {int(judge.pair.prim[row]), int(judge.reference_prim[row])}
     if lit and judge.pair.prim[row] >= 0:
@@ -222,6 +222,34 @@ def _worst_first(judgement: Judgement, name: str) -> Iterator[int]:
     yield from rows[np.argsort(-worst, kind="stable")].tolist()
 
 
+def write_answer_reproducers(
+    folder: Path, name: str, judge: Judge, judgement: Judgement, rows_of: Mapping[str, np.ndarray], first: int
+) -> StoredReproducers:
+    """NAME.wrong.N.toml for the first pixels of each diagnosis of answers that were given beforehand, as comment.
+
+    first: number of the first ray of the list. Raises OutputError.
+    """
+    files: list[str] = []
+    for what, all_rows in rows_of.items():
+        rows = [row for row in all_rows.tolist() if judge.t_max[row] >= 0.0][:MAX_REPRODUCERS_PER_CASE]
+        for row in rows:
+            found = reproducer(judge, row)
+            text = pixel_answers(judge, judgement, row, EXACT)
+            head = [
+                f"One ray that {judge.pair.answer.precision} answers were judged on: {what}.",
+                "",
+                f"from:      {name}, ray {first + row} of t_min {float(judge.t_min[row])!r}",
+                f"answer:    {text.subject}",
+                f"Mitsuba:   {text.reference}",
+                f"exact:     {text.exact}",
+                "The ray below is Mitsuba's: in float32, from t_min on.",
+            ]
+            path = folder / f"{name}.wrong.{first + row}.toml"
+            write_text(path, found.text(head))
+            files.append(path.name)
+    return StoredReproducers(tuple(files), sum(map(len, rows_of.values())) - len(files))
+
+
 # Replay commands: they show a scene or a pixel again, with the options of the run.
 
 
@@ -241,6 +269,10 @@ def with_replay(scene: SceneVerdict) -> SceneVerdict:
 
 def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
     """The command that shows one pixel, or else the scene, again."""
+    if scene.command == "judge":
+        ray = scene.ray_at(*pixel) if pixel else None
+        rows = "" if ray is None else f" --rows {ray}"
+        return "mitsuba-ref judge" + "".join(f" {shlex.quote(word)}" for word in scene.options) + rows
     if pixel is None:
         return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{repeated_options(scene)}"
     before, after = replay_around(scene)

@@ -86,10 +86,10 @@ def _failure_lines(scene: SceneVerdict, report: str) -> Iterator[str]:
         worst = "" if scene.candidate else "worst "
         yield (
             f"FAIL  {scene.name}  {first.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
-            f"{worst}{first.ratio:.3g}x its bound at ({first.x}, {first.y})"
+            f"{worst}{first.ratio:.3g}x its bound at {scene.place(first.x, first.y)}"
         )
         for finding in scene.findings:
-            yield f"      {finding.pixels} pixels, first ({finding.x}, {finding.y}): {finding.what}"
+            yield f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}: {finding.what}"
         yield from _witness_lines(scene, first, report)
         yield from (f"      note:      {note}" for note in scene.notes)
 
@@ -109,7 +109,7 @@ def pixel_failure(scene: SceneVerdict, check: str) -> str:
     worst = scene.worst_by[check]
     head = (
         f"FAIL  {scene.name}  {check}: {scene.failing_by[check]} of {scene.hit_pixels} hit pixels, "
-        f"worst {worst.ratio:.3g}x its bound at ({worst.x}, {worst.y})"
+        f"worst {worst.ratio:.3g}x its bound at {scene.place(worst.x, worst.y)}"
     )
     return "\n".join([head, *_witness_lines(scene, worst)])
 

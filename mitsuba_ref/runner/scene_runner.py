@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from caster.cli import signals
 from caster.cli.progress import ProgressBar
@@ -20,8 +20,10 @@ from caster.scene.model import Scene
 from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
+from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.runner.validation import validate_scene
+from mitsuba_ref.subjects.subject import Subject
 
 Result = TypeVar("Result")
 
@@ -37,6 +39,10 @@ class SceneEntry:
     path: str
     resized: bool = False  # by --size, which a replay has to repeat
     options: tuple[str, ...] = ()  # others that a replay has to repeat
+    subject: Subject | None = None  # of this entry alone: answers that were given beforehand
+    rays: SharedRays | None = None  # of a list, which the film is filled with
+    ray_range: tuple[int, int] = (0, 0)  # first and end of them in their list
+    command: str = "validate"  # that judges it
 
     @property
     def pixels(self) -> int:
@@ -195,15 +201,19 @@ def judge_entry(
 
     validate: a function with the parameters of validate_scene; keep: with the evidence of the verdict.
     """
+    given: dict[str, Any] = {}
+    if entry.rays is not None:
+        given = {"rays": entry.rays, "first_ray": entry.ray_range[0]}
+    if entry.subject is not None:
+        given["subject"] = entry.subject
     try:
-        verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep)
+        verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep, **given)
     except OutputError:
         raise
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
         verdict = SceneVerdict(entry.name, entry.path, problem=problem_of(error))
-    found = replace(
-        verdict, resized=entry.resized, options=entry.options, composition=scene_statistics(entry.scene)
-    )
+    about: dict[str, Any] = {"resized": entry.resized, "options": entry.options, "command": entry.command}
+    found = replace(verdict, **about, rays=entry.ray_range, composition=scene_statistics(entry.scene))
     return with_replay(found)
 
 

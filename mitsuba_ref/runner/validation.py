@@ -23,9 +23,15 @@ from mitsuba_ref.judge.bias import check_bias, error_statistics
 from mitsuba_ref.judge.classification import judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges
-from mitsuba_ref.judge.scene_checks import CHECKS_OF_OUR_CASTER, CHECKS_OF_SHARED_INPUT, check_sensor
+from mitsuba_ref.judge.scene_checks import (
+    CHECKS_OF_OUR_CASTER,
+    CHECKS_OF_RAY_LISTS,
+    CHECKS_OF_SHARED_INPUT,
+    check_sensor,
+)
 from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.report.class_images import write_images
 from mitsuba_ref.report.html.evidence import Evidence
@@ -34,6 +40,7 @@ from mitsuba_ref.report.reproducers import (
     StoredReproducers,
     with_replay,
     write_aimed_reproducers,
+    write_answer_reproducers,
     write_reproducers,
 )
 from mitsuba_ref.subjects.answer import NoAnswer
@@ -84,6 +91,8 @@ def validate_scene(
     path: str = "",
     *,
     subject: Subject = OURS,
+    rays: SharedRays | None = None,
+    first_ray: int = 0,
     folder: Path | None = None,
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
@@ -91,6 +100,7 @@ def validate_scene(
 ) -> SceneVerdict:
     """The verdict of one scene that is loaded; what a candidate does wrong is in the verdict.
 
+    rays: of a list, laid out as the film, in place of the camera's, and the number of the first;
     folder: where the images of both sides go; send: the way to Mitsuba; keep: keep what the verdict rests on.
     """
     start = time.perf_counter()
@@ -119,7 +129,7 @@ def validate_scene(
         )
 
     try:
-        response = request_answer(subject, scene)
+        response = request_answer(subject, scene, rays=rays)
     except NoAnswer as error:
         return without_comparison(str(error))
     judge = judge_of(response, timeout=timeout, send=send)
@@ -133,9 +143,13 @@ def validate_scene(
     if folder and ours:
         of_pixels = write_reproducers(folder, name, judge, judgement, path or name)
         stored = StoredReproducers((*of_pixels.files, *stored.files), of_pixels.left_out)
+    if folder and rays is not None:
+        stored = write_answer_reproducers(folder, name, judge, judgement, diagnosis.rows_of, first_ray)
     if not ours:
-        checks = tuple(check(response.scene) for check in CHECKS_OF_SHARED_INPUT)
-    checks = (*checks, check_sensor(response.scene, pair.result))
+        given = CHECKS_OF_SHARED_INPUT if rays is None else CHECKS_OF_RAY_LISTS
+        checks = tuple(check(response.scene) for check in given)
+    if rays is None:
+        checks = (*checks, check_sensor(response.scene, pair.result))
     if ours:
         errors = error_statistics(judge.model.packed, pair, judge.bounds)
         checks = (*checks, check_bias(errors))

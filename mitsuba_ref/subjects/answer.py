@@ -38,6 +38,9 @@ class Answer:
     hints: tuple[str, ...] = field(default=())  # reported only if a pixel fails
     prim: np.ndarray | None = None  # (n,) int32, numbered through the scene, -1 on a miss; None: not given
     images: Aovs | None = None  # normals, ids, diffuse, from a subject that gives more than t and n
+    shape_id: np.ndarray | None = None  # (n,) named beside t, -1 on a miss; None: not given, as prim_id
+    prim_id: np.ndarray | None = None  # (n,) within the shape
+    hits_only: bool = False  # says whether something is hit, not where: t is 0 on a hit and means nothing
     exact_visibility: bool = False  # rounding is no excuse for another first hit than the exact one
 
     @property
@@ -55,9 +58,12 @@ class Answer:
         """The answer to some of the rays, without images."""
         t_rounding = self.t_rounding[rows] if isinstance(self.t_rounding, np.ndarray) else self.t_rounding
         broken = {why: found[rows] for why, found in self.broken.items() if found[rows].any()}
-        n, prim = (None if values is None else values[rows] for values in (self.n, self.prim))
-        t = self.t[rows]
-        return replace(self, t=t, n=n, prim=prim, broken=broken, t_rounding=t_rounding, images=None)
+        names = ("n", "prim", "shape_id", "prim_id")
+        given = {name: getattr(self, name) for name in names}
+        some: dict[str, Any] = {
+            name: None if values is None else values[rows] for name, values in given.items()
+        }
+        return replace(self, t=self.t[rows], broken=broken, t_rounding=t_rounding, images=None, **some)
 
     @property
     def ku(self) -> float:

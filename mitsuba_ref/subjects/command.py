@@ -3,7 +3,7 @@
 import shlex
 import shutil
 import string
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,11 +12,20 @@ import numpy as np
 from caster.cli.printable_stream import printable
 from caster.description.errors import FileMissing, SceneError
 from caster.image.exr import Exr, UnreadableExr, read_exr
-from mitsuba_ref.error_model.intersections import U
+from caster.scene.model import Scene
+from mitsuba_ref.cameras import reference_of_camera
+from mitsuba_ref.error_model.intersections import KU, U, dot, norm
 from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.reference.rendering import export
 from mitsuba_ref.reference.subprocess_runner import exit_name, run
-from mitsuba_ref.subjects.answer import FLOAT32, LAST_WORDS, Answer, NoAnswer, checked_answer
+from mitsuba_ref.subjects.answer import (
+    FLOAT32,
+    LAST_WORDS,
+    PRECISIONS,
+    Answer,
+    NoAnswer,
+    checked_answer,
+)
 from mitsuba_ref.subjects.subject import CastRequest
 
 SCENE_PLACEHOLDERS = ("xml", "toml")
@@ -26,6 +35,8 @@ OWN_CAMERA_NOTE = (
 )
 ESCAPE_BRACES_HINT = "a brace that is meant is written twice"
 
+BESIDE_RAY = "the position is not on the ray of its pixel"
+POSITION = ("position.X", "position.Y", "position.Z")
 DEPTH, NORMAL, MASK = "depth.Z", ("normal.X", "normal.Y", "normal.Z"), "A"
 
 
@@ -109,23 +120,27 @@ class CommandSubject:
             raise NoAnswer(f"the program ended well, but its image cannot be read: {error}") from error
         except FileMissing as error:
             raise NoAnswer("the program ended well, but wrote no {exr}") from error
-        film, (x0, y0, x1, y1) = request.scene.film, request.scene.film.window
-        if exr.data_window not in ((x0, y0, x1, y1), (0, 0, x1 - x0, y1 - y0)):
-            raise NoAnswer(
-                f"the image shows pixels {exr.data_window}, expected {(x0, y0, x1, y1)} of the film of "
-                f"{film.width} x {film.height}"
-            )
+        check_window(exr, request.scene)
         return exr
+
+
+def check_window(exr: Exr, scene: Scene) -> None:
+    """Raise NoAnswer for an image of other pixels than the film's."""
+    film, (x0, y0, x1, y1) = scene.film, scene.film.window
+    if exr.data_window not in ((x0, y0, x1, y1), (0, 0, x1 - x0, y1 - y0)):
+        raise NoAnswer(
+            f"the image shows pixels {exr.data_window}, expected {(x0, y0, x1, y1)} of the film of "
+            f"{film.width} x {film.height}"
+        )
 
 
 def answer_from_exr(
     exr: Exr, request: CastRequest, *, precision: str | None = None, as_exported: bool = False
 ) -> Answer:
     """Answer from an EXR in our channels: depth along the ray from the eye, geometric normal, mask. Raises NoAnswer."""
-    normal = _checked_names(exr.channels)
+    n = _normals(exr.channels, (DEPTH,), "the distance from the eye along the ray")
     rays = request.rays
     depth = exr.channels[DEPTH].ravel().astype(np.float64)
-    n = np.stack([exr.channels[name].ravel() for name in normal], axis=1) if normal else None
     length = np.linalg.norm(rays.d.astype(np.float64), axis=1)
     with np.errstate(invalid="ignore"):
         t = (depth - rays.start) / length
@@ -139,20 +154,69 @@ def answer_from_exr(
     return replace(found, t_rounding=stored, own_camera=True, notes=(OWN_CAMERA_NOTE,))
 
 
-def _checked_names(channels: Mapping[str, np.ndarray]) -> list[str]:
-    """The channels of the normal, none if it is not given. Raises NoAnswer."""
-    if DEPTH not in channels:
-        has = ", ".join(channels) or "none"
-        raise NoAnswer(
-            f"the image has no channel {DEPTH}, the distance from the eye along the ray; it has {has}"
-        )
+def answer_from_positions(exr: Exr, request: CastRequest, *, precision: str | None = None) -> Answer:
+    """The same from the position channels and the mask: t is where they project to on the ray. Raises NoAnswer.
+
+    A position farther beside its ray than rounding allows is no answer: that of the camera, of o + t d or of
+    barycentric coordinates, K times each, and of the file.
+    """
+    n = _normals(
+        exr.channels, (*POSITION, MASK), "the position of what is hit, and what A has to mark as hit"
+    )
+    precision = precision or FLOAT32
+    o, d = request.rays.o.astype(np.float64), request.rays.d.astype(np.float64)
+    p = np.stack([exr.channels[name].ravel() for name in POSITION], axis=1).astype(np.float64)
+    covered, length = exr.channels[MASK].ravel() != 0, np.linalg.norm(d, axis=1)
+    with np.errstate(invalid="ignore", over="ignore"):
+        t = np.where(covered, dot(p - o, d) / (length * length), np.inf)
+        beside = norm(p - o - t[:, None] * d)
+        rounded = PRECISIONS[precision] * (norm(o) + np.abs(t) * length + norm(p)) + U * norm(p)
+        turn, shift = camera_rounding(request.scene)
+        aside = covered & (beside > turn * np.abs(t) * length + shift + rounded)
+        stored = np.where(np.isfinite(rounded), rounded / length, 0.0)
+    found = checked_answer(t, n, len(t), precision=precision)
+    broken = dict(found.broken) | ({BESIDE_RAY: aside} if aside.any() else {})
+    return replace(found, t_rounding=stored, own_camera=True, notes=(OWN_CAMERA_NOTE,), broken=broken)
+
+
+def camera_rounding(scene: Scene) -> tuple[float, float]:
+    """What rounding to float32 may do to a camera's rays: a turn of d as a share of it, a shift of o, scene units."""
+    turn = KU * reference_of_camera(scene.camera).amplification(scene.camera, scene.film)
+    reach = float(np.abs(scene.camera.eye).max()) + getattr(scene.camera, "width", 0.0)
+    return turn, turn * reach
+
+
+@dataclass(frozen=True)
+class ExrFile:
+    """An EXR file that was rendered beforehand, by the scene's camera."""
+
+    name: str
+    exr: Exr
+    precision: str | None
+    by_position: bool = False  # its position channels, not its depth
+    reads_xml: bool = False
+    takes_rays: bool = False
+
+    def answer(self, request: CastRequest) -> Answer:
+        """Its channels. Raises NoAnswer."""
+        check_window(self.exr, request.scene)
+        read = answer_from_positions if self.by_position else answer_from_exr
+        return read(self.exr, request, precision=self.precision)
+
+
+def _normals(channels: Mapping[str, np.ndarray], needed: Sequence[str], what: str) -> np.ndarray | None:
+    """(n, 3) the normals, None if they are not given. needed: channels beside them. Raises NoAnswer."""
+    for name in needed:
+        if name not in channels:
+            has = ", ".join(channels) or "none"
+            raise NoAnswer(f"the image has no channel {name}, {what}; it has {has}")
     some = [name for name in NORMAL if name in channels]
     if some and len(some) < len(NORMAL):
         raise NoAnswer(f"the image has {', '.join(some)}, but not all of {', '.join(NORMAL)}")
-    for name in (DEPTH, *some):
+    for name in (*(name for name in needed if name != MASK), *some):
         if channels[name].dtype != np.float32:
             raise NoAnswer(f"channel {name} holds {channels[name].dtype}, expected float32: half has 11 bits")
-    return some
+    return np.stack([channels[name].ravel() for name in some], axis=1) if some else None
 
 
 def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarray:

@@ -11,15 +11,13 @@ from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
 from caster.image.atomic_files import ScratchFolder
 from caster.scene.model import Scene
-from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import clip_planes
-from mitsuba_ref.error_model.intersections import KU
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import clip_range
 from mitsuba_ref.shapes import model_of
 from mitsuba_ref.subjects.answer import DEFAULT_SECONDS, PRECISIONS, Answer, NoAnswer
-from mitsuba_ref.subjects.command import PLACEHOLDERS, command_of
+from mitsuba_ref.subjects.command import PLACEHOLDERS, camera_rounding, command_of
 from mitsuba_ref.subjects.function import import_function, is_function
 from mitsuba_ref.subjects.subject import CastRequest, Subject
 
@@ -39,16 +37,22 @@ class SubjectResponse(NamedTuple):
 
 
 def request_answer(
-    subject: Subject, scene: Scene, *, whole: SharedRays | None = None, alone: int | None = None
+    subject: Subject,
+    scene: Scene,
+    *,
+    rays: SharedRays | None = None,
+    whole: SharedRays | None = None,
+    alone: int | None = None,
 ) -> SubjectResponse:
     """The answer of a subject to all rays of the film's window.
 
-    whole: the rays that stand-ins are cut to, if they are others than the window's own. alone: a row that is requested
+    rays: of a list, laid out as that film, in place of the camera's. whole: the rays
+    that stand-ins are cut to, if they are others than the window's own. alone: a row that is requested
     by itself as well, if it has a ray. Raises NoAnswer.
     """
     packed = pack(scene, as_float32)
     scene, ends = with_far_plane(scene, packed) if subject.reads_xml else (scene, ())
-    rays = shared_rays(scene)
+    rays = shared_rays(scene) if rays is None else rays
     model = model_of(scene, packed, rays if whole is None else whole)
     with ScratchFolder() as folder:
         request = CastRequest(scene, model, rays, Path(folder))
@@ -64,9 +68,7 @@ def subject_view(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
     """The model as a subject may see it: rays of a camera of its own are known up to the rounding of a camera."""
     if not answer.own_camera:
         return model
-    turn = KU * reference_of_camera(scene.camera).amplification(scene.camera, scene.film)
-    reach = float(np.abs(scene.camera.eye).max()) + getattr(scene.camera, "width", 0.0)
-    return UncertainRaysModel(model.packed, model.parts, model.kinds, model.models, turn, turn * reach)
+    return UncertainRaysModel(model.packed, model.parts, model.kinds, model.models, *camera_rounding(scene))
 
 
 def _answer_to_one_ray(subject: Subject, request: CastRequest, row: int) -> Answer | NoAnswer | None:
@@ -81,7 +83,7 @@ def _answer_to_one_ray(subject: Subject, request: CastRequest, row: int) -> Answ
 
 def one_of(rays: SharedRays, row: int) -> SharedRays:
     """One ray, as rays."""
-    return SharedRays(*(values[row : row + 1] for values in rays))
+    return rays.rows(slice(row, row + 1))
 
 
 def with_far_plane(scene: Scene, packed: Packed) -> tuple[Scene, tuple[str, ...]]:

@@ -1,0 +1,377 @@
+"""`mitsuba-ref judge`: answers to any rays, and EXR files; right ones pass, and each planted fault is found."""
+
+import json
+
+import numpy as np
+import pytest
+
+import caster
+from caster.image.channels import write_render
+from caster.image.exr import read_exr, write_exr
+from mitsuba_ref.__main__ import main
+
+# Numbers are float32 ones, so that what our caster casts is what is judged.
+SCENE = """
+[film]
+width = 24
+height = 20
+[camera]
+type = "pinhole"
+eye = [0.5, 0.75, 4]
+look_at = [0, 0, 0]
+[[light]]
+type = "point"
+position = [2, 3, 2]
+intensity = [10, 10, 10]
+[[shape]]
+type = "sphere"
+name = "ball"
+center = [-0.5, 0.25, 0]
+radius = 0.5
+[[shape]]
+type = "mesh"
+name = "roof"
+file = "roof.obj"
+"""
+
+ROOF = """v -1 -0.5 -1
+v 1.5 -0.5 -1
+v 1.5 -0.25 1
+v -1 -0.25 1
+f 1 2 3
+f 1 3 4
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rays")
+    (folder / "scene.toml").write_text(SCENE)
+    (folder / "roof.obj").write_text(ROOF)
+    return folder
+
+
+def hits_of(scene, rows):
+    """Right answers by our caster, each ray with limits of its own."""
+    t = np.full(len(rows), np.inf)
+    n, shape, prim = np.zeros((len(rows), 3)), np.full(len(rows), -1), np.full(len(rows), -1)
+    limits, which = np.unique(rows[:, 6:], axis=0, return_inverse=True)
+    for k, (t_min, t_max) in enumerate(limits):
+        some = np.flatnonzero(which.ravel() == k)
+        hits = caster.cast(scene, rows[some, :3], rows[some, 3:6], t_min=t_min, t_max=t_max)
+        t[some], n[some], shape[some], prim[some] = hits.t, hits.normal, hits.shape_id, hits.prim_id
+    return {"t": t, "n": n, "shape_id": shape, "prim_id": prim, "any_hit": np.isfinite(t)}
+
+
+@pytest.fixture(scope="module")
+def given(folder):
+    """Rays of several kinds in one list, with limits of all sorts, and right answers."""
+    path = str(folder / "scene.toml")
+    kinds = ("camera", "random", "edges", "vertices", "silhouettes", "surface", "shadow")
+    rows = []
+    for kind in kinds:
+        assert main(["rays", path, "--kind", kind, "--count", "60", "-o", str(folder / "r.npz")]) == 0
+        rows.append(np.load(folder / "r.npz")["rays"])
+    rows = np.concatenate(rows)
+    first = caster.cast(caster.load_scene(path), rows[:, :3], rows[:, 3:6]).t
+    again = rows[np.isfinite(first)]
+    t = first[np.isfinite(first)]
+    behind, before = again.copy(), again.copy()  # begins beyond the first hit; ends before it
+    behind[:, 6], before[:, 7] = 1.25 * t, 0.75 * t
+    rows = np.concatenate([rows, behind, before]).astype(np.float32)
+    rows = rows[rows[:, 7] >= rows[:, 6]]
+    np.save(folder / "rays.npy", rows)
+    return rows, hits_of(caster.load_scene(path), rows.astype(np.float64))
+
+
+def judge(folder, hits, *more, rays="rays.npy"):
+    np.savez(folder / "hits.npz", **hits)
+    out = folder / "verdict.json"
+    words = [
+        "--scene",
+        str(folder / "scene.toml"),
+        "--rays",
+        str(folder / rays),
+        "--hits",
+        str(folder / "hits.npz"),
+    ]
+    code = main(["judge", *words, "--json", str(out), *more])
+    return code, json.loads(out.read_text())["scenes"]
+
+
+def test_right_answers_pass_with_ids_limits_and_any_hits(folder, given):
+    """t, normals, ids and occlusion of camera, aimed, secondary and shadow rays, t_min and t_max of each ray's own."""
+    rows, hits = given
+    assert (rows[:, 6] > 0).sum() > 100 and np.isfinite(rows[:, 7]).sum() > 100
+    code, scenes = judge(folder, hits)
+    assert code == 0, scenes
+    assert [scene["name"] for scene in scenes] == ["scene", "scene any-hit"]
+    assert scenes[0]["rays"] == [0, len(rows)] and scenes[0]["precision"] == "float64"
+    assert scenes[0]["counts"]["agree"] > 0.7 * scenes[0]["hit_pixels"]
+    assert scenes[0]["adjudicated"] > 100 and "shape_id" not in scenes[0]["unjudged"]
+
+
+def planted(fault, rows, hits):
+    """Answers with one fault, and the words that have to name it."""
+    t, n = hits["t"].copy(), hits["n"].copy()
+    hit = np.flatnonzero(np.isfinite(t))
+    length = np.linalg.norm(rows[:, 3:6].astype(np.float64), axis=1)
+    ball = hit[(hits["shape_id"][hit] == 0) & (rows[hit, 6] == 0) & np.isinf(rows[hit, 7])]
+    nearest = {"t": t, "n": n}
+    match fault:
+        case "far root":
+            p = rows[ball, :3] - [-0.5, 0.25, 0.0]
+            half = -np.sum(p * rows[ball, 3:6], axis=1) / length[ball] ** 2
+            t[ball] = 2 * half - t[ball]
+            return nearest, "another root of the surface"
+        case "flipped normal":
+            n[hit[7]] *= -1
+            return nearest, "the normal is turned"
+        case "distance":
+            t *= length
+            return nearest, "distance in place of t"
+        case "missed edge":
+            t[hit[-1]] = np.inf
+            return nearest, "missed; exact arithmetic hits"
+        case "NaN":
+            t[hit[3]] = np.nan
+            return nearest, "t is NaN"
+        case "t_min ignored":
+            late = np.flatnonzero(rows[:, 6] > 1e-3)
+            t[late] = rows[late, 6] / 1.25
+            return nearest, "a hit before t_min"
+        case "t_max ignored":
+            early = np.flatnonzero(np.isfinite(rows[:, 7]) & (rows[:, 7] < 0.9))
+            t[early] = rows[early, 7] / 0.75
+            return {"t": t}, "a hit beyond t_max"
+        case "another primitive":
+            ids = hits["prim_id"].copy()
+            ids[hit[5]] += 1
+            return nearest | {"prim_id": ids, "shape_id": hits["shape_id"]}, "another primitive"
+        case "a shape that is none":
+            ids = hits["shape_id"].copy()
+            ids[hit[5]] = 99
+            return nearest | {"shape_id": ids}, "another primitive"
+        case "shadow missed":
+            blocked = hits["any_hit"].copy()
+            blocked[hit[2]] = False
+            return {"any_hit": blocked}, "missed; exact arithmetic hits"
+        case "shadow of nothing":
+            blocked = hits["any_hit"].copy()
+            blocked[~blocked] = np.arange((~blocked).sum()) == 4
+            return {"any_hit": blocked}, "a hit; exact arithmetic misses"
+
+
+FAULTS = (
+    *("far root", "flipped normal", "distance", "missed edge", "NaN", "t_min ignored", "t_max ignored"),
+    *("another primitive", "a shape that is none", "shadow missed", "shadow of nothing"),
+)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_planted_fault_fails_and_is_named(folder, given, fault):
+    hits, words = planted(fault, *given)
+    code, (scene,) = judge(folder, hits)
+    assert code == 1 and scene["counts"]["wrong"] > 0
+    assert any(words in finding["what"] for finding in scene["findings"]), scene["findings"]
+
+
+def test_float64_rays_are_judged_along_their_own_numbers(folder, given):
+    """Rays that float32 does not hold: Mitsuba traces them rounded, and exact arithmetic as they are."""
+    rows = given[0][:500].astype(np.float64)
+    rows[:, :6] *= 1.0 + 1e-9
+    np.save(folder / "fine.npy", rows)
+    hits = hits_of(caster.load_scene(folder / "scene.toml"), rows)
+    code, scenes = judge(folder, {"t": hits["t"], "n": hits["n"]}, rays="fine.npy")
+    assert code == 0 and scenes[0]["counts"]["agree"] > 50
+    code, scenes = judge(folder, {"t": hits["t"] * (1.0 + 1e-9)}, rays="fine.npy")
+    assert code == 1
+    code, scenes = judge(folder, {"t": hits["t"] * (1.0 + 1e-9)}, "--precision", "float32", rays="fine.npy")
+    assert code == 0 and scenes[0]["precision"] == "float32"
+
+
+def test_files_of_a_failing_run_and_the_replay_of_one_ray(folder, given, tmp_path, capsys):
+    """verdict.json, JUnit, report, images and reproducers name rays; a replay judges the one ray to the same class."""
+    rows, hits = given
+    wrong, _ = planted("flipped normal", rows, hits)
+    out = [
+        "--out",
+        str(tmp_path / "out"),
+        "--html",
+        str(tmp_path / "r.html"),
+        "--junit",
+        str(tmp_path / "j.xml"),
+    ]
+    code, (scene,) = judge(folder, wrong, *out)
+    text = capsys.readouterr().out
+    row = int(np.flatnonzero(np.isfinite(hits["t"]))[7])
+    assert code == 1 and f"at ray {row}" in text and f"--rows {row}" in scene["failures"][0]["replay"]
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"scene.candidate.exr", "scene.verdict.exr", "verdict.json", f"scene.wrong.{row}.toml"} <= files
+    assert (tmp_path / "r.html").stat().st_size > 10000 and "<failure" in (tmp_path / "j.xml").read_text()
+    kept = caster.load_scene(tmp_path / "out" / f"scene.wrong.{row}.toml")
+    expected = caster.cast(kept, [kept.camera.origin], [kept.camera.direction]).t[0]
+    assert np.isfinite(expected)
+    code, (again,) = judge(folder, wrong, "--rows", str(row))
+    assert code == 1 and again["counts"]["wrong"] == 1 and again["rays"] == [row, row + 1]
+
+
+def test_a_mesh_stands_for_a_scene(folder):
+    rows = np.array([[0.25, 1.0, 0.125, 0.0, -1.0, 0.0, 0.0, np.inf]], np.float32)
+    np.save(folder / "one.npy", rows)
+    camera = {"type": "ray", "origin": (0, 0, 9), "direction": (0, 0, -1)}
+    mesh = caster.Scene(shapes=[{"type": "mesh", "file": str(folder / "roof.obj")}], camera=camera)
+    t = hits_of(mesh, rows.astype(np.float64))["t"]
+    words = ["judge", "--mesh", str(folder / "roof.obj"), "--rays", str(folder / "one.npy"), "--hits"]
+    for name, code, values in (("right", 0, t), ("wrong", 1, t * 1.001)):
+        np.save(folder / f"{name}.npy", values.reshape(-1, 1))
+        assert main([*words, str(folder / f"{name}.npy")]) == code
+
+
+class Bomb:
+    """Whose unpickling would be noticed."""
+
+    def __reduce__(self):
+        return exec, ("raise SystemExit('unpickled')",)
+
+
+def npy_of(shape, dtype="<f8", data=b""):
+    """A .npy file whose header may claim anything."""
+    header = repr({"descr": dtype, "fortran_order": False, "shape": shape}).encode().ljust(117) + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + data
+
+
+RAY = (0.0, 0.0, 4.0, 0.0, 0.0, -1.0, 0.0, np.inf)
+
+
+def changed_ray(**columns):
+    row = np.array([RAY, RAY])
+    for column, value in columns.items():
+        row[1, int(column[1:])] = value
+    return row
+
+
+HOSTILE_RAYS = {
+    "no rows": (np.zeros((0, 8)), "at least one ray"),
+    "columns": (np.zeros((2, 6)), "shape (n, 8)"),
+    "integers": (np.ones((2, 8), np.int64), "float32 or float64 rays"),
+    "NaN": (changed_ray(c0=np.nan), "rays[1]: expected finite numbers"),
+    "zero d": (changed_ray(c5=0.0), "rays[1]: expected a direction"),
+    "too large": (changed_ray(c0=1e39), "within float32"),
+    "vanishes": (changed_ray(c5=1e-60), "not zero, also as float32"),
+    "t_min": (changed_ray(c6=-1.0), "t_min >= 0"),
+    "t_min inf": (changed_ray(c6=np.inf), "finite t_min"),
+    "t_max": (changed_ray(c7=np.nan), "t_max >= t_min"),
+    "start": (changed_ray(c6=1e38, c5=-1e38), "beyond float32"),
+    "objects": (np.array([[Bomb()]], object), "never unpickled"),
+    "text": (np.array(["a"]), "expected numbers"),
+    "not NumPy": (b"hello, world", "expected a .npz or .npy file"),
+    "empty": (b"", "expected a .npz or .npy file"),
+    "claims terabytes": (npy_of((10**12, 8)), "expected 64000000000000 bytes"),
+    "negative": (npy_of((-1, 8)), "header is damaged"),
+    "header": (b"\x93NUMPY\x01\x00\x05\x00{1:2}", "header is damaged"),
+    "no zip": (b"PK\x03\x04 nothing", "cannot be read"),
+}
+
+
+@pytest.mark.parametrize("which", HOSTILE_RAYS)
+def test_rays_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
+    content, words = HOSTILE_RAYS[which]
+    path = tmp_path / "rays.npy"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    else:
+        np.save(path, content, allow_pickle=True)
+    np.save(tmp_path / "hits.npy", np.ones((2, 1)))
+    files = ["--rays", str(path), "--hits", str(tmp_path / "hits.npy")]
+    code = main(["judge", "--scene", str(folder / "scene.toml"), *files])
+    error = capsys.readouterr().err
+    assert code in (2, 4) and words in error and str(path) in error and "Traceback" not in error
+
+
+HOSTILE_HITS = {
+    "too few": ({"t": np.ones(1)}, 2, "one row for each of the 2 rays"),
+    "a number": ({"t": np.float64(1.0)}, 2, "one row for each"),
+    "nothing known": ({"distance": np.ones(2)}, 4, "expected arrays of t"),
+    "normals alone": ({"n": np.ones((2, 3))}, 2, "an array t, or any_hit"),
+    "objects": ({"t": np.array([Bomb(), 1.0], object)}, 4, "never unpickled"),
+    "ids of floats": ({"t": np.ones(2), "prim_id": np.ones(2)}, 1, "expected whole numbers"),
+    "normals of two": ({"t": np.ones(2), "n": np.ones((2, 2))}, 1, "(n, 3)"),
+    "any_hit of three": ({"any_hit": np.array([0, 3])}, 1, "expected 0 or 1"),
+}
+
+
+@pytest.mark.parametrize("which", HOSTILE_HITS)
+def test_hits_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
+    arrays, expected, words = HOSTILE_HITS[which]
+    np.savez(tmp_path / "hits.npz", **arrays)
+    np.save(tmp_path / "rays.npy", np.array([RAY, RAY]))
+    files = ["--rays", str(tmp_path / "rays.npy"), "--hits", str(tmp_path / "hits.npz")]
+    code = main(["judge", "--scene", str(folder / "scene.toml"), *files])
+    text = "".join(capsys.readouterr())
+    assert code == expected and words in text and "Traceback" not in text
+
+
+def test_more_rays_than_memory_holds_are_refused_with_a_way_out(folder, tmp_path, capsys, monkeypatch):
+    from mitsuba_ref.subjects import ray_files
+
+    np.save(tmp_path / "rays.npy", np.array([RAY] * 9))
+    np.save(tmp_path / "hits.npy", np.ones((9, 1)))
+    monkeypatch.setattr(ray_files, "available_memory", lambda: 4 * ray_files.BYTES_PER_RAY)
+    words = ["judge", "--scene", str(folder / "scene.toml"), "--rays", str(tmp_path / "rays.npy")]
+    assert main([*words, "--hits", str(tmp_path / "hits.npy")]) == 2
+    assert "--rows 0:4" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def exr(folder):
+    """What our caster renders, and its channels."""
+    scene = caster.load_scene(folder / "scene.toml")
+    aovs = caster.render(scene, ("hit", "depth", "normal", "position"))
+    write_render(str(folder / "out.exr"), scene, aovs, "scene.toml")
+    return read_exr(folder / "out.exr")
+
+
+def judged_exr(folder, tmp_path, exr, change=None):
+    channels = {name: values.copy() for name, values in exr.channels.items()}
+    if change:
+        change(channels)
+    write_exr(tmp_path / "e.exr", channels, {})
+    words = ["--scene", str(folder / "scene.toml"), "--exr", str(tmp_path / "e.exr")]
+    code = main(["judge", *words, "--json", str(tmp_path / "v.json")])
+    return code, json.loads((tmp_path / "v.json").read_text())["scenes"]
+
+
+def test_an_exr_is_judged_by_depth_and_by_position(folder, tmp_path, exr):
+    code, scenes = judged_exr(folder, tmp_path, exr)
+    assert code == 0 and [scene["name"] for scene in scenes] == ["scene", "scene position"]
+    assert all(scene["counts"]["agree"] > 0.9 * scene["hit_pixels"] > 50 for scene in scenes)
+
+
+def scaled(name, factor):
+    def change(channels):
+        where = np.argwhere(channels["A"] != 0)[20]
+        channels[name][tuple(where)] *= factor
+
+    return change
+
+
+def lost(channels):
+    where = tuple(np.argwhere(channels["A"] != 0)[20])
+    channels["A"][where], channels["depth.Z"][where] = 0.0, np.inf
+
+
+@pytest.mark.parametrize(
+    ("change", "failing"),
+    [
+        (scaled("depth.Z", 1.001), [False, True]),
+        (scaled("normal.Y", -1.0), [False, False]),
+        (scaled("position.Y", 1.01), [True, False]),
+        (scaled("depth.Z", np.nan), [False, True]),
+        (lost, [False, False]),
+    ],
+)
+def test_a_fault_of_one_pixel_in_an_exr_fails(folder, tmp_path, exr, change, failing):
+    """failing: whether the depth's verdict and the position's pass."""
+    code, scenes = judged_exr(folder, tmp_path, exr, change)
+    assert code == 1 and [scene["ok"] for scene in scenes] == failing
