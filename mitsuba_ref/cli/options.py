@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mitsuba_ref.subjects.subject import Subject
 
 # Stated here as well, since loading the judge loads the kernels (tests/unit/test_cli_help.py compares).
-CANDIDATE_SECONDS = 300.0
+CANDIDATE_SECONDS = REFERENCE_SECONDS = 300.0
 PRECISIONS = ("float32", "float64")
 
 
@@ -86,6 +86,17 @@ def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
         print(f"nothing selected: no scene file{fitting} in {', '.join(args.scenes)}", file=sys.stderr)
     return entries
+
+
+def add_timeout(parser: argparse.ArgumentParser) -> None:
+    """--timeout."""
+    parser.add_argument(
+        "--timeout",
+        metavar="S",
+        type=positive_seconds,
+        default=REFERENCE_SECONDS,
+        help=f"seconds that Mitsuba may take for one scene; default {REFERENCE_SECONDS:g}",
+    )
 
 
 # ---- a candidate ----

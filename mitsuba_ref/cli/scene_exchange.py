@@ -18,6 +18,7 @@ from caster.cli.scene_arguments import (
     load,
 )
 from caster.description.errors import SceneError, suggestion
+from mitsuba_ref.cli.options import add_timeout
 
 if TYPE_CHECKING:
     from mitsuba_ref.importers.mitsuba_xml import ImportedScene
@@ -38,6 +39,7 @@ def add_render_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"of {', '.join(KNOWN_AOVS)}; default: {DEFAULT_AOV_LIST}",
     )
     add("--variant", type=str, metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
+    add_timeout(parser)
 
 
 def run_render(args: argparse.Namespace) -> int:
@@ -60,7 +62,7 @@ def run_render(args: argparse.Namespace) -> int:
 
     check_exr_suffix(args.output)
     check_writable(args.output)
-    rendered = render_reference(scene, names, variant=args.variant)
+    rendered = render_reference(scene, names, variant=args.variant, timeout=args.timeout)
     if isinstance(rendered, Crash):
         print(f"{args.scene}: {rendered.message}")
         return DIFFERENCES

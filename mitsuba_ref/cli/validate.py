@@ -17,6 +17,7 @@ from caster.description.errors import SceneError
 from mitsuba_ref.cli.options import (
     add_candidate,
     add_selection,
+    add_timeout,
     add_verdict_files,
     check_verdict_files,
     positive_int,
@@ -53,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="reuse from --out what was judged of the very same scene, code, variant and options",
     )
+    add_timeout(parser)
     add_candidate(parser)
 
 
@@ -129,7 +131,9 @@ def run_options(args: argparse.Namespace) -> RunOptions:
 
     whole_folders = not args.expression and all(Path(place).is_dir() for place in args.scenes)
     out = Path(args.out) if args.out else None
-    return RunOptions(args.workers, args.maxfail, out, args.html, args.resume, args.shard, whole_folders)
+    return RunOptions(
+        args.workers, args.maxfail, out, args.html, args.resume, args.shard, args.timeout, whole_folders
+    )
 
 
 def print_rows(running: ValidationRun) -> None:

@@ -22,6 +22,7 @@ from mitsuba_ref.probe.candidate_pixel import CANDIDATE_QUANTITIES, CandidatePix
 from mitsuba_ref.probe.witnesses import WitnessAnswer, witness_answers, witness_lines, witness_record
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
+from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.ours import COMPARED_AOVS
 from mitsuba_ref.subjects.subject import Subject
 
@@ -97,9 +98,9 @@ def probe_with_evidence(
     if not (0 <= x < film.width and 0 <= y < film.height):
         inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
         raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
-    whole = shared_rays(
-        scene.with_film(crop=(0, 0, film.width, film.height))
-    )  # stand-ins are cut to all rays
+    whole = None
+    if any(reference_of(shape).stand_in_note for shape in scene.shapes):  # stand-ins are cut to all rays
+        whole = shared_rays(scene.with_film(crop=(0, 0, film.width, film.height)))
     asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
     judge = scene_judge(scene, whole=whole)
     if isinstance(judge, Crash):

@@ -43,6 +43,7 @@ from mitsuba_ref.report.reproducers import (
     write_answer_reproducers,
     write_reproducers,
 )
+from mitsuba_ref.runner.memory import check_memory
 from mitsuba_ref.subjects.answer import NoAnswer
 from mitsuba_ref.subjects.function import function_subject
 from mitsuba_ref.subjects.ours import OURS
@@ -104,6 +105,7 @@ def validate_scene(
     folder: where the images of both sides go; send: the way to Mitsuba; keep: keep what the verdict rests on.
     """
     start = time.perf_counter()
+    check_memory(scene)
     ours = subject is OURS
     checks: tuple[SceneCheck, ...] = ()
     stored = StoredReproducers((), 0)

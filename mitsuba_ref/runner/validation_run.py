@@ -10,6 +10,7 @@ from typing import Any
 
 from caster.description.errors import SceneError
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
 from mitsuba_ref.report.html.html_report import HtmlReport
 from mitsuba_ref.report.output_manifest import OutFolder, RemovedFiles
 from mitsuba_ref.runner import scene_runner
@@ -30,6 +31,7 @@ class RunOptions:
     html: str | None = None  # folder or file of the HTML report
     resume: bool = False  # reuse what `out` holds of the same inputs
     shard: Shard | None = None
+    timeout: float = DEFAULT_TIMEOUT  # seconds that Mitsuba may take for one scene
     whole_folders: bool = False  # every scene of the folders was selected: files of other scenes are obsolete
 
 
@@ -107,9 +109,10 @@ class ValidationRun:
     def _judge(self) -> JudgeScene:
         keep = self.html is not None
         if self.candidate is not None:
-            judge = candidate_judge(self.candidate, keep=keep)
+            judge = candidate_judge(self.candidate, self.options.timeout, keep=keep)
             return recorded(judge, self.out) if self.out else judge
-        judge = partial(scene_runner.judge_entry, keep=keep)
+        validate = partial(validate_scene, timeout=self.options.timeout)
+        judge = partial(scene_runner.judge_entry, validate=validate, keep=keep)
         if self.out is None:
             return judge
         if self.html is None:
@@ -117,9 +120,9 @@ class ValidationRun:
         return ResumableResults(self.out, judge, resume=self.options.resume, has_page=self.html.holds).judge
 
 
-def candidate_judge(candidate: Subject, *, keep: bool) -> JudgeScene:
+def candidate_judge(candidate: Subject, timeout: float = DEFAULT_TIMEOUT, *, keep: bool) -> JudgeScene:
     """Judges a scene with a candidate in place of our caster. keep: with the evidence of the verdict."""
-    validate = partial(validate_scene, subject=candidate)
+    validate = partial(validate_scene, subject=candidate, timeout=timeout)
 
     def judge(entry: SceneEntry, folder: Path | None) -> SceneVerdict:
         found = scene_runner.judge_entry(entry, folder, validate=validate, keep=keep)

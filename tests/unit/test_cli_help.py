@@ -7,6 +7,7 @@ from caster.cli.scene_arguments import AOV_NAMES, DEFAULT_AOV_LIST
 from caster.rendering.images import DEFAULT_AOVS
 from mitsuba_ref.cli import approved_references, options, scene_exchange
 from mitsuba_ref.exr_compare import approval
+from mitsuba_ref.reference import session
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
 from mitsuba_ref.subjects import answer
 
@@ -33,4 +34,5 @@ def test_the_modes_of_approval_are_those_that_it_knows():
 
 def test_a_candidate_gets_the_seconds_and_has_the_precisions_that_help_names():
     assert options.CANDIDATE_SECONDS == answer.DEFAULT_SECONDS
+    assert options.REFERENCE_SECONDS == session.DEFAULT_TIMEOUT
     assert tuple(answer.PRECISIONS) == options.PRECISIONS
