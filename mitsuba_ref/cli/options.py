@@ -110,10 +110,13 @@ def add_candidate(
     group = parser.add_argument_group(title)
     group.add_argument(
         "--candidate",
+        "--candidate-rays",
+        dest="candidate",
         type=str,
         metavar="X",
         help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
-        "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height})",
+        "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or one that reads "
+        "rays and writes hits, such as 'my-caster {mesh} {rays} {hits}' (docs/rays-and-hits.md)",
     )
     group.add_argument(
         "--candidate-precision",

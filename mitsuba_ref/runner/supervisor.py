@@ -27,7 +27,7 @@ def needs_supervision(words: Sequence[str]) -> bool:
     """Whether this command line may run a candidate function in the process of the judge."""
     if os.name != "posix" or SUPERVISED_VARIABLE in os.environ:
         return False
-    has_candidate = any(word.partition("=")[0] == "--candidate" for word in words)
+    has_candidate = any(word.partition("=")[0] in ("--candidate", "--candidate-rays") for word in words)
     return has_candidate and list(words[:1]) in (["validate"], ["probe"])
 
 

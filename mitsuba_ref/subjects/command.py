@@ -30,6 +30,7 @@ from mitsuba_ref.subjects.subject import CastRequest
 
 SCENE_PLACEHOLDERS = ("xml", "toml")
 PLACEHOLDERS = (*SCENE_PLACEHOLDERS, "exr", "width", "height")
+RAY_PLACEHOLDERS = ("rays", "rays.raw", "hits", "hits.raw", "mesh", "mesh.raw", "scene")
 OWN_CAMERA_NOTE = (
     "its rays are its own camera's, and it is allowed what rounding to float32 may do to those, too"
 )
@@ -40,8 +41,8 @@ POSITION = ("position.X", "position.Y", "position.Z")
 DEPTH, NORMAL, MASK = "depth.Z", ("normal.X", "normal.Y", "normal.Z"), "A"
 
 
-def command_of(text: str, precision: str | None, seconds: float) -> "CommandSubject":
-    """Split it as a shell would; nothing else of a shell is done. Raises SceneError."""
+def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ...], frozenset[str]]:
+    """(words, names in braces): split as a shell would, nothing else of a shell is done. Raises SceneError."""
     try:
         words = shlex.split(text)
     except ValueError as error:
@@ -56,16 +57,22 @@ def command_of(text: str, precision: str | None, seconds: float) -> "CommandSubj
                 f"--candidate {text!r}: {{{name}}} is a name and nothing behind it; {ESCAPE_BRACES_HINT}"
             )
     named = {name for _, name, _, _ in fields if name is not None}
-    if unknown := named - set(PLACEHOLDERS):
-        known = ", ".join(f"{{{name}}}" for name in PLACEHOLDERS)
+    if unknown := named - set(placeholders):
+        known = ", ".join(f"{{{name}}}" for name in placeholders)
         raise SceneError(f"--candidate {text!r}: {{{min(unknown)}}} stands for nothing; known are {known}")
+    if shutil.which(words[0]) is None:
+        raise SceneError(f"--candidate {text!r}: there is no program '{words[0]}' to run")
+    return tuple(words), frozenset(named)
+
+
+def command_of(text: str, precision: str | None, seconds: float) -> "CommandSubject":
+    """A program that reads a scene and writes an EXR file. Raises SceneError."""
+    words, named = split_command(text, PLACEHOLDERS)
     if "exr" not in named or not named & set(SCENE_PLACEHOLDERS):
         raise SceneError(
             f"--candidate {text!r}: expected {{exr}}, the file to write, and {{xml}} or {{toml}}, the scene"
         )
-    if shutil.which(words[0]) is None:
-        raise SceneError(f"--candidate {text!r}: there is no program '{words[0]}' to run")
-    return CommandSubject(text, tuple(words), "xml" in named, "toml" in named, precision, seconds)
+    return CommandSubject(text, words, "xml" in named, "toml" in named, precision, seconds)
 
 
 @dataclass(frozen=True)
@@ -89,7 +96,7 @@ class CommandSubject:
         if self.reads_toml:
             names["toml"] = folder / "scene.toml"
             (folder / "scene.toml").write_text(request.traced.to_toml(), encoding="utf-8")
-        self._run([word.format(**names) for word in self.words])
+        run_program([word.format(**names) for word in self.words], self.seconds)
         exr = self._picture(folder / "candidate.exr", request)
         return answer_from_exr(exr, request, precision=self.precision, as_exported=self.reads_xml)
 
@@ -102,17 +109,6 @@ class CommandSubject:
             )
         return exported.write(request.folder)
 
-    def _run(self, words: list[str]) -> None:
-        try:
-            end = run(words, self.seconds)
-        except OSError as error:
-            raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
-        if end.code is None:
-            raise NoAnswer(f"killed after {self.seconds:g} s{_output_tail(end.output)}")
-        if end.code:
-            how = "ended with" if end.code > 0 else "was ended by"
-            raise NoAnswer(f"the program {how} {exit_name(end.code)}{_output_tail(end.output)}")
-
     def _picture(self, path: Path, request: CastRequest) -> Exr:
         try:
             exr = read_exr(path)
@@ -122,6 +118,19 @@ class CommandSubject:
             raise NoAnswer("the program ended well, but wrote no {exr}") from error
         check_window(exr, request.scene)
         return exr
+
+
+def run_program(words: list[str], seconds: float) -> None:
+    """Run it to its end. Raises NoAnswer with its last words."""
+    try:
+        end = run(words, seconds)
+    except OSError as error:
+        raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
+    if end.code is None:
+        raise NoAnswer(f"killed after {seconds:g} s{_output_tail(end.output)}")
+    if end.code:
+        how = "ended with" if end.code > 0 else "was ended by"
+        raise NoAnswer(f"the program {how} {exit_name(end.code)}{_output_tail(end.output)}")
 
 
 def check_window(exr: Exr, scene: Scene) -> None:

@@ -17,8 +17,15 @@ from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import clip_range
 from mitsuba_ref.shapes import model_of
 from mitsuba_ref.subjects.answer import DEFAULT_SECONDS, PRECISIONS, Answer, NoAnswer
-from mitsuba_ref.subjects.command import PLACEHOLDERS, camera_rounding, command_of
+from mitsuba_ref.subjects.command import (
+    PLACEHOLDERS,
+    RAY_PLACEHOLDERS,
+    camera_rounding,
+    command_of,
+    split_command,
+)
 from mitsuba_ref.subjects.function import import_function, is_function
+from mitsuba_ref.subjects.ray_command import RayCommand
 from mitsuba_ref.subjects.subject import CastRequest, Subject
 
 FAR_PLANE_NOTE = "in the XML, planes end at the sensor's far plane, and nothing is judged beyond it"
@@ -105,6 +112,13 @@ def parse_candidate(text: str, precision: str | None = None, seconds: float = DE
         raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
     if is_function(text):
         return import_function(text, precision)
+    if "{rays" in text or "{hits" in text:
+        words, named = split_command(text, RAY_PLACEHOLDERS)
+        if not named & {"rays", "rays.raw"} or not named & {"hits", "hits.raw"}:
+            raise SceneError(
+                f"--candidate {text!r}: expected {{rays}}, the file to read, and {{hits}}, that to write"
+            )
+        return RayCommand(text, words, named, precision, seconds)
     if any(f"{{{name}}}" in text for name in PLACEHOLDERS):
         return command_of(text, precision, seconds)
     raise SceneError(

@@ -1,0 +1,113 @@
+"""--candidate-rays: programs of any language that read rays and write hits; right ones pass, planted faults fail."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mitsuba_ref.__main__ import main
+
+EXAMPLES = Path(__file__).parents[2] / "docs/rays-and-hits"
+SCENE = """
+[film]
+width = 20
+height = 16
+[camera]
+type = "pinhole"
+eye = [0.5, 0.75, 4]
+look_at = [0, 0, 0]
+[[shape]]
+type = "icosphere"
+face_normals = true
+[[shape]]
+type = "rectangle"
+to_world = [{ scale = 3 }, { translate = [0, 0, -2] }]
+"""
+
+
+def validate(tmp_path, command, *more):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    words = [
+        "validate",
+        str(tmp_path / "scene.toml"),
+        "--candidate-rays",
+        command,
+        "--json",
+        str(tmp_path / "v.json"),
+    ]
+    code = main([*words, *more])
+    return code, json.loads((tmp_path / "v.json").read_text())["scenes"][0]
+
+
+def compiled(tmp_path, source):
+    cc = shutil.which("cc")
+    if cc is None:
+        pytest.skip("no C compiler: cc")
+    (tmp_path / "caster.c").write_text(source)
+    shutil.copy(EXAMPLES / "rays_and_hits.h", tmp_path)
+    words = [
+        cc,
+        "-O2",
+        "-std=c99",
+        "-Wall",
+        "-Werror",
+        "-o",
+        str(tmp_path / "caster"),
+        str(tmp_path / "caster.c"),
+        "-lm",
+    ]
+    subprocess.run(words, check=True)
+    return f"{tmp_path / 'caster'} {{mesh.raw}} {{rays.raw}} {{hits.raw}}"
+
+
+def test_the_caster_in_c_passes_with_normals_and_prim_ids(tmp_path):
+    code, scene = validate(tmp_path, compiled(tmp_path, (EXAMPLES / "caster.c").read_text()))
+    assert code == 0, scene
+    assert (
+        scene["precision"] == "float32"
+        and scene["counts"]["agree"] > 100
+        and "shape_id" not in scene["unjudged"]
+    )
+
+
+FAULTS = {
+    "far root": ("t < best)", "(t > best || best == INFINITY))"),
+    "flipped normal": ("(float)(normal[k] / length)", "(float)(-normal[k] / length)"),
+    "distance": ("(float)best;", "(float)(best * 2.5);"),
+    "missed edge": ("(out && in)", "(out && in) || side[0] > 0.3 * side[1]"),
+    "NaN": ("(float)best;", "(float)(i == n / 2 ? NAN : best);"),
+    "another primitive": ("(float)j;", "(float)(j + 1);"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_planted_faults_in_the_caster_in_c_fail(tmp_path, fault):
+    source = (EXAMPLES / "caster.c").read_text()
+    assert FAULTS[fault][0] in source
+    code, scene = validate(tmp_path, compiled(tmp_path, source.replace(*FAULTS[fault])))
+    assert code == 1 and scene["counts"]["wrong"] > 0
+
+
+def test_the_caster_in_javascript_passes(tmp_path):
+    if shutil.which("node") is None:
+        pytest.skip("no JavaScript: node")
+    code, scene = validate(tmp_path, f"node {EXAMPLES / 'caster.js'} {{mesh.raw}} {{rays.raw}} {{hits.raw}}")
+    assert code == 0 and scene["counts"]["agree"] > 100
+
+
+BROKEN = {
+    "writes nothing": ("pass", "cannot be read"),
+    "too few bytes": ("open(sys.argv[2], 'wb').write(b'12345')", "expected bytes of"),
+    "fails": ("sys.exit(3)", "ended with"),
+}
+
+
+@pytest.mark.parametrize("which", BROKEN)
+def test_programs_that_give_no_hits_fail_with_the_reason(tmp_path, which):
+    source, words = BROKEN[which]
+    (tmp_path / "p.py").write_text(f"import sys\n{source}\n")
+    code, scene = validate(tmp_path, f"{sys.executable} {tmp_path / 'p.py'} {{rays.raw}} {{hits.raw}}")
+    assert code == 1 and words in scene["problem"]
