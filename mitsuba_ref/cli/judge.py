@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.cli.exit_codes import DIFFERENCES, OK
+from caster.cli.path_arguments import InputPath, OutputFolder
 from caster.cli.scene_arguments import add_mesh_dirs
 from caster.description.errors import SceneError
-from mitsuba_ref.cli.options import PRECISIONS, add_verdict_files
-from mitsuba_ref.cli.validate import HTML_SUFFIX, check_outputs, print_rows, write_results
+from mitsuba_ref.cli.options import HTML_SUFFIX, PRECISIONS, add_verdict_files, html_output
+from mitsuba_ref.cli.validate import check_outputs, print_rows, write_results
 
 if TYPE_CHECKING:
     from caster.scene.model import Scene
@@ -21,15 +22,16 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--scene", metavar="SCENE", help="the scene that was cast into, as a scene file")
-    what.add_argument("--mesh", metavar="FILE", help="the same as a mesh file: OBJ or PLY")
+    what.add_argument("--scene", metavar="SCENE", type=InputPath, help="the scene that was cast into")
+    what.add_argument("--mesh", metavar="FILE", type=InputPath, help="the same as a mesh file: OBJ or PLY")
     answers = parser.add_mutually_exclusive_group(required=True)
     help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
-    answers.add_argument("--hits", metavar="FILE", help=help_)
+    answers.add_argument("--hits", metavar="FILE", type=InputPath, help=help_)
     help_ = "an EXR file of depth.Z, normal.X/Y/Z, position.X/Y/Z, A, of the scene's camera"
-    answers.add_argument("--exr", metavar="FILE", help=help_)
+    answers.add_argument("--exr", metavar="FILE", type=InputPath, help=help_)
     add(
         "--rays",
+        type=InputPath,
         metavar="FILE",
         help=".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/rays-and-hits.md)",
     )
@@ -37,9 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--precision", metavar="P", choices=PRECISIONS, help=help_)
     add("--rows", metavar="A:B", type=row_range, help="judge these rays alone: one, or from A up to B")
     add_mesh_dirs(parser)
-    add("--out", metavar="DIR", help="write verdict.json, EXR files and reproducers into this folder")
+    out_help = "write verdict.json, EXR files and reproducers into this folder"
+    add("--out", metavar="DIR", type=OutputFolder, help=out_help)
     add_verdict_files(parser)
-    add("--html", metavar="PATH", help=f"write a report: a folder, or one file if PATH ends in {HTML_SUFFIX}")
+    html_help = f"write a report: a folder, or one file if PATH ends in {HTML_SUFFIX}"
+    add("--html", metavar="PATH", type=html_output, help=html_help)
     parser.set_defaults(resume=False)
 
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.path_arguments import InputPath, OutputFile
+from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
 from caster.cli.scene_arguments import add_mesh_dirs, display_names, error_prefix, scene_files
 from caster.description.errors import SceneError
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 # Stated here as well, since loading the judge loads the kernels (tests/unit/test_cli_help.py compares).
 CANDIDATE_SECONDS = REFERENCE_SECONDS = 300.0
 PRECISIONS = ("float32", "float64")
+HTML_SUFFIX = ".html"  # of --html: one file, and else a folder
 
 
 def positive_int(text: str) -> int:
@@ -174,6 +175,11 @@ def add_verdict_files(parser: argparse.ArgumentParser) -> None:
     add("--junit", metavar="FILE", type=OutputFile, help="write the verdict as JUnit XML")
     help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
     add("--summary-md", metavar="FILE", type=OutputFile, help=help_)
+
+
+def html_output(text: str) -> str:
+    """The type of --html."""
+    return OutputFile(text) if text.lower().endswith(HTML_SUFFIX) else OutputFolder(text)
 
 
 def check_verdict_files(args: argparse.Namespace) -> None:

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import OK
+from caster.cli.path_arguments import OutputFile
 from caster.cli.scene_arguments import add_scene, load
 from caster.description.errors import SceneError
 from mitsuba_ref.cli.options import positive_int
@@ -22,7 +23,14 @@ SHADOW_T_MIN = 2.0**-10  # lengths of d, the way to a point light: a shadow ray 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add = parser.add_argument
-    add("-o", "--output", metavar="RAYS", required=True, help=".npz, or .npy for the rows alone")
+    add(
+        "-o",
+        "--output",
+        metavar="RAYS",
+        type=OutputFile,
+        required=True,
+        help=".npz, or .npy for the rows alone",
+    )
     help_ = "camera (default); random; aimed at edges, vertices or silhouettes; from surfaces; mixed; shadow: from "
     help_ += "what the camera sees to a light"
     add("--kind", choices=KINDS, default="camera", help=help_)

@@ -12,14 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
+from caster.cli.path_arguments import InputPath, OutputFolder
 from caster.description.errors import SceneError
 from mitsuba_ref.cli.options import (
+    HTML_SUFFIX,
     add_candidate,
     add_selection,
     add_timeout,
     add_verdict_files,
     check_verdict_files,
+    html_output,
     positive_int,
     requested_candidate,
     selected_entries,
@@ -31,8 +33,6 @@ if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
     from mitsuba_ref.runner.shards import Shard
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
-
-HTML_SUFFIX = ".html"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,11 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_timeout(parser)
     add_candidate(parser)
-
-
-def html_output(text: str) -> str:
-    """The type of --html."""
-    return OutputFile(text) if text.lower().endswith(HTML_SUFFIX) else OutputFolder(text)
 
 
 def shard(text: str) -> Shard:

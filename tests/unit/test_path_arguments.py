@@ -17,7 +17,7 @@ from caster.cli.commands import COMMANDS
 from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
 from caster.image.atomic_files import OutputError, ScratchFolder, atomic_write, write_text
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
-from mitsuba_ref.cli.validate import html_output
+from mitsuba_ref.cli.options import html_output
 
 PROGRAMS = {
     "caster": (caster.__main__.main, COMMANDS),
@@ -96,6 +96,9 @@ def test_no_output_is_an_input(program, name, parser, source, output, tmp_path, 
     (tmp_path / "sub").mkdir()
     precious = tmp_path / "precious.html"  # --html takes a file of this suffix
     required = [each for each in valued(parser) if each.required and each not in (source, output)]
+    for group in parser._mutually_exclusive_groups:
+        if group.required and not {source, output} & set(group._group_actions):
+            required.append(group._group_actions[0])
     others = [words(action, value_for(action, tmp_path)) for action in required]
     for alias in ALIASES.values():
         precious.write_text("precious")
