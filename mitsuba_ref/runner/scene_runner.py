@@ -22,6 +22,7 @@ from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.report.reproducers import with_replay
+from mitsuba_ref.runner.isolation import Isolated, WorkerEnded
 from mitsuba_ref.runner.validation import validate_scene
 from mitsuba_ref.subjects.subject import Subject
 
@@ -74,6 +75,10 @@ class SceneSource:
 
 
 Entry = SceneEntry | SceneSource
+
+# Our kernels are machine code, which may end the process that it runs in.
+ISOLATED = Isolated(validate_scene)
+
 JudgeScene = Callable[[SceneEntry, Path | None], SceneVerdict]
 """Judges one scene; the folder, if any, receives the images of subject and reference."""
 
@@ -137,6 +142,7 @@ def map_in_order(
         stop.set()
         pool.shutdown(wait=False, cancel_futures=True)
         subprocess_runner.kill_subprocesses()
+        ISOLATED.stop()
         if signals.interrupted.is_set():  # work in compiled code ends with the process
             wait([each for each in futures if each.running()], timeout=INTERRUPTED_SECONDS)
         else:
@@ -169,7 +175,7 @@ def run(
             return with_replay(SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error)))
 
     failed = 0
-    with closing(map_in_order(work, entries, workers)) as verdicts:
+    with ISOLATED.kept(), closing(map_in_order(work, entries, workers)) as verdicts:
         for verdict in verdicts:
             yield verdict
             failed += not verdict.ok
@@ -194,10 +200,10 @@ def judge_entry(
     entry: SceneEntry,
     folder: Path | None,
     *,
-    validate: Callable[..., SceneVerdict] = validate_scene,
+    validate: Callable[..., SceneVerdict] = ISOLATED,
     keep: bool = False,
 ) -> SceneVerdict:
-    """The verdict of one scene; one that cannot be judged has its `problem` set.
+    """The verdict of one scene; one that cannot be judged, or ends the process, has its `problem` set.
 
     validate: a function with the parameters of validate_scene; keep: with the evidence of the verdict.
     """
@@ -206,12 +212,19 @@ def judge_entry(
         given = {"rays": entry.rays, "first_ray": entry.ray_range[0]}
     if entry.subject is not None:
         given["subject"] = entry.subject
+        validate = validate_scene if validate is ISOLATED else validate  # no code of the subject runs
+    problem = ""
     try:
-        verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep, **given)
+        with ISOLATED.kept():
+            verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep, **given)
     except OutputError:
         raise
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
-        verdict = SceneVerdict(entry.name, entry.path, problem=problem_of(error))
+        problem = problem_of(error)
+    except WorkerEnded as ended:
+        problem = f"the process that casts and judges ended: {ended}"
+    if problem:
+        verdict = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem)
     about: dict[str, Any] = {"resized": entry.resized, "options": entry.options, "command": entry.command}
     found = replace(verdict, **about, rays=entry.ray_range, composition=scene_statistics(entry.scene))
     return with_replay(found)
