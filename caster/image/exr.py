@@ -140,6 +140,8 @@ def _exclusive(box: Any) -> Window:
 
 def _is_multi_part(path: Path) -> bool:
     """Whether a file is a multi-part EXR. Raises FileMissing, and UnreadableExr for anything but a flat EXR image."""
+    if path.exists() and not path.is_file() and not path.is_dir():  # a FIFO would block
+        raise UnreadableExr(f"{path}: expected an EXR image, got a FIFO or a device")
     try:
         with path.open("rb") as file:
             start = file.read(8)

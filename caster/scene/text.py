@@ -6,11 +6,10 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from caster.description.errors import Diagnostic, FileMissing, SceneError
-from caster.description.input_files import record_input
+from caster.description.errors import Diagnostic, SceneError
+from caster.description.input_files import MAX_TEXT_BYTES, read_input
 
 __all__ = ["Span", "format_excerpt", "read_text"]
 
@@ -147,24 +146,48 @@ def _json_inside(value: Any, path: DataPath) -> LocatedNodes:
 
 SceneFormat = Literal["toml", "json"]
 MAX_LINE_CHARACTERS = 100  # of a line in an excerpt
+MAX_NESTING = 32  # lists and tables inside each other, and parts of a key; a scene has some five
+MAX_ERRORS_LISTED = 50  # with their lines; of the others only how many there are
+
+# A dotted key takes time and memory by the square of its parts in a parser of TOML, so it is found before.
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+LONG_KEY = re.compile(rf"(?m)^[ \t\[]*+{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_NESTING}}}")
+
+
+def is_nested_deeper(data: Any, depth: int) -> bool:
+    """Whether lists and tables are nested deeper than that; without recursion."""
+    level = [data]
+    for _ in range(depth + 1):
+        inner = [
+            each.values() if isinstance(each, dict) else each
+            for each in level
+            if isinstance(each, (dict, list))
+        ]
+        level = [each for values in inner for each in values if isinstance(each, (dict, list))]
+        if not level:
+            return False
+    return True
 
 
 def read_text(path: str | PathLike[str]) -> str:
-    """Read a text file in UTF-8. Raises FileMissing, or SceneError if it is not UTF-8."""
+    """Read a text file in UTF-8. Raises FileMissing; SceneError if it is too large or not UTF-8."""
     try:
-        record_input(path)
-        return Path(path).read_bytes().decode("utf-8-sig")
+        return read_input(path, "scene file", MAX_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: not a text in UTF-8: byte {error.start + 1} is none of it") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileMissing(f"{path}: cannot read this scene file: {reason}") from None
 
 
 def parse(text: str, kind: SceneFormat, origin: str) -> tuple[Any, list[Diagnostic]]:
     """Parse TOML or JSON; also returns diagnostics of duplicate JSON keys. Raises SceneError."""
+    long_key = LONG_KEY.search(text) if kind == "toml" else None
+    if long_key:
+        line = text.count("\n", 0, long_key.start()) + 1
+        raise SceneError(f"{origin}:{line}: not a scene: a key of more than {MAX_NESTING} parts")
     try:
-        return (tomllib.loads(text), []) if kind == "toml" else _parse_json(text)
+        data, problems = (tomllib.loads(text), []) if kind == "toml" else _parse_json(text)
+        if is_nested_deeper(data, MAX_NESTING):
+            raise RecursionError
+        return data, problems
     except RecursionError:
         raise SceneError(f"{origin}: not a scene: lists or tables are nested too deeply to be read") from None
     except ValueError as error:
@@ -175,7 +198,10 @@ def format_diagnostics(problems: Sequence[Diagnostic], text: str, kind: SceneFor
     """All diagnostics ordered by position, each with an excerpt of its line."""
     positions = Positions(text, kind)
     located = sorted(((positions.of(path), said) for path, said in problems), key=lambda found: found[0][:2])
-    return "\n".join(format_excerpt(span, said, text, origin) for span, said in located)
+    listed = [format_excerpt(span, said, text, origin) for span, said in located[:MAX_ERRORS_LISTED]]
+    if len(located) > len(listed):
+        listed.append(f"{origin}: and {len(located) - len(listed)} more errors")
+    return "\n".join(listed)
 
 
 def _parse_json(text: str) -> tuple[Any, list[Diagnostic]]:

@@ -24,6 +24,8 @@ from mitsuba_ref.importers.xml_document import (
 from mitsuba_ref.shapes import REFERENCES
 from mitsuba_ref.shapes.shape_reference import ImportShape
 
+MAX_SHAPES = 10_000  # with instances: of a few kilobytes of XML they make any number
+
 
 def add_shape(out: SceneBuilder, node: Node, outer: tuple[Step, ...] = (), name: str = "") -> None:
     """Add a shape. outer: transform steps of the enclosing instance, applied after its own; name: of the instance."""
@@ -54,8 +56,9 @@ def add_shape(out: SceneBuilder, node: Node, outer: tuple[Step, ...] = (), name:
             out.omit(emitter, f"{target.words()} of {node.words()}: shapes emit no light here")
     out.omit_unread(node)
     label = name or node.id
-    taken = {other.get("name") for other in out.data["shape"]}
-    shape |= {"name": label} if label and label.isprintable() and label not in taken else {}
+    if label and label.isprintable() and label not in out.shape_names:
+        out.shape_names.add(label)
+        shape["name"] = label
     shape |= {"material": material} if material else {}
     out.positions["shape", len(out.data["shape"])] = node.position
     out.data["shape"].append(shape)
@@ -73,6 +76,9 @@ def _add_instance(out: SceneBuilder, node: Node) -> None:
         for part in (resolve_reference(out.document, each) for each in group.all("shape", "ref"))
         if part is not None
     ]
+    if len(out.data["shape"]) + len(parts) > MAX_SHAPES:
+        out.omit(node, f"{node.words()}: the scene has {MAX_SHAPES:,} shapes already")
+        return
     for part in parts:
         add_shape(out, part, steps, node.id if len(parts) == 1 else "")
     out.omit_unread(node)

@@ -20,6 +20,7 @@ class SceneBuilder:
     positions: dict[Path, SourcePosition] = field(default_factory=dict)  # of each element of the data
     left_out: list[ImportDiagnostic] = field(default_factory=list)
     consumed: set[int] = field(default_factory=set)  # id() of the nodes that were read
+    shape_names: set[str] = field(default_factory=set)
     materials: dict[int, str] = field(default_factory=dict)  # names by id() of their node
     in_progress: set[int] = field(default_factory=set)  # id() of the bsdfs that are being made
 

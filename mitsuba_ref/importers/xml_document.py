@@ -126,6 +126,8 @@ def parse(text: str, file: str) -> Node:
 
 MAX_INCLUDE_DEPTH = 15  # nesting of includes, as in Mitsuba
 MAX_INCLUDES = 1000  # includes of one scene
+MAX_SUBSTITUTIONS = 64  # of parameters in one value
+MAX_VALUE_CHARACTERS = 2**16  # of a value in which parameters are substituted
 
 
 @dataclass
@@ -208,12 +210,26 @@ def _substitute_parameters(document: XmlDocument, node: Node) -> None:
 
 def _substituted(document: XmlDocument, node: Node, value: str) -> str:
     """Substitute parameters in a value, longest name first: $widthscale is not $width and then scale."""
-    for name in sorted(document.parameters, key=len, reverse=True):
+    for _ in range(MAX_SUBSTITUTIONS):
+        name = _longest_parameter(document, value)
+        if name is None or len(value) > MAX_VALUE_CHARACTERS:
+            break
         value = value.replace(f"${name}", document.parameters[name])
+    else:
+        document.errors.append(ImportDiagnostic(node.position, "parameters refer to each other without end"))
+        return ""
     if unknown := re.search(r"\$(\w+)", value):
         hint = suggestion(unknown[1], document.parameters) or f"; give it by -D {unknown[1]}=VALUE"
         document.errors.append(ImportDiagnostic(node.position, f"parameter ${unknown[1]} has no value{hint}"))
     return value
+
+
+def _longest_parameter(document: XmlDocument, value: str) -> str | None:
+    """The longest name of a parameter that stands after a $ in a value."""
+    longest = max(map(len, document.parameters), default=0) if "$" in value else 0
+    starts = (found.end() for found in re.finditer(r"\$", value))
+    names = (value[at : at + n] for at in starts for n in range(min(longest, len(value) - at), 0, -1))
+    return max((name for name in names if name in document.parameters), key=len, default=None)
 
 
 def _index(document: XmlDocument, nodes: list[Node]) -> None:

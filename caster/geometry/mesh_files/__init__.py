@@ -4,8 +4,8 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
-from caster.description.errors import FileMissing, SceneError
-from caster.description.input_files import record_input
+from caster.description.errors import SceneError
+from caster.description.input_files import MAX_MESH_BYTES, read_input
 from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_ply
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
@@ -22,7 +22,7 @@ def load_mesh(path: str | PathLike[str]) -> Mesh:
     """
     where = str(path)
     parse = _parser_for(where)
-    data = _bytes_of(where)
+    data = read_input(where, "mesh file", MAX_MESH_BYTES)
     if not data:
         raise SceneError(f"{where}: the file is empty (0 bytes): expected a mesh; export or copy it again")
     mesh = parse(data, where)
@@ -37,13 +37,3 @@ def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:
         expected = " or ".join(FORMATS)
         raise SceneError(f"{where}: unknown mesh format '{ending}': expected {expected}; convert it first")
     return parse
-
-
-def _bytes_of(where: str) -> bytes:
-    try:
-        record_input(where)
-        return Path(where).read_bytes()
-    except OSError as error:
-        raise FileMissing(f"{where}: cannot read this mesh file: {error.strerror or error}") from error
-    except ValueError as error:  # a NUL character in the path
-        raise FileMissing(f"{where!r}: cannot read this mesh file: {error}") from error

@@ -148,6 +148,8 @@ def _read_plain(data: bytes, header: Header) -> dict[str, Table] | None:
 
 def _plain_columns(data: bytes, at: int, element: Element) -> tuple[Columns, int] | None:
     properties = element.properties
+    if element.rows * len(properties) > len(data) - at:  # more than the file holds: nothing is allocated
+        return None
     if not any(p.count_type for p in properties):
         rows = read_plain_rows(data, at, element.rows, len(properties))
         return None if rows is None else ({p.name: rows[0][:, k] for k, p in enumerate(properties)}, rows[1])

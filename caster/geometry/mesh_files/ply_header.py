@@ -39,6 +39,7 @@ TYPES = {
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
     "float": "f4", "double": "f8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
+MAX_ELEMENTS, MAX_PROPERTIES = 64, 256  # of a file, of an element; scanners write some two and some thirty
 ENCODINGS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 FORMATS = "ascii, binary_little_endian or binary_big_endian"
 
@@ -132,6 +133,8 @@ class _Draft:
     def _add_element(self, name: str, count: str) -> None:
         if not (count.isascii() and count.isdigit() and len(count) < 19):  # 19 digits may pass 2^63
             raise ValueError(f"expected a number of rows of element '{name}', got '{count[:60]}'")
+        if len(self.elements) == MAX_ELEMENTS:
+            raise ValueError(f"expected at most {MAX_ELEMENTS} elements, got one more")
         if any(e.name == name for e in self.elements):
             raise ValueError(f"expected each element once, got '{name}' again")
         self.elements.append(Element(name, int(count), ()))
@@ -140,6 +143,8 @@ class _Draft:
         if not self.elements:
             raise ValueError(f"expected an element before the property '{new.name}', got none")
         last = self.elements[-1]
+        if len(last.properties) == MAX_PROPERTIES:
+            raise ValueError(f"expected at most {MAX_PROPERTIES} properties of '{last.name}', got one more")
         if any(p.name == new.name for p in last.properties):
             raise ValueError(f"expected each property of '{last.name}' once, got '{new.name}' again")
         self.elements[-1] = last._replace(properties=(*last.properties, new))

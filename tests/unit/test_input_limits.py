@@ -1,0 +1,118 @@
+"""Inputs that would block, have no end, or cost more than they hold: each is refused, by size or count."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from caster.description.errors import FileMissing, SceneError
+from caster.description.input_files import read_input
+from caster.geometry.mesh_files import load_mesh, ply_header
+from caster.image.exr import UnreadableExr, read_exr
+from caster.scene import text
+from caster.scene.files import load_scene, scene_from_text
+
+CAMERA = (
+    '[film]\nwidth = 8\nheight = 8\n[camera]\ntype = "orthographic"\nlook_at = [0, 0, 0]\neye = [0, 0, 5]\n'
+)
+FACES = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n"
+
+
+@pytest.fixture
+def fifo(tmp_path):
+    path = tmp_path / "fifo.toml"
+    os.mkfifo(path)
+    return path
+
+
+def test_what_is_no_file_is_refused_at_once(fifo, tmp_path):
+    """A FIFO would block without a writer, a device may have no end, a link may lead to itself."""
+    (tmp_path / "zero.toml").symlink_to("/dev/zero")
+    (tmp_path / "loop.toml").symlink_to("loop.toml")
+    for name, got in (("fifo", "a FIFO"), ("zero", "a device"), ("loop", "symbolic links")):
+        with pytest.raises(FileMissing, match=rf"{name}\.toml: cannot read this scene file: .*{got}"):
+            load_scene(tmp_path / f"{name}.toml")
+    for ending in (".obj", ".ply"):
+        with pytest.raises(FileMissing, match="mesh file: expected a file, got a FIFO"):
+            load_mesh(fifo.rename(fifo.with_suffix(ending)))
+        fifo = fifo.with_suffix(ending)
+    with pytest.raises(UnreadableExr, match="got a FIFO or a device"):
+        read_exr(fifo.rename(fifo.with_suffix(".exr")))
+
+
+def test_a_file_beyond_the_limit_is_not_read(tmp_path):
+    """A file without content takes no room on the disk, and would in memory."""
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(SceneError, match=r"too large: expected at most 4,096 bytes, got 1,099,511,627,776"):
+        read_input(tmp_path / "large", "scene file", 4096)
+    (tmp_path / "small").write_bytes(bytes(4096))
+    assert len(read_input(tmp_path / "small", "scene file", 4096)) == 4096
+
+
+@pytest.mark.parametrize("head", ["{key} = 1", "[{key}]", "[[ {key} ]]", "  {key}.x = 1"])
+@pytest.mark.parametrize("part", ["a", '"a b"', "'a'"])
+def test_a_key_of_thousands_of_parts_is_found_before_it_is_parsed(head, part):
+    key = " . ".join([part] * 50_000)
+    with pytest.raises(SceneError, match=r"<string>:2: not a scene: a key of more than 32 parts"):
+        scene_from_text("# one line\n" + head.format(key=key))
+
+
+@pytest.mark.parametrize(
+    "harmless", ["# " + "a." * 60, 'name = "' + "a." * 60 + '"', "x = [" + "1.5, " * 60 + "]"]
+)
+def test_dots_that_are_no_key_are_harmless(harmless):
+    assert text.LONG_KEY.search(harmless) is None
+
+
+@pytest.mark.parametrize("nested", ["[" * 60 + "]" * 60, "[" * 90_000, '{"a":' * 60 + "1" + "}" * 60])
+@pytest.mark.parametrize("kind", ["json", "toml"])
+def test_nesting_has_a_limit(kind, nested):
+    given = nested if kind == "json" else f"x = {nested.replace(':', '=')}"
+    with pytest.raises(SceneError, match=r"nested too deeply|not valid"):
+        scene_from_text(given, kind)
+
+
+def test_of_thousands_of_errors_fifty_are_listed():
+    wrong = "".join('[[shape]]\ntype = "sphere"\nradius = -1\n' for _ in range(3000))
+    with pytest.raises(SceneError) as found:
+        scene_from_text(CAMERA + wrong)
+    lines = str(found.value).splitlines()
+    assert len([line for line in lines if "radius must be" in line]) == text.MAX_ERRORS_LISTED
+    assert lines[-1] == "<string>: and 2950 more errors"
+
+
+@pytest.mark.parametrize(
+    ("encoding", "count"),
+    [
+        ("ascii", 4_000_000_000),
+        ("ascii", 10**17),
+        ("binary_little_endian", 4_000_000_000),
+        ("binary_big_endian", 10**17),
+    ],
+)
+def test_nothing_is_allocated_for_rows_that_the_file_cannot_hold(tmp_path, encoding, count):
+    header = f"ply\nformat {encoding} 1.0\nelement vertex {count}\nproperty float x\n"
+    (tmp_path / "a.ply").write_text(header + FACES)
+    code = (
+        "import resource, sys; from caster.geometry.mesh_files import load_mesh\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (2 << 30, 2 << 30)); load_mesh(sys.argv[1])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "a.ply")], capture_output=True, text=True, timeout=60
+    )
+    assert (
+        done.returncode == 1 and "SceneError" in done.stderr and str(tmp_path) in done.stderr.splitlines()[-1]
+    )
+
+
+def test_elements_and_properties_of_a_ply_are_counted(tmp_path):
+    for what, limit in (
+        ("property float p{}", ply_header.MAX_PROPERTIES),
+        ("element e{} 0", ply_header.MAX_ELEMENTS),
+    ):
+        lines = "".join(what.format(i) + "\n" for i in range(limit + 1))
+        (tmp_path / "a.ply").write_text("ply\nformat ascii 1.0\nelement vertex 1\n" + lines + FACES)
+        with pytest.raises(SceneError, match=f"PLY header: expected at most {limit} "):
+            load_mesh(tmp_path / "a.ply")
