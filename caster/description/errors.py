@@ -6,12 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from pydantic import BaseModel, ValidationError
-
 __all__ = ["Diagnostic", "FileMissing", "SceneError", "diagnostics_of", "join_words", "suggestion"]
 
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
     from pydantic_core import PydanticCustomError
 
 
@@ -78,7 +77,10 @@ def expectation_error(expected: str, got: Any, hint: str = "") -> PydanticCustom
 
 
 DataPath = tuple[str | int, ...]
-Model = type[BaseModel]
+if TYPE_CHECKING:
+    Model = type[BaseModel]
+else:
+    Model = type  # `--help` does not load Pydantic
 
 PLURAL = {"shape": "shapes", "light": "lights", "material": "materials", "check": "checks"}
 SINGULAR = {many: one for one, many in PLURAL.items()}
@@ -117,7 +119,7 @@ def child_of(value: Any, step: str | int) -> Any:
         return value.get(step)
     if isinstance(step, int):
         return value[step] if isinstance(value, (list, tuple)) and step < len(value) else None
-    return getattr(value, step, None) if isinstance(value, BaseModel) else None
+    return getattr(value, step, None) if hasattr(value, "model_fields_set") else None
 
 
 def _message(path: DataPath, text: str, data: Any, model: Model) -> str:
@@ -170,7 +172,7 @@ def _locate(loc: DataPath, data: Any, model: Model) -> _Location:
             models = tuple(m for m in models if m.model_fields["type"].default == step)
         elif isinstance(step, int) and isinstance(here, Mapping):
             continue  # a single table in place of a list
-        elif isinstance(here, (Mapping, list, tuple, BaseModel)):
+        elif isinstance(here, (Mapping, list, tuple)) or hasattr(here, "model_fields_set"):
             path, here = (*path, step), child_of(here, step)
             around, models = models, _below(models, step)
         else:  # a number in place of a vector: the rest is not in the file
@@ -187,7 +189,7 @@ def _below(models: tuple[Model, ...], step: str | int) -> tuple[Model, ...]:
 
 
 def _models_in(annotation: Any) -> tuple[Model, ...]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if isinstance(annotation, type) and hasattr(annotation, "model_fields"):
         return (annotation,)
     return tuple(found for part in get_args(annotation) for found in _models_in(part))
 
