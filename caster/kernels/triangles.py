@@ -83,16 +83,28 @@ def _numbers(prims: Any, k: int) -> Any:
     return p, q, r, cross(e1, e2), permanent(e1, e2)
 
 
+class PreparedTriangle(NamedTuple):
+    """A triangle as rays from one origin meet it; a, b, c are its corners relative to the origin."""
+
+    bc: Vec3  # b x c
+    ca: Vec3  # c x a
+    ab: Vec3  # a x b
+    n: Vec3  # (b - a) x (c - a)
+    height: float  # n . a
+    edge_share: float  # error of the edge functions over |d|_1
+    slope_share: Vec3  # error of n . d over |d|, component by component
+    height_error: float  # of n . a
+
+
 @implement(prepare, Triangles)
-def _prepare(prims: Any, prim: Any, o: Vec3) -> Any:
-    """(b x c, c x a, a x b, n, n . a, errors of the edge functions over |d|_1 and of n . d over |d|, of n . a)."""
+def _prepare(prims: Any, prim: Any, o: Vec3) -> PreparedTriangle:
     p, q, r, n, spread = prim
     a, b, c = sub(p, o), sub(q, o), sub(r, o)
     m = max(max_norm(a), max_norm(b), max_norm(c))
     height_error = (
         PLANE_ERROR * (abs(a[0]) * spread[0] + (abs(a[1]) * spread[1] + abs(a[2]) * spread[2])) + TINY
     )
-    return (
+    return PreparedTriangle(
         cross(b, c),
         cross(c, a),
         cross(a, b),
@@ -107,9 +119,9 @@ def _prepare(prims: Any, prim: Any, o: Vec3) -> Any:
 @implement(intersect, Triangles)
 def _intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> tuple[float, float]:
     """Inside where all three edge functions have one sign; sure of it where they exceed their error."""
-    _, _, _, n, height, _, slope_share, height_error = pre
+    height, height_error = pre.height, pre.height_error
     inside, outside, bounded = _sides(pre, d)
-    slope, slope_error = dot(n, d), abs_dot(slope_share, d) + TINY
+    slope, slope_error = dot(pre.n, d), abs_dot(pre.slope_share, d) + TINY
     steep = (abs(slope) > 2.0 * slope_error) & bounded
     over = 1.0 / (slope if steep else 1.0)
     t = height * over
@@ -127,8 +139,8 @@ def _passes(prims: Any, pre: Any, d: Vec3) -> bool:
 @inlined
 def _sides(pre: Any, d: Vec3) -> tuple[bool, bool, bool]:
     """Whether all edge functions are sure to have one sign, some sure to have another, and none to have overflowed."""
-    u, v, w = dot(d, pre[0]), dot(d, pre[1]), dot(d, pre[2])
-    error = pre[5] * l1_norm(d) + TINY
+    u, v, w = dot(d, pre.bc), dot(d, pre.ca), dot(d, pre.ab)
+    error = pre.edge_share * l1_norm(d) + TINY
     least, most, bounded = min(min(u, v), w), max(max(u, v), w), error < MAX_EDGE_ERROR
     return (least > error) | (most < -error), (most > error) & (least < -error) & bounded, bounded
 
@@ -139,15 +151,15 @@ def _nearest_t(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
 
     The bounds of `_intersect` hold for what is added up here, since it is the same for one of the box's corners.
     """
-    _, _, _, n, height, edge_share, slope_share, height_error = pre
+    height, height_error = pre.height, pre.height_error
     most = component_max(scaled(-1.0, low), high)  # no component of d is larger
-    side, error = math.copysign(1.0, height), edge_share * l1_norm(most) + TINY
+    side, error = math.copysign(1.0, height), pre.edge_share * l1_norm(most) + TINY
     if not (height_error < abs(height) and error < MAX_EDGE_ERROR):
         return 0.0
-    for edge in pre[:3]:
+    for edge in (pre.bc, pre.ca, pre.ab):
         if max_dot_over_box(side, edge, low, high) < -error:
             return math.inf
-    steepest = max_dot_over_box(side, n, low, high) + dot(slope_share, most) + TINY
+    steepest = max_dot_over_box(side, pre.n, low, high) + dot(pre.slope_share, most) + TINY
     if not steepest > 0.0:
         return math.inf
     return max((abs(height) - height_error) / steepest * T_LOWER_BOUND_ROUNDING, 0.0)

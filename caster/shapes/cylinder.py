@@ -20,6 +20,7 @@ from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.primitives import exact_unit_cylinder, ray_in_object_space
 from caster.kernels.exact.surds import Root
 from caster.kernels.math.quadric_roots import (
+    QuadricSetup,
     closest_approach,
     first_hit,
     is_in_range_through,
@@ -115,12 +116,22 @@ def _numbers(prims: Any, k: int) -> Any:
     return row(prims.center, k), m, TO_OBJECT_SPACE_ERROR * (x + y), TO_OBJECT_SPACE_ERROR * z
 
 
+class PreparedCylinder(NamedTuple):
+    """A cylinder as rays from one origin meet it, in object space."""
+
+    to_object: Any  # rows of the matrix
+    wall: QuadricSetup
+    height: float  # of the origin along the axis
+    height_error: float
+    across_error: float  # of a direction, per l1 norm, across the axis
+    along_error: float  # and along it
+
+
 @implement(prepare, Cylinders)
-def _prepare(prims: Any, prim: Any, o: Any) -> Any:
-    """(to_object, QuadricSetup, height of the origin, its error, errors of d per l1 norm across and along the axis)."""
+def _prepare(prims: Any, prim: Any, o: Any) -> PreparedCylinder:
     center, m, across_off, along_off = prim
     f, error = to_object_space(m, sub(o, center))
-    return (
+    return PreparedCylinder(
         m,
         quadric_setup((f[0], f[1], 0.0), 1.0, error[0] + error[1]),
         f[2],
@@ -132,10 +143,10 @@ def _prepare(prims: Any, prim: Any, o: Any) -> Any:
 
 @implement(intersect, Cylinders)
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
-    m, wall, height, height_off, across_off, along_off = pre
+    m = pre.to_object
     e, d1 = rows_times_vec(m, d), l1_norm(d)
-    roots = quadric_roots(wall, (e[0], e[1], 0.0), across_off * d1)
-    axis = height, height_off, e[2], along_off * d1
+    roots = quadric_roots(pre.wall, (e[0], e[1], 0.0), pre.across_error * d1)
+    axis = pre.height, pre.height_error, e[2], pre.along_error * d1
     near = clip_to_height(certain_in_range(roots.near, roots.near_error, t_min, t_max), axis)
     far = clip_to_height(certain_in_range(roots.far, roots.far_error, t_min, t_max), axis)
     t, error = first_hit(near, far)
@@ -145,8 +156,8 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
 
 @implement(surely_misses, Cylinders)
 def _passes(prims: Any, pre: Any, d: Any) -> bool:
-    e = rows_times_vec(pre[0], d)
-    return closest_approach(pre[1], (e[0], e[1], 0.0), pre[4] * l1_norm(d)).missed
+    e = rows_times_vec(pre.to_object, d)
+    return closest_approach(pre.wall, (e[0], e[1], 0.0), pre.across_error * l1_norm(d)).missed
 
 
 @inlined

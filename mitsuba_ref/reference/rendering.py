@@ -12,18 +12,13 @@ from caster.geometry.world_space import as_float32
 from caster.image.atomic_files import ScratchFolder
 from caster.rendering.images import film_window
 from caster.scene.model import Scene
-from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.cameras.camera_reference import ClipRange
+from mitsuba_ref.cameras import ClipRange, reference_of_camera
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.variants import variant_for
-from mitsuba_ref.reference.xml_writer import (
-    SceneExport,
-    ShapeWriter,
-    scene_document,
-)
+from mitsuba_ref.reference.xml_writer import SceneExport, ShapeWriter, scene_document
 from mitsuba_ref.shapes import model_of, reference_of
 
 # Clip planes of a sensor whose camera has none, in units of how far the scene reaches.

@@ -4,9 +4,12 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from coin_plugin import Coin, Coins
+from coin_plugin import Coin, Coins, Scanner
 
+from caster.scene.model import Film
 from caster.shapes.disk import Disks
+from mitsuba_ref import cameras
+from mitsuba_ref.cameras.camera_reference import CameraRays, CameraReference, camera_axes, eye_origins
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, by_normal
@@ -128,3 +131,14 @@ register(
         analytic=True,
     )
 )
+
+
+def scanner_rays(camera: Scanner, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """Parallel, from a grid around the eye."""
+    right, up, forward = camera_axes(camera)
+    across, above = camera.spacing * (x - film.width / 2.0), camera.spacing * (film.height / 2.0 - y)
+    o = eye_origins(camera, len(x)) + np.outer(across, right) + np.outer(above, up)
+    return CameraRays(o, np.tile(forward, (len(x), 1)), np.zeros(len(x)), np.full(len(x), np.inf))
+
+
+cameras.register(CameraReference(Scanner, scanner_rays))

@@ -6,10 +6,13 @@ KERNELS = "caster/kernels"
 TREE, ROOTS, TRIANGLES, NEAREST = (
     f"{KERNELS}/{name}.py" for name in ("bvh/traversal", "math/quadric_roots", "triangles", "nearest")
 )
-SCREEN, INTEGERS, BOXES, BUNDLE = (
-    f"{KERNELS}/{name}.py" for name in ("raster/tile_casting", "exact/integers", "bvh/build", "bvh/packet")
+SCREEN, INTEGERS, BOXES = (
+    f"{KERNELS}/{name}.py" for name in ("raster/tile_casting", "exact/integers", "bvh/build")
 )
-PLANAR = QUADRIC = f"{KERNELS}/exact/intersections.py"
+LEAF_OF_RAY, LEAF_OF_PACKET = (
+    f"\n                k = tree.order[at]\n                {then}" for then in ("pre", "cast_lanes")
+)
+PLANAR = QUADRIC = f"{KERNELS}/exact/primitives.py"
 EXACT_ROOT, SPANS = f"{KERNELS}/exact/surds.py", f"{KERNELS}/raster/screen_bounds.py"
 LANES, VECTORS = "caster/jit/simd.py", "caster/jit/vector_intrinsics.py"
 CASTING, HITS, PLACING = (
@@ -109,8 +112,10 @@ FAULTS = (
         "clutter",
         4,
         "culling missed prim",
-        (TREE, "range(start, start + number)", "range(start, start + max(number - 1, 0))"),
-        (BUNDLE, "range(start, start + number)", "range(start, start + max(number - 1, 0))"),
+        *(
+            (TREE, f"start + number):{leaf}", f"start + max(number - 1, 0)):{leaf}")
+            for leaf in (LEAF_OF_RAY, LEAF_OF_PACKET)
+        ),
     ),
     fault(
         "edges excluded",

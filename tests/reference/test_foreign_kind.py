@@ -1,4 +1,4 @@
-"""A primitive kind from outside of the tree goes through every command, and mistakes in it are found.
+"""A primitive kind and a camera from outside of the tree go through every command, and mistakes in it are found.
 
 The coin's two sides are tests/unit/coin_plugin.py and coin_reference.py, which docs/adding-a-shape.md describes.
 """
@@ -88,3 +88,13 @@ def test_a_mistake_in_a_foreign_kind_is_found(coins, old, new, says):
     edit(coins, "coin_plugin.py", old, new)
     found = run_with(coins, "validate", str(coins / "coins.toml"))
     assert found.returncode == 1 and "FAIL  coins" in found.stdout and says in found.stdout
+
+
+def test_a_foreign_camera_is_judged_and_a_mistake_in_it_is_found(coins):
+    scanned = COINS.replace('"pinhole"', '"scanner"\nspacing = 0.17')
+    (coins / "scanned.toml").write_text(scanned, encoding="utf-8")
+    found = run_with(coins, "validate", str(coins / "scanned.toml"))
+    assert (found.returncode, found.stderr) == (0, "") and "PASS  scanned" in found.stdout, found.stdout
+    edit(coins, "coin_plugin.py", "camera.center[1] - y", "camera.center[1] - 1.001 * y")
+    found = run_with(coins, "validate", str(coins / "scanned.toml"))
+    assert found.returncode == 1 and "FAIL  scanned" in found.stdout and "camera: " in found.stdout

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from edited_tree import Forks, copy_tree, edit
+from intersection_faults import LEAF_OF_PACKET
 
 from caster.image.exr import read_exr, write_exr
 
@@ -601,8 +602,8 @@ FAULTS = (
         "coarse-silhouettes",
         "culling",
         BUNDLE,
-        "for at in range(start, start + number):",
-        "for at in range(start, start + (0 if start + number == len(tree.order) else number)):",
+        f"start + number):{LEAF_OF_PACKET}",
+        f"start + (0 if start + number == len(tree.order) else number)):{LEAF_OF_PACKET}",
     ),
     Fault(
         "depth in render from a unit beyond the eye",

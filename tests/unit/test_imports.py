@@ -53,7 +53,6 @@ LOOKUPS = frozenset(
     {
         ("mitsuba_ref.oracle.oracle", "mitsuba_ref.shapes"),
         ("mitsuba_ref.reference.rendering", "mitsuba_ref.cameras"),
-        ("mitsuba_ref.reference.rendering", "mitsuba_ref.cameras.camera_reference"),
         ("mitsuba_ref.reference.rendering", "mitsuba_ref.shapes"),
     }
 )
