@@ -14,6 +14,7 @@ the `__init__` of their own package imports, are counted apart: a registry is th
 import argparse
 import ast
 import json
+import os
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
@@ -365,7 +366,10 @@ def main() -> int:
         Path(args.svg).write_text(picture(), encoding="utf-8")
         return 0
     found = figures()
-    print(json.dumps(found, indent=1) if args.json else in_words(found))
+    try:
+        print(json.dumps(found, indent=1) if args.json else in_words(found), flush=True)
+    except BrokenPipeError:  # `| head` has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 
