@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from caster.description.errors import FileMissing, SceneError
 
-__all__ = ["is_input", "read_input", "record_input", "recorded_inputs"]
+__all__ = ["MAX_TEXT_BYTES", "is_input", "read_input", "record_input", "recorded_inputs"]
 
 MAX_TEXT_BYTES = 2**28  # of a scene file: a million spheres are half of it
 MAX_MESH_BYTES = 2**32  # of a mesh file: 80 million triangles in binary PLY

@@ -17,7 +17,8 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from caster.description.errors import FileMissing, SceneError
+from caster.description.errors import SceneError
+from caster.description.input_files import MAX_TEXT_BYTES, read_input
 from caster.image.atomic_files import write_text
 from mitsuba_ref.reference.variants import usable_variants
 
@@ -45,9 +46,7 @@ def write_result(result: Any, file: str) -> None:
 def read_result(kind: type[T], file: str, written_by: str) -> T:
     """The result in a file that `written_by` wrote. Raises FileMissing or SceneError."""
     try:
-        return TypeAdapter(kind).validate_json(Path(file).read_bytes())
-    except OSError as error:
-        raise FileMissing(f"{file}: {error.strerror}") from error
+        return TypeAdapter(kind).validate_json(read_input(file, "result", MAX_TEXT_BYTES))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))

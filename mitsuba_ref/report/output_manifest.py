@@ -140,7 +140,7 @@ class OutputManifest:
         found = {}
         with suppress(OSError, ValueError):
             for line in self.list.read_text(encoding="utf-8").splitlines():
-                with suppress(ValueError, KeyError, TypeError):
+                with suppress(ValueError, KeyError, TypeError, OverflowError, RecursionError):
                     record = json.loads(line)
                     file = str(record["file"])
                     if file == Path(file).name:

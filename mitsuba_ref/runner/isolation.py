@@ -25,8 +25,9 @@ from mitsuba_ref.reference.subprocess_runner import (
 
 Result = TypeVar("Result")
 
-# Seconds for one call: compilation of all kernels, our caster and Mitsuba may take as long as Mitsuba alone is allowed.
-CALL_SECONDS = 3.0 * DEFAULT_TIMEOUT
+# Compilation of all kernels, our caster and Mitsuba may each take as long as Mitsuba alone is allowed.
+CALL_TIMEOUTS = 3.0
+CALL_SECONDS = CALL_TIMEOUTS * DEFAULT_TIMEOUT  # for one call
 STOP_SECONDS = 2.0  # for a worker to remove its files after SIGTERM, before it is killed
 POLL_SECONDS = 0.005
 STACK_FILE, MAX_CALLS = "stack", 4  # Python calls that a crash came from, the innermost ones

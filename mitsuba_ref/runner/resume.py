@@ -13,9 +13,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from caster.description.errors import FileMissing, SceneError
+from caster.description.input_files import MAX_TEXT_BYTES, read_input
 from caster.image.atomic_files import OutputError, write_text
 from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
@@ -23,7 +24,9 @@ from mitsuba_ref.reference.rendering import variant_of
 from mitsuba_ref.report.output_manifest import JOURNAL, OutFolder
 from mitsuba_ref.runner.scene_runner import JudgeScene, SceneEntry
 
-MALFORMED = (AttributeError, KeyError, TypeError, ValueError)  # exceptions of a record of another shape
+# Exceptions of a file that is no JSON, or of a record of another shape.
+MALFORMED = (AttributeError, KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
+MAX_INPUT_CHARACTERS = 60  # of a wrong value in a message
 NOT_RECORDED = {"seen"}  # fields of a scene that no file has
 
 
@@ -34,14 +37,14 @@ class UnreadableVerdict(FileMissing):
 def read_verdict(path: str | os.PathLike[str]) -> Verdict:
     """The verdict that `validate --json` wrote. Raises FileMissing, or UnreadableVerdict with the reason."""
     try:
-        record = json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
+        record = json.loads(read_input(path, "verdict", MAX_TEXT_BYTES))
+    except FileMissing as error:
+        if Path(path).exists():
+            raise UnreadableVerdict(str(error)) from error
         raise FileMissing(
             f"{path}: expected what `mitsuba-ref validate --json` writes, found no file"
         ) from None
-    except OSError as error:
-        raise UnreadableVerdict(f"{path}: cannot read: {error.strerror or error}") from error
-    except ValueError as error:
+    except MALFORMED as error:
         raise UnreadableVerdict(f"{path}: expected JSON, got something else: {error}") from error
     if not isinstance(record, dict) or record.get("format") != VERDICT_FORMAT:
         found = record.get("format") if isinstance(record, dict) else type(record).__name__
@@ -51,7 +54,16 @@ def read_verdict(path: str | os.PathLike[str]) -> Verdict:
     try:
         return verdict_of(record)
     except MALFORMED as error:
-        raise UnreadableVerdict(f"{path}: not a whole verdict: {type(error).__name__}: {error}") from error
+        raise UnreadableVerdict(f"{path}: not a whole verdict: {_first_error(error)}") from error
+
+
+def _first_error(error: Exception) -> str:
+    """Where a record differs from its model: the first field, what is expected there and what was got."""
+    if not isinstance(error, ValidationError):
+        return f"{type(error).__name__}: {error}"
+    first = error.errors()[0]
+    got = repr(first["input"])[:MAX_INPUT_CHARACTERS]
+    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}, got {got}"
 
 
 def verdict_of(record: dict[str, Any]) -> Verdict:
@@ -76,6 +88,7 @@ def check_ok(record: dict[str, Any], scene: SceneVerdict) -> None:
     missing = {each.name for each in fields(SceneVerdict)} - NOT_RECORDED - record.keys()
     if missing:
         raise ValueError(f"{scene.name} lacks {', '.join(sorted(missing))}")
+    journal_line(scene)  # raises ValueError for a number that JSON has no word for
     if scene.ok != record["ok"]:
         raise ValueError(f"{scene.name}: its ok is {record['ok']}, by its numbers it is {scene.ok}")
 
@@ -219,6 +232,6 @@ class ResumableResults:
         except (OSError, ValueError):
             return []
         for line in lines:
-            with suppress(ValueError):
+            with suppress(*MALFORMED):
                 found.append(json.loads(line))
         return found

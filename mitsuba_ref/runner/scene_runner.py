@@ -21,6 +21,7 @@ from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.runner.isolation import Isolated, WorkerEnded
 from mitsuba_ref.runner.validation import validate_scene
@@ -201,15 +202,17 @@ def judge_entry(
     folder: Path | None,
     *,
     validate: Callable[..., SceneVerdict] = ISOLATED,
+    timeout: float = DEFAULT_TIMEOUT,
     keep: bool = False,
 ) -> SceneVerdict:
     """The verdict of one scene; one that cannot be judged, or ends the process, has its `problem` set.
 
-    validate: a function with the parameters of validate_scene; keep: with the evidence of the verdict.
+    validate: a function with the parameters of validate_scene; timeout: seconds for Mitsuba; keep: with the evidence of
+    the verdict.
     """
-    given: dict[str, Any] = {}
+    given: dict[str, Any] = {"timeout": timeout}
     if entry.rays is not None:
-        given = {"rays": entry.rays, "first_ray": entry.ray_range[0]}
+        given |= {"rays": entry.rays, "first_ray": entry.ray_range[0]}
     if entry.subject is not None:
         given["subject"] = entry.subject
         validate = validate_scene if validate is ISOLATED else validate  # no code of the subject runs

@@ -14,6 +14,7 @@ from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
 from mitsuba_ref.report.html.html_report import HtmlReport
 from mitsuba_ref.report.output_manifest import OutFolder, RemovedFiles
 from mitsuba_ref.runner import scene_runner
+from mitsuba_ref.runner.isolation import CALL_TIMEOUTS
 from mitsuba_ref.runner.resume import ResumableResults, code_hash, recorded
 from mitsuba_ref.runner.scene_runner import Entry, JudgeScene, SceneEntry
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard
@@ -111,8 +112,9 @@ class ValidationRun:
         if self.candidate is not None:
             judge = candidate_judge(self.candidate, self.options.timeout, keep=keep)
             return recorded(judge, self.out) if self.out else judge
-        validate = partial(validate_scene, timeout=self.options.timeout)
-        judge = partial(scene_runner.judge_entry, validate=validate, keep=keep)
+        if self.options.timeout > DEFAULT_TIMEOUT:
+            scene_runner.ISOLATED.seconds = CALL_TIMEOUTS * self.options.timeout
+        judge = partial(scene_runner.judge_entry, timeout=self.options.timeout, keep=keep)
         if self.out is None:
             return judge
         if self.html is None:
@@ -122,10 +124,10 @@ class ValidationRun:
 
 def candidate_judge(candidate: Subject, timeout: float = DEFAULT_TIMEOUT, *, keep: bool) -> JudgeScene:
     """Judges a scene with a candidate in place of our caster. keep: with the evidence of the verdict."""
-    validate = partial(validate_scene, subject=candidate, timeout=timeout)
+    validate = partial(validate_scene, subject=candidate)
 
     def judge(entry: SceneEntry, folder: Path | None) -> SceneVerdict:
-        found = scene_runner.judge_entry(entry, folder, validate=validate, keep=keep)
+        found = scene_runner.judge_entry(entry, folder, validate=validate, timeout=timeout, keep=keep)
         return replace(found, candidate=candidate.name)
 
     return judge

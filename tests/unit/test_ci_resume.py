@@ -26,7 +26,7 @@ def judged(tmp_path, monkeypatch):
     (tmp_path / "scenes/tile.obj").write_text(TILE.format(z=0))
     asked = []
 
-    def judge(entry, folder, *, keep=False):
+    def judge(entry, folder, **options):
         if entry.name in asked_to_fail:
             raise KeyboardInterrupt
         asked.append(entry.name)
@@ -174,7 +174,7 @@ def test_a_crash_of_mitsuba_is_not_kept(judged, monkeypatch):
     monkeypatch.setattr(
         scene_runner,
         "judge_entry",
-        lambda entry, folder, *, keep=False: made(entry.name, ok=False, problem="crash"),
+        lambda entry, folder, **options: made(entry.name, ok=False, problem="crash"),
     )
     assert judged() == (1, []) and written()["scenes"][0]["problem"] == "crash"
     monkeypatch.setattr(scene_runner, "judge_entry", healthy)

@@ -30,7 +30,7 @@ def judged(tmp_path, monkeypatch):
         Path(f"scenes/{name}.toml").write_text(SCENE.format(name=name))
     settings = {"reproducers": (), "problem": (), "stop": ()}
 
-    def judge(entry, folder, *, keep=False):
+    def judge(entry, folder, **options):
         if entry.name in settings["stop"]:
             raise KeyboardInterrupt
         if entry.name in settings["problem"]:
@@ -111,9 +111,9 @@ def test_no_verdict_of_an_earlier_run_is_there_while_one_goes_on(judged, monkeyp
     judged()
     judge, seen = scene_runner.judge_entry, []
 
-    def looking(entry, folder, *, keep=False):
+    def looking(entry, folder, **options):
         seen.append(Path("out/verdict.json").exists())
-        return judge(entry, folder, keep=keep)
+        return judge(entry, folder, **options)
 
     monkeypatch.setattr(scene_runner, "judge_entry", looking)
     Path("scenes/a.toml").write_text(SCENE.format(name="another"))
