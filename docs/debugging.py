@@ -77,7 +77,7 @@ def diff() -> str:
 
 def replay_in(text: str) -> str:
     """The command that the failing text names."""
-    found = re.search(r"replay: +mitsuba-ref (.*)", text)
+    found = re.search(r"replay: +mitsuba-ref (probe .*)", text)
     assert found, text
     return f"mitsuba-ref {found[1]}"
 
@@ -119,7 +119,7 @@ def main() -> None:
     PAGE.write_text(
         TEXT.format(
             diff=diff(),
-            failing=shown(failing, lines=12),
+            failing=shown(failing, lines=14),
             probed=shown(probed, lines=18),
             alone=alone,
             near=shown(near, start="miss"),
@@ -150,7 +150,7 @@ Only rays whose edge function is exactly zero see a difference, and only integer
 {failing}
 
 The table counts pixels by class; ours is wrong at some, by exact arithmetic. The text below it is of the
-worst pixel: what each side says, what is right, and a command that looks at this pixel again. The exit code
+worst pixel: each side's answer, what is right, and a command that looks at this pixel again. The exit code
 is 1.
 
 ## 2. All witnesses of one pixel

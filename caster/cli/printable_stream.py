@@ -50,7 +50,7 @@ class PrintableStream:
         try:
             yield
         except OSError as error:
-            raise OSError(error.errno, error.strerror, self._name) from error
+            raise type(error)(error.errno, error.strerror, self._name) from error
 
 
 def unfiltered(stream: TextIO) -> TextIO:

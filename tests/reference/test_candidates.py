@@ -246,10 +246,10 @@ ANSWERS = [
         "t: expected an array of shape (n,) = (432,), got generator",
     ),
     (lambda scene, o, d: (None, None), "t: expected an array of shape (n,) = (432,), got NoneType"),
-    (masked, "values are masked; say what they are, such as t.filled(inf)"),
+    (masked, "values are masked; fill them, such as t.filled(inf)"),
     (speechless, "raised Speechless: (its message raises ValueError)"),
     (later, "got a coroutine; a plain function is called"),
-    (talkative, " [31mxxx"),
+    (talkative, "\\u001b[31mxxx"),
 ]
 
 

@@ -37,7 +37,7 @@ def test_the_fault_is_seen_and_the_replay_shows_who_is_wrong(story):
     assert failing.code == probed.code == 1
     assert module.diff() in PAGE and f"$ {failing.command}" in PAGE
     (head,) = [line for line in failing.text.splitlines() if "mask: 15 wrong of 225" in line]
-    (replay,) = [line for line in failing.text.splitlines() if "replay:" in line]
+    (replay,) = [line for line in failing.text.splitlines() if "replay:    mitsuba-ref probe" in line]
     (exact,) = [line for line in failing.text.splitlines() if "exact:     cube" in line]
     assert all(line in PAGE for line in (head, replay, exact))
     assert re.search(r"witness +ours +WRONG  miss", probed.text)

@@ -16,12 +16,13 @@ from caster.rendering.casting import find_nearest
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli import fuzz as command
-from mitsuba_ref.fuzz import campaign, checks
+from mitsuba_ref.fuzz import campaign
 from mitsuba_ref.fuzz.campaign import compare_with_mitsuba
 from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.families import FAMILIES
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.judge.classification import scene_judge
+from mitsuba_ref.judge.independent_checks import exact_rays
 from mitsuba_ref.judge.verdict import CLASSES
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.session import ResidentSession
@@ -56,7 +57,7 @@ def fault(monkeypatch):
         return nearest
 
     def plant():
-        monkeypatch.setattr(checks, "find_nearest", forgetful)
+        monkeypatch.setattr(exact_rays, "find_nearest", forgetful)
         monkeypatch.setattr(images, "find_nearest", forgetful)
         monkeypatch.setattr(hits, "find_nearest", forgetful)
 
