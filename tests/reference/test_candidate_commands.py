@@ -22,7 +22,7 @@ from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.terminal import failure_text
 from mitsuba_ref.runner.validation import validate_scene
 from mitsuba_ref.subjects.answer import Answer, NoAnswer
-from mitsuba_ref.subjects.command import answer_from_exr
+from mitsuba_ref.subjects.command import answer_from_exr, run_program
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import CastRequest
 
@@ -294,6 +294,5 @@ def test_a_function_that_ends_the_process_after_the_verdict_does_not_change_it(t
 def test_a_program_that_leaves_another_behind_is_not_waited_for(tmp_path):
     """The one that is left behind holds on to what the program printed to."""
     (tmp_path / "leaves.sh").write_text("sleep 600 &\necho said\nexit 3\n")
-    candidate = parse_candidate("sh {toml} {exr}", None, 60.0)
     with pytest.raises(NoAnswer, match=r"(?s)exit code 3.*said"):
-        candidate._run(["sh", str(tmp_path / "leaves.sh")])
+        run_program(["sh", str(tmp_path / "leaves.sh")], 60.0)

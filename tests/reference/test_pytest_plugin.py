@@ -1,6 +1,7 @@
 """The pytest plug-in, run by pytest itself on small scenes: what is collected, judged how often, and shown."""
 
 import re
+import tempfile
 import tomllib
 from importlib import import_module
 from pathlib import Path
@@ -138,19 +139,19 @@ def test_a_scene_that_fails_one_check_fails_that_test_with_its_replay(folder, mo
 
 
 @pytest.fixture
-def crashing(monkeypatch):
-    """Mitsuba ends without an answer; gives how often it was asked."""
-    asked = []
+def crashing(monkeypatch, tmp_path_factory):
+    """Mitsuba ends without an answer; gives the files of its requests, which come from forks of this process."""
+    requests = tmp_path_factory.mktemp("requests")
 
     def put(job, timeout, settings=None):
-        asked.append(job)
+        tempfile.mkstemp(dir=requests)
         return Crash("abort", "last words", "SIGABRT", 0.1)
 
     monkeypatch.setattr("mitsuba_ref.reference.messages.run_request", put)
     monkeypatch.setattr(
         "mitsuba_ref.reference.rendering.variant_for", lambda has_quadrics: "scalar_rgb"
     )  # nor asked for this
-    return asked
+    return lambda: list(requests.iterdir())
 
 
 def test_a_crash_fails_every_test_and_is_asked_about_once(folder, crashing):
@@ -158,13 +159,13 @@ def test_a_crash_fails_every_test_and_is_asked_about_once(folder, crashing):
     found.assert_outcomes(failed=len(NAMES))
     text = found.stdout.str()
     assert "FAIL  good  Mitsuba ended without an answer (SIGABRT)" in text and "last words" in text
-    assert len(crashing) == 1
+    assert len(crashing()) == 1
 
 
 def test_an_expression_selects_and_one_check_alone_does_not_pass_for_want_of_a_verdict(folder, crashing):
     found = run(folder, "--mitsuba-ref", "scenes", "-k", "good and depth", "--mitsuba-ref-size", "8", "6")
     found.assert_outcomes(failed=1, deselected=2 * len(NAMES) - 1)
-    assert len(crashing) == 1 and "so nothing was checked" in found.stdout.str()
+    assert len(crashing()) == 1 and "so nothing was checked" in found.stdout.str()
 
 
 def test_a_scene_file_that_is_not_valid_is_told_with_its_place(folder, crashing):
@@ -173,7 +174,7 @@ def test_a_scene_file_that_is_not_valid_is_told_with_its_place(folder, crashing)
     found.assert_outcomes(failed=len(NAMES))
     text = found.stdout.str()
     assert "scenes/bad.toml:9:1: " in text and "foov is an unknown key" in text and "Traceback" not in text
-    assert "FAILED scenes/bad.toml::depth - scenes/bad.toml:9:1: " in text and not crashing
+    assert "FAILED scenes/bad.toml::depth - scenes/bad.toml:9:1: " in text and not crashing()
 
 
 def test_meshes_may_lie_in_folders_that_the_ini_file_names(folder, crashing):
@@ -185,10 +186,10 @@ def test_meshes_may_lie_in_folders_that_the_ini_file_names(folder, crashing):
     )
     Path("scenes/mesh.toml").write_text(mesh)
     refused = run(folder, "--mitsuba-ref", "scenes/mesh.toml::depth")
-    assert "--mesh-dir" in refused.stdout.str() and not crashing
+    assert "--mesh-dir" in refused.stdout.str() and not crashing()
     folder.makeini("[pytest]\nmitsuba_ref_mesh_dirs = meshes\n")
     run(folder, "--mitsuba-ref", "scenes/mesh.toml::depth").assert_outcomes(failed=1)
-    assert len(crashing) == 1  # the scene was loaded, and Mitsuba asked
+    assert len(crashing()) == 1  # the scene was loaded, and Mitsuba asked
 
 
 @pytest.mark.parametrize("size", ["20", "20 x", "0 5"])
