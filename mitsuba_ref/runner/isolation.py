@@ -4,6 +4,7 @@ import contextlib
 import faulthandler
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import tempfile
@@ -37,6 +38,10 @@ _forking = threading.Lock()  # a second fork at the same time would hold the fir
 
 class WorkerEnded(Exception):  # noqa: N818 - an event; str() is how the process ended, then the last Python calls
     """A worker that ended, or was killed after CALL_SECONDS, before its call returned."""
+
+
+class ResultNotSent(Exception):  # noqa: N818 - str() names the function and what of its result has no pickle
+    """A result, or an exception, that cannot be sent from a fork: a mistake of this package."""
 
 
 class Worker:
@@ -76,7 +81,10 @@ class Worker:
                     reply = function(*args, **options), None
                 except Exception as error:
                     reply = None, error
-                requests.send(reply)
+                try:
+                    requests.send(reply)
+                except (pickle.PicklingError, AttributeError, TypeError) as error:
+                    requests.send((None, ResultNotSent(f"{function.__name__}: {error}")))
         except (EOFError, OSError):
             os._exit(0)
         except KeyboardInterrupt:

@@ -1,5 +1,6 @@
 """Error propagation through object space, for spheres, ellipsoids, disks and cylinders (docs/method.md, "Quadrics")."""
 
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,18 +44,25 @@ def ours_through_object_space(
     |q_i|, so the products with the columns and their sum are covered, too. used: which coordinates are not set to 0.
     """
 
-    def intersect_ours(
-        prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
-    ) -> tuple[Intersections, ...]:
-        rays = rays_in_object_space(prims.center[k], prims.to_object[k], o, d)
-        to_world = prims.to_world[k]
-        columns = np.sqrt(np.einsum("ijk,ijk->ik", to_world, to_world)) * np.array(used)
-        return tuple(
-            at._replace(p_error=at.p_error + ku * dot(columns, rays.components(at.t)))
-            for at in intersect(prims, k, o, d, ku)
-        )
+    return functools.partial(_intersect_ours, intersect, used)
 
-    return intersect_ours
+
+def _intersect_ours(
+    intersect: IntersectFunction,
+    used: tuple[float, float, float],
+    prims: Any,
+    k: np.ndarray,
+    o: np.ndarray,
+    d: np.ndarray,
+    ku: float,
+) -> tuple[Intersections, ...]:
+    rays = rays_in_object_space(prims.center[k], prims.to_object[k], o, d)
+    to_world = prims.to_world[k]
+    columns = np.sqrt(np.einsum("ijk,ijk->ik", to_world, to_world)) * np.array(used)
+    return tuple(
+        at._replace(p_error=at.p_error + ku * dot(columns, rays.components(at.t)))
+        for at in intersect(prims, k, o, d, ku)
+    )
 
 
 def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndarray:

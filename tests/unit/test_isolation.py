@@ -4,6 +4,7 @@ import ctypes
 import json
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,7 +14,7 @@ from made_verdicts import scene as made
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.runner import isolation, scene_runner
-from mitsuba_ref.runner.isolation import Isolated, WorkerEnded
+from mitsuba_ref.runner.isolation import Isolated, ResultNotSent, WorkerEnded
 
 SCENE = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
 
@@ -111,3 +112,12 @@ def _divide():
 def _leave_a_file():
     Path(isolation.tempfile.mkdtemp(), "file").write_text("left")
     crash()
+
+
+def test_a_result_without_a_pickle_is_a_mistake_of_this_package_not_a_crash_of_a_scene(capfd):
+    isolated = Isolated(lambda action: action())
+    with isolated.kept():
+        with pytest.raises(ResultNotSent, match="cannot pickle '_thread.lock' object"):
+            isolated(threading.Lock)
+        assert isolated(int) == 0
+    assert capfd.readouterr().err == ""
