@@ -10,7 +10,6 @@ from mitsuba_ref.bench.work import ANY, DEFAULT, FILM, NEAREST, ROBUST, SHADING,
 from mitsuba_ref.reference import variants
 
 OURS, MITSUBA, PEER, MACHINE = "ours", "mitsuba", "peer", "machine"
-RAY_TASKS = (NEAREST, ANY)
 ALL_TASKS = (FILM, NEAREST, ANY)
 
 
@@ -54,10 +53,6 @@ class Contestant:
 
 def of_mitsuba(key: str, title: str, entry: str, workloads: tuple[str, ...], **options: Any) -> Contestant:
     return Contestant(key, title, MITSUBA, entry, workloads, options, variant=variants.LLVM)
-
-
-def of_picture(key: str, title: str, mode: str) -> Contestant:
-    return of_mitsuba(key, title, INTEGRATOR, (FILM,), mode=mode, variant=variants.LLVM)
 
 
 def of_shading(key: str, title: str, *aovs: str, shadows: bool = True) -> Contestant:

@@ -16,7 +16,9 @@ COMMANDS = (
     Command(
         "rays",
         "write rays to a file for `judge`: a scene's camera rays, shadow rays, random or aimed ones",
-        "mitsuba_ref.cli.rays",
+        "mitsuba_ref.cli.judge",
+        run="run_rays",
+        arguments="add_rays_arguments",
     ),
     Command(
         "merge",
@@ -35,14 +37,14 @@ COMMANDS = (
     Command(
         "approve",
         "render reference EXRs with Mitsuba, show what changed in them, and write them once approved",
-        "mitsuba_ref.cli.approved_references",
+        "mitsuba_ref.cli.exr_comparison",
         run="run_approve",
         arguments="add_approve_arguments",
     ),
     Command(
         "check",
         "compare our render with approved reference EXRs, without Mitsuba; stale or altered ones fail",
-        "mitsuba_ref.cli.approved_references",
+        "mitsuba_ref.cli.exr_comparison",
         run="run_check",
         arguments="add_check_arguments",
     ),
@@ -63,7 +65,9 @@ COMMANDS = (
     Command(
         "compare",
         "compare two EXR files; NaN, inf, another size or one missed pixel never pass",
-        "mitsuba_ref.cli.compare",
+        "mitsuba_ref.cli.exr_comparison",
+        run="run_compare",
+        arguments="add_compare_arguments",
     ),
     Command(
         "probe",
@@ -78,17 +82,23 @@ COMMANDS = (
     Command(
         "stress",
         "numerical stability: errors and wrong hits, against exact answers, along sweeps of growing difficulty",
-        "mitsuba_ref.cli.stress",
+        "mitsuba_ref.cli.experiments",
+        run="run_stress",
+        arguments="add_stress_arguments",
     ),
     Command(
         "bench",
         "run time against error: our caster beside Mitsuba and others, in alternating processes",
-        "mitsuba_ref.cli.bench",
+        "mitsuba_ref.cli.experiments",
+        run="run_bench",
+        arguments="add_bench_arguments",
     ),
     Command(
         "schema",
         "print the JSON Schema of a result, such as verdict.json",
-        "mitsuba_ref.cli.schema",
+        "mitsuba_ref.cli.doctor",
+        run="run_schema",
+        arguments="add_schema_arguments",
     ),
     Command(
         "doctor",

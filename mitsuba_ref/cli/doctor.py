@@ -1,4 +1,4 @@
-"""`mitsuba-ref doctor`: what this machine has for the judge, and what each missing part would add.
+"""`mitsuba-ref doctor`: what this machine has for the judge, and what each missing part would add; and `schema`.
 
 Mitsuba is imported in a child process: a bad libLLVM aborts the process that loads it.
 """
@@ -10,9 +10,11 @@ import shutil
 import sys
 from collections.abc import Sequence
 from ctypes.util import find_library
+from pkgutil import resolve_name
 from typing import Any
 
 from caster.cli import installation as caster_doctor
+from caster.cli.exit_codes import OK
 from caster.cli.installation import (
     Finding,
     Package,
@@ -148,3 +150,33 @@ def _gpu() -> Finding:
     library = find_library("cuda")
     adds = "nothing yet: the reference uses the CPU"
     return Finding("GPU", library is not None, False, library or "no CUDA driver", adds)
+
+
+# ---- mitsuba-ref schema ----
+
+# Result -> module and class of its model, for pkgutil.
+RESULTS = {
+    "verdict": "mitsuba_ref.judge.verdict:Verdict",  # validate --json, merge --json, verdict.json
+    "scene-verdict": "mitsuba_ref.judge.verdict:SceneVerdict",  # a line of judged.jsonl
+    "compare": "mitsuba_ref.exr_compare.comparison_result:FileComparison",
+    "check": "mitsuba_ref.exr_compare.approval:ReferenceChecks",
+    "bench": "mitsuba_ref.bench.result:Run",
+    "stress": "mitsuba_ref.stress.sweeps:StressRun",
+}
+
+
+def add_schema_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("result", choices=RESULTS, help="whose --json the schema describes")
+
+
+def run_schema(args: argparse.Namespace) -> int:
+    """Print the JSON Schema of a result."""
+    print(json.dumps(result_schema(args.result), indent=2))
+    return OK
+
+
+def result_schema(name: str) -> dict[str, Any]:
+    """The JSON Schema of a result of RESULTS, as it is written."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(resolve_name(RESULTS[name])).json_schema(mode="serialization")

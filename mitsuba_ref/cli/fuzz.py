@@ -15,7 +15,7 @@ from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
 from caster.cli.progress import StatusLine
 from caster.description.errors import SceneError, suggestion
-from mitsuba_ref.cli import experiment_options as options
+from mitsuba_ref.cli import options
 
 if TYPE_CHECKING:
     from mitsuba_ref.fuzz.campaign import Campaign, Plan

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from caster.cli.exit_codes import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from caster.cli.path_arguments import InputPath, OutputFolder
+from caster.cli.scene_arguments import positive_int
 from caster.description.errors import SceneError
 from mitsuba_ref.cli.options import (
     HTML_SUFFIX,
@@ -22,7 +23,6 @@ from mitsuba_ref.cli.options import (
     add_verdict_files,
     check_verdict_files,
     html_output,
-    positive_int,
     requested_candidate,
     selected_entries,
     verdict_json,

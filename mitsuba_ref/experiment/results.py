@@ -54,11 +54,6 @@ def read_result(kind: type[T], file: str, written_by: str) -> T:
         raise SceneError(text) from error
 
 
-def schema(kind: type) -> dict[str, Any]:
-    """JSON Schema of a result file."""
-    return TypeAdapter(kind).json_schema(mode="serialization")
-
-
 def versions(*packages: str) -> dict[str, str]:
     """Installed versions of packages; "none" where there is none."""
     return {name: package_version(name) for name in packages}

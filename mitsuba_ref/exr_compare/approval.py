@@ -204,7 +204,8 @@ def without_classes(found: Reference) -> Reference:
     )
 
 
-MISSING, CHANGED, ALL = MODES = ("missing", "changed", "all")
+MISSING, ALL = "missing", "all"
+MODES = (MISSING, "changed", ALL)
 
 
 class Proposal(NamedTuple):

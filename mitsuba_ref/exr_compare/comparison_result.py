@@ -1,11 +1,11 @@
 """Result of a comparison of two EXR files: a model with one JSON schema, and its text for a terminal."""
 
 import math
-from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, PlainSerializer, computed_field
+from pydantic import BaseModel, ConfigDict, computed_field
 
 from mitsuba_ref.error_model.intersections import K
+from mitsuba_ref.judge.verdict import JsonFloat
 from mitsuba_ref.report.text_table import Column, format_table
 
 LEGEND = f"u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
@@ -18,14 +18,6 @@ COLUMNS = (
     Column("at", "right"),
     Column("bound"),
 )
-
-
-def _json_number(value: float) -> float | str:
-    return value if math.isfinite(value) else str(value)
-
-
-JsonFloat = Annotated[float, PlainSerializer(_json_number, return_type=float | str, when_used="json")]
-"""A float; in JSON, which has no other numbers, one that is not finite is "inf", "-inf" or "nan"."""
 
 
 class Worst(BaseModel):

@@ -1,7 +1,7 @@
 """Results of the judge as pydantic models: classes of pixels, the verdict of a scene, the verdict of a run.
 
-`verdict.json` is `Verdict` as JSON, and `verdict_schema` is its JSON Schema. Results only: how they are found is in
-judge/classification.py, how they are shown is in report/.
+`verdict.json` is `Verdict` as JSON, and `mitsuba-ref schema verdict` prints its JSON Schema. Results only: how they are
+found is in judge/classification.py, how they are shown is in report/.
 """
 
 import math
@@ -35,10 +35,10 @@ def json_number(value: float) -> float | str:
     return float(value) if math.isfinite(value) else str(float(value))
 
 
-Ratio = Annotated[
+JsonFloat = Annotated[
     float,
-    PlainSerializer(json_number, return_type=float | str, when_used="always"),
-    Field(description='A finite number, or "inf".'),
+    PlainSerializer(json_number, return_type=float | str, when_used="json"),
+    Field(description='A finite number, or "inf", "-inf" or "nan", for which JSON has no number.'),
 ]
 Seconds = Annotated[float, PlainSerializer(lambda seconds: round(seconds, 3), return_type=float)]
 RESULT = ConfigDict(extra="ignore")  # computed fields of a record are computed again when it is read
@@ -58,7 +58,7 @@ class SceneCheck:
     """Result of a check that is made once per scene."""
 
     name: str
-    ratio: Ratio  # largest error over its bound; inf where something must not be there, or is missing
+    ratio: JsonFloat  # largest error over its bound; inf where something must not be there, or is missing
     what: str  # where the largest is, or what was looked at
 
     @computed_field  # type: ignore[prop-decorator]
@@ -97,7 +97,7 @@ class ErrorStatistics:
     pixels: int
     k_t: Extremes
     k_normal: Extremes
-    looseness: Ratio  # median of the bound of t over its error; inf where most are exact
+    looseness: JsonFloat  # median of the bound of t over its error; inf where most are exact
     biases: tuple[KindBias, ...] = ()
 
     @computed_field  # type: ignore[prop-decorator]
@@ -115,7 +115,7 @@ class Failure:
     y: int
     verdict: str  # its class
     check: str
-    ratio: Ratio  # error over bound
+    ratio: JsonFloat  # error over bound
     subject: str  # its answer, as text; so the next two
     reference: str
     exact: str
@@ -150,7 +150,7 @@ class SceneVerdict:
     pixels: int = 0
     hit_pixels: int = 0  # hit in either image
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CLASSES, 0))  # hit or failing pixels
-    ratios: dict[str, Ratio] = field(default_factory=dict)  # largest of each check among agreeing pixels
+    ratios: dict[str, JsonFloat] = field(default_factory=dict)  # largest of each check among agreeing pixels
     checks: tuple[SceneCheck, ...] = ()
     failures: tuple[Failure, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
@@ -306,8 +306,3 @@ class Verdict:
         """JSON values, as in verdict.json."""
         record: dict[str, Any] = TypeAdapter(Verdict).dump_python(self, mode="json")
         return record
-
-
-def verdict_schema() -> dict[str, Any]:
-    """The JSON Schema of verdict.json."""
-    return TypeAdapter(Verdict).json_schema(mode="serialization")

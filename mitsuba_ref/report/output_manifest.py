@@ -6,9 +6,9 @@ import secrets
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from caster.image.atomic_files import OutputError, write_text
 from mitsuba_ref.judge.verdict import FileRecord, SceneVerdict, Verdict
@@ -18,39 +18,29 @@ MANIFEST = (
 )
 
 
-@dataclass(frozen=True)
-class FileDigest:
-    """Size and hash of a file as it was written."""
+def record_of(path: Path) -> FileRecord | None:
+    """Size and hash of a file; None if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            return FileRecord(file.tell(), digest)
+    except OSError:
+        return None
 
-    bytes: int
-    sha256: str
 
-    @classmethod
-    def of(cls, path: Path) -> "FileDigest | None":
-        """Of a file; None if it cannot be read."""
-        try:
-            with path.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
-                return cls(file.tell(), digest)
-        except OSError:
-            return None
-
-    def fits(self, path: Path) -> bool:
-        """Whether the file exists with the same bytes."""
-        try:
-            return path.stat().st_size == self.bytes and FileDigest.of(path) == self
-        except OSError:
-            return False
-
-    def to_dict(self) -> dict[str, Any]:
-        return vars(self)
+def is_unchanged(path: Path, record: FileRecord) -> bool:
+    """Whether the file exists with the same bytes."""
+    try:
+        return path.stat().st_size == record.bytes and record_of(path) == record
+    except OSError:
+        return False
 
 
 class ManifestEntry(NamedTuple):
     """A line of the manifest. run: id of the run that wrote the file; labels: further facts about it."""
 
     scene: str
-    digest: FileDigest
+    digest: FileRecord
     run: str
     labels: dict[str, str]
 
@@ -81,16 +71,16 @@ class OutputManifest:
     def __init__(self, folder: Path) -> None:
         self.folder, self.list = folder, folder / MANIFEST
         self.lock, self.run = threading.Lock(), secrets.token_hex(8)
-        self.now: dict[str, FileDigest] = {}
+        self.now: dict[str, FileRecord] = {}
         self.earlier = self._known()
         write_text(self.list, "".join(self._lines(self.earlier)))  # a truncated line would spoil the next
 
-    def add(self, scene: str, files: Iterable[str], **labels: str) -> dict[str, FileDigest]:
+    def add(self, scene: str, files: Iterable[str], **labels: str) -> dict[str, FileRecord]:
         """Record files of a scene; missing ones are left out. labels: further facts about them.
 
         Raises OutputError.
         """
-        found = {file: digest for file in files if (digest := FileDigest.of(self.folder / file)) is not None}
+        found = {file: digest for file in files if (digest := record_of(self.folder / file)) is not None}
         try:
             with self.lock, self.list.open("a", encoding="utf-8") as out:
                 out.writelines(
@@ -109,7 +99,7 @@ class OutputManifest:
         if (
             known is None
             or not labels.items() <= known.labels.items()
-            or not known.digest.fits(self.folder / file)
+            or not is_unchanged(self.folder / file, known.digest)
         ):
             return None
         return known
@@ -127,7 +117,7 @@ class OutputManifest:
             if kept and path.exists():
                 continue
             del known[file]
-            if line.digest.fits(path):
+            if is_unchanged(path, line.digest):
                 remove(path)
                 removed.append(file)
             elif path.exists():
@@ -144,7 +134,7 @@ class OutputManifest:
                     record = json.loads(line)
                     file = str(record["file"])
                     if file == Path(file).name:
-                        digest = FileDigest(int(record["bytes"]), str(record["sha256"]))
+                        digest = FileRecord(int(record["bytes"]), str(record["sha256"]))
                         more = str(record["run"]), dict(record.get("labels", {}))
                         found[file] = ManifestEntry(str(record["scene"]), digest, *more)
         return found
@@ -152,7 +142,7 @@ class OutputManifest:
     @staticmethod
     def _lines(files: dict[str, ManifestEntry]) -> Iterator[str]:
         for file, (scene, digest, run, labels) in files.items():
-            line = {"file": file, "scene": scene, **digest.to_dict(), "run": run}
+            line = {"file": file, "scene": scene, **asdict(digest), "run": run}
             yield json.dumps(line | ({"labels": labels} if labels else {})) + "\n"
 
 
@@ -190,15 +180,14 @@ class OutFolder:
 
     def record(self, verdict: SceneVerdict) -> SceneVerdict:
         """The verdict with its files in the folder."""
-        found = self.written.add(verdict.name, files_of(verdict))
-        return replace(
-            verdict, files={file: FileRecord(digest.bytes, digest.sha256) for file, digest in found.items()}
-        )
+        return replace(verdict, files=self.written.add(verdict.name, files_of(verdict)))
 
     def has_files(self, verdict: SceneVerdict) -> bool:
         """Whether every file of a verdict is listed in it, and exists with the same bytes."""
-        known = {file: FileDigest(record.bytes, record.sha256) for file, record in verdict.files.items()}
-        return all(file in known and known[file].fits(self.folder / file) for file in files_of(verdict))
+        known = verdict.files
+        return all(
+            file in known and is_unchanged(self.folder / file, known[file]) for file in files_of(verdict)
+        )
 
     def sweep(self, verdict: Verdict, selected: Collection[str] | None) -> RemovedFiles:
         """Remove files of earlier runs. Spared: scenes that are not judged yet, and those of other shards.

@@ -1,7 +1,6 @@
 """Surface points, numbers of shapes and mesh files, drawn at random: what the fuzzer aims at and draws shapes from."""
 
 import functools
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,9 +27,6 @@ class SurfacePoints(NamedTuple):
 
 
 UnitPoints = tuple[np.ndarray, np.ndarray, np.ndarray]  # p, along, n of a shape at the origin
-
-
-SurfaceSampler = Callable[[Any, np.ndarray, Rng, str], SurfacePoints]
 
 
 def to_world_points(prims: Any, k: np.ndarray, unit: UnitPoints) -> SurfacePoints:

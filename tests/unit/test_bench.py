@@ -27,8 +27,9 @@ from mitsuba_ref.bench.result import Row, Run, SceneResult, Score, Series, Sweep
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING, Work
 from mitsuba_ref.bench.worker import peak_memory
+from mitsuba_ref.cli.doctor import result_schema
 from mitsuba_ref.experiment import results
-from mitsuba_ref.experiment.results import as_json, read_result, schema, write_result
+from mitsuba_ref.experiment.results import as_json, read_result, write_result
 
 SCENES = {scene.name: scene for scene in scenes.SCENES}
 
@@ -366,7 +367,7 @@ def test_json_brings_the_run_back_and_what_follows_from_it(tmp_path):
     write_result(FIXED, str(file))
     data = json.loads(file.read_text())
     assert read_result(Run, str(file), "mitsuba-ref bench") == FIXED and data == as_json(FIXED)
-    jsonschema.validate(data, schema(Run))
+    jsonschema.validate(data, result_schema("bench"))
     told = {one["key"]: one for one in data["scenes"][0]["rows"]}
     assert told["aov-robust"]["ratio"] == pytest.approx(6.0) and told["ours"]["ns"] == pytest.approx(10.0)
     assert told["open3d"]["ratio"] is None

@@ -5,7 +5,7 @@ import re
 from caster.aovs import BY_NAME
 from caster.cli.scene_arguments import AOV_NAMES, DEFAULT_AOV_LIST
 from caster.rendering.images import DEFAULT_AOVS
-from mitsuba_ref.cli import approved_references, options, scene_exchange
+from mitsuba_ref.cli import exr_comparison, options, scene_exchange
 from mitsuba_ref.exr_compare import approval
 from mitsuba_ref.reference import session
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
@@ -29,7 +29,7 @@ def test_every_default_exists():
 
 
 def test_the_modes_of_approval_are_those_that_it_knows():
-    assert approved_references.MODES == approval.MODES
+    assert exr_comparison.MODES == approval.MODES
 
 
 def test_a_candidate_gets_the_seconds_and_has_the_precisions_that_help_names():

@@ -24,7 +24,7 @@ from caster.cli.progress import (
     si_number,
 )
 from caster.rendering.images import render_film
-from mitsuba_ref.cli import experiment_options
+from mitsuba_ref.cli import options
 from mitsuba_ref.runner.scene_runner import SceneEntry, count_scene
 from mitsuba_ref.runner.scene_runner import progress_bar as scenes_bar
 
@@ -207,7 +207,7 @@ def compiling():
 
 
 def sweeping():
-    said = experiment_options.Progress("1/22 scale")
+    said = options.Progress("1/22 scale")
     said("m" * 50)
     return said.clear
 

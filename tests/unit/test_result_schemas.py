@@ -8,7 +8,7 @@ import pytest
 from made_verdicts import scene, verdict
 
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.cli.schema import RESULTS, result_schema
+from mitsuba_ref.cli.doctor import RESULTS, result_schema
 from mitsuba_ref.exr_compare.approval import ReferenceCheck, ReferenceChecks
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult, Worst
 from mitsuba_ref.judge.verdict import Failure

@@ -13,9 +13,10 @@ import stress_page
 import stress_plots
 
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.cli.experiment_options import select
+from mitsuba_ref.cli.doctor import result_schema
+from mitsuba_ref.cli.options import select
 from mitsuba_ref.experiment import results
-from mitsuba_ref.experiment.results import as_json, read_result, schema, write_result
+from mitsuba_ref.experiment.results import as_json, read_result, write_result
 from mitsuba_ref.reference.variants import Variants
 from mitsuba_ref.stress import FAMILIES, score, sweeps
 from mitsuba_ref.stress.score import Absent, Observation, Scorer
@@ -350,7 +351,7 @@ def test_json_brings_the_run_back_and_satisfies_its_schema(tmp_path):
     file = str(tmp_path / "run.json")
     write_result(run_, file)
     assert read_result(StressRun, file, "mitsuba-ref stress") == run_
-    jsonschema.validate(as_json(run_), schema(StressRun))
+    jsonschema.validate(as_json(run_), result_schema("stress"))
 
 
 # --- the command
