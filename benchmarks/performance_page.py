@@ -15,11 +15,11 @@ import performance_targets as targets
 from pages import WIDTH, write_page
 
 from mitsuba_ref.bench.contestants import BY_KEY
+from mitsuba_ref.bench.entries import SHADING
 from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
 from mitsuba_ref.bench.result import COLUMNS, Row, Run, SceneResult, Sweep, rows
 from mitsuba_ref.bench.scoring import EXACT_RAYS_PER_SORT
-from mitsuba_ref.bench.work import SHADING
-from mitsuba_ref.experiment.results import markdown, number, read_result
+from mitsuba_ref.report.results import markdown, number, read_result
 
 PAGE, IMAGE_FOLDER, NOTES = "performance.md", "performance", "performance-notes.md"
 MIN_ROUNDS = 7  # alternations; a page of fewer has a note

@@ -13,7 +13,7 @@ from pathlib import Path
 import stress_plots
 from pages import WIDTH, write_page
 
-from mitsuba_ref.experiment.results import markdown, read_result
+from mitsuba_ref.report.results import markdown, read_result
 from mitsuba_ref.stress import sweeps
 from mitsuba_ref.stress.score import WITNESSES, Score
 from mitsuba_ref.stress.sweeps import OUR_KEYS, StressRun, SweepResult

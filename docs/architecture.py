@@ -53,7 +53,6 @@ FLOW = {
     "mitsuba_ref.probe": "one pixel, all witnesses",
     "mitsuba_ref.exr_compare": "two EXR files",
     "mitsuba_ref.runner": "many scenes, shards, pytest",
-    "mitsuba_ref.experiment": "results, exact answers",
     "mitsuba_ref.fuzz": "random scenes",
     "mitsuba_ref.stress": "hard numerics, in steps",
     "mitsuba_ref.bench": "speed",

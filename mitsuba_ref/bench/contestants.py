@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mitsuba_ref.bench.work import ANY, DEFAULT, FILM, NEAREST, ROBUST, SHADING, Work
+from mitsuba_ref.bench.entries import ANY, DEFAULT, FILM, NEAREST, ROBUST, SHADING, Work
 from mitsuba_ref.reference import variants
 
 OURS, MITSUBA, PEER, MACHINE = "ours", "mitsuba", "peer", "machine"
@@ -60,7 +60,7 @@ def of_shading(key: str, title: str, *aovs: str, shadows: bool = True) -> Contes
     return Contestant(key, title, OURS, OWN, (SHADING,), options)
 
 
-RAW, INTEGRATOR, OWN = "mitsuba:RayIntersect", "mitsuba:Integrator", "own:Ours"
+RAW, INTEGRATOR, OWN = "mitsuba_entries:RayIntersect", "mitsuba_entries:Integrator", "entries:Ours"
 
 AOVS = ("depth", "normal", "diffuse")
 
@@ -131,16 +131,16 @@ CONTESTANTS = (
         "scalar-loop",
         "Mitsuba scalar, robust, loop in Python",
         MITSUBA,
-        "mitsuba:ScalarLoop",
+        "mitsuba_entries:ScalarLoop",
         ALL_TASKS,
         {"mode": ROBUST},
         variant=variants.SCALAR,
         first=32,
     ),
-    Contestant("open3d", "Open3D", PEER, "peers:Open3D", ALL_TASKS, package="open3d"),
-    Contestant("embreex", "embreex", PEER, "peers:Embreex", ALL_TASKS, package="embreex"),
-    Contestant("trimesh", "trimesh + embreex", PEER, "peers:Trimesh", ALL_TASKS, package="trimesh"),
-    Contestant("copy", "copying the images", MACHINE, "own:Copying", (FILM,)),
+    Contestant("open3d", "Open3D", PEER, "entries:Open3D", ALL_TASKS, package="open3d"),
+    Contestant("embreex", "embreex", PEER, "entries:Embreex", ALL_TASKS, package="embreex"),
+    Contestant("trimesh", "trimesh + embreex", PEER, "entries:Trimesh", ALL_TASKS, package="trimesh"),
+    Contestant("copy", "copying the images", MACHINE, "entries:Copying", (FILM,)),
 )
 BY_KEY = {contestant.key: contestant for contestant in CONTESTANTS}
 

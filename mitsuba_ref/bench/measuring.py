@@ -13,12 +13,12 @@ import numpy as np
 
 from caster.image.atomic_files import ScratchFolder
 from mitsuba_ref.bench.contestants import Contestant
+from mitsuba_ref.bench.entries import SHADING, Work
 from mitsuba_ref.bench.result import Row, SceneResult, Score
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
-from mitsuba_ref.bench.work import SHADING, Work
 from mitsuba_ref.bench.worker import STATUS_READY
-from mitsuba_ref.experiment.exact_hits import PreparedScene
+from mitsuba_ref.judge.exact_hits import PreparedScene
 from mitsuba_ref.reference.subprocess_runner import (
     ProcessEnd,
     ProcessEnded,

@@ -8,8 +8,8 @@ from typing import Any
 from pydantic import SerializerFunctionWrapHandler, computed_field, model_serializer
 from pydantic.dataclasses import dataclass
 
-from mitsuba_ref.bench.work import FILM, SHADING
-from mitsuba_ref.experiment.results import NOTHING, aligned, number
+from mitsuba_ref.bench.entries import FILM, SHADING
+from mitsuba_ref.report.results import NOTHING, aligned, number
 
 JSON_FORMAT = 1  # goes up when a key changes its meaning or goes away
 REFERENCE_ROW = "ours"  # the row that all ratios are to

@@ -2,7 +2,7 @@
 
 import os
 import platform
-import subprocess
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -13,14 +13,16 @@ from caster import __version__
 from caster.scene.model import Scene
 from mitsuba_ref.bench import scenes
 from mitsuba_ref.bench.contestants import BY_KEY, Contestant, contestants_for, processors
-from mitsuba_ref.bench.entries.own import BYTES_PER_CHANNEL, CHANNELS
+from mitsuba_ref.bench.entries import BYTES_PER_CHANNEL, CHANNELS
 from mitsuba_ref.bench.measuring import Progress, Settings, Start, start_process, time_scene
 from mitsuba_ref.bench.result import Run, SceneResult, Series, Sweep
 from mitsuba_ref.bench.scenes import BenchScene
-from mitsuba_ref.experiment.results import libllvm, versions
+from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
+from mitsuba_ref.report.results import libllvm, versions
 
 PACKAGES = ("numpy", "numba", "mitsuba", "drjit", "open3d", "trimesh", "embreex")
+GIT_SECONDS = 10.0  # for the name of a commit
 
 
 def machine_properties() -> dict[str, str]:
@@ -55,11 +57,8 @@ def load() -> str:
 def revision() -> str:
     """The commit of these sources, where they are in a repository."""
     command = ["git", "-C", str(PACKAGE_PARENT), "describe", "--always", "--dirty", "--abbrev=10"]
-    try:
-        described = subprocess.run(command, capture_output=True, text=True, timeout=10.0, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return described.stdout.strip()
+    described = subprocess_runner.run(command, GIT_SECONDS) if shutil.which("git") else None
+    return described.output.strip() if described and described.code == 0 else "unknown"
 
 
 def _first_value(file: str, name: str) -> str:

@@ -16,7 +16,7 @@ from caster.scene.model import Scene
 from caster.shapes import MeshFile, Sphere
 from caster.shapes.heightfield import tessellate_heightfield
 from caster.shapes.torus import tessellate_torus
-from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING
+from mitsuba_ref.bench.entries import ANY, FILM, NEAREST, SHADING
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.xml_writer import ply_bytes
 

@@ -8,12 +8,21 @@ from typing import Any
 import numpy as np
 
 from caster.geometry.packing import Triangles, primitive_count
+from mitsuba_ref.bench.entries import (
+    ANY,
+    DEFAULT,
+    MESH_FILE,
+    RAYS_FILE,
+    ROBUST,
+    SCENE_FILE,
+    SHADING,
+    SHADOW_END,
+)
 from mitsuba_ref.bench.result import Score
 from mitsuba_ref.bench.scenes import BenchScene, rays_of, unit
-from mitsuba_ref.bench.work import ANY, DEFAULT, MESH_FILE, RAYS_FILE, ROBUST, SCENE_FILE, SHADING, SHADOW_END
-from mitsuba_ref.experiment.exact_hits import ExactHits, PreparedScene, prepare_scene
-from mitsuba_ref.experiment.results import largest
+from mitsuba_ref.judge.exact_hits import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference.rendering import export
+from mitsuba_ref.report.results import largest
 
 Rng = np.random.Generator
 RayArrays = tuple[np.ndarray, np.ndarray]

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.bench.work import CannotRun, Entry, Work
+from mitsuba_ref.bench.entries import CannotRun, Entry, Work
 from mitsuba_ref.reference.subprocess_runner import serve
 
 STATUS_READY, STATUS_CANNOT = "ready", "cannot"
@@ -44,7 +44,7 @@ def new_entry(work: Work) -> Entry:
     """The contestant, with nothing built."""
     gc.collect()
     module, _, name = work.entry.partition(":")
-    entry: Entry = getattr(import_module(f"mitsuba_ref.bench.entries.{module}"), name)(work)
+    entry: Entry = getattr(import_module(f"mitsuba_ref.bench.{module}"), name)(work)
     return entry
 
 

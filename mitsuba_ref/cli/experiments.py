@@ -62,7 +62,7 @@ def sweep_all(families: list[Family], args: argparse.Namespace, done: list[Sweep
 def report_sweeps(done: list[SweepResult], families: list[Family], args: argparse.Namespace) -> None:
     """The JSON file, if any, and a last line."""
     if args.json:
-        from mitsuba_ref.experiment.results import libllvm, versions, write_result
+        from mitsuba_ref.report.results import libllvm, versions, write_result
         from mitsuba_ref.stress.sweeps import StressRun
 
         installed = versions("mitsuba", "drjit", "numpy") | {"libllvm": libllvm()}
@@ -168,7 +168,7 @@ def show(scene: SceneResult, progress: options.Progress, args: argparse.Namespac
 def show_earlier(args: argparse.Namespace) -> int:
     """Tables of an earlier run."""
     from mitsuba_ref.bench.result import Run
-    from mitsuba_ref.experiment.results import read_result
+    from mitsuba_ref.report.results import read_result
 
     before = read_result(Run, args.before, "mitsuba-ref bench")
     progress = options.Progress("bench")
@@ -181,7 +181,7 @@ def show_earlier(args: argparse.Namespace) -> int:
 def report_run(done: Run, args: argparse.Namespace) -> None:
     """The JSON file, if any, and a last line."""
     from mitsuba_ref.bench.result import summary
-    from mitsuba_ref.experiment.results import write_result
+    from mitsuba_ref.report.results import write_result
 
     if args.json:
         write_result(done, args.json)

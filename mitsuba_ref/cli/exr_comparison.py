@@ -252,7 +252,7 @@ def run_check(args: argparse.Namespace) -> int:
         return NOTHING_SELECTED
     from caster.image.atomic_files import ScratchFolder
     from mitsuba_ref.exr_compare.approval import ReferenceCheck, ReferenceChecks, check_scene
-    from mitsuba_ref.report.text_table import print_lines
+    from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.runner.scene_runner import map_in_order, problem_of
 
     with ScratchFolder() as scratch:

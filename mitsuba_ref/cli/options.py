@@ -195,8 +195,7 @@ def check_verdict_files(args: argparse.Namespace) -> None:
 def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
     """Write --json, --junit and --summary-md. Raises OutputError."""
     from caster.image.atomic_files import write_text
-    from mitsuba_ref.report.junit import junit
-    from mitsuba_ref.report.markdown import append
+    from mitsuba_ref.report.ci_summaries import append, junit
 
     if args.json:
         write_text(args.json, verdict_json(verdict))

@@ -133,8 +133,8 @@ def run_options(args: argparse.Namespace) -> RunOptions:
 
 def print_rows(running: ValidationRun) -> None:
     """A row for each scene as soon as it and those before it are done."""
+    from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.report.terminal import table_head, table_row
-    from mitsuba_ref.report.text_table import print_lines
 
     width = max((len(entry.name) for entry in running.entries), default=0)
     # The stream itself: readers of EXR files in other threads replace sys.stdout while they read.
@@ -148,8 +148,8 @@ def print_rows(running: ValidationRun) -> None:
 def write_results(running: ValidationRun, args: argparse.Namespace, seconds: float) -> None:
     """Write the report files, then print failures and the summary."""
     from caster.image.atomic_files import write_text
+    from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.report.terminal import failure_text, summary_text
-    from mitsuba_ref.report.text_table import print_lines
 
     verdict = running.verdict()
     if running.out:
@@ -191,8 +191,8 @@ def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_merge(args: argparse.Namespace) -> int:
     """Print failures and the summary; 0 all pass, 1 some do not or are missing, 3 not parts of one run."""
+    from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.report.terminal import failure_text, summary_text
-    from mitsuba_ref.report.text_table import print_lines
     from mitsuba_ref.runner.resume import read_verdict
     from mitsuba_ref.runner.shards import merge_verdicts, other_versions
 

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, computed_field
 
 from mitsuba_ref.error_model.intersections import K
 from mitsuba_ref.judge.verdict import JsonFloat
-from mitsuba_ref.report.text_table import Column, format_table
+from mitsuba_ref.report.results import Column, format_table
 
 LEGEND = f"u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
 COLUMNS = (

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.experiment.results import aligned
 from mitsuba_ref.fuzz.campaign import KEPT_PER_KIND_AND_FAMILY, case_of
 from mitsuba_ref.fuzz.cases import SCENE_ERRORS, findings_of, write_kept
 from mitsuba_ref.fuzz.checks import adjudicate
@@ -23,6 +22,7 @@ from mitsuba_ref.judge.independent_checks.exact_rays import (
     prepared_scene,
     with_limits,
 )
+from mitsuba_ref.report.results import aligned
 from mitsuba_ref.shapes.targets import Rng
 
 RAYS_PER_SCENE = 2048

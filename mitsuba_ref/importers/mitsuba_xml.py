@@ -11,8 +11,15 @@ from pydantic import ValidationError
 from caster.description.errors import Diagnostic, FileMissing, SceneError, diagnostics_of, join_words
 from caster.scene.files import MeshFolders, resolve_mesh_files
 from caster.scene.model import Scene
-from mitsuba_ref.importers.appearance import add_emitter, is_dark, material_of
-from mitsuba_ref.importers.scene_builder import SceneBuilder, Step, composed_matrix, transform_steps
+from mitsuba_ref.importers.scene_builder import (
+    SceneBuilder,
+    Step,
+    add_emitter,
+    composed_matrix,
+    is_dark,
+    material_of,
+    transform_steps,
+)
 from mitsuba_ref.importers.xml_document import (
     ImportDiagnostic,
     Node,

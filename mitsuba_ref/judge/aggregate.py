@@ -12,8 +12,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.diagnosis import Diagnosis, failing_rows
-from mitsuba_ref.judge.explanations import full_reason, reason
-from mitsuba_ref.judge.formatting import pixel_answers
+from mitsuba_ref.judge.explanations import full_reason, pixel_answers, reason
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,

@@ -1,15 +1,15 @@
-"""Explanations: why a pixel has its class, what exceeds its bound, and whether a shift explains failures."""
+"""Explanations in words: why a pixel has its class, what exceeds its bound, and the answers of every witness there."""
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.error_model.intersections import Intersections
+from caster.geometry.packing import Packed
+from caster.scene.model import Scene
+from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement
 from mitsuba_ref.judge.known_defects import defect_name
-from mitsuba_ref.judge.scene_checks import pixel_centers
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,
@@ -21,6 +21,8 @@ from mitsuba_ref.judge.verdict import (
     UNDECIDED,
     UNLISTED,
 )
+from mitsuba_ref.oracle.oracle import ExactAnswer
+from mitsuba_ref.subjects.answer import Answer
 
 QUANTITY_NAMES = {EXACT: "t by exact arithmetic", "mask": "hit or miss", "shape_id": "the shape"}
 COMPARED_AT_HITS = ("depth", "position", "normal", "shading_normal")  # compared where both sides hit
@@ -160,122 +162,185 @@ def _diffuse(judge: Judge, judgement: Judgement, row: int) -> str:
     return "not against Mitsuba's, which is of another surface or place; it is what float64 gives on ours"
 
 
-# Pixels where the subject is wrong by exact arithmetic, and a shift of the image that would explain them.
+# ---- answers of a pixel: shape and t, in decimal and to the bit ----
 
 
-MAX_DIAGNOSED_PIXELS = 4096  # pixels at which costly hypotheses are tested
+MAX_TIES_SHOWN = 6  # members of an exact tie set on one line; JSON has all
+AOVS_SHOWN = (
+    "position",
+    "normal",
+    "shading_normal",
+    "diffuse",
+)  # beside shape and depth, if they are compared
 
 
-class WrongPixels(NamedTuple):
-    """Rows of the image where the subject is wrong, and what would be right there."""
+class TieMember(NamedTuple):
+    """One primitive of an exact tie set."""
 
-    rows: np.ndarray  # (m,)
-    hit: np.ndarray  # (m,) bool, exactly
-    t: np.ndarray  # (m,) exact, inf on a miss
-    prim: np.ndarray  # (m,) -1 on a miss
-    at: Intersections  # (m,) there, as the subject may see it
-
-    def take(self, some: np.ndarray) -> "WrongPixels":
-        """Some of them, by mask."""
-        return WrongPixels(self.rows[some], self.hit[some], self.t[some], self.prim[some], self.at.take(some))
+    shape: str
+    prim: int  # within its shape
+    where: str
 
 
-def wrong_pixels(judge: Judge, judgement: Judgement, rows: np.ndarray) -> WrongPixels:
-    """These adjudicated rows of the image with the exact answers there."""
-    answers = [judgement.exact.of(row) for row in rows]
-    t = np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
-    prim = np.array([-1 if a is None else a.prim for a in answers])
-    return WrongPixels(rows, prim >= 0, t, prim, judge.near(rows, prim, t))
-
-
-SLOPE_STEP_PIXELS = 0.125  # of a pixel, over which the slopes of t are taken
-NEWTON_STEPS = 3  # of Newton's method
-LARGEST_RESIDUAL_RATIO = 0.1  # a shift has to leave less than this of what there is to explain
-MIN_EXPLAINED_FRACTION = 0.5  # of the pixels that fail: a shift explains more of them than this
-MIN_DIFFERING_PIXELS = 16  # pixels from which a shift is computed
-MAX_SHIFT_PIXELS = 4.0  # pixels
-
-
-class PixelShift(NamedTuple):
-    """In pixels, to the right and down."""
-
-    x: float
-    y: float
-
-    @property
-    def size(self) -> float:
-        return max(abs(self.x), abs(self.y))
-
-
-class ShiftSamples(NamedTuple):
-    """Pixels where something is hit, by the subject and exactly."""
-
-    judge: Judge
-    rows: np.ndarray  # (m,) of the image
-    prim: np.ndarray  # (m,) that is hit
-    right: np.ndarray  # (m,) exact t
-    t: np.ndarray  # (m,) the subject's
-    differs: np.ndarray  # (m,) bool: it is another
-
-    def t_at(self, shift: PixelShift) -> np.ndarray:
-        """(m,) t of the same primitives along rays through another place of their pixels, the root nearest to t."""
-        scene = self.judge.scene
-        x, y = (centers[self.rows] for centers in pixel_centers(scene))
-        rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x + shift.x, y + shift.y)
-        o = rays.o + rays.t_min[:, None] * rays.d
-        met = self.judge.model.intersect(self.prim, o, rays.d, self.judge.answer.ku, ours=True)
-        found = np.full(len(self.rows), np.nan)
-        away = np.abs(met.at.t - self.right[met.pair])
-        order = np.argsort(-away, kind="stable")  # the nearest comes last, and stays
-        found[met.pair[order]] = met.at.t[order]
-        return found
-
-
-def find_pixel_shift(judge: Judge, failing: WrongPixels) -> PixelShift | None:
-    """The shift that explains most of t, if one does."""
-    seen = _samples(judge, failing)
-    if seen.differs.sum() < MIN_DIFFERING_PIXELS:
-        return None
-    shift = PixelShift(0.0, 0.0)
-    for _ in range(NEWTON_STEPS):
-        step = _newton_step(seen, shift)
-        if step is None:
-            return None
-        shift = PixelShift(shift.x + step.x, shift.y + step.y)
-        if not shift.size < MAX_SHIFT_PIXELS:
-            return None
-    return shift if shift.size > SLOPE_STEP_PIXELS / 4 and _explains(seen, shift) else None
-
-
-def _samples(judge: Judge, failing: WrongPixels) -> ShiftSamples:
-    there = np.flatnonzero(failing.hit & judge.answer.hit[failing.rows])
-    there = there[:: max(1, len(there) // MAX_DIAGNOSED_PIXELS)]
-    rows, right = failing.rows[there], failing.t[there]
-    t = judge.answer.t[rows]
-    with np.errstate(invalid="ignore"):
-        differs = np.abs(t - right) > 0.0
-    return ShiftSamples(judge, rows, failing.prim[there], right, t, differs)
-
-
-def _newton_step(seen: ShiftSamples, at: PixelShift) -> PixelShift | None:
-    """One of Newton's method, by the slopes at where the last one led; the fifth that fits least does not count."""
-    here = seen.t_at(at)
-    across = [
-        seen.t_at(PixelShift(at.x + SLOPE_STEP_PIXELS, at.y)) - here,
-        seen.t_at(PixelShift(at.x, at.y + SLOPE_STEP_PIXELS)) - here,
+def tie_members(scene: Scene, packed: Packed, answer: ExactAnswer) -> list[TieMember]:
+    """The exact tie set in the scene's own names."""
+    prims = np.array([hit.prim for hit in answer.ties], np.int64)
+    shapes, numbers = packed.shape_of(prims), packed.index_in_shape(prims)
+    names = scene.shape_names()
+    return [
+        TieMember(names[shape], int(number), hit.where)
+        for shape, number, hit in zip(shapes, numbers, answer.ties, strict=True)
     ]
-    slopes = np.column_stack(across) / SLOPE_STEP_PIXELS
-    fine = seen.differs & np.isfinite(slopes).all(axis=1) & np.isfinite(here)
-    off = seen.t - here
-    fine &= np.abs(off) <= np.quantile(np.abs(off)[fine], 0.8) if fine.any() else fine
-    if fine.sum() < MIN_DIFFERING_PIXELS:
-        return None
-    x, y = np.linalg.lstsq(slopes[fine], off[fine], rcond=None)[0]
-    return PixelShift(float(x), float(y))
 
 
-def _explains(seen: ShiftSamples, shift: PixelShift) -> bool:
-    with np.errstate(invalid="ignore"):
-        left = np.abs(seen.t - seen.t_at(shift))
-        explained = seen.differs & (left <= LARGEST_RESIDUAL_RATIO * np.abs(seen.t - seen.right))
-    return bool(explained.sum() > MIN_EXPLAINED_FRACTION * seen.differs.sum())
+def format_exact(scene: Scene, packed: Packed, answer: ExactAnswer | None) -> str:
+    """The exact answer on one line."""
+    if answer is None or answer.t is None:
+        return format_exact_hit(scene, packed, answer)
+    at = f"at t {decimal_and_hex(float(answer.t))}"
+    return f"{_hit_primitives(scene, packed, answer)} {at}{_flags_text(answer)}"
+
+
+def format_exact_hit(scene: Scene, packed: Packed, answer: ExactAnswer | None) -> str:
+    """The same without t."""
+    if answer is None:
+        return "no answer"
+    return f"{_hit_primitives(scene, packed, answer)}{_flags_text(answer)}"
+
+
+def _hit_primitives(scene: Scene, packed: Packed, answer: ExactAnswer) -> str:
+    if answer.t is None:
+        return "miss"
+    ties = tie_members(scene, packed, answer)
+    shown = [f"{each.shape}, prim {each.prim} ({each.where})" for each in ties[:MAX_TIES_SHOWN]]
+    more = [f"{len(ties) - MAX_TIES_SHOWN} more"] if len(ties) > MAX_TIES_SHOWN else []
+    return " = ".join([*shown, *more])
+
+
+def _flags_text(answer: ExactAnswer) -> str:
+    return f" ({', '.join(sorted(answer.flags))} on the way)" if answer.flags else ""
+
+
+def exact_answer(judge: Judge, judgement: Judgement, row: int) -> ExactAnswer | None:
+    """The exact answer at a row, computed now if it was not before; none where there is no ray."""
+    known = judgement.exact.of(row)
+    if known is not None or judge.t_max[row] < 0.0:
+        return known
+    return judge.oracle.first_hit(
+        judge.o[row], judge.d[row], float(judge.t_min[row]), float(judge.t_max[row])
+    )
+
+
+class PixelText(NamedTuple):
+    """The answers at one pixel as text."""
+
+    subject: str
+    reference: str
+    exact: str
+
+
+def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> PixelText:
+    """Of one row of the image; check: the one whose values are shown, of a subject that gives more than t and n."""
+    exact = format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))
+    if judge.names_prims:
+        subject, reference = (
+            _aovs_text(judge.scene, aovs, check, row) for aovs in (judge.pair.subject, judge.pair.reference)
+        )
+        return PixelText(subject, reference, exact)
+    ray = f"along o ({format_numbers(judge.o[row])}), d ({format_numbers(judge.d[row])})"
+    subject = f"{format_answer(judge.answer, row)}, {ray}"
+    return PixelText(subject, _reference_text(judge, row), exact + _exact_normal_text(judge, judgement, row))
+
+
+def _aovs_text(scene: Scene, aovs: Any, check: str, row: int) -> str:
+    """Shape and depth, and the value that was compared."""
+    shape = int(aov_rows(aovs, "shape_id")[row])
+    name = scene.shape_names()[shape] if shape >= 0 else "miss"
+    text = f"{name} at depth {float(aov_rows(aovs, 'depth')[row])!r}"
+    if check in AOVS_SHOWN:
+        values = aov_rows(aovs, check)[row]
+        value = ", ".join(f"{v:.9g}" if check != "position" else repr(float(v)) for v in values)
+        text += f", {check} ({value})"
+    return text
+
+
+def format_answer(answer: Answer, row: int) -> str:
+    """t to the bit and the normal, and what of it is invalid."""
+    parts = [f"t {decimal_and_hex(float(answer.t[row]))}" if answer.hit[row] else "miss"]
+    if answer.n is not None and answer.hit[row]:
+        parts.append(f"n ({format_numbers(answer.n[row])})")
+    parts += [why for why, rows in answer.broken.items() if rows[row]]
+    return ", ".join(parts)
+
+
+def _reference_text(judge: Judge, row: int) -> str:
+    result = judge.result
+    shape = int(result.shape_id[row])
+    if shape < 0:
+        return "miss"
+    n = format_numbers(aov_rows(judge.pair.reference, "normal")[row])
+    return f"{judge.scene.shape_names()[shape]} at t {decimal_and_hex(float(result.t[row]))}, n ({n})"
+
+
+def _exact_normal_text(judge: Judge, judgement: Judgement, row: int) -> str:
+    """Normals are not exact: float64's at the surface that is hit exactly."""
+    answer = judgement.exact.of(row)
+    if answer is None or answer.t is None or judge.n is None:
+        return ""
+    at = judge.near(np.array([row]), np.array([answer.prim]), np.array([float(answer.t)]))
+    return f", n ({format_numbers(at.n[0])})"
+
+
+def format_primitive(judge: Judge, row: int, *, subject: bool) -> str:
+    """The primitive that one side names, and its t, without AOVs."""
+    pair, packed = judge.pair, judge.model.packed
+    prim = int(pair.prim[row] if subject else judge.reference_prim[row])
+    if prim < 0:
+        return "miss"
+    t = float(pair.t[row] if subject else pair.result.t[row])
+    which = np.array([prim])
+    shape = judge.scene.shape_names()[int(packed.shape_of(which)[0])]
+    return f"{shape}, prim {int(packed.index_in_shape(which)[0])} at t {decimal_and_hex(t)}"
+
+
+def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str) -> Sequence[str]:
+    """Comment of a reproducer of a row of the image: every answer, and how to see it again."""
+    return list(_header_lines(judge, judgement, row, source))
+
+
+def _header_lines(judge: Judge, judgement: Judgement, row: int, source: str) -> Iterator[str]:
+    pair, verdict = judge.pair, CLASSES[int(judgement.classes[row])]
+    versions = pair.result.answer.versions
+    yield f"One ray that caster and Mitsuba {versions.get('mitsuba', '')} were judged on: {verdict}."
+    yield ""
+    yield f"from:      {source}"
+    defect = f", {format_defect(judgement.cases.get(row))}" if verdict == REFERENCE_WRONG else ""
+    yield f"class:     {verdict}{defect}"
+    yield f"exact:     {format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))}"
+    yield f"caster:    {format_primitive(judge, row, subject=True)}"
+    yield f"Mitsuba:   {format_primitive(judge, row, subject=False)}"
+    if judgement.ratio("diffuse")[row] > 1.0:
+        for name, aovs in (("caster", pair.subject), ("Mitsuba", pair.reference)):
+            yield f"{name + ':':<11}diffuse {format_float32s(aov_rows(aovs, 'diffuse')[row])}"
+    yield f"origin:    {format_float32s(pair.rays.o[row])}"
+    yield f"direction: {format_float32s(pair.rays.d[row])}"
+    yield f"versions:  {', '.join(f'{name} {version}' for name, version in versions.items())}"
+    yield "All numbers below are float32 values, as hex floats. t counts in lengths of the direction."
+    yield "See it:    mitsuba-ref probe THIS-FILE 0 0"
+    yield "Mitsuba:   scene.ray_intersect; optimize=False; embree_use_robust_intersections=true"
+    yield "           mitsuba-ref export THIS-FILE -o DIR writes the XML and the meshes"
+    yield ""
+
+
+def decimal_and_hex(value: float) -> str:
+    return f"{value!r} {value.hex()}"
+
+
+def format_float32s(values: Any) -> str:
+    """Decimals, in float32's shortest digits, of a few numbers."""
+    return "  ".join(str(np.float32(value)) for value in values)
+
+
+def format_numbers(values: np.ndarray) -> str:
+    """Decimals, nine digits, of a few numbers."""
+    return ", ".join(f"{value:.9g}" for value in values)

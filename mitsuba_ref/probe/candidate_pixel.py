@@ -12,8 +12,7 @@ from mitsuba_ref.judge.aggregate import failure_hints
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of
 from mitsuba_ref.judge.comparison import ImagePair
 from mitsuba_ref.judge.diagnosis import diagnose, marked_miss
-from mitsuba_ref.judge.explanations import exceeded_bounds, not_compared, reason
-from mitsuba_ref.judge.formatting import format_answer
+from mitsuba_ref.judge.explanations import exceeded_bounds, format_answer, not_compared, reason
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, in_ulps, ratio_to_bound

@@ -14,8 +14,7 @@ from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.bracket import latest_hits
 from mitsuba_ref.judge.classification import Judge, Judgement, scene_judge
 from mitsuba_ref.judge.diagnosis import diagnose
-from mitsuba_ref.judge.explanations import full_reason, not_judged
-from mitsuba_ref.judge.formatting import MAX_TIES_SHOWN, exact_answer, tie_members
+from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN, exact_answer, full_reason, not_judged, tie_members
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, json_number
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.probe.candidate_pixel import CANDIDATE_QUANTITIES, CandidatePixel, probe_candidate

@@ -12,7 +12,7 @@ from caster.image.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
 from mitsuba_ref.judge.classification import Judge
-from mitsuba_ref.judge.formatting import decimal_and_hex
+from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse

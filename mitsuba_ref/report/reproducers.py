@@ -19,7 +19,7 @@ from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement, scene_judge
-from mitsuba_ref.judge.formatting import format_primitive, pixel_answers, reproducer_header
+from mitsuba_ref.judge.explanations import format_primitive, pixel_answers, reproducer_header
 from mitsuba_ref.judge.independent_checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.reference.messages import Crash

@@ -10,8 +10,8 @@ from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
 from caster.image.atomic_files import ScratchFolder
-from mitsuba_ref.experiment.results import NOTHING, aligned
 from mitsuba_ref.reference import subprocess_runner
+from mitsuba_ref.report.results import NOTHING, aligned
 from mitsuba_ref.stress import score
 from mitsuba_ref.stress.family import Family
 from mitsuba_ref.stress.score import (

@@ -22,14 +22,14 @@ from caster.geometry.world_space import as_float32, as_given
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import measuring, run, scenes
 from mitsuba_ref.bench.contestants import BY_KEY, CONTESTANTS, Contestant, contestants_for
+from mitsuba_ref.bench.entries import ANY, FILM, NEAREST, SHADING, Work
 from mitsuba_ref.bench.measuring import ContestantEnded, ContestantProcess, Settings, time_scene
 from mitsuba_ref.bench.result import Row, Run, SceneResult, Score, Series, Sweep, as_text, fitted_slope, ratio
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
-from mitsuba_ref.bench.work import ANY, FILM, NEAREST, SHADING, Work
 from mitsuba_ref.bench.worker import peak_memory
 from mitsuba_ref.cli.doctor import result_schema
-from mitsuba_ref.experiment import results
-from mitsuba_ref.experiment.results import as_json, read_result, write_result
+from mitsuba_ref.report import results
+from mitsuba_ref.report.results import as_json, read_result, write_result
 
 SCENES = {scene.name: scene for scene in scenes.SCENES}
 
@@ -245,7 +245,7 @@ def test_who_cannot_run_says_why(monkeypatch):
 # --- processes
 
 
-WORK = Work("/nowhere", FILM, 1, "own:Ours")
+WORK = Work("/nowhere", FILM, 1, "entries:Ours")
 ENDS = {
     "hangs": ("import time; time.sleep(60)", "no answer within 0.5 s"),
     "dies": ("import os, sys; sys.stdin.readline(); print('last words'); sys.stdout.flush(); os.abort()",

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 import pytest
 from made_verdicts import scene, verdict
 
-from mitsuba_ref.report.junit import junit
+from mitsuba_ref.report.ci_summaries import junit
 from mitsuba_ref.report.reproducers import replay
 
 # What Jenkins, GitLab, GitHub actions and Azure read: element -> (attributes that must be there, that may, children in

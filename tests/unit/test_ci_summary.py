@@ -7,7 +7,7 @@ import pytest
 from made_verdicts import scene, verdict
 
 from caster.image.atomic_files import OutputError
-from mitsuba_ref.report.markdown import SUMMARY_LIMIT_BYTES, append, markdown
+from mitsuba_ref.report.ci_summaries import SUMMARY_LIMIT_BYTES, append, markdown
 
 NASTY = (
     "a|b",

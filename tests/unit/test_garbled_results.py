@@ -10,8 +10,8 @@ from made_verdicts import scene, verdict
 from caster.description.errors import SceneError
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench.result import Run
-from mitsuba_ref.experiment.results import read_result
 from mitsuba_ref.report.output_manifest import JOURNAL, OutFolder
+from mitsuba_ref.report.results import read_result
 from mitsuba_ref.runner.resume import ResumableResults, UnreadableVerdict, read_verdict
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -128,7 +128,7 @@ RULES = (
         "mitsuba_ref",
         "a peer is imported by its entry alone, in a process of its own",
         never=("open3d", "embreex", "trimesh"),
-        except_in=("mitsuba_ref.bench.entries.peers",),
+        except_in=("mitsuba_ref.bench.entries",),
     ),
     Rule(
         "mitsuba_ref.oracle",

@@ -117,7 +117,7 @@ def _leave_a_file():
 def test_a_result_without_a_pickle_is_a_mistake_of_this_package_not_a_crash_of_a_scene(capfd):
     isolated = Isolated(lambda action: action())
     with isolated.kept():
-        with pytest.raises(ResultNotSent, match="cannot pickle '_thread.lock' object"):
+        with pytest.raises(ResultNotSent, match=r"cannot pickle '_thread\.lock' object"):
             isolated(threading.Lock)
         assert isolated(int) == 0
     assert capfd.readouterr().err == ""

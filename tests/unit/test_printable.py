@@ -10,7 +10,7 @@ import mitsuba_ref.__main__
 from caster.cli.exit_codes import run_command
 from caster.cli.printable_stream import printable
 from caster.description.errors import SceneError
-from mitsuba_ref.report.text_table import Column, format_table
+from mitsuba_ref.report.results import Column, format_table
 from mitsuba_ref.runner import memory
 
 HOSTILE = "a\x1b[2J\x07\r\x9b31m\u202eb\u2066\u200b\x7f"

@@ -10,9 +10,15 @@ import pytest
 from caster.image.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict
 from mitsuba_ref.report import class_images
-from mitsuba_ref.report.html import page_writer
-from mitsuba_ref.report.html.html_report import ONE_FILE_LIMIT_BYTES, HtmlReport
-from mitsuba_ref.report.html.page_writer import SCRIPTS, as_json, index_row, page
+from mitsuba_ref.report.html import html_report
+from mitsuba_ref.report.html.html_report import (
+    ONE_FILE_LIMIT_BYTES,
+    SCRIPTS,
+    HtmlReport,
+    as_json,
+    index_row,
+    page,
+)
 from mitsuba_ref.report.terminal import failure_text
 from mitsuba_ref.runner.validation import Validation
 
@@ -33,17 +39,17 @@ def sizes_of(rows, **sizes):
 
 
 def chosen_within(room, rows):
-    around = page_writer.ELEMENT_OVERHEAD_BYTES * 4 * len(rows)
-    return page_writer.choose(rows, sizes_of(rows), room + around, LAYERS)
+    around = html_report.ELEMENT_OVERHEAD_BYTES * 4 * len(rows)
+    return html_report.choose(rows, sizes_of(rows), room + around, LAYERS)
 
 
 def test_failing_scenes_go_into_one_file_first():
     rows = matrix_rows(PASSING, FAILING, replace(PASSING, name="other"))
     everything = chosen_within(3 * 3300, rows)
-    assert len(everything) == 12 and page_writer.left_out(sizes_of(rows), everything) == {}
+    assert len(everything) == 12 and html_report.left_out(sizes_of(rows), everything) == {}
     some = chosen_within(300 + 3200 + 2 * 200 + 1000, rows)
     assert {part for scene, part in some if scene == "two words"} == {"about", "ids", "depth", "normal"}
-    assert page_writer.left_out(sizes_of(rows), some) == {"good": ["normal"], "other": ["depth", "normal"]}
+    assert html_report.left_out(sizes_of(rows), some) == {"good": ["normal"], "other": ["depth", "normal"]}
     nothing = chosen_within(50, rows)
     assert nothing == set()
 
@@ -51,8 +57,8 @@ def test_failing_scenes_go_into_one_file_first():
 def test_no_layer_comes_without_what_it_belongs_to():
     (each,) = rows = matrix_rows(PASSING)
     sizes = sizes_of(rows, about=10_000)
-    assert page_writer.choose(rows, sizes, 4000, LAYERS) == set()
-    assert page_writer.left_out(sizes, set()) == {each["name"]: ["about", "ids", "depth", "normal"]}
+    assert html_report.choose(rows, sizes, 4000, LAYERS) == set()
+    assert html_report.left_out(sizes, set()) == {each["name"]: ["about", "ids", "depth", "normal"]}
 
 
 def test_one_file_never_outgrows_its_size(tmp_path, monkeypatch):
@@ -60,7 +66,7 @@ def test_one_file_never_outgrows_its_size(tmp_path, monkeypatch):
     report = HtmlReport(tmp_path / "r.html", 20)
     for i in range(20):
         name = f"scene-{i}"
-        text = page_writer.record_lines({"about": as_json({"number": i}), "depth": as_json("x" * 9_000)})
+        text = html_report.record_lines({"about": as_json({"number": i}), "depth": as_json("x" * 9_000)})
         (report.data / f"{name}.js").write_text(text, encoding="utf-8")
         kept = {"about": len(as_json({"number": i})), "depth": 9_002}
         report._kept[name] = report._kept.get(name) or kept_of(f"{name}.js", kept)

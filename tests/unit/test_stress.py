@@ -15,9 +15,9 @@ import stress_plots
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli.doctor import result_schema
 from mitsuba_ref.cli.options import select
-from mitsuba_ref.experiment import results
-from mitsuba_ref.experiment.results import as_json, read_result, write_result
 from mitsuba_ref.reference.variants import Variants
+from mitsuba_ref.report import results
+from mitsuba_ref.report.results import as_json, read_result, write_result
 from mitsuba_ref.stress import FAMILIES, score, sweeps
 from mitsuba_ref.stress.score import Absent, Observation, Scorer
 from mitsuba_ref.stress.surfaces import check_closed

@@ -5,7 +5,7 @@ from contextlib import suppress
 
 import pytest
 
-from mitsuba_ref.report.text_table import Column, format_table, print_lines
+from mitsuba_ref.report.results import Column, format_table, print_lines
 
 COLUMNS = (Column("scene"), Column("ref.\nwrong", "right", 5), Column("bound"))
 

@@ -15,7 +15,7 @@ from caster.aovs import Aovs
 from caster.image.image_files import encode_image
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE
-from mitsuba_ref.judge.formatting import format_exact_hit
+from mitsuba_ref.judge.explanations import format_exact_hit
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG, SceneVerdict
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.report.html.evidence import Evidence

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from mitsuba_ref.bench.work import ANY, SHADOW_END, CannotRun, Work, blocked, given_rays
+from mitsuba_ref.bench.entries import ANY, SHADOW_END, CannotRun, Work, blocked, given_rays
 from mitsuba_ref.reference.mitsuba_process import dr, mi
 
 INTEGRATOR_AOVS = "depth:depth,normal:geo_normal"

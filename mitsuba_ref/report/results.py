@@ -1,22 +1,26 @@
-"""Results of experiments as JSON files, and as tables.
+"""Results as JSON files and as tables: for terminals and logs, in colour only where a terminal shows it, and Markdown.
 
-Results are pydantic dataclasses; files are written from them and read back into them.
-
-Derived values (`computed_field`) are written as well, so that a reader of the file need not work them out; reading
-ignores them.
+Results are pydantic dataclasses. Files are written from them, with derived values (`computed_field`), so that a reader
+need not work them out, and are read back into them without.
 """
 
 import importlib.metadata
 import json
 import math
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from io import StringIO
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, NamedTuple, TextIO, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
+from caster.cli.printable_stream import printable, unfiltered
 from caster.description.errors import SceneError
 from caster.description.input_files import MAX_TEXT_BYTES, read_input
 from caster.image.atomic_files import write_text
@@ -24,8 +28,6 @@ from mitsuba_ref.reference.variants import usable_variants
 
 T = TypeVar("T")
 STANDARD_OUTPUT = "-"
-NOTHING = "-"
-Row = Sequence[str]
 
 
 def as_json(result: Any) -> dict[str, Any]:
@@ -78,6 +80,56 @@ def largest(values: np.ndarray) -> float | None:
     return max(finite, default=None)
 
 
+# ---- tables ----
+
+UNLIMITED_WIDTH = 10_000  # characters: lines of a log are never wrapped or cut
+STATUS_STYLES = {"PASS": "green", "FAIL": "bold red"}
+
+
+class Column(NamedTuple):
+    """Title, of one or several lines, alignment, and the least width in characters."""
+
+    title: str
+    justify: Literal["left", "right"] = "left"
+    width: int = 0
+
+
+def format_table(
+    columns: Sequence[Column], rows: Iterable[Sequence[str]], *, header: bool = True, gap: int = 2
+) -> str:
+    """Rows under their titles as plain text, without blanks at line ends. gap: blanks between columns."""
+    table = Table(box=None, pad_edge=False, padding=(0, gap, 0, 0), show_header=header, header_style="")
+    for column in columns:
+        title = Text(column.title)
+        table.add_column(
+            title, justify=column.justify, min_width=column.width, no_wrap=True, vertical="bottom"
+        )
+    for row in rows:
+        table.add_row(*(Text(printable(cell, keep="")) for cell in row))
+    out = StringIO()
+    Console(file=out, width=UNLIMITED_WIDTH, color_system=None, highlight=False).print(table)
+    return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
+
+
+def print_lines(text: str, stream: TextIO | None = None) -> None:
+    """Print text at once; on a terminal, PASS and FAIL at the start of a line in colour, unless NO_COLOR is set."""
+    stream = stream or sys.stdout
+    text = printable(text)
+    if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        print(text, file=stream, flush=True)
+        return
+    console = Console(file=unfiltered(stream), highlight=False, soft_wrap=True)
+    for line in text.splitlines():
+        styled = Text(line)
+        if line[:4] in STATUS_STYLES:
+            styled.stylize(STATUS_STYLES[line[:4]], 0, 4)
+        console.print(styled)
+    stream.flush()
+
+
+Row = Sequence[str]
+
+
 def aligned(rows: Sequence[Row], *, left: int = 0) -> list[str]:
     """Lines with aligned columns, the first `left` of them to the left. A short row ends with free text."""
     full = [row for row in rows if len(row) == len(rows[0])]
@@ -102,6 +154,9 @@ def markdown(rows: Sequence[Row], *, rule: str | None = None) -> str:
 def _markdown_row(row: Row, columns: int) -> str:
     cells = [*row, *[""] * (columns - len(row))]
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+NOTHING = "-"
 
 
 def number(value: float | None, digits: int) -> str:
