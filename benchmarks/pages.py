@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from caster.image.atomic_files import check_folder, write_bytes, write_text
+from caster.system.atomic_files import check_folder, write_bytes, write_text
 
 WIDTH = 120  # characters of a line of prose
 

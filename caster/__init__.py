@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from caster.rendering.hits import cast as cast
     from caster.rendering.hits import occluded as occluded
     from caster.rendering.images import render as render
+    from caster.scene.appearance import Ambient as Ambient
+    from caster.scene.appearance import Diffuse as Diffuse
+    from caster.scene.appearance import Directional as Directional
+    from caster.scene.appearance import Point as Point
     from caster.scene.files import load_scene as load_scene
-    from caster.scene.lights import Ambient as Ambient
-    from caster.scene.lights import Directional as Directional
-    from caster.scene.lights import Point as Point
-    from caster.scene.materials import Diffuse as Diffuse
     from caster.scene.model import Check as Check
     from caster.scene.model import Film as Film
     from caster.scene.model import Scene as Scene
@@ -42,9 +42,9 @@ _HOMES = {
     "Film": "caster.scene.model",
     "Shading": "caster.scene.model",
     "Check": "caster.scene.model",
-    "Diffuse": "caster.scene.materials",
+    "Diffuse": "caster.scene.appearance",
 }
-_REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.lights": "LIGHTS"}
+_REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.appearance": "LIGHTS"}
 
 
 if not TYPE_CHECKING:  # a type checker is to tell misspelt names

@@ -1,19 +1,19 @@
-"""The command `caster`; its commands are in caster/cli/commands."""
+"""The command `caster`; its commands are in caster/cli."""
 
 import sys
 from collections.abc import Sequence
 
-from caster.cli import application, exit_codes
-from caster.cli.commands import COMMANDS
+from caster.cli import COMMANDS, application
+from caster.system import process
 
 ABOUT = "A ray caster in float64."
 CODES = (
-    exit_codes.OK,
-    exit_codes.USAGE,
-    exit_codes.FILE,
-    exit_codes.NOTHING_SELECTED,
-    exit_codes.INTERNAL,
-    exit_codes.INTERRUPTED,
+    process.OK,
+    process.USAGE,
+    process.FILE,
+    process.NOTHING_SELECTED,
+    process.INTERNAL,
+    process.INTERRUPTED,
 )
 
 

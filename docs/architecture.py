@@ -34,6 +34,7 @@ FLOW = {
     "caster.kernels": "intersection in float64 and exactly",
     "caster.aovs": "one file an AOV",
     "caster.description": "fields, transforms, diagnostics",
+    "caster.system": "files, terminal, signals",
     "caster.geometry": "meshes, world space, packing",
     "caster.shapes": "one file a kind",
     "caster.cameras": "one file a kind",

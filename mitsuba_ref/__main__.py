@@ -3,12 +3,13 @@
 import sys
 from collections.abc import Sequence
 
-from caster.cli import application, exit_codes
+from caster.cli import application
+from caster.system import process
 from mitsuba_ref.cli import COMMANDS
 from mitsuba_ref.runner import supervisor
 
 ABOUT = "A judge of ray casters: compares them with Mitsuba 3, ray by ray, within derived bounds."
-CODES = tuple(code for code in exit_codes.MEANINGS if code != exit_codes.PIPE_CLOSED)
+CODES = tuple(code for code in process.MEANINGS if code != process.PIPE_CLOSED)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

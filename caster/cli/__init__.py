@@ -1,1 +1,63 @@
-"""The `caster` command line: application framework, exit codes, progress, arguments shared by commands."""
+"""The commands of `caster`, in the order of `caster --help`.
+
+An entry names the module that implements the command (see caster/cli/application.py). The modules import what is slow
+to load inside `run`, so that `--help` is quick.
+"""
+
+from caster.cli.application import Command
+
+_HERE = "caster.cli"
+
+COMMANDS = (
+    Command("render", "render a scene to an EXR file", f"{_HERE}.scene_commands"),
+    Command(
+        "probe",
+        "one pixel: its ray, its hit and the intersections of each shape, in decimal and hex",
+        f"{_HERE}.probe_pixel",
+    ),
+    Command(
+        "check",
+        "validate scene files: every error with file:line:col",
+        f"{_HERE}.scene_commands",
+        run="run_check",
+        arguments="add_check_arguments",
+    ),
+    Command(
+        "schema",
+        "print the JSON Schema of scene files, for editors",
+        f"{_HERE}.scene_commands",
+        run="print_schema",
+        arguments="no_arguments",
+    ),
+    Command(
+        "info",
+        "describe an EXR file: channels, ranges, NaN, inf and hit counts, histograms, provenance",
+        f"{_HERE}.viewing",
+        run="info",
+        arguments="add_info_arguments",
+    ),
+    Command(
+        "preview",
+        "show AOVs or class maps of an EXR file as a PNG image",
+        f"{_HERE}.viewing",
+        run="preview",
+        arguments="add_preview_arguments",
+    ),
+    Command(
+        "sheet",
+        "render scene files as thumbnails on one labelled sheet",
+        f"{_HERE}.viewing",
+        run="sheet",
+        arguments="add_sheet_arguments",
+    ),
+    Command(
+        "6837",
+        "render a scene file of MIT 6.837, with that course's options and images (docs/classroom.md)",
+        f"{_HERE}.course_6837",
+    ),
+    Command(
+        "doctor",
+        "list the packages found on this machine, and what each missing one would add",
+        f"{_HERE}.installation",
+    ),
+)

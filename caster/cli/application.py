@@ -9,9 +9,8 @@ from importlib import import_module
 from typing import NamedTuple
 
 from caster import __version__
-from caster.cli.exit_codes import INTERRUPTED, exit_codes_help, run_command
-from caster.cli.path_arguments import checked_paths
-from caster.cli.signals import end_process
+from caster.cli.shared_arguments import checked_paths
+from caster.system.process import INTERRUPTED, end_process, exit_codes_help, run_command
 
 __all__ = [
     "Command",

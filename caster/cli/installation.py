@@ -12,8 +12,8 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from caster.cli.exit_codes import OK
-from caster.cli.path_arguments import InputPath
+from caster.cli.shared_arguments import InputPath
+from caster.system.process import OK
 
 if TYPE_CHECKING:
     from caster.rendering.warm_up import WarmUpCounts
@@ -86,10 +86,10 @@ def run(args: argparse.Namespace) -> int:
 
 def warm(paths: Sequence[str], as_json: bool) -> int:
     """Compile kernels that are not cached yet, and print how many."""
-    from caster.cli.progress import CompileProgress, report_refused_cache
     from caster.jit.decorators import COMPILATION_LOG
     from caster.jit.kernel_cache import COMPILED
     from caster.rendering import warm_up
+    from caster.system.terminal import CompileProgress, report_refused_cache
 
     if not COMPILED:
         print("kernels: none, as Numba is switched off or not installed")

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-__all__ = ["Diagnostic", "FileMissing", "SceneError", "diagnostics_of", "join_words", "suggestion"]
-
+__all__ = [
+    "Diagnostic",
+    "FileMissing",
+    "SceneError",
+    "diagnostics_of",
+    "error_prefix",
+    "join_words",
+    "suggestion",
+]
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -24,6 +32,15 @@ class FileMissing(SceneError):  # noqa: N818 - named after its subject
     """A missing or unreadable file."""
 
     exit_code = 4
+
+
+@contextlib.contextmanager
+def error_prefix(*words: object) -> Iterator[None]:
+    """Prefix a SceneError of the body with its origin: an option with its values, or a file."""
+    try:
+        yield
+    except SceneError as error:
+        raise type(error)(f"{' '.join(map(str, words))}: {error}") from None
 
 
 MAX_VALUE_CHARACTERS = 60  # characters of one value in a message

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.errors import FileMissing, SceneError
-from caster.image.atomic_files import OutputError, atomic_write
 from caster.image.exr_validation import (
     PROVENANCE_PREFIX,
     Part,
@@ -29,6 +28,7 @@ from caster.image.exr_validation import (
     merged_provenance,
     to_storable,
 )
+from caster.system.atomic_files import OutputError, atomic_write
 
 __all__ = ["NO_ID", "Exr", "OutputError", "Part", "UnreadableExr", "Window", "read_exr", "write_exr"]
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from caster.description.errors import SceneError, join_words
-from caster.image.atomic_files import write_bytes
+from caster.system.atomic_files import write_bytes
 
 __all__ = ["encode_image"]
 

@@ -21,6 +21,7 @@ WITHOUT_KERNELS = (
     "classroom",
     "cli",
     "image",
+    "system",
 )  # folders that no kernel, and no argument of one, comes from
 NOWHERE = Path(os.devnull) / "kernels"  # a folder that cannot exist: nothing is read, nothing written
 

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import implement, inlined, jit
+from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_triangle
-from caster.kernels.exact.surds import Root
 from caster.kernels.math.vec import (
     LARGEST_SQUARE,
     SMALLEST_SQUARE,

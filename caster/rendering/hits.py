@@ -12,8 +12,7 @@ from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.packing import packed as packed
 from caster.geometry.world_space import Rounding, as_given
-from caster.kernels.camera_rays import OUT_OF_RANGE, find_invalid_ray
-from caster.kernels.nearest import Nearest, Rays, new_rays
+from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import PIXELS, WIDTH, Box, clear_rays, load_hits
 from caster.kernels.surface.lighting import shadow_rays_of
@@ -22,7 +21,7 @@ from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.threads import parallel_for
 from caster.rendering.tiles import NO_START, TileShader, TileWorkspace, material_tables, new_image
-from caster.scene.lights import Light
+from caster.scene.appearance import Light
 from caster.scene.model import Scene
 
 __all__ = ["Hits", "RayHits", "cast", "trace", "trace_rays", "validated_rays"]

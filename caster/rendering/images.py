@@ -13,8 +13,7 @@ from caster.description.errors import SceneError, suggestion
 from caster.description.fields import Camera
 from caster.geometry.packing import Packed, pack, packed
 from caster.geometry.world_space import Rounding, as_given
-from caster.kernels.camera_rays import generate_rays, generate_rays_at
-from caster.kernels.nearest import Rays, new_rays
+from caster.kernels.nearest import Rays, generate_rays, generate_rays_at, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import WIDTH, Box, generate_camera_rays
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin

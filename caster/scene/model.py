@@ -23,9 +23,8 @@ from caster.description.errors import (
 from caster.description.fields import Camera, Name, Shape
 from caster.description.quantities import Description, PositiveNumber, row
 from caster.description.registry import load_plugins
+from caster.scene.appearance import DEFAULT, LIGHTS, Diffuse, Light
 from caster.scene.export import canonical_json, fingerprint, to_toml
-from caster.scene.lights import LIGHTS, Light
-from caster.scene.materials import DEFAULT, Diffuse
 from caster.shapes import SHAPES
 
 __all__ = ["MAX_FILM_SIDE", "Check", "Film", "Scene"]

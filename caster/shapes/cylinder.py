@@ -17,8 +17,8 @@ from caster.geometry.edge_distances import (
 )
 from caster.geometry.world_space import Rounding, affine_arrays
 from caster.jit.decorators import implement, inlined
+from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_unit_cylinder, ray_in_object_space
-from caster.kernels.exact.surds import Root
 from caster.kernels.math.quadric_roots import (
     QuadricSetup,
     closest_approach,

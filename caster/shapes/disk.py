@@ -17,8 +17,8 @@ from caster.geometry.edge_distances import (
 )
 from caster.geometry.world_space import Rounding, affine_arrays
 from caster.jit.decorators import implement
+from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_disk
-from caster.kernels.exact.surds import Root
 from caster.kernels.math.vec import (
     TINY,
     TO_OBJECT_SPACE_ERROR,

@@ -10,8 +10,8 @@ from pydantic import model_validator
 from caster.description.fields import Number, Shape, UnitVec3, Vec3
 from caster.geometry.world_space import Rounding
 from caster.jit.decorators import implement
+from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_plane
-from caster.kernels.exact.surds import Root
 from caster.kernels.math.vec import (
     TINY,
     U,

@@ -21,8 +21,8 @@ from caster.geometry.edge_distances import (
 )
 from caster.geometry.world_space import Rounding, affine_arrays, is_similarity, similarity_scale
 from caster.jit.decorators import implement, jit
+from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_sphere, exact_unit_sphere, ray_in_object_space
-from caster.kernels.exact.surds import Root
 from caster.kernels.math.quadric_roots import (
     closest_approach,
     first_root,

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from caster.image.atomic_files import ScratchFolder
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.bench.contestants import Contestant
 from mitsuba_ref.bench.entries import SHADING, Work
 from mitsuba_ref.bench.result import Row, SceneResult, Score

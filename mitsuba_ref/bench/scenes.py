@@ -9,13 +9,12 @@ import numpy as np
 
 from caster.cameras import Fisheye, Orthographic, Pinhole
 from caster.geometry.packing import Triangles
-from caster.image.atomic_files import write_bytes
-from caster.scene.lights import Ambient, Point
-from caster.scene.materials import Diffuse
+from caster.scene.appearance import Ambient, Diffuse, Point
 from caster.scene.model import Scene
 from caster.shapes import MeshFile, Sphere
 from caster.shapes.heightfield import tessellate_heightfield
 from caster.shapes.torus import tessellate_torus
+from caster.system.atomic_files import write_bytes
 from mitsuba_ref.bench.entries import ANY, FILM, NEAREST, SHADING
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.xml_writer import ply_bytes

@@ -14,7 +14,6 @@ from pkgutil import resolve_name
 from typing import Any
 
 from caster.cli import installation as caster_doctor
-from caster.cli.exit_codes import OK
 from caster.cli.installation import (
     Finding,
     Package,
@@ -24,6 +23,7 @@ from caster.cli.installation import (
     print_findings,
     usable,
 )
+from caster.system.process import OK
 from mitsuba_ref.reference import subprocess_runner
 
 __all__ = ["Finding", "exit_code", "format", "format_json", "report", "usable"]

@@ -6,10 +6,9 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
-from caster.cli.path_arguments import InputPath
-from caster.cli.scene_arguments import positive_int
+from caster.cli.shared_arguments import InputPath, positive_int
 from caster.description.errors import SceneError
+from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.cli import options
 
 if TYPE_CHECKING:

@@ -10,10 +10,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from caster.cli.exit_codes import DIFFERENCES, FILE, NOTHING_SELECTED, OK
-from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
-from caster.cli.scene_arguments import mesh_dir_options
+from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, mesh_dir_options
 from caster.description.errors import SceneError
+from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
 from mitsuba_ref.cli.options import add_selection, selected_entries
 
 if TYPE_CHECKING:
@@ -170,7 +169,7 @@ def run_approve(args: argparse.Namespace) -> int:
     if not entries:
         return NOTHING_SELECTED
     folder = Path(args.references)
-    from caster.image.atomic_files import check_folder
+    from caster.system.atomic_files import check_folder
     from mitsuba_ref.exr_compare.approval import Proposal, propose, unused_references
     from mitsuba_ref.runner.scene_runner import map_in_order, problem_of
 
@@ -250,7 +249,7 @@ def run_check(args: argparse.Namespace) -> int:
     entries = selection(args)
     if not entries:
         return NOTHING_SELECTED
-    from caster.image.atomic_files import ScratchFolder
+    from caster.system.atomic_files import ScratchFolder
     from mitsuba_ref.exr_compare.approval import ReferenceCheck, ReferenceChecks, check_scene
     from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.runner.scene_runner import map_in_order, problem_of

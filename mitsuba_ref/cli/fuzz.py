@@ -11,10 +11,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
-from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
-from caster.cli.progress import StatusLine
+from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder
 from caster.description.errors import SceneError, suggestion
+from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.system.terminal import StatusLine
 from mitsuba_ref.cli import options
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ def work_through(campaign: Campaign, line: StatusLine) -> None:
 
 
 def write_json(args: argparse.Namespace, content: dict[str, Any]) -> None:
-    from caster.image.atomic_files import write_text
+    from caster.system.atomic_files import write_text
 
     if args.json:
         write_text(args.json, json.dumps(content, indent=1) + "\n")

@@ -7,10 +7,17 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from caster.cli.exit_codes import DIFFERENCES, OK
-from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
-from caster.cli.scene_arguments import add_mesh_dirs, add_scene, load, positive_int
+from caster.cli.shared_arguments import (
+    InputPath,
+    OutputFile,
+    OutputFolder,
+    add_mesh_dirs,
+    add_scene,
+    load,
+    positive_int,
+)
 from caster.description.errors import SceneError
+from caster.system.process import DIFFERENCES, OK
 from mitsuba_ref.cli.options import HTML_SUFFIX, PRECISIONS, add_verdict_files, html_output
 from mitsuba_ref.cli.validate import check_outputs, print_rows, write_results
 

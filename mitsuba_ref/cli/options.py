@@ -9,10 +9,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TextIO, TypeVar
 
-from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
-from caster.cli.progress import StatusLine
-from caster.cli.scene_arguments import add_mesh_dirs, display_names, error_prefix, positive_int, scene_files
-from caster.description.errors import SceneError, suggestion
+from caster.cli.shared_arguments import (
+    InputPath,
+    OutputFile,
+    OutputFolder,
+    add_mesh_dirs,
+    display_names,
+    positive_int,
+    scene_files,
+)
+from caster.description.errors import SceneError, error_prefix, suggestion
+from caster.system.terminal import StatusLine
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
@@ -186,7 +193,7 @@ def html_output(text: str) -> str:
 
 def check_verdict_files(args: argparse.Namespace) -> None:
     """Raise OutputError before any work where a file cannot be written."""
-    from caster.image.atomic_files import check_writable
+    from caster.system.atomic_files import check_writable
 
     for path in filter(None, (args.json, args.junit, args.summary_md)):
         check_writable(path)
@@ -194,7 +201,7 @@ def check_verdict_files(args: argparse.Namespace) -> None:
 
 def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
     """Write --json, --junit and --summary-md. Raises OutputError."""
-    from caster.image.atomic_files import write_text
+    from caster.system.atomic_files import write_text
     from mitsuba_ref.report.ci_summaries import append, junit
 
     if args.json:
@@ -240,7 +247,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def check_json(args: argparse.Namespace) -> None:
     """Raise OutputError now, and not after all the work."""
-    from caster.image.atomic_files import check_writable
+    from caster.system.atomic_files import check_writable
 
     if args.json and args.json != "-":
         check_writable(args.json)

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.exit_codes import DIFFERENCES, OK
-from caster.cli.path_arguments import OutputFile
-from caster.cli.printable_stream import printable
-from caster.cli.scene_arguments import add_pixel, add_scene, error_prefix, load
+from caster.cli.shared_arguments import OutputFile, add_pixel, add_scene, load
+from caster.description.errors import error_prefix
+from caster.system.process import DIFFERENCES, OK
+from caster.system.terminal import printable
 from mitsuba_ref.cli.options import add_candidate, candidate_words, requested_candidate
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the pixel's verdict and what it rests on; 1 when nothing explains the pixel, or the candidate's answer."""
-    from caster.image.atomic_files import check_writable
+    from caster.system.atomic_files import check_writable
 
     scene = load(args)
     for path in filter(None, (args.save, args.picture)):
@@ -113,7 +113,7 @@ def check_can_draw() -> None:
 
 def draw(args: argparse.Namespace, scene: Scene, probed: Crash | ProbeEvidence) -> None:
     """Write the image of the pixel's surroundings."""
-    from caster.image.atomic_files import write_bytes
+    from caster.system.atomic_files import write_bytes
     from mitsuba_ref.probe.pixel_picture import picture
     from mitsuba_ref.reference.messages import Crash
 

@@ -6,18 +6,19 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.exit_codes import DIFFERENCES, OK
-from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder
-from caster.cli.scene_arguments import (
+from caster.cli.shared_arguments import (
     AOV_NAMES,
     DEFAULT_AOV_LIST,
+    InputPath,
+    OutputFile,
+    OutputFolder,
     add_mesh_dirs,
     add_scene,
     check_exr_suffix,
-    error_prefix,
     load,
 )
-from caster.description.errors import SceneError, suggestion
+from caster.description.errors import SceneError, error_prefix, suggestion
+from caster.system.process import DIFFERENCES, OK
 from mitsuba_ref.cli.options import add_timeout
 
 if TYPE_CHECKING:
@@ -55,8 +56,8 @@ def run_render(args: argparse.Namespace) -> int:
 
         check_variant(args.variant, "--variant")
     scene = load(args)
-    from caster.image.atomic_files import check_writable
     from caster.image.channels import write_render
+    from caster.system.atomic_files import check_writable
     from mitsuba_ref.reference.messages import Crash
     from mitsuba_ref.reference.rendering import render_reference
 
@@ -96,7 +97,7 @@ def add_import_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_import(args: argparse.Namespace) -> int:
     """Read, write, and list what was left out. Raises SceneError, FileMissing, OutputError."""
-    from caster.image.atomic_files import check_writable, write_text
+    from caster.system.atomic_files import check_writable, write_text
 
     suffix = Path(args.file).suffix.lower()
     if Path(args.output).suffix.lower() != ".toml":

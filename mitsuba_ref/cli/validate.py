@@ -11,10 +11,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.exit_codes import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from caster.cli.path_arguments import InputPath, OutputFolder
-from caster.cli.scene_arguments import positive_int
+from caster.cli.shared_arguments import InputPath, OutputFolder, positive_int
 from caster.description.errors import SceneError
+from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.options import (
     HTML_SUFFIX,
     add_candidate,
@@ -95,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
 def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     """0 where all pass; 70 or 4 for an internal error or a file that cannot be written; 2 or 4 where nothing else
     fails than scenes that cannot be loaded; else 1."""
-    from caster.image.atomic_files import OutputError
+    from caster.system.atomic_files import OutputError
 
     if verdict.ok:
         return OK
@@ -112,7 +111,7 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
 
 def check_outputs(args: argparse.Namespace) -> None:
     """Raise OutputError before any work where a file cannot be written."""
-    from caster.image.atomic_files import check_folder
+    from caster.system.atomic_files import check_folder
 
     if args.out:
         check_folder(args.out)
@@ -134,7 +133,7 @@ def run_options(args: argparse.Namespace) -> RunOptions:
 def print_rows(running: ValidationRun) -> None:
     """A row for each scene as soon as it and those before it are done."""
     from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.terminal import table_head, table_row
+    from mitsuba_ref.report.verdict_text import table_head, table_row
 
     width = max((len(entry.name) for entry in running.entries), default=0)
     # The stream itself: readers of EXR files in other threads replace sys.stdout while they read.
@@ -147,9 +146,9 @@ def print_rows(running: ValidationRun) -> None:
 
 def write_results(running: ValidationRun, args: argparse.Namespace, seconds: float) -> None:
     """Write the report files, then print failures and the summary."""
-    from caster.image.atomic_files import write_text
+    from caster.system.atomic_files import write_text
     from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.terminal import failure_text, summary_text
+    from mitsuba_ref.report.verdict_text import failure_text, summary_text
 
     verdict = running.verdict()
     if running.out:
@@ -192,7 +191,7 @@ def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
 def run_merge(args: argparse.Namespace) -> int:
     """Print failures and the summary; 0 all pass, 1 some do not or are missing, 3 not parts of one run."""
     from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.terminal import failure_text, summary_text
+    from mitsuba_ref.report.verdict_text import failure_text, summary_text
     from mitsuba_ref.runner.resume import read_verdict
     from mitsuba_ref.runner.shards import merge_verdicts, other_versions
 

@@ -12,9 +12,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from caster.cli.exit_codes import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.description.errors import SceneError
 from caster.image.exr import read_exr, write_exr
+from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.error_model.tolerances import Tolerances
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, failing_groups, result_messages
 from mitsuba_ref.exr_compare.differences import Judged, judge, judge_hits, present_groups

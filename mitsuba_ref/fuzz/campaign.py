@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from caster.description.errors import SceneError
-from caster.image.atomic_files import check_folder, write_text
 from caster.scene.model import Scene
+from caster.system.atomic_files import check_folder, write_text
 from mitsuba_ref.fuzz import cases
 from mitsuba_ref.fuzz.cases import SCENE_ERRORS, Case, exception_finding, findings_of
 from mitsuba_ref.fuzz.checks import check_image, check_rays

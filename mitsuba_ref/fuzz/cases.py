@@ -18,10 +18,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from caster.description.errors import FileMissing, SceneError
-from caster.image.atomic_files import check_folder, write_text
 from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
+from caster.system.atomic_files import check_folder, write_text
 from mitsuba_ref.fuzz.checks import check_image, check_rays
 from mitsuba_ref.fuzz.families import scene_of
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally

@@ -12,7 +12,7 @@ from caster.geometry.world_space import Rounding, as_float32, as_given
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import trace, trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render
-from caster.scene.materials import Diffuse
+from caster.scene.appearance import Diffuse
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor

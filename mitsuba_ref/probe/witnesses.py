@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.image.atomic_files import ScratchFolder
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
 from mitsuba_ref.judge.classification import Judge

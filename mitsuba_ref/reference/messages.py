@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from caster.image.atomic_files import ScratchFolder
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.reference.subprocess_runner import ProcessEnd, exit_name, import_path, run
 
 RowLayout = dict[str, tuple[tuple[int, ...], type]]  # field -> shape of a row, dtype

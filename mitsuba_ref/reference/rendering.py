@@ -9,9 +9,9 @@ import numpy as np
 from caster.aovs import AOVS, Aovs
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
-from caster.image.atomic_files import ScratchFolder
 from caster.rendering.images import film_window
 from caster.scene.model import Scene
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.cameras import ClipRange, reference_of_camera
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.image.atomic_files import ScratchFolder
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.reference import messages, variants
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse, crash_of, response_in
 from mitsuba_ref.reference.subprocess_runner import (

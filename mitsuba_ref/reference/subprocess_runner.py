@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from caster.cli.signals import at_forced_exit
+from caster.system.process import at_forced_exit
 
 OUTPUT_HEAD_BYTES, OUTPUT_TAIL_BYTES = 1000, 3000  # of captured output that are kept
 REAP_SECONDS = 5.0  # for a killed process, or one that closed its pipe, to be gone

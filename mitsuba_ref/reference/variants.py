@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from caster.description.errors import SceneError
-from caster.image.atomic_files import ScratchFolder
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.reference import messages
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from caster.description.errors import SceneError
 from caster.description.fields import Shape
-from caster.image.atomic_files import check_folder, write_bytes, write_text
-from caster.scene.materials import Diffuse
+from caster.scene.appearance import Diffuse
 from caster.scene.model import Scene
+from caster.system.atomic_files import check_folder, write_bytes, write_text
 
 
 class MissingReferenceError(SceneError, LookupError):

@@ -8,12 +8,18 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePath
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from caster.cli.printable_stream import printable
-from caster.image.atomic_files import OutputError, check_output
+from caster.system.atomic_files import OutputError, check_output
+from caster.system.terminal import printable
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
 from mitsuba_ref.reference.xml_writer import XmlElement
 from mitsuba_ref.report.reproducers import replay
-from mitsuba_ref.report.terminal import CLASS_TITLES, candidate_lines, failure_text, group_lines, worst_words
+from mitsuba_ref.report.verdict_text import (
+    CLASS_TITLES,
+    candidate_lines,
+    failure_text,
+    group_lines,
+    worst_words,
+)
 
 # ---- Markdown ----
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from caster.image.atomic_files import OutputError, write_text
+from caster.system.atomic_files import OutputError, write_text
 from mitsuba_ref.judge.verdict import FileRecord, SceneVerdict, Verdict
 
 MANIFEST = (

@@ -14,9 +14,9 @@ from caster.cameras.ray import Ray
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
-from caster.image.atomic_files import write_text
 from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.model import Film, Scene
+from caster.system.atomic_files import write_text
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement, scene_judge
 from mitsuba_ref.judge.explanations import format_primitive, pixel_answers, reproducer_header

@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from caster.cli.printable_stream import printable, unfiltered
 from caster.description.errors import SceneError
 from caster.description.input_files import MAX_TEXT_BYTES, read_input
-from caster.image.atomic_files import write_text
+from caster.system.atomic_files import write_text
+from caster.system.terminal import printable, unfiltered
 from mitsuba_ref.reference.variants import usable_variants
 
 T = TypeVar("T")

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, NoReturn, TypeVar
 
-from caster.image.atomic_files import ScratchFolder
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.subprocess_runner import (
     PARENT_VARIABLE,

@@ -132,7 +132,7 @@ class ScenePlugin:
 
     def _judge_once(self, path: Path, folder: Path) -> SceneVerdict | str:
         """From the file that another process wrote; or judged and written while others wait."""
-        from caster.image.atomic_files import write_text
+        from caster.system.atomic_files import write_text
         from mitsuba_ref.runner.resume import scene_of
 
         file = folder / hashlib.sha256(str(path).encode(errors="surrogateescape")).hexdigest()
@@ -218,7 +218,7 @@ class CheckItem(pytest.Item):
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
         if text := check_problem(plugin.verdict_of(self.path), self.name):
-            from caster.cli.printable_stream import printable
+            from caster.system.terminal import printable
 
             raise CheckFailed(printable(text))
 
@@ -245,7 +245,7 @@ def check_problem(found: SceneVerdict | str, check: str) -> str:
         return found if check == VERDICT else no_verdict(found)
     if found.problem and check != VERDICT:
         return no_verdict(f"FAIL  {found.name}  {found.problem}")
-    from mitsuba_ref.report.terminal import check_failure, failure_text, pixel_failure
+    from mitsuba_ref.report.verdict_text import check_failure, failure_text, pixel_failure
 
     if check == VERDICT:
         return "" if found.ok else failure_text(found)

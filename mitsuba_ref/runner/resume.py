@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import MAX_TEXT_BYTES, read_input
-from caster.image.atomic_files import OutputError, write_text
+from caster.system.atomic_files import OutputError, write_text
 from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.rendering import variant_of

@@ -10,13 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from caster.cli import signals
-from caster.cli.progress import ProgressBar
-from caster.cli.scene_arguments import error_prefix
-from caster.description.errors import SceneError
-from caster.image.atomic_files import OutputError
+from caster.description.errors import SceneError, error_prefix
 from caster.scene.files import film_pixels, load_scene
 from caster.scene.model import Scene
+from caster.system import process
+from caster.system.atomic_files import OutputError
+from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
@@ -144,7 +143,7 @@ def map_in_order(
         pool.shutdown(wait=False, cancel_futures=True)
         subprocess_runner.kill_subprocesses()
         ISOLATED.stop()
-        if signals.interrupted.is_set():  # work in compiled code ends with the process
+        if process.interrupted.is_set():  # work in compiled code ends with the process
             wait([each for each in futures if each.running()], timeout=INTERRUPTED_SECONDS)
         else:
             pool.shutdown(wait=True)

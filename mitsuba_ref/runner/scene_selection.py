@@ -1,4 +1,4 @@
-"""Selection of scenes by an expression over their names; files and folders: caster/cli/scene_arguments.py."""
+"""Selection of scenes by an expression over their names; files and folders: caster/cli/shared_arguments.py."""
 
 import re
 from collections.abc import Callable, Sequence

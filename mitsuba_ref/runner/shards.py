@@ -11,8 +11,8 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-from caster.cli.exit_codes import NOT_COMPARABLE
 from caster.description.errors import SceneError
+from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.runner.scene_runner import Entry

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn, TextIO
 
-from caster.cli.exit_codes import DIFFERENCES, INTERRUPTED, reopen_closed_streams
+from caster.system.process import DIFFERENCES, INTERRUPTED, reopen_closed_streams
 from mitsuba_ref.reference.subprocess_runner import exit_name, run_attached
 
 SUPERVISED_VARIABLE = "MITSUBA_REF_SUPERVISED"  # in the environment of the one that is looked after

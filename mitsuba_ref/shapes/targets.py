@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.image.atomic_files import ScratchFolder
 from caster.shapes.icosphere import tessellate_icosphere
+from caster.system.atomic_files import ScratchFolder
 
 Rng = np.random.Generator
 

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
-from caster.image.atomic_files import ScratchFolder
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.results import NOTHING, aligned
 from mitsuba_ref.stress import score

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from caster.aovs import Aovs
-from caster.cli.printable_stream import printable
+from caster.system.terminal import printable
 from mitsuba_ref.error_model.intersections import KU, KU_OURS
 
 FLOAT32, FLOAT64 = "float32", "float64"

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from caster.cli.printable_stream import printable
 from caster.description.errors import FileMissing, SceneError
 from caster.image.exr import Exr, UnreadableExr, read_exr
 from caster.scene.model import Scene
+from caster.system.terminal import printable
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.intersections import KU, U, dot, norm
 from mitsuba_ref.reference.rays import pixel_of

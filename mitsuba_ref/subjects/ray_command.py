@@ -7,7 +7,7 @@ import numpy as np
 
 from caster.description.errors import FileMissing
 from caster.geometry.packing import Packed
-from caster.image.atomic_files import write_bytes
+from caster.system.atomic_files import write_bytes
 from mitsuba_ref.subjects.answer import FLOAT64, Answer, NoAnswer
 from mitsuba_ref.subjects.command import run_program
 from mitsuba_ref.subjects.ray_files import (

@@ -9,8 +9,8 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
-from caster.image.atomic_files import ScratchFolder
 from caster.scene.model import Scene
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.cameras.camera_reference import clip_planes
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.reference.rays import SharedRays, shared_rays

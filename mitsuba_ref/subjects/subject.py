@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from caster.geometry.packing import Packed, Triangles
-from caster.image.atomic_files import check_folder, write_bytes
 from caster.scene.model import Scene
+from caster.system.atomic_files import check_folder, write_bytes
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.xml_writer import ply_bytes, safe_name

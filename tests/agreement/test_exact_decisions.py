@@ -7,7 +7,7 @@ from random_scenes import name, random_scene
 
 from caster.cameras import Pinhole
 from caster.geometry.packing import Packed
-from caster.kernels.exact.surds import as_float, compare
+from caster.kernels.exact.numbers import as_float, compare
 from caster.kernels.nearest import Rays, exact_hit
 from caster.rendering import casting
 from caster.rendering.casting import exact_nearest, find_nearest, uses_bvh

@@ -7,13 +7,13 @@ TREE, ROOTS, TRIANGLES, NEAREST = (
     f"{KERNELS}/{name}.py" for name in ("bvh/traversal", "math/quadric_roots", "triangles", "nearest")
 )
 SCREEN, INTEGERS, BOXES = (
-    f"{KERNELS}/{name}.py" for name in ("raster/tile_casting", "exact/integers", "bvh/build")
+    f"{KERNELS}/{name}.py" for name in ("raster/tile_casting", "exact/numbers", "bvh/build")
 )
 LEAF_OF_RAY, LEAF_OF_PACKET = (
     f"\n                k = tree.order[at]\n                {then}" for then in ("pre", "cast_lanes")
 )
 PLANAR = QUADRIC = f"{KERNELS}/exact/primitives.py"
-EXACT_ROOT, SPANS = f"{KERNELS}/exact/surds.py", f"{KERNELS}/raster/screen_bounds.py"
+EXACT_ROOT, SPANS = f"{KERNELS}/exact/numbers.py", f"{KERNELS}/raster/screen_bounds.py"
 LANES, VECTORS = "caster/jit/simd.py", "caster/jit/vector_intrinsics.py"
 CASTING, HITS, PLACING = (
     "caster/rendering/casting.py",

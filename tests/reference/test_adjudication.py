@@ -27,7 +27,7 @@ from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
 from mitsuba_ref.probe.pixel import probe
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.report.reproducers import reproducer
-from mitsuba_ref.report.terminal import failure_text, summary_text
+from mitsuba_ref.report.verdict_text import failure_text, summary_text
 from mitsuba_ref.subjects import ours
 from mitsuba_ref.subjects.ours import cast_ours
 

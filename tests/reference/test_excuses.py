@@ -13,7 +13,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.verdict import EXPLAINED, JUDGED_WITHOUT_REFERENCE
-from mitsuba_ref.report.terminal import failure_text
+from mitsuba_ref.report.verdict_text import failure_text
 
 SCENES = Path(__file__).parents[2] / "scenes"
 LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))

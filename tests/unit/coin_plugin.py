@@ -9,8 +9,8 @@ from caster.cameras import CAMERAS
 from caster.description.fields import Camera, Positive, Shape, Vec3
 from caster.geometry.world_space import Rounding
 from caster.jit.decorators import implement
+from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_disk
-from caster.kernels.exact.surds import Root
 from caster.kernels.math.vec import U, add, filter_result, point_at, row, scaled, sub
 from caster.kernels.protocol import (
     camera_ray,

@@ -27,7 +27,7 @@ from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
 from mitsuba_ref.judge.bias import check_bias, extremes, looseness, weakest_bias, z_of_groups
 from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneVerdict, Verdict
 from mitsuba_ref.report.ci_summaries import junit
-from mitsuba_ref.report.terminal import failure_text, summary_text
+from mitsuba_ref.report.verdict_text import failure_text, summary_text
 from mitsuba_ref.shapes import KINDS
 
 SCENES = Path(__file__).parents[2] / "scenes"

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from caster.cli import application, exit_codes
-from caster.cli.commands import COMMANDS as CASTER
+from caster.cli import COMMANDS as CASTER
+from caster.cli import application
+from caster.system import process
 from mitsuba_ref.cli import COMMANDS as JUDGE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -94,4 +95,4 @@ def test_our_own_workflow_parses_too():
 
 def test_every_exit_code_is_explained():
     told = {int(code) for code in re.findall(r"^\| (\d+) \|", PAGE, re.MULTILINE)}
-    assert told == set(exit_codes.MEANINGS) - {exit_codes.PIPE_CLOSED}
+    assert told == set(process.MEANINGS) - {process.PIPE_CLOSED}

@@ -6,7 +6,7 @@ import re
 import pytest
 from made_verdicts import scene, verdict
 
-from caster.image.atomic_files import OutputError
+from caster.system.atomic_files import OutputError
 from mitsuba_ref.report.ci_summaries import SUMMARY_LIMIT_BYTES, append, markdown
 
 NASTY = (

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from caster.classroom.course_files import load_course_scene
-from caster.cli.exit_codes import FILE, USAGE
 from caster.description.errors import FileMissing, SceneError
+from caster.system.process import FILE, USAGE
 
 SCENE = """
 PerspectiveCamera {{ center 0 0 10 direction 0 0 -1 up 0 1 0 angle 30 }}

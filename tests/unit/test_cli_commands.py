@@ -16,12 +16,12 @@ import pytest
 import caster
 from caster.__main__ import main
 from caster.aovs import BY_NAME
-from caster.cli import exit_codes
-from caster.cli.commands import COMMANDS
-from caster.cli.scene_arguments import AOV_NAMES, DEFAULT_AOV_LIST
+from caster.cli import COMMANDS
+from caster.cli.shared_arguments import AOV_NAMES, DEFAULT_AOV_LIST
 from caster.description.errors import FileMissing, SceneError
 from caster.rendering.images import DEFAULT_AOVS
 from caster.scene.files import scene_schema
+from caster.system import process
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -135,28 +135,28 @@ def failing(error):
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",
 )
 def test_an_error_that_was_foreseen_is_one_sentence(capsys, error, code, said):
-    assert exit_codes.run_command(failing(error)) == code
+    assert process.run_command(failing(error)) == code
     told = capsys.readouterr()
     assert told.out == "" and told.err.startswith(said) and "Traceback" not in told.err
     assert told.err.count("\n") == (1 if said else 0)
 
 
 def test_an_error_that_was_not_shows_a_traceback_and_one_line(capsys):
-    assert exit_codes.run_command(failing(ZeroDivisionError("division by zero"))) == 70
+    assert process.run_command(failing(ZeroDivisionError("division by zero"))) == 70
     told = capsys.readouterr().err.splitlines()
     assert told[0] == "Traceback (most recent call last):"
     assert told[-1] == "internal error, please report it: ZeroDivisionError: division by zero"
 
 
 def test_a_command_that_ends_well_hands_on_its_code():
-    assert [exit_codes.run_command(lambda code=code: code) for code in (0, 1, 3, 5)] == [0, 1, 3, 5]
+    assert [process.run_command(lambda code=code: code) for code in (0, 1, 3, 5)] == [0, 1, 3, 5]
 
 
 def test_a_reader_that_goes_away_is_no_news():
-    process = python("-m", "caster", "schema")
-    process.stdout.close()  # before anything was written
-    assert (process.wait(), process.stderr.read()) == (exit_codes.PIPE_CLOSED, "")
-    process.stderr.close()
+    started = python("-m", "caster", "schema")
+    started.stdout.close()  # before anything was written
+    assert (started.wait(), started.stderr.read()) == (process.PIPE_CLOSED, "")
+    started.stderr.close()
 
 
 def test_a_standard_output_that_was_closed_before_is_none_of_our_business():
@@ -219,7 +219,7 @@ def test_a_command_imports_no_other_command(program, name):
     out, err = python("-c", source, name, "--help").communicate()
     from importlib import import_module
 
-    registry = import_module("caster.cli.commands" if program == "caster" else "mitsuba_ref.cli").COMMANDS
+    registry = import_module("caster.cli" if program == "caster" else "mitsuba_ref.cli").COMMANDS
     (module,) = (command.module for command in registry if command.name == name)
     assert (out.splitlines()[-1], err) == (f"loaded {module}", "")
 

@@ -3,7 +3,7 @@
 import re
 
 from caster.aovs import BY_NAME
-from caster.cli.scene_arguments import AOV_NAMES, DEFAULT_AOV_LIST
+from caster.cli.shared_arguments import AOV_NAMES, DEFAULT_AOV_LIST
 from caster.rendering.images import DEFAULT_AOVS
 from mitsuba_ref.cli import exr_comparison, options, scene_exchange
 from mitsuba_ref.exr_compare import approval

@@ -7,8 +7,15 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from caster.kernels.exact import integers as big
-from caster.kernels.exact.surds import AS_FLOAT_REL_ERROR, Root, as_float, compare, is_within, surd_of_float
+from caster.kernels.exact import numbers as big
+from caster.kernels.exact.numbers import (
+    AS_FLOAT_REL_ERROR,
+    Root,
+    as_float,
+    compare,
+    is_within,
+    surd_of_float,
+)
 
 RNG = np.random.default_rng(70)
 

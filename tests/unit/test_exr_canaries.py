@@ -10,8 +10,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from caster.cli.exit_codes import DIFFERENCES, MEANINGS, OK
 from caster.image.exr import write_exr
+from caster.system.process import DIFFERENCES, MEANINGS, OK
 from mitsuba_ref.__main__ import main
 
 Channels = dict[str, np.ndarray]

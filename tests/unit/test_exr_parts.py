@@ -9,9 +9,9 @@ import pytest
 import caster
 from caster import __version__
 from caster.__main__ import main as caster_main
-from caster.cli.exit_codes import FILE, NOT_COMPARABLE
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import UnreadableExr, read_exr, write_exr
+from caster.system.process import FILE, NOT_COMPARABLE
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.exr_compare.depth_conventions import ViewRays
 from mitsuba_ref.exr_compare.two_files import compare_exr

@@ -10,7 +10,7 @@ from made_verdicts import verdict
 import caster
 from mitsuba_ref.judge.verdict import SceneCheck, SceneStatistics
 from mitsuba_ref.report.ci_summaries import markdown
-from mitsuba_ref.report.terminal import common_traits, simplest_failing, summary_text
+from mitsuba_ref.report.verdict_text import common_traits, simplest_failing, summary_text
 from mitsuba_ref.runner import scene_runner
 from mitsuba_ref.runner.resume import scene_of
 

@@ -5,11 +5,11 @@ import stat
 
 import pytest
 
-from caster.cli.progress import announce_compilation, report_refused_cache
 from caster.jit import kernel_cache, machine_code
 from caster.jit.decorators import COMPILATION_LOG
 from caster.jit.kernel_cache import cache_folder
 from caster.jit.machine_code import ObjectCode
+from caster.system.terminal import announce_compilation, report_refused_cache
 
 NEW = cache_folder.__wrapped__  # what it would be in a new process
 

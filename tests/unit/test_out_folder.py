@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from made_verdicts import scene as made
 
-from caster.image.atomic_files import OutputError
+from caster.system.atomic_files import OutputError
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.report.html.html_report import MAX_PIXELS_WITH_IMAGES, HtmlReport
 from mitsuba_ref.report.output_manifest import IMAGES, MANIFEST, OutputManifest, files_of

@@ -12,10 +12,10 @@ import pytest
 
 import caster.__main__
 import mitsuba_ref.__main__
+from caster.cli import COMMANDS
 from caster.cli.application import build_parser
-from caster.cli.commands import COMMANDS
-from caster.cli.path_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
-from caster.image.atomic_files import OutputError, ScratchFolder, atomic_write, write_text
+from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
+from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, write_text
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 from mitsuba_ref.cli.options import html_output
 
@@ -144,7 +144,7 @@ def test_two_outputs_are_two_files(tmp_path, capsys):
 
 def test_a_second_run_in_one_folder_is_refused(tmp_path, capsys):
     holder = (
-        "import sys; from caster.image.atomic_files import locked; from pathlib import Path\n"
+        "import sys; from caster.system.atomic_files import locked; from pathlib import Path\n"
         "with locked(Path(sys.argv[1])): print('locked', flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(
@@ -175,7 +175,7 @@ def test_leftovers_of_dead_processes_are_removed_and_those_of_live_ones_stay(tmp
     (tmp_path / "mitsuba-ref-scratch-dead").mkdir()
     (tmp_path / "mitsuba-ref-scratch-dead" / "job.npz").write_text("half")
     with ScratchFolder() as first, atomic_write(tmp_path / "x") as live:
-        monkeypatch.setattr("caster.image.atomic_files._searched", set())
+        monkeypatch.setattr("caster.system.atomic_files._searched", set())
         with ScratchFolder() as second:
             write_text(tmp_path / "y", "")
             found = {path.name for path in tmp_path.iterdir()}

@@ -16,7 +16,7 @@ from caster.cameras import Ray
 from caster.jit.kernel_cache import COMPILED
 from caster.rendering.explain import account
 from caster.rendering.images import render_film, trace_film
-from caster.scene.lights import Ambient, Directional, Point
+from caster.scene.appearance import Ambient, Directional, Point
 
 ROOT = Path(__file__).resolve().parents[2]
 EYE = {"eye": (0.3, 0.4, 6.0), "look_at": (0.0, 0.0, 0.0)}

@@ -7,9 +7,9 @@ import pytest
 
 import caster.__main__
 import mitsuba_ref.__main__
-from caster.cli.exit_codes import run_command
-from caster.cli.printable_stream import printable
 from caster.description.errors import SceneError
+from caster.system.process import run_command
+from caster.system.terminal import printable
 from mitsuba_ref.report.results import Column, format_table
 from mitsuba_ref.runner import memory
 

@@ -12,8 +12,8 @@ import pytest
 
 import caster
 from caster.__main__ import main
-from caster.cli import progress
-from caster.cli.progress import (
+from caster.rendering.images import render_film
+from caster.system.terminal import (
     LOG_SECONDS,
     QUIET_SECONDS,
     REFRESH_SECONDS,
@@ -23,7 +23,6 @@ from caster.cli.progress import (
     duration,
     si_number,
 )
-from caster.rendering.images import render_film
 from mitsuba_ref.cli import options
 from mitsuba_ref.runner.scene_runner import SceneEntry, count_scene
 from mitsuba_ref.runner.scene_runner import progress_bar as scenes_bar
@@ -277,7 +276,7 @@ def test_a_terminal_without_unicode_gets_a_bar_in_ascii(terminal):
 
 def test_rich_is_loaded_when_a_bar_is_drawn_and_not_before():
     source = (
-        "import sys, io; from caster.cli.progress import ProgressBar, CompileProgress, StatusLine\n"
+        "import sys, io; from caster.system.terminal import ProgressBar, CompileProgress, StatusLine\n"
         "bar = ProgressBar('rendering', 10, 'rays', io.StringIO(), lambda: 0.0); bar.add(5); bar.close()\n"
         "StatusLine(io.StringIO()).show('text'); CompileProgress(io.StringIO()).begin('scene')\n"
         "assert not {'rich', 'numba', 'numpy'} & sys.modules.keys()\n"
@@ -336,7 +335,7 @@ def test_render_shows_how_far_it_is_on_a_terminal_alone(tmp_path, terminal, monk
     stream, read = terminal
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(SCENE)
-    monkeypatch.setattr(progress, "QUIET_SECONDS", 0.0)
+    monkeypatch.setattr("caster.system.terminal.QUIET_SECONDS", 0.0)
     assert main(["render", "s.toml", "--aov", "depth,position"]) == 0  # standard error is a pipe here
     said = capsys.readouterr()
     assert "rendering" not in said.err

@@ -7,7 +7,7 @@ from importlib import resources
 
 import pytest
 
-from caster.image.atomic_files import OutputError
+from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict
 from mitsuba_ref.report import class_images
 from mitsuba_ref.report.html import html_report
@@ -19,7 +19,7 @@ from mitsuba_ref.report.html.html_report import (
     index_row,
     page,
 )
-from mitsuba_ref.report.terminal import failure_text
+from mitsuba_ref.report.verdict_text import failure_text
 from mitsuba_ref.runner.validation import Validation
 
 FAILURE = Failure(3, 4, "wrong", "depth", 41.0, "a", "b", "c", "by exact arithmetic, ours is wrong")

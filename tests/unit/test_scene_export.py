@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from caster.cameras import CAMERAS, Fisheye, Pinhole
 from caster.description.errors import FileMissing
 from caster.geometry.world_space import MeshShape
+from caster.scene.appearance import Ambient, Diffuse, Directional, Point
 from caster.scene.files import load_scene, scene_from_text
-from caster.scene.lights import Ambient, Directional, Point
-from caster.scene.materials import Diffuse
 from caster.scene.model import Check, Film, Scene, Shading
 from caster.shapes import SHAPES, MeshFile, Sphere
 

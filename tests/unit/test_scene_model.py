@@ -10,8 +10,7 @@ from pydantic import ValidationError
 from caster.cameras import Orthographic, Pinhole
 from caster.description.errors import SceneError
 from caster.description.fields import Description
-from caster.scene.lights import Ambient, Point
-from caster.scene.materials import Diffuse
+from caster.scene.appearance import Ambient, Diffuse, Point
 from caster.scene.model import Check, Film, Scene, Shading, one_of
 from caster.shapes import SHAPES, Cube, Disk, Sphere
 

@@ -10,7 +10,7 @@ import pytest
 
 import mitsuba_ref.__main__
 from caster.description.errors import SceneError
-from caster.image.atomic_files import OutputError
+from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict
 from mitsuba_ref.runner import scene_runner, validation_run
 from mitsuba_ref.runner.scene_runner import SceneEntry, run, source_of

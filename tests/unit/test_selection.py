@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from caster.cli.scene_arguments import display_names, scene_files
+from caster.cli.shared_arguments import display_names, scene_files
 from caster.description.errors import FileMissing, SceneError
 from mitsuba_ref.runner.scene_selection import matching
 

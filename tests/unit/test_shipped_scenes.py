@@ -15,8 +15,8 @@ from caster.description.quantities import Description
 from caster.geometry.packing import pack, primitive_count
 from caster.kernels.triangles import Triangles
 from caster.rendering.images import render
+from caster.scene.appearance import LIGHTS
 from caster.scene.files import load_scene, scene_schema
-from caster.scene.lights import LIGHTS
 from caster.scene.model import Film, Scene, Shading
 from caster.shapes import SHAPES
 

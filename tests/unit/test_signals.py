@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from caster.cli import signals
+from caster.system import process
 from mitsuba_ref.reference import subprocess_runner
 
 COMMAND = """
 import hashlib, sys, time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from caster.cli import signals
+from caster.system import process
 from caster.cli.application import Command, main
-from caster.image.atomic_files import ScratchFolder, atomic_write
-signals.GRACE_SECONDS = 0.5
+from caster.system.atomic_files import ScratchFolder, atomic_write
+process.GRACE_SECONDS = 0.5
 def add_arguments(parser):
     parser.add_argument("what", choices=("compiled", "threads", "orderly"))
 def endless():
@@ -84,7 +84,7 @@ def test_an_ignored_signal_stays_ignored(monkeypatch):
     """nohup starts a command with SIGHUP ignored."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with signals.handled_signals():
+        with process.handled_signals():
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
             assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

@@ -35,7 +35,7 @@ REPLACED = {
     r"ours_wrong": "wrong",
     r"MOST|FEWEST|MANY|ROOM": "a constant that names what it limits, and its unit",
     r"tells(?!:)|knows": "a description of the operation: code neither tells nor knows",
-    r"terminal_line|progress_bar\.py": "caster/cli/progress.py",
+    r"terminal_line|progress_bar\.py": "caster/system/terminal.py",
     r"made_of|on_trial|in_common": "composition, requested_candidate, common_traits",
 }
 

@@ -7,11 +7,11 @@ import pytest
 
 from caster.__main__ import main
 from caster.cameras import CAMERAS
-from caster.cli.progress import CompileProgress, announce_compilation
 from caster.geometry.packing import pack
 from caster.jit import decorators
 from caster.kernels.protocol import intersect, project_bounding_sphere
 from caster.rendering import warm_up
+from caster.system.terminal import CompileProgress, announce_compilation
 
 SCENE = "scenes/one-sphere.toml"
 

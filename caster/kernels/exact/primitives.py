@@ -5,22 +5,26 @@ from typing import Any
 import numpy as np
 
 from caster.jit.decorators import jit
-from caster.kernels.exact.integers import (
+from caster.kernels.exact.numbers import (
     Integer,
     Integer3,
+    Root,
     cross_integer,
     dot_integer,
     integer,
     integers,
+    is_within,
     lowest_exponent,
     minus,
     minus3,
+    no_root,
     plus,
+    ratio,
     sign,
+    sign_of_surd,
     signed,
     times,
 )
-from caster.kernels.exact.surds import Root, is_within, no_root, ratio, sign_of_surd
 from caster.kernels.math.vec import vector
 from caster.kernels.protocol import Vec3
 

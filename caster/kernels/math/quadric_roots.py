@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import inlined, jit
-from caster.kernels.exact.surds import times_power
+from caster.kernels.exact.numbers import times_power
 from caster.kernels.math.vec import (
     TINY,
     U,

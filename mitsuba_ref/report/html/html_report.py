@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from caster.image.atomic_files import (
+from caster.system.atomic_files import (
     OutputError,
     ScratchFolder,
     atomic_write,
@@ -23,7 +23,7 @@ from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG, SceneVerdict, js
 from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, scene_record
 from mitsuba_ref.report.output_manifest import ManifestEntry, OutputManifest, RemovedFiles
 from mitsuba_ref.report.reproducers import replay, replay_around
-from mitsuba_ref.report.terminal import failure_text
+from mitsuba_ref.report.verdict_text import failure_text
 
 # One file: opens within two seconds on a small machine, and is accepted by mail and CI servers.
 ONE_FILE_LIMIT_BYTES = 25_000_000

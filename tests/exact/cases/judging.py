@@ -14,7 +14,7 @@ from cases.conditions import T_ULPS, ULP, conditions
 from cases.normals import UNIT_ATOL, bound, normal
 from caster import Hits, cast
 from caster.geometry.packing import Packed
-from caster.kernels.exact.surds import AS_FLOAT_REL_ERROR
+from caster.kernels.exact.numbers import AS_FLOAT_REL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 
 NORMALS = 24  # of each question's hits, spread over them: so many normals are worked out exactly

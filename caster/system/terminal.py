@@ -1,30 +1,100 @@
-"""Progress on standard error: bars, status lines and messages about kernel compilation.
+"""The terminal: standard streams that show control characters as escapes, and progress on standard error.
 
-On a terminal the display is drawn by rich, redrawn in place and erased at the end; rich honours NO_COLOR. Elsewhere a
-line is written now and then. rich is imported when something is drawn, so that short commands never load it.
+Progress is bars, status lines and messages about kernel compilation. On a terminal it is drawn by rich, redrawn in
+place and erased at the end; rich honours NO_COLOR. Elsewhere a line is written now and then. rich is imported when
+something is drawn, so that short commands never load it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
-from typing import TYPE_CHECKING, Any, TextIO
-
-from caster.cli.printable_stream import printable, unfiltered
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.live import Live
 
-    from caster.scene.model import Scene
 
-__all__ = ["CompileProgress", "ProgressBar", "StatusLine", "announce_compilation", "type_names"]
+__all__ = [
+    "CompileProgress",
+    "ProgressBar",
+    "StatusLine",
+    "announce_compilation",
+    "printable",
+    "unfiltered",
+]
+
+
+def printable(text: str, keep: str = "\n\t") -> str:
+    """Text whose control, format and bidirectional characters are escapes (\\u001b) that a terminal shows.
+
+    keep: characters to leave as they are. The escapes are those of JSON, so that JSON stays what it is.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else _escape(c) for c in text)
+
+
+def _escape(character: str) -> str:
+    units = character.encode("utf-16-be", "surrogatepass")
+    return "".join(f"\\u{units[i]:02x}{units[i + 1]:02x}" for i in range(0, len(units), 2))
+
+
+class PrintableStream:
+    """A text stream through `printable`. An OSError of it carries its name, such as "standard output"."""
+
+    def __init__(self, stream: TextIO, name: str) -> None:
+        self.unfiltered, self._name = stream, name
+
+    def write(self, text: str) -> int:
+        with self._named_errors():
+            self.unfiltered.write(printable(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        for line in lines:
+            self.write(line)
+
+    def flush(self) -> None:
+        with self._named_errors():
+            self.unfiltered.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.unfiltered, name)
+
+    @contextlib.contextmanager
+    def _named_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise type(error)(error.errno, error.strerror, self._name) from error
+
+
+def unfiltered(stream: TextIO) -> TextIO:
+    """The stream below, for those who draw on a terminal and pass all text through `printable` themselves."""
+    return cast(TextIO, getattr(stream, "unfiltered", stream))
+
+
+@contextlib.contextmanager
+def printable_streams() -> Iterator[None]:
+    """Replace standard output and standard error while the body runs."""
+    before = sys.stdout, sys.stderr
+    sys.stdout = cast(TextIO, PrintableStream(unfiltered(sys.stdout), "standard output"))
+    sys.stderr = cast(TextIO, PrintableStream(unfiltered(sys.stderr), "standard error"))
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+# ---- progress ----
 
 QUIET_SECONDS = 1.0  # work shorter than this draws nothing on a terminal
 REFRESH_SECONDS = 0.1  # between two updates of the terminal
@@ -113,7 +183,7 @@ class ProgressBar:
                 self.next = now + (REFRESH_SECONDS if self.line.live else LOG_SECONDS)
                 self._draw(now - self.start)
 
-    @contextmanager
+    @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
         """Erase the bar while the body prints; the next `add` draws it again."""
         with self.lock:
@@ -164,13 +234,7 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"
 
 
-def type_names(scene: Scene) -> str:
-    """The types of the shapes and the camera of a scene: "sphere, mesh, pinhole"."""
-    things: list[Any] = [*scene.shapes, scene.camera]
-    return ", ".join(dict.fromkeys(thing.type for thing in things))
-
-
-@contextmanager
+@contextlib.contextmanager
 def announce_compilation(what: str) -> Iterator[None]:
     """Print one line on standard error when the body compiles its first kernel; none if all are cached."""
     from caster.jit.decorators import COMPILATION_LOG

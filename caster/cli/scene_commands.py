@@ -1,4 +1,4 @@
-"""`caster render`: a scene file in, an EXR file out."""
+"""`caster render`, `check` and `schema`: scene files rendered to EXR files, and validated; their JSON Schema."""
 
 from __future__ import annotations
 
@@ -10,24 +10,29 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.exit_codes import OK
-from caster.cli.path_arguments import OutputFile
-from caster.cli.scene_arguments import (
+from caster.cli.shared_arguments import (
     AOV_NAMES,
     DEFAULT_AOV_LIST,
+    SCENE_FILE,
+    InputPath,
+    OutputFile,
+    add_mesh_dirs,
     add_scene,
     add_threads,
     check_exr_suffix,
     comma_separated,
-    error_prefix,
     load,
+    type_names,
 )
-from caster.description.errors import SceneError
+from caster.description.errors import SceneError, error_prefix
+from caster.system.process import FILE, OK, USAGE
 
 if TYPE_CHECKING:
     from caster.aovs import Aovs
-    from caster.cli.progress import ProgressBar
     from caster.scene.model import Scene
+    from caster.system.terminal import ProgressBar
+
+# ---- render: a scene file in, an EXR file out ----
 
 CROP_METAVARS = ("X0", "Y0", "X1", "Y1")
 
@@ -69,14 +74,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render, write the file and print a summary. Raises SceneError, FileMissing, OutputError."""
-    from caster.cli.progress import announce_compilation, type_names
+    from caster.system.terminal import announce_compilation
 
     with announce_compilation("mesh files"):
         scene = cropped(load(args), args.crop)
     output = output_path(args)
-    from caster.image.atomic_files import check_writable
     from caster.image.channels import write_render
     from caster.rendering.images import check_names, render_film
+    from caster.system.atomic_files import check_writable
 
     aovs = tuple(comma_separated(DEFAULT_AOV_LIST if args.aov is None else args.aov))
     check_names(aovs)
@@ -113,7 +118,7 @@ def output_path(args: argparse.Namespace) -> str:
 
 def bar_for(scene: Scene) -> ProgressBar:
     """The progress bar of a render, counted in camera rays."""
-    from caster.cli.progress import ProgressBar
+    from caster.system.terminal import ProgressBar
 
     x0, y0, x1, y1 = scene.film.window
     return ProgressBar("rendering", (x1 - x0) * (y1 - y0), "rays")
@@ -125,8 +130,8 @@ def preview_names(args: argparse.Namespace, aovs: Sequence[str]) -> list[str]:
         if args.preview_aov is not None:
             raise SceneError(f"--preview-aov {args.preview_aov}: needs --preview PNG, the file to write")
         return []
-    from caster.image.atomic_files import check_writable
     from caster.image.image_files import check_image_name
+    from caster.system.atomic_files import check_writable
 
     check_image_name("--preview", args.preview)
     check_writable(args.preview)
@@ -151,3 +156,48 @@ def cropped(scene: Scene, crop: list[int] | None) -> Scene:
         return scene
     with error_prefix("--crop", *crop):
         return scene.with_film(crop=crop)
+
+
+# ---- check and schema ----
+
+
+def add_check_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenes", metavar="SCENE", type=InputPath, nargs="+", help=SCENE_FILE)
+    add_mesh_dirs(parser)
+
+
+def run_check(args: argparse.Namespace) -> int:
+    """Print one line for a valid scene, all errors of an invalid one. 2 if any is invalid, 4 if any is missing."""
+    codes = {check_file(scene, args.mesh_dir) for scene in args.scenes}
+    return next(code for code in (USAGE, FILE, OK) if code in codes)
+
+
+def check_file(path: str, mesh_dirs: list[str]) -> int:
+    """Validate one scene file with its meshes and print the outcome; its exit code."""
+    from caster.geometry.packing import in_words, pack
+    from caster.scene.files import load_scene
+
+    try:
+        scene = load_scene(path, mesh_dirs)
+        with error_prefix(path):
+            pack(scene)  # some errors appear only in world space
+            never_hit = in_words(scene)
+    except SceneError as error:
+        print(error)
+        return error.exit_code
+    print(
+        f"{path}: ok, {len(scene.shapes)} shapes" + (f"; faces never hit: {never_hit}" if never_hit else "")
+    )
+    return OK
+
+
+def no_arguments(parser: argparse.ArgumentParser) -> None:
+    """`caster schema` takes none."""
+
+
+def print_schema(args: argparse.Namespace) -> int:
+    """Print the JSON Schema of scene files."""
+    from caster.scene.files import scene_schema
+
+    print(json.dumps(scene_schema(), indent=2))
+    return OK

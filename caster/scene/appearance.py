@@ -1,12 +1,16 @@
-"""Light sources."""
+"""Lights and materials."""
 
 from typing import Literal
 
 from caster.description import fields
-from caster.description.fields import RGB, UnitVec3, Vec3
+from caster.description.fields import RGB, Description, Reflectance, UnitVec3, Vec3
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 
-__all__ = ["Ambient", "Point"]
+__all__ = [
+    "Ambient",
+    "Diffuse",
+    "Point",
+]
 
 
 class Point(fields.Light):
@@ -41,3 +45,17 @@ class Ambient(fields.Light):
 
 Light = Point | Directional | Ambient
 LIGHTS = (Point, Directional, Ambient)
+
+
+class Diffuse(Description):
+    """A Lambertian surface that reflects the fraction `reflectance` of incident light.
+
+    A one-sided surface is black where its shading normal points away from the viewer.
+    """
+
+    type: Literal["diffuse"] = "diffuse"
+    reflectance: Reflectance = (0.5, 0.5, 0.5)
+    two_sided: bool = False
+
+
+DEFAULT = Diffuse()

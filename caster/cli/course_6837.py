@@ -5,10 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 
-from caster.cli.exit_codes import OK
-from caster.cli.path_arguments import InputPath, OutputFile, output_file_unless_number
-from caster.cli.scene_arguments import add_mesh_dirs, add_threads, error_prefix
-from caster.description.errors import SceneError
+from caster.cli.shared_arguments import (
+    InputPath,
+    OutputFile,
+    add_mesh_dirs,
+    add_threads,
+    output_file_unless_number,
+    type_names,
+)
+from caster.description.errors import SceneError, error_prefix
+from caster.system.process import OK
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,8 +53,8 @@ def run(args: argparse.Namespace) -> int:
     check_size(args.size)
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
-    from caster.cli.progress import announce_compilation, type_names
     from caster.image.image_files import write_image
+    from caster.system.terminal import announce_compilation
 
     options = {"shade_back": args.shade_back, "shadows": args.shadows, "mesh_dirs": args.mesh_dir}
     with announce_compilation("mesh files"):
@@ -89,8 +95,8 @@ def depth_range(words: list[str] | None) -> tuple[float, float]:
 
 def check_outputs(wanted: dict[str, str]) -> None:
     """Validate output names and folders before rendering. Raises SceneError, OutputError."""
-    from caster.image.atomic_files import check_writable
     from caster.image.image_files import check_image_name
+    from caster.system.atomic_files import check_writable
 
     if not wanted:
         raise SceneError("nothing to render: expected at least one of -output, -depth, -normals")

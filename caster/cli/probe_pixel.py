@@ -8,8 +8,9 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from caster.cli.exit_codes import OK
-from caster.cli.scene_arguments import add_pixel, add_scene, error_prefix, load
+from caster.cli.shared_arguments import add_pixel, add_scene, load
+from caster.description.errors import error_prefix
+from caster.system.process import OK
 
 if TYPE_CHECKING:
     from caster.geometry.edge_distances import EdgeDistance

@@ -1,34 +1,45 @@
-"""Arguments, scene selection and error prefixes shared by the commands of `caster` and `mitsuba-ref`."""
+"""Arguments that commands of `caster` and `mitsuba-ref` share: scenes, their selection, and paths.
+
+Options declare the paths they name by their `type`: InputPath, OutputFile or OutputFolder.
+tests/unit/test_path_arguments.py walks all parsers, so that none is left undeclared.
+"""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import os
+import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from caster.cli.path_arguments import InputPath
-from caster.description.errors import FileMissing, SceneError
+from caster.description.errors import FileMissing, SceneError, error_prefix
+from caster.description.input_files import file_id, record_input, recorded_inputs
+from caster.system.atomic_files import OutputError, check_folder, locked
 
 __all__ = [
     "AOV_NAMES",
     "DEFAULT_AOV_LIST",
     "SCENE_FILE",
+    "InputPath",
+    "OutputFile",
+    "OutputFolder",
     "add_mesh_dirs",
     "add_pixel",
     "add_scene",
     "check_exr_suffix",
+    "checked_paths",
     "comma_separated",
     "display_names",
-    "error_prefix",
     "load",
     "mesh_dir_options",
+    "output_file_unless_number",
     "positive_int",
     "scene_files",
+    "type_names",
 ]
 
 if TYPE_CHECKING:
@@ -149,10 +160,121 @@ def path_as_name(file: str) -> str:
     return file.replace(os.sep, "-").lstrip(".-")
 
 
-@contextlib.contextmanager
-def error_prefix(*words: object) -> Iterator[None]:
-    """Prefix a SceneError of the body with its origin: an option with its values, or a file."""
+def type_names(scene: Scene) -> str:
+    """The types of the shapes and the camera of a scene: "sphere, mesh, pinhole"."""
+    things: list[Any] = [*scene.shapes, scene.camera]
+    return ", ".join(dict.fromkeys(thing.type for thing in things))
+
+
+# ---- paths: no output is an input, and no two runs write into one folder ----
+
+
+class InputPath(str):
+    """A file that is read, or a folder of such files."""
+
+
+class OutputFile(str):
+    """A file that is written; - is standard output, where an option allows it."""
+
+
+class OutputFolder(str):
+    """A folder that files are written into; created if it does not exist."""
+
+
+def output_file_unless_number(text: str) -> str:
+    """The type of an option that takes numbers and an output file."""
     try:
+        float(text)
+    except ValueError:
+        return OutputFile(text)
+    return text
+
+
+@contextlib.contextmanager
+def checked_paths(args: argparse.Namespace) -> Iterator[None]:
+    """Refuse outputs that are inputs, now and while the body runs; lock output folders for this process.
+
+    Raises SceneError for such an output, OutputError for a folder that another process writes into.
+    """
+    given = [(name, value) for name, values in vars(args).items() for value in _flat(values)]
+    inputs = [each for each in given if isinstance(each[1], InputPath)]
+    outputs = [each for each in given if isinstance(each[1], (OutputFile, OutputFolder)) and each[1] != "-"]
+    for place, (name, path) in enumerate(outputs):
+        for other, source in inputs:
+            if _is_or_contains(source, path):
+                raise SceneError(
+                    f"{_option(name)} {path}: expected another path than the input {_option(other)} {source}: "
+                    "it would be overwritten"
+                )
+        for other, earlier in outputs[:place]:
+            if isinstance(path, OutputFile) and _same(path, earlier):
+                raise SceneError(
+                    f"{_option(name)} {path}: expected another file than that of {_option(other)}"
+                )
+    with recorded_inputs(), contextlib.ExitStack() as stack:
+        for _, source in inputs:
+            for file in _files(source):
+                record_input(file)
+        for folder in {os.path.realpath(path): path for _, path in outputs if isinstance(path, OutputFolder)}:
+            stack.enter_context(_own_folder(Path(folder)))
         yield
-    except SceneError as error:
-        raise type(error)(f"{' '.join(map(str, words))}: {error}") from None
+
+
+@contextlib.contextmanager
+def _own_folder(folder: Path) -> Iterator[None]:
+    """Create and lock an output folder; remove it again if nothing was written."""
+    created = not folder.exists()
+    check_folder(folder)
+    with locked(folder) as alone:
+        if not alone:
+            raise OutputError(
+                f"{folder}: another run writes into this folder: wait for its end, or name another folder"
+            )
+        try:
+            yield
+        finally:
+            if created:
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+
+
+def _flat(values: Any) -> Iterator[Any]:
+    if isinstance(values, (list, tuple)):
+        for each in values:
+            yield from _flat(each)
+    else:
+        yield values
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _same(a: str, b: str) -> bool:
+    """Whether two paths name one file or folder, which need not exist."""
+    if os.path.realpath(a) == os.path.realpath(b):
+        return True
+    found = file_id(a)
+    return found is not None and found == file_id(b)
+
+
+def _is_or_contains(source: str, output: str) -> bool:
+    """Whether an output is an input, or a scene file of an input folder."""
+    return _same(source, output) or (
+        isinstance(output, OutputFile)
+        and (found := file_id(output)) is not None
+        and any(file_id(file) == found for file in _files(source))
+    )
+
+
+def _files(source: str) -> Iterator[str]:
+    """The files that an input path stands for: itself, or the scene files of a folder."""
+    try:
+        is_folder = stat.S_ISDIR(os.stat(source).st_mode)
+    except (OSError, ValueError):
+        return
+    if not is_folder:
+        yield source
+        return
+    with contextlib.suppress(OSError), os.scandir(source) as entries:
+        yield from (each.path for each in entries if each.name.lower().endswith(SUFFIXES))

@@ -6,17 +6,19 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from caster.cli.exit_codes import NOTHING_SELECTED, OK
-from caster.cli.path_arguments import InputPath, OutputFile
-from caster.cli.scene_arguments import (
+from caster.cli.shared_arguments import (
+    InputPath,
+    OutputFile,
     add_mesh_dirs,
     add_threads,
     comma_separated,
     display_names,
-    error_prefix,
     positive_int,
     scene_files,
+    type_names,
 )
+from caster.description.errors import error_prefix
+from caster.system.process import NOTHING_SELECTED, OK
 
 # ---- caster info ----
 
@@ -113,12 +115,12 @@ def add_sheet_arguments(parser: argparse.ArgumentParser) -> None:
 
 def sheet(args: argparse.Namespace) -> int:
     """Render all scenes as thumbnails and write the sheet. Raises SceneError, FileMissing, OutputError."""
-    from caster.cli.progress import announce_compilation, type_names
     from caster.image import previews
-    from caster.image.atomic_files import check_writable
     from caster.image.image_files import check_image_name, write_image
     from caster.rendering.images import check_names, render
     from caster.scene.files import load_scene
+    from caster.system.atomic_files import check_writable
+    from caster.system.terminal import announce_compilation
 
     check_image_name("-o", args.output)
     check_names([args.aov])
