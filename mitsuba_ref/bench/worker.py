@@ -9,6 +9,7 @@ import os
 import resource
 import sys
 import time
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ def main(replies: int, work: Work) -> None:
         except (CannotRun, ImportError) as reason:
             return json.dumps({"status": STATUS_CANNOT, "why": " ".join(str(reason).split())})
 
-    serve(reply_to, replies)
+    serve(partial(map, reply_to), replies)
 
 
 def new_entry(work: Work) -> Entry:

@@ -1,8 +1,17 @@
-"""Mitsuba sessions: requests to child processes, in which an abort, a hang or a refusal is a result."""
+"""Mitsuba sessions: requests to child processes, in which an abort, a hang or a refusal is a result.
 
+A process that stays answers request after request: starting one takes ten times as long as a small scene. Nothing
+that it says but a whole response counts: after a crash, a time-out, a refusal or garbage the request is sent once
+more, to a process of its own, and the end of that one is the result.
+"""
+
+import atexit
+import contextlib
+import gc
+import os
+import resource
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,9 +20,8 @@ import numpy as np
 
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.reference import messages, variants
-from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse, crash_of, response_in
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.subprocess_runner import (
-    ProcessEnd,
     ProcessEnded,
     ResidentProcess,
     die_with_parent,
@@ -22,18 +30,46 @@ from mitsuba_ref.reference.subprocess_runner import (
 )
 
 DEFAULT_TIMEOUT = 300.0  # seconds; a scene of 256 x 256 pixels takes one to three
-START_SECONDS = 60.0  # allowed for importing Mitsuba, beside the time of the first scene
 
 SERVE = "--serve"  # of the child's command line: a resident one
-DONE, REFUSED = "done", "refused"  # its replies
+DONE, REFUSED = "done", "refused"  # its replies, each before the folder of the request
+IDLE_SECONDS = 60.0  # without a request, after which a resident process ends by itself
+RESIDENT_BYTES = 1 << 30  # of memory, above which it is replaced; 200 MB are usual
 
 # A way to Mitsuba: (request, timeout in seconds) -> response
 SendRequest = Callable[[TraceRequest, float], TraceResponse | Crash]
 
 
-def send_request(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
-    """Trace rays through one scene; returns within `timeout` seconds, and leaves neither process nor file."""
+def send_alone(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
+    """Trace rays in a process of their own; returns within `timeout` seconds, and leaves neither process nor file."""
     return messages.run_request(request, timeout, variants.environment_for(request.variant))
+
+
+def send_request(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
+    """Trace rays through one scene, in a resident process that no other thread uses meanwhile.
+
+    Residents are of this process alone, not of its forks, and end with it or after IDLE_SECONDS. `timeout` is for each
+    of the two processes that may be needed.
+    """
+    session = _idle_sessions.pop() if _idle_sessions else ResidentSession()
+    try:
+        return session.send(request, timeout)
+    finally:
+        _idle_sessions.append(session)
+
+
+_idle_sessions: list["ResidentSession"] = []
+
+
+@atexit.register
+def close_residents() -> None:
+    """End the resident processes of `send_request` that are idle."""
+    while _idle_sessions:
+        _idle_sessions.pop().close()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_idle_sessions.clear)
 
 
 def send_requests(
@@ -103,45 +139,59 @@ def split_response(response: TraceResponse, counts: Sequence[int]) -> list[Trace
 
 
 class ResidentSession:
-    """One process of each variant that stays, for many small scenes: starting one takes ten times as long as a scene.
+    """One process of each variant that stays; it is replaced when it ends, when it is large, or in another environment.
 
-    A process may die at any scene; then that scene's response is a Crash, and the next scene gets a new process.
     Usable as a context.
     """
 
     def __init__(self) -> None:
         self.processes: dict[str, ResidentProcess] = {}
+        self._environments: dict[str, dict[str, str]] = {}  # that the processes were started in
 
     def __enter__(self) -> "ResidentSession":
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End all processes."""
         for process in self.processes.values():
             process.close()
         self.processes = {}
 
     def send(self, request: TraceRequest, timeout: float = 60.0) -> TraceResponse | Crash:
-        """The response to one request; a first one may take START_SECONDS more."""
-        process = self.processes.get(request.variant)
-        allowed = timeout
-        with ScratchFolder() as name:
+        """The response to one request; each of the two processes that may be needed may take `timeout`."""
+        response = self._resident_response(request, timeout)
+        return send_alone(request, timeout) if response is None else response
+
+    def _resident_response(self, request: TraceRequest, timeout: float) -> TraceResponse | None:
+        """What the resident process responds; None for a refusal, or where it is closed because it did not respond."""
+        with ScratchFolder() as name, contextlib.ExitStack() as on_failure:
             request.write(Path(name))
             try:
-                if process is None or not process.alive:
-                    process, allowed = self._started(request.variant), timeout + START_SECONDS
-                begin = time.monotonic()
-                reply = process.request(name, allowed)
-            except ProcessEnded as ended:
-                return crash_of(ended.end, timeout)
-            end = ProcessEnd(0 if reply == DONE else 1, process.output, time.monotonic() - begin)
-            return response_in(Path(name), request, end) if reply == DONE else crash_of(end, timeout)
+                process = self._process(request.variant)
+                on_failure.callback(process.close)  # also after Ctrl-C: it may be amid a request
+                status, _, of = process.request(name, timeout).partition(" ")
+                if of != name or status not in (DONE, REFUSED):
+                    return None
+                response = TraceResponse.read(Path(name), len(request.o)) if status == DONE else None
+            except (ProcessEnded, ValueError):
+                return None
+            on_failure.pop_all()
+            return response
 
-    def _started(self, variant: str) -> ResidentProcess:
-        if variant in self.processes:
-            self.processes[variant].close()
+    def _process(self, variant: str) -> ResidentProcess:
+        """The resident process of a variant, started if need be. Raises ProcessEnded while starts are refused."""
         environment = {**variants.environment_for(variant), "PYTHONPATH": import_path()}
+        complete = {**os.environ, **environment}
+        process = self.processes.get(variant)
+        if process and process.alive and self._environments[variant] == complete:
+            return process
+        if process:
+            process.close()
         process = ResidentProcess([*messages.CHILD_COMMAND, SERVE], environment=environment)
-        self.processes[variant] = process
+        self.processes[variant], self._environments[variant] = process, complete
         return process
 
 
@@ -159,14 +209,26 @@ def main(folder: Path) -> int:
     return 0
 
 
-def serve_folders(replies: int) -> None:
-    """The child's side of a ResidentSession: answer folder after folder. replies: the pipe's descriptor."""
-    serve(lambda folder: REFUSED if main(Path(folder)) else DONE, replies)
+def replies(folders: Iterator[str]) -> Iterator[str]:
+    """The child's side of a ResidentSession: one reply a folder, until its memory has grown."""
+    for folder in folders:
+        yield f"{REFUSED if main(Path(folder)) else DONE} {folder}"
+        gc.collect()
+        if resident_bytes() > RESIDENT_BYTES:
+            return
+
+
+def resident_bytes() -> int:
+    """Memory of this process; where the system does not show it, the most that it ever had."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 if __name__ == "__main__":
     if sys.argv[1] == SERVE:
-        serve_folders(int(sys.argv[2]))
+        serve(replies, int(sys.argv[2]), IDLE_SECONDS)
     else:
         die_with_parent()
         sys.exit(main(Path(sys.argv[1])))

@@ -21,7 +21,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -29,13 +29,14 @@ from typing import IO, NamedTuple
 from caster.system.process import at_forced_exit
 
 OUTPUT_HEAD_BYTES, OUTPUT_TAIL_BYTES = 1000, 3000  # of captured output that are kept
+MAX_REPLY_BYTES = 1 << 20  # of a line that answers a request
 REAP_SECONDS = 5.0  # for a killed process, or one that closed its pipe, to be gone
 ANSI_ESCAPE = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]  # the folder that the package lies in
 
 PARENT_VARIABLE = "MITSUBA_REF_PARENT"  # in the environment of children: the process that started them
 
-_running: set[int] = set()  # process groups of one-shot runs
+_running: set[int] = set()  # process groups
 _starting = threading.Lock()
 _starts_refused = threading.Event()
 
@@ -66,6 +67,17 @@ class ProcessEnded(Exception):  # noqa: N818 - an event, not necessarily an erro
         self.end = end
 
 
+def _forget_children() -> None:
+    """In a fork, which has none; another thread may have held the lock."""
+    global _starting
+    _starting = threading.Lock()
+    _running.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_children)
+
+
 def exit_name(code: int) -> str:
     """'exit code 3', 'SIGSEGV', or 'signal 77' for a signal without a name."""
     if code >= 0:
@@ -77,9 +89,9 @@ def exit_name(code: int) -> str:
 
 
 def kill_subprocesses() -> None:
-    """Kill every one-shot child and refuse to start another until `allow_subprocesses`: for Ctrl-C amid threads.
+    """Kill every child and refuse to start another until `allow_subprocesses`: for Ctrl-C amid threads.
 
-    Whoever waits for such a child, or starts any, gets an end by SIGKILL. Residents are closed by their owners.
+    Whoever waits for a child, or starts one, gets an end by SIGKILL.
     """
     with _starting:
         _starts_refused.set()
@@ -146,7 +158,6 @@ class ResidentProcess:
                 cwd=tempfile.gettempdir(),
                 environment=environment,
                 pass_fds=(writing,),
-                one_shot=False,
             )
         except BaseException:
             os.close(self._replies)
@@ -188,7 +199,7 @@ class ResidentProcess:
             if not select.select([self._replies], [], [], left)[0]:
                 raise ProcessEnded(self._ended(begin, late=True))
             received = os.read(self._replies, 65536)
-            if not received:
+            if not received or len(reply) > MAX_REPLY_BYTES:
                 raise ProcessEnded(self._ended(begin))
             reply += received
         self._answered = True
@@ -268,11 +279,21 @@ def _wait_interruptibly(child: subprocess.Popen[bytes], interrupt_seconds: float
         return None
 
 
-def serve(handle: Callable[[str], str], replies: int) -> None:
-    """The child's side of `ResidentProcess`: answer request lines until stdin ends. replies: the pipe's descriptor."""
+def serve(
+    answer: Callable[[Iterator[str]], Iterable[str]], replies: int, idle_seconds: float | None = None
+) -> None:
+    """The child's side of `ResidentProcess`: a reply to each request line, until stdin, or `answer`, ends.
+
+    replies: the pipe's descriptor; idle_seconds: without a request, which end it, too.
+    """
     die_with_parent()
-    for line in sys.stdin:
-        os.write(replies, f"{handle(line.rstrip(chr(10)))}\n".encode())
+    for reply in answer(_request_lines(idle_seconds)):
+        os.write(replies, f"{reply}\n".encode())
+
+
+def _request_lines(idle_seconds: float | None) -> Iterator[str]:
+    while select.select([sys.stdin], [], [], idle_seconds)[0] and (line := sys.stdin.readline()):
+        yield line.rstrip("\n")
 
 
 def die_with_parent() -> None:
@@ -316,7 +337,6 @@ def _start(
     cwd: str | Path | None,
     environment: Mapping[str, str] | None,
     pass_fds: Sequence[int] = (),
-    one_shot: bool = True,
 ) -> subprocess.Popen[bytes]:
     """Start a command in a session of its own. Raises ProcessEnded while starts are refused, and OSError."""
     with _starting:
@@ -332,8 +352,7 @@ def _start(
             pass_fds=pass_fds,
             start_new_session=True,  # Ctrl-C is for this process, which then ends that one
         )
-        if one_shot:
-            _running.add(child.pid)
+        _running.add(child.pid)
         return child
 
 

@@ -26,8 +26,8 @@ from mitsuba_ref.reference.subprocess_runner import (
 
 Result = TypeVar("Result")
 
-# Compilation of all kernels, our caster and Mitsuba may each take as long as Mitsuba alone is allowed.
-CALL_TIMEOUTS = 3.0
+# Compilation of all kernels, our caster and two processes of Mitsuba may each take as long as one of the latter.
+CALL_TIMEOUTS = 4.0
 CALL_SECONDS = CALL_TIMEOUTS * DEFAULT_TIMEOUT  # for one call
 STOP_SECONDS = 2.0  # for a worker to remove its files after SIGTERM, before it is killed
 POLL_SECONDS = 0.005

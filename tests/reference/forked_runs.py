@@ -60,21 +60,22 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
 
 def ask_once(memory: Path) -> None:
     """Answers of Mitsuba are kept in a folder, and taken from there where all that it would be given is the same."""
-    from mitsuba_ref.reference import messages
+    from mitsuba_ref.reference import variants
     from mitsuba_ref.reference.messages import TraceResponse
+    from mitsuba_ref.reference.session import ResidentSession
 
-    put = messages.run_request
+    put = ResidentSession.send
 
-    def put_once(job: Any, timeout: float, settings: Any = None) -> Any:
-        place = memory / everything_given(job, dict(settings or {}))
+    def put_once(session: Any, job: Any, timeout: float) -> Any:
+        place = memory / everything_given(job, variants.environment_for(job.variant))
         if place.is_dir():  # put there whole
             return TraceResponse.read(place, len(job.o))
-        answer = put(job, timeout, settings)
+        answer = put(session, job, timeout)
         if isinstance(answer, TraceResponse):
             keep(answer, place)
         return answer
 
-    messages.run_request = put_once
+    ResidentSession.send = put_once  # type: ignore[method-assign]
 
 
 def everything_given(job: Any, settings: dict[str, str]) -> str:

@@ -227,7 +227,7 @@ def test_the_judge_asks_the_way_that_it_is_given():
     assert scene_judge(scene, send=refuses).output == "not today"
 
 
-def test_a_crash_of_mitsuba_is_a_finding_and_the_next_scene_gets_a_new_child():
+def test_a_crash_of_every_process_is_a_finding_and_the_next_scene_gets_a_new_child(monkeypatch):
     with ResidentSession() as resident:
         scene = load_scene(SCENE).with_film(width=8, height=8)
         compare_with_mitsuba(scene, resident, Tally())
@@ -243,8 +243,11 @@ def test_a_crash_of_mitsuba_is_a_finding_and_the_next_scene_gets_a_new_child():
             return usual(folder, timeout)
 
         child.request = dying
-        (finding,) = compare_with_mitsuba(scene, resident, Tally())
-        assert finding.kind == "crash" and "SIGSEGV" in finding.what
+        with monkeypatch.context() as failing:
+            crash = Crash("signal", "", "SIGSEGV", 0.1)
+            failing.setattr("mitsuba_ref.reference.session.send_alone", lambda *_: crash)
+            (finding,) = compare_with_mitsuba(scene, resident, Tally())
+        assert finding.kind == "crash" and "SIGSEGV" in finding.what and not child.alive
         assert compare_with_mitsuba(scene, resident, Tally()) == []
 
 

@@ -143,11 +143,11 @@ def crashing(monkeypatch, tmp_path_factory):
     """Mitsuba ends without an answer; gives the files of its requests, which come from forks of this process."""
     requests = tmp_path_factory.mktemp("requests")
 
-    def put(job, timeout, settings=None):
+    def put(session, job, timeout):
         tempfile.mkstemp(dir=requests)
         return Crash("abort", "last words", "SIGABRT", 0.1)
 
-    monkeypatch.setattr("mitsuba_ref.reference.messages.run_request", put)
+    monkeypatch.setattr("mitsuba_ref.reference.session.ResidentSession.send", put)
     monkeypatch.setattr(
         "mitsuba_ref.reference.rendering.variant_for", lambda has_quadrics: "scalar_rgb"
     )  # nor asked for this

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from mitsuba_scenes import job, shape, write
 
-from mitsuba_ref.reference import messages, session
+from mitsuba_ref.reference import session
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.rendering import export
+from mitsuba_ref.reference.session import ResidentSession
 from mitsuba_ref.reference.variants import SCALAR, usable_variants
 from mitsuba_ref.stress import FAMILIES, score, sweeps
 from mitsuba_ref.stress.family import Setting
@@ -98,11 +99,11 @@ def assert_same(found: TraceResponse, expected: TraceResponse) -> None:
 
 def test_scenes_asked_together_answer_as_they_do_alone(scenes, monkeypatch):
     alone = {i: session.send_request(scenes[i]) for i in (0, 2)}
-    children = []
-    honest = messages.run_request
-    monkeypatch.setattr(messages, "run_request", lambda *args: children.append(1) or honest(*args))
+    requests = []
+    honest = ResidentSession.send
+    monkeypatch.setattr(ResidentSession, "send", lambda *args: requests.append(1) or honest(*args))
     together = session.send_requests(scenes)
-    assert len(children) == 1 and len(together) == len(scenes)
+    assert len(requests) == 1 and len(together) == len(scenes)
     for i, expected in alone.items():
         assert_same(together[i], expected)
     assert [len(set(found.shape.tolist()) - {-1}) for found in together] == [1, 2, 3]

@@ -40,6 +40,7 @@ def left_behind(tmp_path, monkeypatch):
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    monkeypatch.setattr(subprocess_runner, "_running", set())  # those of other tests stay
     yield
     assert list(folder.iterdir()) == [] and not subprocess_runner._running
 
@@ -58,7 +59,7 @@ def in_place_of_mitsuba(tmp_path, monkeypatch) -> Callable[[str], None]:
 
 
 def crash(ball: TraceRequest, timeout: float = 60) -> Crash:
-    answer = session.send_request(ball, timeout)
+    answer = session.send_alone(ball, timeout)
     assert isinstance(answer, Crash), answer
     return answer
 
@@ -79,7 +80,7 @@ def wait_for(condition: Callable[[], object]) -> None:
 
 
 def test_a_scene_is_answered(ball):
-    answer = session.send_request(ball)
+    answer = session.send_alone(ball)
     assert isinstance(answer, TraceResponse)
     assert answer.t.tolist() == [4.0] and answer.names == ["ball"]
 
@@ -96,7 +97,7 @@ def test_a_real_abort_in_an_old_libllvm_is_a_result(tmp_path, monkeypatch):
     monkeypatch.setenv("DRJIT_CACHE_DIR", str(tmp_path))  # a kernel from another libLLVM would hide it
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
-    found = session.send_request(job(write(tmp_path, MESH), "llvm_ad_rgb", [[0, 0, 5]], [[0, 0, -1]]), 60)
+    found = session.send_alone(job(write(tmp_path, MESH), "llvm_ad_rgb", [[0, 0, 5]], [[0, 0, -1]]), 60)
     if "avx512" not in Path("/proc/cpuinfo").read_text():
         assert isinstance(found, TraceResponse)
         return
@@ -120,7 +121,7 @@ def test_a_worker_killed_in_the_middle_of_its_rays_is_a_result(tmp_path):
 
     thread = threading.Thread(target=kill)
     thread.start()
-    found = session.send_request(question, 60)
+    found = session.send_alone(question, 60)
     thread.join()
     assert isinstance(found, Crash), found
     assert (found.kind, found.exit) == ("signal", "SIGKILL")
@@ -145,9 +146,7 @@ def test_a_hang_ends_in_time_and_leaves_no_process(ball, in_place_of_mitsuba, tm
 def test_whoever_waits_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsuba, tmp_path):
     in_place_of_mitsuba(HANG.format(pids=str(tmp_path / "pid")))
     found: list[TraceResponse | Crash] = []
-    threads = [
-        threading.Thread(target=lambda: found.append(session.send_request(ball, 60))) for _ in range(2)
-    ]
+    threads = [threading.Thread(target=lambda: found.append(session.send_alone(ball, 60))) for _ in range(2)]
     for thread in threads:
         thread.start()
     wait_for(lambda: len(subprocess_runner._running) == 2)
@@ -156,7 +155,7 @@ def test_whoever_waits_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsu
         for thread in threads:
             thread.join(10)
         assert [answer.exit for answer in found] == ["SIGKILL", "SIGKILL"]
-        late = session.send_request(ball, 60)
+        late = session.send_alone(ball, 60)
         assert isinstance(late, Crash) and "before it began" in late.output
     finally:
         subprocess_runner.allow_subprocesses()
@@ -167,7 +166,7 @@ import sys
 from pathlib import Path
 from mitsuba_ref.reference import session
 from mitsuba_ref.reference.messages import TraceRequest
-session.send_request(TraceRequest.read(Path(sys.argv[1])), 60)
+session.send_alone(TraceRequest.read(Path(sys.argv[1])), 60)
 """
 
 
@@ -295,7 +294,7 @@ def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_
     monkeypatch.delenv("PYTHONPATH", raising=False)
     if path is not None:
         monkeypatch.setenv("PYTHONPATH", path)
-    answer = session.send_request(TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max))
+    answer = session.send_alone(TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max))
     assert isinstance(answer, TraceResponse), answer
 
 
