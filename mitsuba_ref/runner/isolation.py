@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -80,6 +81,7 @@ class Worker:
                 try:
                     reply = function(*args, **options), None
                 except Exception as error:
+                    error.add_note("".join(["In the fork:\n", *traceback.format_tb(error.__traceback__)]))
                     reply = None, error
                 try:
                     requests.send(reply)
@@ -87,9 +89,9 @@ class Worker:
                     requests.send((None, ResultNotSent(f"{function.__name__}: {error}")))
         except (EOFError, OSError):
             os._exit(0)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, SystemExit) as end:  # SIGTERM, or sys.exit of what was called
             kill_subprocesses()
-            os._exit(0)
+            os._exit(end.code if isinstance(end, SystemExit) and isinstance(end.code, int) else 0)
         except BaseException:
             sys.excepthook(*sys.exc_info())
             os._exit(1)

@@ -149,12 +149,10 @@ class ScenePlugin:
         from mitsuba_ref.runner import scene_runner
 
         named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
-        try:
-            entry = scene_runner.load_entry(named, path.stem, size=self.size, mesh_dirs=self.mesh_dirs)
-        except (SceneError, MemoryError) as error:
-            return str(error)
-        (verdict,) = scene_runner.run([entry], workers=1)
-        return verdict
+        entry = scene_runner.source_of(named, path.stem, size=self.size, mesh_dirs=self.mesh_dirs)
+        errors: list[Exception] = []
+        (verdict,) = scene_runner.run([entry], workers=1, on_error=errors.append)
+        return str(errors[0]) if errors and isinstance(errors[0], SceneError | MemoryError) else verdict
 
 
 @contextlib.contextmanager

@@ -22,7 +22,7 @@ from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.rendering import variant_of
 from mitsuba_ref.report.output_manifest import JOURNAL, OutFolder
-from mitsuba_ref.runner.scene_runner import JudgeScene, SceneEntry
+from mitsuba_ref.runner.scene_runner import Entry, JudgeScene, SceneEntry
 
 # Exceptions of a file that is no JSON, or of a record of another shape.
 MALFORMED = (AttributeError, KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
@@ -157,8 +157,8 @@ def journal_line(verdict: SceneVerdict) -> str:
 def recorded(judge: JudgeScene, out: OutFolder) -> JudgeScene:
     """The same judge; its verdicts then list the files written for them, with size and SHA-256."""
 
-    def work(entry: SceneEntry, folder: Path | None) -> SceneVerdict:
-        return out.record(judge(entry, folder))
+    def work(entry: Entry, folder: Path | None, **options: Any) -> SceneVerdict:
+        return out.record(judge(entry, folder, **options))
 
     return work
 
@@ -177,27 +177,22 @@ class ResumableResults:
         """has_page: whether the requested HTML report holds the record of a verdict."""
         self.has_page = has_page
         self.out, self.folder, self.journal = out, out.folder, out.folder / JOURNAL
-        self.judge_anew = recorded(judge, out)
+        self.judge_anew = judge
         self.lock = threading.Lock()
         self.known = dict(self._read()) if resume else {}
         # Whole lines of all that is known: an interruption may overwrite verdict.json with less, and a line that was
         # cut short would spoil the next one.
         write_text(self.journal, "".join(map(journal_line, self.known.values())))
 
-    def judge(self, entry: SceneEntry, folder: Path | None) -> SceneVerdict:
+    def judge(self, entry: Entry, folder: Path | None) -> SceneVerdict:
         """The known result of the same inputs, marked as kept; otherwise judged, and recorded in the journal."""
-        inputs = inputs_hash(entry)
         known = self.known.get(entry.name)
-        if (
-            known is not None
-            and inputs
-            and known.inputs == inputs
-            and not known.problem
-            and self.out.has_files(known)
-            and self.has_page(known)
-        ):
+        whole = known is not None and not known.problem and self.out.has_files(known) and self.has_page(known)
+        inputs = known.inputs if known is not None and whole else ""
+        verdict = self.judge_anew(entry, folder, inputs_of=inputs_hash, known=inputs)
+        if known is not None and inputs and verdict.inputs == inputs and not verdict.problem:
             return self.out.record(replace(known, kept=True))
-        verdict = replace(self.judge_anew(entry, folder), inputs=inputs)
+        verdict = self.out.record(verdict)
         self._write(verdict)
         return verdict
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -58,7 +57,7 @@ class SceneEntry:
 
 @dataclass(frozen=True)
 class SceneSource:
-    """A scene file to validate, loaded when its turn comes and released after it."""
+    """A scene file to validate, loaded when its turn comes, by the process that judges it, and released after it."""
 
     name: str
     path: str
@@ -76,11 +75,10 @@ class SceneSource:
 
 Entry = SceneEntry | SceneSource
 
-# Our kernels are machine code, which may end the process that it runs in.
-ISOLATED = Isolated(validate_scene)
+JudgeScene = Callable[..., SceneVerdict]
+"""judge(entry, folder, **options): one scene; the folder, if any, receives the images of subject and reference.
 
-JudgeScene = Callable[[SceneEntry, Path | None], SceneVerdict]
-"""Judges one scene; the folder, if any, receives the images of subject and reference."""
+options: those of `judge_here` from `inputs_of` on."""
 
 
 def source_of(
@@ -161,14 +159,14 @@ def run(
 ) -> Generator[SceneVerdict, None, None]:
     """Verdicts in the order of the entries; at most maxfail that fail. folder: for images of subject and reference.
 
-    record: called by the worker with verdict and evidence; returns it without the evidence, to keep memory small.
+    record: called by the worker with the verdict and its page; returns it without, to keep memory small.
     A scene that cannot be loaded, judged or written has a verdict with that problem; on_error gets the exception.
     """
-    judge = judge or partial(judge_entry, keep=record is not None)
+    judge = judge or judge_entry
 
     def work(entry: Entry) -> SceneVerdict:
         try:
-            verdict = judge(entry.load(), folder)
+            verdict = judge(entry, folder)
             return record(verdict) if record else verdict
         except Exception as error:
             on_error(error)
@@ -196,40 +194,57 @@ def problem_of(error: Exception) -> str:
     return f"internal error, please report it: {type(error).__name__}: {error}"
 
 
-def judge_entry(
-    entry: SceneEntry,
+def judge_here(
+    entry: Entry,
     folder: Path | None,
     *,
-    validate: Callable[..., SceneVerdict] = ISOLATED,
     timeout: float = DEFAULT_TIMEOUT,
-    keep: bool = False,
+    subject: Subject | None = None,
+    inputs_of: Callable[[SceneEntry], str] | None = None,
+    known: str = "",
+    page_of: Callable[[SceneVerdict], Any] | None = None,
 ) -> SceneVerdict:
-    """The verdict of one scene; one that cannot be judged, or ends the process, has its `problem` set.
+    """Load and judge one scene in this process. Raises what loading and judging raise.
 
-    validate: a function with the parameters of validate_scene; timeout: seconds for Mitsuba; keep: with the evidence of
-    the verdict.
+    timeout: seconds for Mitsuba; subject: in place of our caster; inputs_of: a hash of all that the verdict depends on,
+    recorded as its `inputs`; known: such a hash for which nothing is judged, and the verdict says nothing else;
+    page_of: what of the verdict and its evidence the report needs, which takes the place of the evidence.
     """
-    given: dict[str, Any] = {"timeout": timeout}
-    if entry.rays is not None:
-        given |= {"rays": entry.rays, "first_ray": entry.ray_range[0]}
-    if entry.subject is not None:
-        given["subject"] = entry.subject
-        validate = validate_scene if validate is ISOLATED else validate  # no code of the subject runs
-    problem = ""
+    loaded = entry.load()
+    inputs = inputs_of(loaded) if inputs_of else ""
+    if inputs and inputs == known:
+        return SceneVerdict(entry.name, entry.path, entry.pixels, inputs=inputs)
+    given: dict[str, Any] = {"timeout": timeout, "keep": page_of is not None}
+    if loaded.rays is not None:
+        given |= {"rays": loaded.rays, "first_ray": loaded.ray_range[0]}
+    if subject or loaded.subject:
+        given["subject"] = subject or loaded.subject
     try:
-        with ISOLATED.kept():
-            verdict = validate(entry.scene, entry.name, entry.path, folder=folder, keep=keep, **given)
+        verdict = validate_scene(loaded.scene, loaded.name, loaded.path, folder=folder, **given)
     except OutputError:
         raise
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
-        problem = problem_of(error)
+        verdict = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error))
+    about: dict[str, Any] = {"resized": loaded.resized, "options": loaded.options, "command": loaded.command}
+    composition = scene_statistics(loaded.scene)
+    found = replace(verdict, **about, rays=loaded.ray_range, composition=composition, inputs=inputs)
+    return with_replay(replace(found, seen=page_of(found) if page_of and found.seen else None))
+
+
+# Our kernels are machine code, which may end the process that it runs in.
+ISOLATED = Isolated(judge_here)
+
+
+def judge_entry(entry: Entry, folder: Path | None, **options: Any) -> SceneVerdict:
+    """`judge_here` in a fork, whose end is a `problem` of the verdict; in this process for other subjects than ours."""
+    if options.get("subject") or (isinstance(entry, SceneEntry) and entry.subject):
+        return judge_here(entry, folder, **options)
+    try:
+        with ISOLATED.kept():
+            return ISOLATED(entry, folder, **options)
     except WorkerEnded as ended:
         problem = f"the process that casts and judges ended: {ended}"
-    if problem:
-        verdict = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem)
-    about: dict[str, Any] = {"resized": entry.resized, "options": entry.options, "command": entry.command}
-    found = replace(verdict, **about, rays=entry.ray_range, composition=scene_statistics(entry.scene))
-    return with_replay(found)
+        return with_replay(SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem))
 
 
 def progress_bar(entries: Sequence[Entry]) -> ProgressBar:

@@ -11,14 +11,13 @@ from typing import Any
 from caster.description.errors import SceneError
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
-from mitsuba_ref.report.html.html_report import HtmlReport
+from mitsuba_ref.report.html.html_report import HtmlReport, page_record
 from mitsuba_ref.report.output_manifest import OutFolder, RemovedFiles
 from mitsuba_ref.runner import scene_runner
-from mitsuba_ref.runner.isolation import CALL_TIMEOUTS
+from mitsuba_ref.runner.isolation import CALL_TIMEOUTS, Isolated, WorkerEnded
 from mitsuba_ref.runner.resume import ResumableResults, code_hash, recorded
-from mitsuba_ref.runner.scene_runner import Entry, JudgeScene, SceneEntry
+from mitsuba_ref.runner.scene_runner import Entry, JudgeScene
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard
-from mitsuba_ref.runner.validation import validate_scene
 from mitsuba_ref.subjects.subject import Subject
 
 
@@ -108,13 +107,14 @@ class ValidationRun:
             self.html.close()
 
     def _judge(self) -> JudgeScene:
-        keep = self.html is not None
+        page_of = partial(page_record, one_file=self.html.one_file) if self.html else None
+        options: dict[str, Any] = {"timeout": self.options.timeout, "page_of": page_of}
         if self.candidate is not None:
-            judge = candidate_judge(self.candidate, self.options.timeout, keep=keep)
+            judge = candidate_judge(self.candidate, **options)
             return recorded(judge, self.out) if self.out else judge
         if self.options.timeout > DEFAULT_TIMEOUT:
             scene_runner.ISOLATED.seconds = CALL_TIMEOUTS * self.options.timeout
-        judge = partial(scene_runner.judge_entry, timeout=self.options.timeout, keep=keep)
+        judge = partial(scene_runner.judge_entry, **options)
         if self.out is None:
             return judge
         if self.html is None:
@@ -122,12 +122,11 @@ class ValidationRun:
         return ResumableResults(self.out, judge, resume=self.options.resume, has_page=self.html.holds).judge
 
 
-def candidate_judge(candidate: Subject, timeout: float = DEFAULT_TIMEOUT, *, keep: bool) -> JudgeScene:
-    """Judges a scene with a candidate in place of our caster. keep: with the evidence of the verdict."""
-    validate = partial(validate_scene, subject=candidate)
+def candidate_judge(candidate: Subject, **options: Any) -> JudgeScene:
+    """Judges a scene with a candidate in place of our caster; options as of `judge_here`."""
 
-    def judge(entry: SceneEntry, folder: Path | None) -> SceneVerdict:
-        found = scene_runner.judge_entry(entry, folder, validate=validate, timeout=timeout, keep=keep)
+    def judge(entry: Entry, folder: Path | None) -> SceneVerdict:
+        found = scene_runner.judge_entry(entry, folder, subject=candidate, **options)
         return replace(found, candidate=candidate.name)
 
     return judge
@@ -146,8 +145,17 @@ def run_identity(every: Sequence[Entry], shard: Shard | None) -> dict[str, Any]:
 
 
 def scene_identity(entry: Entry) -> str:
-    """The hash of a scene and its meshes, which are released again; "" where it cannot be loaded."""
+    """The hash of a scene and its meshes, which a fork loads; "" where it cannot be loaded."""
     try:
-        return entry.load().scene.sha256()
-    except (SceneError, MemoryError):
+        with SCENE_HASHES.kept():
+            return SCENE_HASHES(entry)
+    except (SceneError, MemoryError, WorkerEnded):
         return ""
+
+
+def scene_hash(entry: Entry) -> str:
+    """SHA-256 of a scene and its meshes. Raises SceneError."""
+    return entry.load().scene.sha256()
+
+
+SCENE_HASHES = Isolated(scene_hash)

@@ -215,7 +215,7 @@ def mesh_to_xml(out: ShapeWriter, shape: Any, part: Any) -> list[XmlElement]:
 
 
 def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """Corners, which side of each face is outside, and the vertex normals where there are to be some."""
+    """Corners, which side of each face is outside, uv and vertex normals where there are to be some."""
     given = shape.mesh()
     linear = shape.matrix[:3, :3]
     corners = np.einsum("jk,ik->ij", linear, given.vertices) + shape.matrix[:3, 3]
@@ -223,6 +223,9 @@ def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     yield ExpectedNumbers("vertices", part.vertices, corners, size)
     mirrored = np.linalg.slogdet(linear)[0] < 0.0
     yield exactly("faces", part.faces, given.faces[:, [0, 2, 1]] if mirrored else given.faces)
+    yield exactly("textured", part.textured, np.full(len(given.faces), given.uv is not None))
+    if given.uv is not None:
+        yield ExpectedNumbers("uv", part.uv, given.uv, np.abs(given.uv))
     smooth = not getattr(shape, "face_normals", given.normals is None)
     yield exactly("smooth", part.smooth, np.full(len(given.faces), smooth))
     if smooth and given.normals is not None:

@@ -204,7 +204,7 @@ MADE_UP = """
 import os, sys
 sys.path.insert(0, {tests!r})
 import made_verdicts
-def fake(entries, workers):
+def fake(entries, workers, **options):
     (entry,) = entries
     with open({log!r}, "a") as file:
         file.write(entry.name + chr(10))

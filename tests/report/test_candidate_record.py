@@ -17,7 +17,7 @@ WRONG = CLASSES.index(WRONG)
 
 
 def recorded(verdict, exact=True):
-    return scene_record(verdict, verdict.seen, exact=exact)
+    return scene_record(verdict.seen, exact=exact)
 
 
 def unpacked(array, like=None):
@@ -64,7 +64,7 @@ def test_every_failing_pixel_has_its_sentence_and_its_class(judged):
     said = {about["reasons"]["texts"][why[each]] for each in failing}
     assert said == {finding.what for finding in verdict.findings} and len(failing) == verdict.failing > 200
     assert all("the second one was not tried" in each for each in said)
-    assert about["verdict"]["counts"]["wrong"] == len(failing)
+    assert verdict.counts["wrong"] == len(failing)
 
 
 def test_what_is_no_answer_is_nan_and_never_zero():

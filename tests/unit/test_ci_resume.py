@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from made_verdicts import judging
 from made_verdicts import scene as made
 
 from mitsuba_ref.__main__ import main
@@ -26,7 +27,7 @@ def judged(tmp_path, monkeypatch):
     (tmp_path / "scenes/tile.obj").write_text(TILE.format(z=0))
     asked = []
 
-    def judge(entry, folder, **options):
+    def judge(entry, folder):
         if entry.name in asked_to_fail:
             raise KeyboardInterrupt
         asked.append(entry.name)
@@ -35,7 +36,7 @@ def judged(tmp_path, monkeypatch):
         return made(entry.name, ok=entry.name != "b")
 
     asked_to_fail = judge.stops = set()
-    monkeypatch.setattr(scene_runner, "judge_entry", judge)
+    monkeypatch.setattr(scene_runner, "judge_entry", judging(judge))
 
     def run(*words, stop=()):
         asked_to_fail.clear()
@@ -174,7 +175,7 @@ def test_a_crash_of_mitsuba_is_not_kept(judged, monkeypatch):
     monkeypatch.setattr(
         scene_runner,
         "judge_entry",
-        lambda entry, folder, **options: made(entry.name, ok=False, problem="crash"),
+        judging(lambda entry, folder: made(entry.name, ok=False, problem="crash")),
     )
     assert judged() == (1, []) and written()["scenes"][0]["problem"] == "crash"
     monkeypatch.setattr(scene_runner, "judge_entry", healthy)

@@ -89,12 +89,15 @@ def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_n
         assert "in common" not in summary_text(few, 1.0) and "look first" not in summary_text(few, 1.0)
 
 
-def test_a_verdict_says_what_its_scene_is_made_of_also_after_json_and_where_there_is_no_comparison():
+def test_a_verdict_says_what_its_scene_is_made_of_also_after_json_and_where_there_is_no_comparison(
+    monkeypatch,
+):
     ball = caster.Scene(
         camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere(), caster.Cube()]
     )
     entry = scene_runner.SceneEntry(ball, "ball", "ball.toml")
     for found in (made("ball"), made("ball", problem="crash")):
-        judged = scene_runner.judge_entry(entry, None, validate=Mock(return_value=found))
+        monkeypatch.setattr(scene_runner, "validate_scene", Mock(return_value=found))
+        judged = scene_runner.judge_here(entry, None)
         assert judged.composition == SceneStatistics("pinhole", {"sphere": 1, "cube": 1}, 13)
         assert scene_of(judged.to_dict()).composition == judged.composition

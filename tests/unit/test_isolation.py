@@ -54,7 +54,7 @@ def judging(tmp_path, monkeypatch):
         ENDS.get(name, (lambda: None,))[0]()
         return made(name)
 
-    monkeypatch.setattr(scene_runner.ISOLATED, "function", validate)
+    monkeypatch.setattr(scene_runner, "validate_scene", validate)
     monkeypatch.setattr(scene_runner.ISOLATED, "seconds", 1.0)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from made_verdicts import judging
 from made_verdicts import scene as made
 
 from caster.system.atomic_files import OutputError
@@ -30,7 +31,7 @@ def judged(tmp_path, monkeypatch):
         Path(f"scenes/{name}.toml").write_text(SCENE.format(name=name))
     settings = {"reproducers": (), "problem": (), "stop": ()}
 
-    def judge(entry, folder, **options):
+    def judge(entry, folder):
         if entry.name in settings["stop"]:
             raise KeyboardInterrupt
         if entry.name in settings["problem"]:
@@ -40,7 +41,7 @@ def judged(tmp_path, monkeypatch):
             (folder / file).write_bytes(f"{file}\n".encode())
         return made(entry.name, reproducers=files)
 
-    monkeypatch.setattr(scene_runner, "judge_entry", judge)
+    monkeypatch.setattr(scene_runner, "judge_entry", judging(judge))
 
     def run(*words, places=("scenes",), **changed):
         settings.update(reproducers=(), problem=(), stop=())
@@ -112,8 +113,10 @@ def test_no_verdict_of_an_earlier_run_is_there_while_one_goes_on(judged, monkeyp
     judge, seen = scene_runner.judge_entry, []
 
     def looking(entry, folder, **options):
-        seen.append(Path("out/verdict.json").exists())
-        return judge(entry, folder, **options)
+        verdict = judge(entry, folder, **options)
+        if verdict.hit_pixels:  # judged anew
+            seen.append(Path("out/verdict.json").exists())
+        return verdict
 
     monkeypatch.setattr(scene_runner, "judge_entry", looking)
     Path("scenes/a.toml").write_text(SCENE.format(name="another"))
@@ -216,9 +219,6 @@ def test_a_folder_whose_list_cannot_be_written_is_said_before_any_work(judged, c
 @pytest.fixture
 def report(tmp_path, monkeypatch):
     """report(scene, ...): a report on them in tmp_path, swept. What goes into its pages is made up."""
-    monkeypatch.setattr(
-        "mitsuba_ref.report.html.html_report.scene_record", lambda verdict, seen, *, exact: Recorded()
-    )
     monkeypatch.setattr("mitsuba_ref.report.html.html_report.page", lambda *_: ["<title>ray-reference"])
 
     def made_from(*scenes, spared=()):
@@ -236,7 +236,7 @@ class Recorded:
 
 
 def judged_now(name, inputs="same"):
-    return made(name, seen=object(), inputs=inputs)
+    return made(name, seen=Recorded(), inputs=inputs)
 
 
 def pages(tmp_path):

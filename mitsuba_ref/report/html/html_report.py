@@ -20,7 +20,8 @@ from caster.system.atomic_files import (
     write_text,
 )
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG, SceneVerdict, json_number
-from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, scene_record
+from mitsuba_ref.report.html.evidence import Evidence
+from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, SceneRecord, scene_record
 from mitsuba_ref.report.output_manifest import ManifestEntry, OutputManifest, RemovedFiles
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.verdict_text import failure_text
@@ -99,11 +100,12 @@ class HtmlReport:
                 self._kept[verdict.name] = WrittenScene(
                     file_of(verdict), before.labels.get("thumbnail", ""), {}
                 )
-        if verdict.seen is None or verdict.pixels > MAX_PIXELS_WITH_IMAGES:
+        seen = verdict.seen
+        found = page_record(verdict, one_file=self.one_file) if isinstance(seen, Evidence) else seen
+        if found is None:
             return replace(verdict, seen=None)
-        rounded = (self.one_file and verdict.ok) or verdict.pixels > MAX_PIXELS_EXACT
-        found = scene_record(verdict, verdict.seen, exact=not rounded)
-        parts = {"about": as_json(found.about)} | {name: as_json(each) for name, each in found.layers.items()}
+        about = {"verdict": verdict.to_dict(), **found.about}
+        parts = {"about": as_json(about)} | {name: as_json(each) for name, each in found.layers.items()}
         file = file_of(verdict)
         text = record_lines(parts) if self.one_file else record_script(verdict.name, parts)
         write_text(self.data / file, text)
@@ -159,6 +161,14 @@ class HtmlReport:
             "most_bytes": ONE_FILE_LIMIT_BYTES,
             "left_out": {},
         }
+
+
+def page_record(verdict: SceneVerdict, *, one_file: bool) -> SceneRecord | None:
+    """What a page of a scene shows of its evidence; None for a film too large. one_file: of a report in one file."""
+    if verdict.seen is None or verdict.pixels > MAX_PIXELS_WITH_IMAGES:
+        return None
+    rounded = (one_file and verdict.ok) or verdict.pixels > MAX_PIXELS_EXACT
+    return scene_record(verdict.seen, exact=not rounded)
 
 
 def file_of(verdict: SceneVerdict) -> str:

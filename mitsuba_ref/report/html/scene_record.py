@@ -16,7 +16,7 @@ from caster.image.image_files import encode_image
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE
 from mitsuba_ref.judge.explanations import format_exact_hit
-from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG, SceneVerdict
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.report.html.evidence import Evidence
 
@@ -205,18 +205,17 @@ FLOAT_LAYERS = ("depth", "normal", "diffuse", "shading_normal", "position")
 
 
 class SceneRecord(NamedTuple):
-    """One scene. All but the thumbnail can be written as JSON."""
+    """What a page shows of one scene beside its verdict. All but the thumbnail can be written as JSON."""
 
     about: dict[str, Any]
     layers: dict[str, dict[str, Any]]
     thumbnail: str  # PNG as a data URI
 
 
-def scene_record(verdict: SceneVerdict, evidence: Evidence, *, exact: bool) -> SceneRecord:
+def scene_record(evidence: Evidence, *, exact: bool) -> SceneRecord:
     """exact: both images to the bit and every bound; otherwise as float32, a third of the size."""
     hit = evidence.ours.hit.ravel() + 2 * evidence.reference.hit.ravel()
     about = {
-        "verdict": verdict.to_dict(),
         "window": list(evidence.scene.film.window),
         "shapes": list(evidence.scene.shape_names()),
         "exactly": exact,

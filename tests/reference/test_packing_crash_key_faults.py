@@ -1,0 +1,219 @@
+"""Faults that pixels do not show: of packing in float64, of the end of a process, of the key of the kernel cache.
+
+Each is planted in a copy of both packages, and has to be found by `validate` or by the test that is named. All of them
+by `make faults` (FAULTS=all); without it only those in QUICK.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from typing import NamedTuple
+
+import pytest
+from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
+
+CACHE, WORLD, SPHERE = (
+    "caster/jit/kernel_cache.py",
+    "caster/geometry/world_space.py",
+    "caster/shapes/sphere.py",
+)
+CHECKS = "mitsuba_ref/judge/scene_checks.py"
+SIZE = ("--size", "12", "10")
+KEY_TEST, GEOMETRY_TEST = (
+    f"tests/unit/test_{name}.py" for name in ("kernel_cache_key", "geometry_checked_in_both_precisions")
+)
+
+
+class Fault(NamedTuple):
+    """An edit of a copy, the scene or the test that finds it, and a pattern of what is said then."""
+
+    family: str
+    what: str
+    found_by: str  # the name of a shipped scene, for `validate`, or the path of a test
+    message: str
+    file: str
+    old: str
+    new: str
+
+
+# What `render` casts is packed in float64; Mitsuba never sees it, and float32 hides a relative error of 1e-9.
+ONLY_FLOAT64 = "(1.0 + {} * (rounded is as_given))"
+RADIUS = "rounded(np.array([scale * self.radius]))"
+USER_FLOAT64 = "def as_given(numbers: np.ndarray) -> np.ndarray:\n    return np.asarray(numbers, np.float64)"
+PACKING_FAULTS = (
+    Fault(
+        "packing",
+        "vertices off by 1e-9 of themselves",
+        "triangles",
+        r"geometry: .* vertices of .* \(float64\)",
+        WORLD,
+        "return rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])",
+        f"return {ONLY_FLOAT64.format(1e-9)} * rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])",
+    ),
+    Fault(
+        "packing",
+        "float32 geometry for users",
+        "one-sphere",
+        r"geometry: .* \(float64\)",
+        WORLD,
+        USER_FLOAT64,
+        f"{USER_FLOAT64}.astype(np.float32).astype(np.float64)",
+    ),
+    Fault(
+        "packing",
+        "radius off by 1e-12 of itself",
+        "one-sphere",
+        r"geometry: .* radius of .* \(float64\)",
+        SPHERE,
+        RADIUS,
+        f"(1.0 + 1e-12 * (rounded(np.array(0.1)) == 0.1)) * {RADIUS}",
+    ),
+    Fault(
+        "packing",
+        "centre of a cylinder or disk moved by 5e-7",
+        "flat-shapes",
+        r"geometry: .* \(float64\)",
+        WORLD,
+        "return rounded(center)[None], to_world[None], inverse(to_world)[None]",
+        "return rounded(center)[None] + 5e-7 * (rounded is as_given), to_world[None], inverse(to_world)[None]",
+    ),
+    Fault(
+        "packing",
+        "inverse matrix off by 1e-10",
+        "ellipsoids",
+        r"knife_edges: ",
+        WORLD,
+        "return rounded(center)[None], to_world[None], inverse(to_world)[None]",
+        "return rounded(center)[None], to_world[None], "
+        f"{ONLY_FLOAT64.format(1e-10)} * inverse(to_world)[None]",
+    ),
+    Fault(
+        "packing",
+        "vertex normals rounded to float32",
+        "ply-normals",
+        r"geometry: .* \(float64\)",
+        WORLD,
+        "normals = rounded(_world_normals(mesh, matrix, vertices, faces))",
+        "normals = as_float32(_world_normals(mesh, matrix, vertices, faces))",
+    ),
+    Fault(
+        "packing",
+        "uv of vertices rounded to float32",
+        "obj-meshes",
+        r"geometry: .* uv of .* \(float64\)",
+        WORLD,
+        "else rounded(mesh.uv)",
+        "else as_float32(mesh.uv)",
+    ),
+    Fault(
+        "packing",
+        "the judge keeps one precision only",
+        GEOMETRY_TEST,
+        r"ValueError: .* is checked twice",
+        CHECKS,
+        'shares.add(f"{claim.what} of {name} ({precision.name})", share)',
+        'shares.add(f"{claim.what} of {name}", share)',
+    ),
+    Fault(
+        "packing",
+        "the judge's second value hides the first",
+        GEOMETRY_TEST,
+        r"DID NOT RAISE",
+        CHECKS,
+        "        if what in self._shares:\n",
+        "        if False:\n",
+    ),
+    Fault(
+        "packing",
+        "the judge checks float32 twice",
+        GEOMETRY_TEST,
+        r"assert",
+        CHECKS,
+        'Precision("float64", as_given,',
+        'Precision("float64", as_float32,',
+    ),
+)
+
+# Ends of the process that casts, in the first line of packing a sphere: the scene of triangles is judged all the same.
+PACK = "        linear = self.matrix[:3, :3]\n        center = linear @ np.array(self.center)"
+ENDS = {
+    "a null pointer is read": ("__import__('ctypes').string_at(0)", "SIGSEGV"),
+    "the C library aborts": ("__import__('os').abort()", "SIGABRT"),
+    "killed for its memory": ("__import__('os').kill(__import__('os').getpid(), 9)", "SIGKILL"),
+    "an illegal instruction": (
+        "__import__('os').kill(__import__('os').getpid(), __import__('signal').SIGILL)",
+        "SIGILL",
+    ),
+    "the process exits with 0": ("__import__('os')._exit(0)", "exit code 0"),
+    "sys.exit with 0": ("raise SystemExit(0)", "exit code 0|SystemExit"),
+    "memory runs out": ("np.empty(2**50)", "not enough memory"),
+    "calls itself for ever": ("self.pack(rounded)", "RecursionError"),
+    "an exception of Python": ("np.zeros(3)[4]", "IndexError"),
+}
+EXIT_CODES = {"memory runs out": 2, "calls itself for ever": 70, "an exception of Python": 70}  # of others 1
+END_FAULTS = tuple(
+    Fault(
+        "process",
+        what,
+        "one-sphere",
+        rf"FAIL  one-sphere  [^\n]*(?:{message})",
+        SPHERE,
+        PACK,
+        f"        {code}\n{PACK}",
+    )
+    for what, (code, message) in ENDS.items()
+)
+
+CONTENT = "path.read_bytes()"
+KEYS = {
+    "the first 4,096 bytes of each file": (CONTENT, f"{CONTENT}[:4096]"),
+    "all but the last byte": (CONTENT, f"{CONTENT}[:-1]"),
+    "every second byte": (CONTENT, f"{CONTENT}[::2]"),
+    "the size of each file": (CONTENT, "str(path.stat().st_size).encode()"),
+    "seven bits of each byte": (CONTENT, f"bytes(byte & 127 for byte in {CONTENT})"),
+    "no names of files": ('path.relative_to(PACKAGE).as_posix().encode() + b"\\0"', 'b"\\0"'),
+    "no version of the compiler": ("hashlib.sha256(version.encode())", "hashlib.sha256()"),
+    "no files in folders of folders": ('PACKAGE.rglob("*.py")', 'PACKAGE.glob("*/*.py")'),
+    "one bit of the digest": ("digest.hexdigest()[:16]", "digest.hexdigest()[:1]"),
+    "nothing but __init__.py": ('PACKAGE.rglob("*.py")', 'PACKAGE.rglob("__init__.py")'),
+}
+KEY_FAULTS = tuple(
+    Fault("cache key", what, KEY_TEST, r"assert", CACHE, *change) for what, change in KEYS.items()
+)
+
+FAULTS = (*PACKING_FAULTS, *END_FAULTS, *KEY_FAULTS)
+QUICK = ("radius off by 1e-12 of itself", "the C library aborts", "all but the last byte")
+CHOSEN = [fault for fault in FAULTS if fault.what in QUICK or os.environ.get("FAULTS") == "all"]
+
+
+def run_test(tree, path):
+    """A test file with the packages of a copy, without the compiler."""
+    words = [sys.executable, "-P", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", path]
+    environment = {**os.environ, "PYTHONPATH": str(tree), "CASTER_JIT": "0"}
+    return subprocess.run(
+        words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
+    )
+
+
+@pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: fault.what)
+def test_a_planted_fault_is_found(tmp_path, fault):
+    tree = copy_tree(tmp_path / "tree")
+    edit(tree, fault.file, fault.old, fault.new)
+    if fault.found_by.endswith(".py"):
+        found = run_test(tree, fault.found_by)
+    else:
+        scenes = (f"scenes/{fault.found_by}.toml", "scenes/triangles.toml")
+        found = run(tree, "validate", *dict.fromkeys(scenes), *SIZE, "-j", "1")
+    print(found.stdout)
+    code = EXIT_CODES.get(fault.what, 1)
+    assert found.returncode == code, f"this passes: {fault.what}\n{found.stdout}{found.stderr}"
+    assert re.search(fault.message, found.stdout), found.stdout
+    if fault.family == "process":
+        assert "PASS  triangles " in found.stdout and ("Traceback" in found.stderr) == (code == 70)
+
+
+def test_every_fault_fits_the_source_of_today():
+    for fault in FAULTS:
+        assert (ROOT / fault.file).read_text(encoding="utf-8").count(fault.old) == 1, fault
+    assert set(QUICK) <= {fault.what for fault in FAULTS}
