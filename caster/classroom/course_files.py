@@ -30,9 +30,9 @@ from caster.description.errors import (
     join_words,
     suggestion,
 )
+from caster.description.text import format_excerpt, read_text
 from caster.scene.files import MeshFolders, resolve_mesh_files
 from caster.scene.model import Scene
-from caster.scene.text import format_excerpt, read_text
 
 __all__ = ["load_course_scene"]
 

@@ -19,8 +19,8 @@ from caster.description.errors import (
     value_diagnostic,
 )
 from caster.description.registry import type_name
+from caster.description.text import SceneFormat, format_diagnostics, parse, read_text
 from caster.scene.model import Film, Scene
-from caster.scene.text import SceneFormat, format_diagnostics, parse, read_text
 from caster.shapes import SHAPES
 
 __all__ = ["MeshFolders", "film_pixels", "load_scene", "resolve_mesh_files"]

@@ -17,7 +17,7 @@ from caster.shapes.torus import tessellate_torus
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.bench.entries import ANY, FILM, NEAREST, SHADING
 from mitsuba_ref.reference.rays import shared_rays
-from mitsuba_ref.reference.xml_writer import ply_bytes
+from mitsuba_ref.scene_xml.elements import ply_bytes
 
 
 def write_mesh(folder: Path, name: str, vertices: np.ndarray, faces: np.ndarray, **more: str) -> MeshFile:

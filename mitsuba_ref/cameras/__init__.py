@@ -6,7 +6,7 @@ A plug-in (mitsuba_ref/shapes/__init__.py) adds a camera by `register`.
 from caster.description.fields import Camera, Description
 from mitsuba_ref.cameras import orthographic, pinhole, without_sensor
 from mitsuba_ref.cameras.camera_reference import CameraReference, ClipRange
-from mitsuba_ref.reference.xml_writer import MissingReferenceError, missing_reference
+from mitsuba_ref.scene_xml.elements import MissingReferenceError, missing_reference
 
 __all__ = ["REFERENCES", "ClipRange", "reference_of_camera", "register"]
 

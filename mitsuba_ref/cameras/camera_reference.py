@@ -8,7 +8,7 @@ import numpy as np
 
 from caster.description.fields import Camera, Description
 from caster.scene.model import Film
-from mitsuba_ref.reference.xml_writer import XmlElement
+from mitsuba_ref.scene_xml.elements import XmlElement
 
 
 class CameraRays(NamedTuple):

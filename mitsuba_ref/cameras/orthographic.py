@@ -17,7 +17,7 @@ from mitsuba_ref.cameras.camera_reference import (
     eye_origins,
     sensor_pose,
 )
-from mitsuba_ref.reference.xml_writer import XmlElement, matrix_element
+from mitsuba_ref.scene_xml.elements import XmlElement, matrix_element
 
 
 def rays(camera: Orthographic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:

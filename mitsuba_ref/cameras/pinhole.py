@@ -17,7 +17,7 @@ from mitsuba_ref.cameras.camera_reference import (
     sensor_pose,
     to_world_directions,
 )
-from mitsuba_ref.reference.xml_writer import XmlElement, matrix_element
+from mitsuba_ref.scene_xml.elements import XmlElement, matrix_element
 
 
 def half_extents(camera: Pinhole, film: Film) -> tuple[float, float]:

@@ -4,17 +4,24 @@ Written from the lights' definitions a second time: L = reflectance / pi * cosin
 """
 
 import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import KU_OURS, Intersections, U, dot, norm
 
 # Where the direction to a light is known to no better than this, the light's value is not known at all.
 LARGEST_DIRECTION_ERROR = 0.5
+
+
+class Materials(NamedTuple):
+    """Of each shape."""
+
+    reflectance: np.ndarray  # (shapes, 3)
+    two_sided: np.ndarray  # (shapes,) bool
 
 
 class ShadingPoints(NamedTuple):
@@ -37,9 +44,9 @@ class LightContribution(NamedTuple):
     doubtful: np.ndarray  # (m,) bool: so near grazing that either face may be the visible one
 
 
-def light_contribution(scene: Scene, light: Any, hit: ShadingPoints, ku: float) -> LightContribution:
+def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku: float) -> LightContribution:
     """Radiance from `light`, with the error that errors of position and shading normal bring about."""
-    reflectance, two_sided = _materials(scene, hit.shape)
+    reflectance, two_sided = (each[hit.shape] for each in materials)
     to_light, reach = direction_to_light(light, hit.p)
     distance = norm(to_light)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -62,13 +69,13 @@ def light_contribution(scene: Scene, light: Any, hit: ShadingPoints, ku: float) 
     )
 
 
-def ambient_radiance(scene: Scene, shape: np.ndarray) -> np.ndarray:
-    """(m, 3) reflectance times the radiance of all ambient lights."""
+def ambient_radiance(lights: Sequence[Any]) -> np.ndarray:
+    """(3,) of all ambient ones among the lights."""
     total = np.zeros(3)
-    for light in scene.lights:
+    for light in lights:
         if light.type == "ambient":
             total = total + np.array(light.radiance)
-    return _materials(scene, shape)[0] * total
+    return total
 
 
 def direction_to_light(light: Any, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -83,13 +90,6 @@ def _flux(light: Any, distance: np.ndarray) -> np.ndarray:
     if light.type == "point":
         return np.array(light.intensity) / (distance * distance)[:, None]
     return np.tile(np.array(light.irradiance), (len(distance), 1))
-
-
-def _materials(scene: Scene, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    materials = [scene.material_of(each) for each in scene.shapes]
-    reflectance = np.array([material.reflectance for material in materials]).reshape(-1, 3)
-    two_sided = np.array([material.two_sided for material in materials], bool)
-    return reflectance[shape], two_sided[shape]
 
 
 # A sum of lights, some of which may be lit or not: does any choice that is allowed give the value at hand?

@@ -37,9 +37,10 @@ from mitsuba_ref.exr_compare.approved_reference import (
 )
 from mitsuba_ref.exr_compare.two_files import compare_exr
 from mitsuba_ref.judge.comparison import PixelPairs, compare
+from mitsuba_ref.judge.diffuse import materials_of
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import shared_rays
-from mitsuba_ref.shapes import model_of
+from mitsuba_ref.reference.scene_export import model_of
 from mitsuba_ref.subjects.ours import answer_of_view, cast_ours
 
 COLORS = ("R", "G", "B")
@@ -188,10 +189,10 @@ def lighting_agrees(scene: Scene, pixels: PixelPairs, hit: ShadingPoints) -> np.
     rows = np.flatnonzero(pixels.both_hit)
     there = ShadingPoints(hit.p[rows], hit.d[rows], hit.shape[rows], hit.at.take(rows))
     ours, theirs = (values[rows] for values in pixels.pair("diffuse"))
-    off = COLOR_RTOL * np.abs(theirs)
+    off, materials = COLOR_RTOL * np.abs(theirs), materials_of(scene)
     for each in scene.lights:
         if each.type != "ambient":
-            off = off + light_contribution(scene, each, there, KU).error
+            off = off + light_contribution(materials, each, there, KU).error
     within = np.zeros(len(hit.p), bool)
     within[rows] = (np.abs(ours - theirs) <= off).all(axis=1)
     return within

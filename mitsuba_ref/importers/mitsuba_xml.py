@@ -20,7 +20,7 @@ from mitsuba_ref.importers.scene_builder import (
     material_of,
     transform_steps,
 )
-from mitsuba_ref.importers.xml_document import (
+from mitsuba_ref.scene_xml.documents import (
     ImportDiagnostic,
     Node,
     SourcePosition,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.importers.xml_document import (
+from mitsuba_ref.scene_xml.documents import (
     ImportDiagnostic,
     Node,
     SourcePosition,

@@ -12,6 +12,7 @@ from mitsuba_ref.error_model.intersections import KU, KU_OURS, Intersections
 from mitsuba_ref.error_model.lambert import (
     LightChoices,
     LightContribution,
+    Materials,
     ShadingPoints,
     certain_lights,
     smallest_error_ratio,
@@ -76,7 +77,8 @@ def diffuse_within_float64(
     error = np.where(lit[..., None], _stacked([light.error for light in each], prim), 0.0)
     dark = np.zeros_like(first)
     choices = LightChoices(first, error, dark, dark, lit & (shaded | doubtful))
-    return smallest_error_ratio(values, lambert.ambient_radiance(scene, hit.shape), choices, KU_OURS) <= 1.0
+    ambient = materials_of(scene).reflectance[hit.shape] * lambert.ambient_radiance(scene.lights)
+    return smallest_error_ratio(values, ambient, choices, KU_OURS) <= 1.0
 
 
 def shading_points(pair: ImagePair, at: Intersections, rows: np.ndarray) -> ShadingPoints:
@@ -87,9 +89,19 @@ def shading_points(pair: ImagePair, at: Intersections, rows: np.ndarray) -> Shad
 
 
 def _lit(scene: Scene, hit: ShadingPoints, ku: float) -> list[LightContribution]:
+    materials = materials_of(scene)
     return [
-        lambert.light_contribution(scene, light, hit, ku) for light in scene.lights if light.type != "ambient"
+        lambert.light_contribution(materials, light, hit, ku)
+        for light in scene.lights
+        if light.type != "ambient"
     ]
+
+
+def materials_of(scene: Scene) -> Materials:
+    """The material of each shape, as arrays."""
+    found = [scene.material_of(shape) for shape in scene.shapes]
+    reflectance = np.array([material.reflectance for material in found]).reshape(-1, 3)
+    return Materials(reflectance, np.array([material.two_sided for material in found], bool))
 
 
 def _lights(scene: Scene, pair: ImagePair, at: Intersections, rows: np.ndarray) -> LightAnswers:

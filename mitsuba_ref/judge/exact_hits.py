@@ -12,7 +12,7 @@ from mitsuba_ref.error_model.bounds import reference_bounds
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.shapes import model_of
+from mitsuba_ref.reference.scene_export import model_of
 
 
 @dataclass(frozen=True)

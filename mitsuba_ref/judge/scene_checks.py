@@ -26,7 +26,8 @@ from mitsuba_ref.judge.diffuse import diffuse_within_float64
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import ReferenceResult
-from mitsuba_ref.shapes import model_of, reference_of
+from mitsuba_ref.reference.scene_export import model_of
+from mitsuba_ref.shapes import reference_of
 
 
 class Shares:

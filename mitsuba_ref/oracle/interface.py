@@ -1,6 +1,6 @@
 """Exact kinds: what a primitive kind supplies to the oracle, and what the oracle returns."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -59,6 +59,19 @@ class ExactKind(NamedTuple):
 
     # prims -> (n,) bool: all but primitives that are left out of every scene, as faces with a corner that is nowhere
     present: Callable[[Any], np.ndarray] = all_true
+
+
+EXACT_KINDS: dict[type, ExactKind] = {}  # by the class of their arrays; mitsuba_ref.shapes registers them
+STAND_INS: dict[type, ExpandStandIns] = {}  # by the class of the arrays that stand in for a kind
+
+
+def register_exact(
+    arrays: type, exact: ExactKind | None, stand_ins: Mapping[type, ExpandStandIns] | None = None
+) -> None:
+    """Add the exact arithmetic of a kind, and of arrays that stand in for it."""
+    if exact is not None:
+        EXACT_KINDS[arrays] = exact
+    STAND_INS.update(stand_ins or {})
 
 
 def next_below(x: np.ndarray) -> np.ndarray:

@@ -2,31 +2,47 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from caster.geometry.packing import Packed
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root, integer_ray
 from mitsuba_ref.oracle.interface import (
+    EXACT_KINDS,
+    STAND_INS,
     Contact,
     ExactAnswer,
     ExactHit,
-    ExactKind,
     OutsideDomain,
     check_rays,
-    primitive_count,
 )
 from mitsuba_ref.oracle.primitive_index import CandidatePrimitive, PrimitiveArray, PrimitiveIndex, RayColumns
-from mitsuba_ref.shapes import KINDS
 
-__all__ = ["ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", "Root", "exact_kinds"]
+__all__ = ["EXACT_KINDS", "ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", "Root"]
+
+
+class PackedKind(Protocol):
+    """All primitives of one kind: their arrays, and the number of each in the scene."""
+
+    @property
+    def prims(self) -> Any: ...
+    @property
+    def ids(self) -> np.ndarray: ...
+
+
+class PackedScene(Protocol):
+    """The packed primitives of a scene, as the oracle reads them; first[-1] is how many there are."""
+
+    @property
+    def kinds(self) -> Sequence[PackedKind]: ...
+    @property
+    def first(self) -> np.ndarray: ...
 
 
 class Oracle:
     """Exact first hits and roots on the packed primitives of one scene."""
 
-    def __init__(self, packed: Packed, stand_ins: Sequence[Any] | None = None) -> None:
+    def __init__(self, packed: PackedScene, stand_ins: Sequence[Any] | None = None) -> None:
         """stand_ins: arrays that replace those of packed.kinds: what the reference traces (SceneModel.kinds).
 
         Raises OutsideDomain for a primitive with a number that is not finite (a face is dropped instead), and
@@ -122,24 +138,13 @@ def contacts_before(
 
 
 def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
-    simpler, owner = expand_stand_ins(prims)
-    kinds = exact_kinds()
-    if type(simpler) not in kinds:
+    """The primitives with their exact arithmetic; stand-ins in pieces that have one."""
+    if type(prims) in STAND_INS:
+        prims, owner = STAND_INS[type(prims)](prims)
+        ids = ids[owner]
+    if type(prims) not in EXACT_KINDS:
         raise LookupError(
-            f"{type(simpler).__name__} has no exact arithmetic: write an ExactKind (mitsuba_ref/oracle/interface.py) "
-            "and name it as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes"
+            f"{type(prims).__name__} has no exact arithmetic: write an ExactKind (mitsuba_ref/oracle/interface.py) "
+            "and name it as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes, which has to be imported"
         )
-    return PrimitiveArray(kinds[type(simpler)], simpler, ids[owner], {})
-
-
-def exact_kinds() -> dict[type, ExactKind]:
-    """The exact arithmetic of every kind of primitive that is registered."""
-    return {arrays: kind.model.exact for arrays, kind in KINDS.items() if kind.model.exact is not None}
-
-
-def expand_stand_ins(prims: Any) -> tuple[Any, np.ndarray]:
-    """(primitives that have exact arithmetic, which of `prims` each of them is a piece of)."""
-    for kind in KINDS.values():
-        if kind.model.unfold is not None and type(prims) in kind.model.unfold:
-            return kind.model.unfold[type(prims)](prims)
-    return prims, np.arange(primitive_count(prims))
+    return PrimitiveArray(EXACT_KINDS[type(prims)], prims, ids, {})

@@ -1,4 +1,4 @@
-"""Export of scenes to Mitsuba, tracing of shared rays by it, and its images under the names of the caster's AOVs."""
+"""Shared rays traced by Mitsuba, and its images under the names of the caster's AOVs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,50 +12,14 @@ from caster.geometry.world_space import as_float32
 from caster.rendering.images import film_window
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
-from mitsuba_ref.cameras import ClipRange, reference_of_camera
+from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
+from mitsuba_ref.reference.scene_export import export, model_of, shape_ids
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.variants import variant_for
-from mitsuba_ref.reference.xml_writer import SceneExport, ShapeWriter, scene_document
-from mitsuba_ref.shapes import model_of, reference_of
-
-# Clip planes of a sensor whose camera has none, in units of how far the scene reaches.
-NEAR_PER_REACH, FAR_PER_REACH = 2.0**-20, 2.0**10
-
-
-def export_scene(scene: Scene) -> SceneExport:
-    """XML and meshes of a scene, for use with plain Mitsuba."""
-    return export(scene, model_of(scene, pack(scene, as_float32), shared_rays(scene)))
-
-
-def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExport:
-    """XML and meshes of packed geometry. robust: Embree's mode that keeps meshes closed."""
-    out = ShapeWriter(scene)
-    shapes = []
-    for name, shape, part in zip(shape_ids(scene), scene.shapes, model.parts, strict=True):
-        out.name = name
-        shapes += reference_of(shape).to_xml(out, shape, part)
-    sensor = reference_of_camera(scene.camera).to_xml(scene.camera, scene.film, clip_range(scene, model))
-    if sensor is None:
-        out.notes.append(f"no sensor: Mitsuba has no {scene.camera.type} camera, so rays are handed over")
-    text = scene_document(scene, shapes, sensor, out, robust=robust)
-    return SceneExport(text, out.meshes, shape_ids(scene), out.notes)
-
-
-def shape_ids(scene: Scene) -> list[str]:
-    """One id per shape: its name, unless Mitsuba would read a parameter in it."""
-    return [f"shapes[{i}]" if "$" in name else name for i, name in enumerate(scene.shape_names())]
-
-
-def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
-    """Clip planes that cut nothing off: by the farthest corner of bounded primitives, and the eye."""
-    corners = np.abs(np.concatenate(model.boxes))
-    ends = corners[np.isfinite(corners)]
-    reach = float(max(ends.max(initial=0.0), np.abs(scene.camera.eye).max(), 1e-3))
-    return ClipRange(NEAR_PER_REACH * reach, FAR_PER_REACH * reach)
-
+from mitsuba_ref.shapes import reference_of
 
 # AOVs that the reference can give.
 REFERENCE_AOVS = (
@@ -128,10 +92,6 @@ def reference_result(scene: Scene, answer: TraceResponse) -> ReferenceResult:
     """A response in the terms of its scene."""
     index_of = {name: index for index, name in enumerate(shape_ids(scene))}
     table = np.array([*(index_of.get(name, -1) for name in answer.names), -1], np.int32)
-    radiance = np.zeros(3)
-    for light in scene.lights:
-        if light.type == "ambient":
-            radiance = radiance + np.array(light.radiance)
     visible = answer.light_visible if scene.shading.shadows else np.ones_like(answer.light_visible)
     return ReferenceResult(
         answer,
@@ -139,7 +99,7 @@ def reference_result(scene: Scene, answer: TraceResponse) -> ReferenceResult:
         table[answer.shape],
         answer.light_rgb.astype(np.float64),
         visible,
-        answer.albedo.astype(np.float64) * radiance,
+        answer.albedo.astype(np.float64) * ambient_radiance(scene.lights),
     )
 
 

@@ -11,7 +11,6 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from caster.system.atomic_files import OutputError, check_output
 from caster.system.terminal import printable
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
-from mitsuba_ref.reference.xml_writer import XmlElement
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.verdict_text import (
     CLASS_TITLES,
@@ -20,6 +19,7 @@ from mitsuba_ref.report.verdict_text import (
     group_lines,
     worst_words,
 )
+from mitsuba_ref.scene_xml.elements import XmlElement
 
 # ---- Markdown ----
 

@@ -4,23 +4,16 @@ A plug-in is a module that calls `register`. Programs import it; the commands al
 distribution names as an entry point of the group "mitsuba_ref.plugins".
 """
 
-from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
 
 from caster.description.fields import Shape
 from caster.description.registry import load_plugins
-from caster.geometry.packing import Packed, concatenate_parts
-from caster.scene.model import Scene
-from mitsuba_ref.error_model.intersections import ErrorModel
-from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.xml_writer import MissingReferenceError, missing_reference
+from mitsuba_ref.oracle.interface import register_exact
+from mitsuba_ref.scene_xml.elements import MissingReferenceError, missing_reference
 from mitsuba_ref.shapes import cylinder, disk, plane, sphere, triangle_meshes
 from mitsuba_ref.shapes.shape_reference import PrimitiveReference, ShapeReference
 
-__all__ = ["KINDS", "REFERENCES", "kind_of", "model_of", "reference_of", "register"]
+__all__ = ["KINDS", "REFERENCES", "kind_of", "reference_of", "register"]
 
 REFERENCES: dict[type[Shape], ShapeReference] = {}
 KINDS: dict[type[Any], PrimitiveReference] = {}  # by the class of their arrays
@@ -29,7 +22,9 @@ KINDS: dict[type[Any], PrimitiveReference] = {}  # by the class of their arrays
 def register(reference: ShapeReference) -> None:
     """Add a shape and its kinds; a second reference of a shape takes the place of the first."""
     REFERENCES[reference.describes] = reference
-    KINDS.update({kind.arrays: kind for kind in reference.kinds})
+    for kind in reference.kinds:
+        KINDS[kind.arrays] = kind
+        register_exact(kind.arrays, kind.model.exact, kind.model.unfold)
 
 
 def kind_of(part: Any) -> PrimitiveReference:
@@ -47,25 +42,6 @@ def reference_of(shape: Shape) -> ShapeReference:
     if type(shape) not in REFERENCES:
         raise MissingReferenceError(missing_reference(type(shape).__name__, "shapes"))
     return REFERENCES[type(shape)]
-
-
-def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
-    """The judge's view of packed float32 geometry; stand-ins are cut to these rays."""
-    references = [reference_of(shape) for shape in scene.shapes]
-    real = rays.t_max >= 0.0
-    o, d = rays.o[real].astype(np.float64), rays.d[real].astype(np.float64)
-    parts = tuple(
-        reference.stand_in(part, o, d) for reference, part in zip(references, packed.parts, strict=True)
-    )
-    members = [np.flatnonzero(packed.kind_of == place) for place in range(len(packed.kinds))]
-    kinds = tuple(concatenate_parts([parts[s] for s in shapes]) for shapes in members)
-    models = tuple(_model(references, packed, shapes) for shapes in members)
-    return SceneModel(packed, parts, kinds, models)
-
-
-def _model(references: Sequence[ShapeReference], packed: Packed, shapes: np.ndarray) -> ErrorModel:
-    first = int(shapes[0])
-    return references[first].model_of(packed.parts[first])
 
 
 for _reference in (

@@ -24,7 +24,7 @@ from mitsuba_ref.error_model.intersections import (
     position_error,
 )
 from mitsuba_ref.oracle.exact_planar import DISKS as EXACT_DISKS
-from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.descriptions import unit_shape_matrix
 from mitsuba_ref.shapes.quadric_error import (
     affine_bounds,

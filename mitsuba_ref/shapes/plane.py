@@ -25,7 +25,7 @@ from mitsuba_ref.error_model.intersections import (
     unit,
 )
 from mitsuba_ref.oracle.exact_planar import PLANES as EXACT_PLANES
-from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes import triangle_error
 from mitsuba_ref.shapes.descriptions import unit_vector_rounding_to
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference

@@ -16,7 +16,7 @@ from caster.description.fields import Shape
 from mitsuba_ref.error_model.defect_conditions import DefectView, KnownDefect
 from mitsuba_ref.error_model.independent_transform import ExpectedPacking
 from mitsuba_ref.error_model.intersections import ErrorModel, GroupKey, single_group
-from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints
 
 MIRROR_Z = {"scale": [1.0, 1.0, -1.0]}

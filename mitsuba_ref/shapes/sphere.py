@@ -27,7 +27,7 @@ from mitsuba_ref.error_model.intersections import (
 )
 from mitsuba_ref.oracle.exact_quadrics import ELLIPSOIDS as EXACT_ELLIPSOIDS
 from mitsuba_ref.oracle.exact_quadrics import SPHERES as EXACT_SPHERES
-from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.descriptions import unit_shape_matrix
 from mitsuba_ref.shapes.quadric_error import (
     affine_bounds,

@@ -41,7 +41,7 @@ from mitsuba_ref.error_model.independent_transform import (
     transformed_normals,
 )
 from mitsuba_ref.error_model.intersections import KU, by_corner, by_normal
-from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.descriptions import unit_vector_rounding_to
 from mitsuba_ref.shapes.shape_reference import (
     Fields,

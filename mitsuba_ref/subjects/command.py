@@ -16,7 +16,7 @@ from caster.system.terminal import printable
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.intersections import KU, U, dot, norm
 from mitsuba_ref.reference.rays import pixel_of
-from mitsuba_ref.reference.rendering import export
+from mitsuba_ref.reference.scene_export import export
 from mitsuba_ref.reference.subprocess_runner import exit_name, run
 from mitsuba_ref.subjects.answer import (
     FLOAT32,

@@ -12,7 +12,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder, write_bytes
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.xml_writer import ply_bytes, safe_name
+from mitsuba_ref.scene_xml.elements import ply_bytes, safe_name
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.subjects.answer import Answer
 

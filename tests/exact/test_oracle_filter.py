@@ -9,7 +9,7 @@ from oracle_aims import KINDS, SCALES, aim, packed, triangles
 from mitsuba_ref.oracle import exact_planar as triangles_module
 from mitsuba_ref.oracle import primitive_index
 from mitsuba_ref.oracle.exact_numbers import integer_ray
-from mitsuba_ref.oracle.oracle import Oracle, exact_kinds
+from mitsuba_ref.oracle.oracle import EXACT_KINDS, Oracle
 from mitsuba_ref.oracle.primitive_index import BoxTree, RayColumns, slab_test
 
 COUNT = 300
@@ -18,7 +18,7 @@ COUNT = 300
 def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
     """(pairs that meet and are sorted out, or met before `near`; pairs that meet; pairs that are sorted out)."""
     prims, o, d = aim(kind, scale, seed, COUNT)
-    arithmetic = exact_kinds()[type(prims)]
+    arithmetic = EXACT_KINDS[type(prims)]
     k, n = np.arange(COUNT), COUNT
     low, high = (corner.T for corner in arithmetic.boxes(prims))
     kept, near = slab_test(RayColumns(o.T, d.T, np.full(n, -math.inf), np.full(n, math.inf)), k, low, high)

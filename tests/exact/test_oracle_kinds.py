@@ -12,7 +12,7 @@ from oracle_witness import Solution
 
 from mitsuba_ref.oracle import exact_numbers, exact_planar, exact_quadrics
 from mitsuba_ref.oracle.exact_quadrics import to_object_space
-from mitsuba_ref.oracle.oracle import Oracle, Root, exact_kinds
+from mitsuba_ref.oracle.oracle import EXACT_KINDS, Oracle, Root
 
 COUNT = 120  # pairs of a kind and a scale
 WHERE = {
@@ -83,7 +83,7 @@ def test_every_root_lies_in_its_ball(kind):
 
 
 def test_every_kind_that_shapes_pack_to_is_checked():
-    assert {kind.__name__ for kind in exact_kinds()} == set(KINDS)
+    assert {kind.__name__ for kind in EXACT_KINDS} == set(KINDS)
 
 
 FAULTS = {

@@ -22,7 +22,7 @@ from mitsuba_ref.oracle.interface import (
     next_above,
     next_below,
 )
-from mitsuba_ref.reference.xml_writer import ShapeWriter, XmlElement
+from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes import disk, register
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints, random_length, random_point

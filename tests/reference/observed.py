@@ -15,8 +15,8 @@ from mitsuba_ref.reference import session
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
+from mitsuba_ref.reference.scene_export import model_of
 from mitsuba_ref.reference.session import SendRequest
-from mitsuba_ref.shapes import model_of
 
 
 class Observed(NamedTuple):

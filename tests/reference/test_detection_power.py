@@ -28,8 +28,8 @@ from mitsuba_ref.judge.verdict import ErrorStatistics
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
+from mitsuba_ref.reference.scene_export import model_of
 from mitsuba_ref.reference.session import SendRequest
-from mitsuba_ref.shapes import model_of
 from mitsuba_ref.subjects.ours import answer_of_view, cast_ours
 
 

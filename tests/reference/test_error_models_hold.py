@@ -14,8 +14,8 @@ from mitsuba_ref.error_model.intersections import K
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import trace_reference
+from mitsuba_ref.reference.scene_export import model_of
 from mitsuba_ref.reference.session import SendRequest
-from mitsuba_ref.shapes import model_of
 from mitsuba_ref.shapes.cylinder import mitsuba_accepts_matrix
 
 COUNT = 2000  # rays a setting

@@ -122,7 +122,7 @@ class _FakeJudge:
     def __init__(self):
         from caster.geometry.packing import pack
         from caster.geometry.world_space import as_float32
-        from mitsuba_ref.shapes import model_of
+        from mitsuba_ref.reference.scene_export import model_of
 
         self.scene = caster.Scene(
             camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere()]

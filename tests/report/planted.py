@@ -11,7 +11,7 @@ from caster.rendering.hits import RayHits
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.reference.rays import shared_rays
-from mitsuba_ref.reference.rendering import shape_ids
+from mitsuba_ref.reference.scene_export import shape_ids
 from mitsuba_ref.runner.validation import validate_scene
 from mitsuba_ref.subjects import ours
 from mitsuba_ref.subjects.function import function_subject

@@ -47,16 +47,6 @@ MAKE_KERNELS = tuple(
 # Both packages in the order of the flow of data: each imports what stands before it.
 FLOW = tuple(architecture.FLOW)
 
-# Against the flow, but no circle: the oracle and the exporter look kinds up in the registries of shapes and cameras,
-# whose entries are made of exact arithmetic and of XML elements.
-LOOKUPS = frozenset(
-    {
-        ("mitsuba_ref.oracle.oracle", "mitsuba_ref.shapes"),
-        ("mitsuba_ref.reference.rendering", "mitsuba_ref.cameras"),
-        ("mitsuba_ref.reference.rendering", "mitsuba_ref.shapes"),
-    }
-)
-
 IN_ROOT_PACKAGES = {"__init__.py", "__main__.py", "py.typed"}
 
 
@@ -134,18 +124,6 @@ RULES = (
         "mitsuba_ref.oracle",
         "exact arithmetic shares no code with what it judges",
         only=(*STDLIB, "numpy", "mitsuba_ref.oracle"),
-        except_in=("mitsuba_ref.oracle.oracle",),
-    ),
-    Rule(
-        "mitsuba_ref.oracle.oracle",
-        "the oracle shares no code with what it judges",
-        only=(
-            *STDLIB,
-            "numpy",
-            "mitsuba_ref.oracle",
-            "caster.geometry.packing.Packed",  # the packed arrays' own record
-            "mitsuba_ref.shapes.KINDS",  # the registry of its arithmetic
-        ),
     ),
 )
 
@@ -179,7 +157,7 @@ def reasons_against(source: Any, found: Any, sources: list[Any]) -> Iterator[str
     for rule in RULES:
         if rule.holds_for(source.module) and breaks(rule, found):
             yield rule.reason
-    if is_upward(source.module, found.name) and (source.module, found.source) not in LOOKUPS:
+    if is_upward(source.module, found.name):
         yield f"{package_in_flow(found.name)} comes after {package_in_flow(source.module)} in the flow"
     if source.module.partition(".")[0] == "mitsuba_ref" and not is_public(found, sources):
         yield "the judge imports from caster only what a module names in __all__"
@@ -274,7 +252,7 @@ def test_what_the_rules_name_is_there():
     listed = {
         each for rule in RULES for each in rule.only or () if each.startswith(("caster.", "mitsuba_ref."))
     }
-    assert named <= modules and {each for pair in LOOKUPS for each in pair} <= modules
+    assert named <= modules
     assert {
         each for each in listed if each not in modules and each.rpartition(".")[0] not in modules
     } == set()

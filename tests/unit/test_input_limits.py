@@ -6,11 +6,11 @@ import sys
 
 import pytest
 
+from caster.description import text
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import read_input
 from caster.geometry.mesh_files import load_mesh, ply_header
 from caster.image.exr import UnreadableExr, read_exr
-from caster.scene import text
 from caster.scene.files import load_scene, scene_from_text
 
 CAMERA = (

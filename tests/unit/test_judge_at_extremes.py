@@ -23,7 +23,8 @@ from mitsuba_ref.judge.known_defects import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.scene_checks import check_geometry, check_render
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.shapes import cylinder, disk, model_of, sphere, triangle_error
+from mitsuba_ref.reference.scene_export import model_of
+from mitsuba_ref.shapes import cylinder, disk, sphere, triangle_error
 from mitsuba_ref.subjects.ours import cast_ours
 
 # --- a near plane far from the origin

@@ -12,7 +12,7 @@ from mitsuba_ref.error_model.bracket import PRIMS_PER_GROUP, BroadPhase, morton_
 from mitsuba_ref.error_model.intersections import KU_OURS
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.shapes import model_of
+from mitsuba_ref.reference.scene_export import model_of
 
 SETTINGS = (
     Setting(),

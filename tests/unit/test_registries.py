@@ -10,7 +10,7 @@ from caster.shapes import SHAPES
 from mitsuba_ref import cameras, shapes
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
-from mitsuba_ref.reference.xml_writer import missing_reference
+from mitsuba_ref.scene_xml.elements import missing_reference
 from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.ours import COMPARED_AOVS
 

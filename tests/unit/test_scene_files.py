@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
+from caster.description import text
 from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import load_mesh
-from caster.scene import text
 from caster.scene.files import load_scene, scene_from_text
 
 CAMERA = '[camera]\ntype = "panorama"\neye = [0, 0, 0]\ndirection = [0, 0, 1]\n'

@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from caster.scene.text import Positions, Span
+from caster.description.text import Positions, Span
 
 TOML = """\
 # a comment

@@ -14,10 +14,9 @@ from cases.probes import probed
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.rendering import export
+from mitsuba_ref.reference.scene_export import export, model_of
 from mitsuba_ref.reference.session import send_requests
 from mitsuba_ref.reference.variants import usable_variants
-from mitsuba_ref.shapes import model_of
 
 DATA = Path(__file__).parent.parent / "mitsuba_behaviour.json"
 MODES = {"robust": True, "default": False}

@@ -1,59 +1,46 @@
-"""Writer of Mitsuba scenes: XML elements and binary PLY files, in the float32 numbers that both sides trace."""
+"""Scenes for Mitsuba: the model of what it traces, and its XML document with mesh files."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 
-from caster.description.errors import SceneError
-from caster.description.fields import Shape
+from caster.geometry.packing import Packed, concatenate_parts, pack
+from caster.geometry.world_space import as_float32
 from caster.scene.appearance import Diffuse
 from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder, write_bytes, write_text
+from mitsuba_ref.cameras import ClipRange, reference_of_camera
+from mitsuba_ref.error_model.intersections import ErrorModel
+from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.reference.rays import SharedRays, shared_rays
+from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats
+from mitsuba_ref.shapes import reference_of
+from mitsuba_ref.shapes.shape_reference import ShapeReference
+
+# Clip planes of a sensor whose camera has none, in units of how far the scene reaches.
+NEAR_PER_REACH, FAR_PER_REACH = 2.0**-20, 2.0**10
 
 
-class MissingReferenceError(SceneError, LookupError):
-    """A scene with a shape or a camera that has no reference."""
-
-
-def missing_reference(name: str, kind: str) -> str:
-    return (
-        f"{name} has no reference: write mitsuba_ref/{kind}/{name.lower()}.py and add its line to "
-        f"mitsuba_ref/{kind}/__init__.py (docs/adding-a-shape.md)"
+def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
+    """The judge's view of packed float32 geometry; stand-ins are cut to these rays."""
+    references = [reference_of(shape) for shape in scene.shapes]
+    real = rays.t_max >= 0.0
+    o, d = rays.o[real].astype(np.float64), rays.d[real].astype(np.float64)
+    parts = tuple(
+        reference.stand_in(part, o, d) for reference, part in zip(references, packed.parts, strict=True)
     )
+    members = [np.flatnonzero(packed.kind_of == place) for place in range(len(packed.kinds))]
+    kinds = tuple(concatenate_parts([parts[s] for s in shapes]) for shapes in members)
+    models = tuple(_model(references, packed, shapes) for shapes in members)
+    return SceneModel(packed, parts, kinds, models)
 
 
-def ply_bytes(part: Any) -> bytes:
-    """A PLY file of packed triangles: corners, and normals and uv where they are used.
-
-    part: caster's Triangles whose numbers are float32 values; they go into the file without another rounding.
-    """
-    columns = {name: part.vertices[:, c] for c, name in enumerate("xyz")}
-    if part.smooth.any():
-        columns |= {f"n{name}": part.normals[:, c] for c, name in enumerate("xyz")}
-    if part.textured.any():
-        columns |= {name: part.uv[:, c] for c, name in enumerate("uv")}
-    vertices = np.zeros(len(part.vertices), [(name, "<f4") for name in columns])
-    for name, values in columns.items():
-        vertices[name] = values
-    faces = np.zeros(len(part.faces), [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, part.faces
-    properties = "".join(f"property float {name}\n" for name in columns)
-    header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{properties}"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    return header.encode("ascii") + vertices.tobytes() + faces.tobytes()
-
-
-# In typeshed, elements and comments differ by the type of their tag; a document holds both.
-if TYPE_CHECKING:
-    XmlElement: TypeAlias = Element[Any]
-else:
-    XmlElement = Element
+def _model(references: Sequence[ShapeReference], packed: Packed, shapes: np.ndarray) -> ErrorModel:
+    first = int(shapes[0])
+    return references[first].model_of(packed.parts[first])
 
 
 @dataclass(frozen=True)
@@ -75,46 +62,39 @@ class SceneExport:
         return folder / name
 
 
-@dataclass
-class ShapeWriter:
-    """Elements of the scene's shapes, and the mesh files they name."""
+def export_scene(scene: Scene) -> SceneExport:
+    """XML and meshes of a scene, for use with plain Mitsuba."""
+    return export(scene, model_of(scene, pack(scene, as_float32), shared_rays(scene)))
 
-    scene: Scene
-    name: str = ""  # id of the shape that is being written
-    meshes: dict[str, bytes] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
 
-    def native(self, shape: Shape, plugin: str, center: np.ndarray, linear: np.ndarray) -> XmlElement:
-        """A plugin of Mitsuba's own under one matrix."""
-        element = Element("shape", type=plugin, id=self.name)
-        element.append(matrix_element(center, linear))
-        element.append(self.material(shape))
-        return element
+def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExport:
+    """XML and meshes of packed geometry. robust: Embree's mode that keeps meshes closed."""
+    out = ShapeWriter(lambda shape: bsdf_element(scene.material_of(shape)))
+    shapes = []
+    for name, shape, part in zip(shape_ids(scene), scene.shapes, model.parts, strict=True):
+        out.name = name
+        shapes += reference_of(shape).to_xml(out, shape, part)
+    sensor = reference_of_camera(scene.camera).to_xml(scene.camera, scene.film, clip_range(scene, model))
+    if sensor is None:
+        out.notes.append(f"no sensor: Mitsuba has no {scene.camera.type} camera, so rays are handed over")
+    text = scene_document(scene, shapes, sensor, out, robust=robust)
+    return SceneExport(text, out.meshes, shape_ids(scene), out.notes)
 
-    def instance(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
-        """A plugin that takes no stretching, stretched all the same: an instance of a group of one."""
-        group = Element("shape", type="shapegroup", id=f"{self.name}.group")
-        unit = SubElement(group, "shape", type=plugin, id=f"{self.name}.unit")
-        unit.append(self.material(shape))
-        element = Element("shape", type="instance", id=self.name)
-        SubElement(element, "ref", id=f"{self.name}.group")
-        element.append(matrix_element(part.center[0], part.to_world[0]))
-        self.notes.append(f"{self.name}: an instance of a {plugin}, which Mitsuba itself does not stretch")
-        return [group, element]
 
-    def mesh(self, shape: Shape, part: Any) -> XmlElement:
-        """Triangles as a PLY file with its corners in world space."""
-        file = f"meshes/{len(self.meshes):04d}-{safe_name(self.name)}.ply"
-        self.meshes[file] = ply_bytes(part)
-        element = Element("shape", type="ply", id=self.name)
-        SubElement(element, "string", name="filename", value=file)
-        if not part.smooth.any():
-            SubElement(element, "boolean", name="face_normals", value="true")
-        element.append(self.material(shape))
-        return element
+def shape_ids(scene: Scene) -> list[str]:
+    """One id per shape: its name, unless Mitsuba would read a parameter in it."""
+    return [f"shapes[{i}]" if "$" in name else name for i, name in enumerate(scene.shape_names())]
 
-    def material(self, shape: Shape) -> XmlElement:
-        return bsdf_element(self.scene.material_of(shape))
+
+def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
+    """Clip planes that cut nothing off: by the farthest corner of bounded primitives, and the eye."""
+    corners = np.abs(np.concatenate(model.boxes))
+    ends = corners[np.isfinite(corners)]
+    reach = float(max(ends.max(initial=0.0), np.abs(scene.camera.eye).max(), 1e-3))
+    return ClipRange(NEAR_PER_REACH * reach, FAR_PER_REACH * reach)
+
+
+# ---- the document ----
 
 
 def scene_document(
@@ -151,23 +131,6 @@ def integrator_element() -> XmlElement:
     SubElement(direct, "integer", name="emitter_samples", value="1")
     SubElement(direct, "integer", name="bsdf_samples", value="0")
     return integrator
-
-
-def format_floats(values: Sequence[float] | np.ndarray) -> str:
-    """Shortest decimals that read back as the same float64."""
-    return " ".join(repr(float(value)) for value in values)
-
-
-def safe_name(name: str) -> str:
-    """A file name out of a shape's name."""
-    return "".join(c if c.isascii() and c.isalnum() else "-" for c in name)[:40]
-
-
-def matrix_element(center: np.ndarray, linear: np.ndarray) -> XmlElement:
-    transform = Element("transform", name="to_world")
-    rows = np.column_stack([linear, center])
-    SubElement(transform, "matrix", value=f"{format_floats(rows.ravel())} 0 0 0 1")
-    return transform
 
 
 def bsdf_element(material: Diffuse) -> XmlElement:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from caster.description.errors import FileMissing, SceneError, suggestion
-from caster.scene.text import Span, format_excerpt, read_text
+from caster.description.text import Span, format_excerpt, read_text
 
 
 class SourcePosition(NamedTuple):

@@ -1,0 +1,108 @@
+"""Elements of Mitsuba scenes that are written, and PLY files, in the float32 numbers that both sides trace."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeAlias
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from caster.description.errors import SceneError
+from caster.description.fields import Shape
+
+
+class MissingReferenceError(SceneError, LookupError):
+    """A scene with a shape or a camera that has no reference."""
+
+
+def missing_reference(name: str, kind: str) -> str:
+    return (
+        f"{name} has no reference: write mitsuba_ref/{kind}/{name.lower()}.py and add its line to "
+        f"mitsuba_ref/{kind}/__init__.py (docs/adding-a-shape.md)"
+    )
+
+
+def ply_bytes(part: Any) -> bytes:
+    """A PLY file of packed triangles: corners, and normals and uv where they are used.
+
+    part: caster's Triangles whose numbers are float32 values; they go into the file without another rounding.
+    """
+    columns = {name: part.vertices[:, c] for c, name in enumerate("xyz")}
+    if part.smooth.any():
+        columns |= {f"n{name}": part.normals[:, c] for c, name in enumerate("xyz")}
+    if part.textured.any():
+        columns |= {name: part.uv[:, c] for c, name in enumerate("uv")}
+    vertices = np.zeros(len(part.vertices), [(name, "<f4") for name in columns])
+    for name, values in columns.items():
+        vertices[name] = values
+    faces = np.zeros(len(part.faces), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, part.faces
+    properties = "".join(f"property float {name}\n" for name in columns)
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{properties}"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    return header.encode("ascii") + vertices.tobytes() + faces.tobytes()
+
+
+# In typeshed, elements and comments differ by the type of their tag; a document holds both.
+if TYPE_CHECKING:
+    XmlElement: TypeAlias = Element[Any]
+else:
+    XmlElement = Element
+
+
+@dataclass
+class ShapeWriter:
+    """Elements of the scene's shapes, and the mesh files they name."""
+
+    material: Callable[[Shape], XmlElement]  # its <bsdf>
+    name: str = ""  # id of the shape that is being written
+    meshes: dict[str, bytes] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def native(self, shape: Shape, plugin: str, center: np.ndarray, linear: np.ndarray) -> XmlElement:
+        """A plugin of Mitsuba's own under one matrix."""
+        element = Element("shape", type=plugin, id=self.name)
+        element.append(matrix_element(center, linear))
+        element.append(self.material(shape))
+        return element
+
+    def instance(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
+        """A plugin that takes no stretching, stretched all the same: an instance of a group of one."""
+        group = Element("shape", type="shapegroup", id=f"{self.name}.group")
+        unit = SubElement(group, "shape", type=plugin, id=f"{self.name}.unit")
+        unit.append(self.material(shape))
+        element = Element("shape", type="instance", id=self.name)
+        SubElement(element, "ref", id=f"{self.name}.group")
+        element.append(matrix_element(part.center[0], part.to_world[0]))
+        self.notes.append(f"{self.name}: an instance of a {plugin}, which Mitsuba itself does not stretch")
+        return [group, element]
+
+    def mesh(self, shape: Shape, part: Any) -> XmlElement:
+        """Triangles as a PLY file with its corners in world space."""
+        file = f"meshes/{len(self.meshes):04d}-{safe_name(self.name)}.ply"
+        self.meshes[file] = ply_bytes(part)
+        element = Element("shape", type="ply", id=self.name)
+        SubElement(element, "string", name="filename", value=file)
+        if not part.smooth.any():
+            SubElement(element, "boolean", name="face_normals", value="true")
+        element.append(self.material(shape))
+        return element
+
+
+def format_floats(values: Sequence[float] | np.ndarray) -> str:
+    """Shortest decimals that read back as the same float64."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def safe_name(name: str) -> str:
+    """A file name out of a shape's name."""
+    return "".join(c if c.isascii() and c.isalnum() else "-" for c in name)[:40]
+
+
+def matrix_element(center: np.ndarray, linear: np.ndarray) -> XmlElement:
+    transform = Element("transform", name="to_world")
+    rows = np.column_stack([linear, center])
+    SubElement(transform, "matrix", value=f"{format_floats(rows.ravel())} 0 0 0 1")
+    return transform
