@@ -21,9 +21,9 @@ from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.report.html.html_report import HtmlReport, write_report
 from mitsuba_ref.runner import scene_runner
 from mitsuba_ref.runner.validation import validate_scene
-from mitsuba_ref.subjects import ours
-from mitsuba_ref.subjects.ours import cast_ours
+from mitsuba_ref.subjects import subject
 from mitsuba_ref.subjects.requests import parse_candidate
+from mitsuba_ref.subjects.subject import cast_ours
 
 HERE = Path(__file__).parent
 SCENES = HERE.parents[1] / "scenes"
@@ -58,7 +58,7 @@ def main() -> None:
 
 
 def report_into(folder: Path) -> Path:
-    ours.cast_ours = faulty_view
+    subject.cast_ours = faulty_view
     files = sorted(SCENES.glob("*.toml"))
     entries = [scene_runner.SceneEntry(load_scene(file), file.stem, f"scenes/{file.name}") for file in files]
     report = HtmlReport(folder, len(entries))

@@ -13,7 +13,7 @@ from mitsuba_ref.error_model.intersections import KU, Intersections, dot, norm
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
 
 # How much boxes are grown, as a share of |o| + their farthest corner. The bound of an edge function, divided by the
-# length of the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/triangle_error.py); of a quadric 2 to 4. What
+# length of the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. What
 # lies beyond is at best
 # possible (a certain one is passed by the ray itself), and leaving it out takes an excuse away from both sides.
 BOX_MARGIN = 16 * KU

@@ -22,7 +22,7 @@ from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.rendering import aovs_of, trace_reference
 from mitsuba_ref.reference.scene_export import model_of
 from mitsuba_ref.report import class_images
-from mitsuba_ref.subjects.ours import answer_of_view, cast_ours
+from mitsuba_ref.subjects.subject import answer_of_view, cast_ours
 
 # The class of each pixel on approval: on edges and ties another answer is right as well.
 CLASS_CHANNEL = "class.I"

@@ -58,9 +58,8 @@ from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
-from mitsuba_ref.subjects.ours import OURS
 from mitsuba_ref.subjects.requests import SubjectResponse, request_answer
-from mitsuba_ref.subjects.subject import Subject
+from mitsuba_ref.subjects.subject import OURS, Subject
 
 CLASS_CODE = {name: code for code, name in enumerate(CLASSES)}
 EXACT = "exact"  # the subject against exact arithmetic, beside the checks of judge/comparison.py

@@ -164,7 +164,6 @@ def _diffuse(judge: Judge, judgement: Judgement, row: int) -> str:
 
 # ---- answers of a pixel: shape and t, in decimal and to the bit ----
 
-
 MAX_TIES_SHOWN = 6  # members of an exact tie set on one line; JSON has all
 AOVS_SHOWN = (
     "position",

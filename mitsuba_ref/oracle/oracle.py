@@ -1,8 +1,11 @@
-"""Exact oracle: the first hit of a ray, computed in integers without any rounding."""
+"""Exact oracle: the first hit of a ray, computed in integers without any rounding, and the index of its primitives."""
+
+from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any, Protocol
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -13,10 +16,11 @@ from mitsuba_ref.oracle.interface import (
     Contact,
     ExactAnswer,
     ExactHit,
+    ExactKind,
+    LineIntersections,
     OutsideDomain,
     check_rays,
 )
-from mitsuba_ref.oracle.primitive_index import CandidatePrimitive, PrimitiveArray, PrimitiveIndex, RayColumns
 
 __all__ = ["EXACT_KINDS", "ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", "Root"]
 
@@ -148,3 +152,210 @@ def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
             "and name it as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes, which has to be imported"
         )
     return PrimitiveArray(EXACT_KINDS[type(prims)], prims, ids, {})
+
+
+# ---- the index of primitives: a tree of boxes, traversed in float64 with padding, which misses no candidate ----
+
+BRANCHING_FACTOR = 32  # boxes in a box of the next level
+RAYS_PER_CHUNK = 256  # each of which passes some hundred boxes
+MAX_RAY_BOX_PAIRS = 1 << 19  # of a ray and a box; 100 MB of temporary arrays
+MORTON_BITS_PER_AXIS = 10  # of each coordinate along the curve
+
+# A box begins and ends at t = (bound - o) / d, a rounded difference over d: off by (1 + u)^2 - 1 < 3 u of itself,
+# u = 2^-53, and by 2^-1075 where it is denormal. Forming and subtracting the pad rounds three times more: 8 u and
+# 2^-1060 leave room for that. Where the difference or t overflows, inf - inf is NaN, which bounds nothing.
+PAD_RTOL = 8 * 2.0**-53
+PAD_ATOL = 2.0**-1060
+
+
+class BoxCrossings(NamedTuple):
+    """Pairs of a ray and a box; no point of the ray within the box has a t below near."""
+
+    ray: np.ndarray  # (m,)
+    box: np.ndarray  # (m,)
+    near: np.ndarray  # (m,)
+
+
+class RayColumns(NamedTuple):
+    """Columns, for fast sums over the three coordinates."""
+
+    o: np.ndarray  # (3, n)
+    d: np.ndarray  # (3, n)
+    t_min: np.ndarray  # (n,)
+    t_max: np.ndarray  # (n,)
+
+
+class BoxTree:
+    """Boxes in groups, and groups in groups; nothing a ray passes is left out."""
+
+    def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
+        """low, high: (n, 3), finite."""
+        self.order = morton_order(low, high)
+        self.levels = [(low[self.order].T.copy(), high[self.order].T.copy())]
+        while self.levels[-1][0].shape[1] > BRANCHING_FACTOR:
+            below, above = self.levels[-1]
+            starts = np.arange(0, below.shape[1], BRANCHING_FACTOR)
+            self.levels.append(
+                (np.minimum.reduceat(below, starts, axis=1), np.maximum.reduceat(above, starts, axis=1))
+            )
+
+    def crossings(self, rays: RayColumns) -> BoxCrossings | None:
+        """Every box that holds a point of ray i with t_min[i] < t <= t_max[i], and some more.
+
+        None for several rays that pass too many boxes to look at together.
+        """
+        count = rays.o.shape[1]
+        top = self.levels[-1][0].shape[1]
+        ray, index = np.repeat(np.arange(count), top), np.tile(np.arange(top), count)
+        near = np.zeros(0)
+        for depth in range(len(self.levels) - 1, -1, -1):
+            low, high = self.levels[depth]
+            crossed, near = slab_test(rays, ray, low[:, index], high[:, index])
+            ray, index, near = ray[crossed], index[crossed], near[crossed]
+            if depth:
+                if len(ray) * BRANCHING_FACTOR > MAX_RAY_BOX_PAIRS and count > 1:
+                    return None
+                ray, index = group_members(ray, index, self.levels[depth - 1][0].shape[1])
+        return BoxCrossings(ray, self.order[index], near)
+
+
+def group_members(ray: np.ndarray, group: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Each pair of a ray and a group, as pairs with the members of the group."""
+    index = (group[:, None] * BRANCHING_FACTOR + np.arange(BRANCHING_FACTOR)).ravel()
+    ray = np.repeat(ray, BRANCHING_FACTOR)
+    there = index < count
+    return ray[there], index[there]
+
+
+def slab_test(
+    rays: RayColumns, ray: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(whether ray[i] passes box i, the least t at which it may); boxes low, high are (3, m)."""
+    o, d = rays.o[:, ray], rays.d[:, ray]
+    with np.errstate(all="ignore"):
+        forward = d > 0.0
+        entry = (np.where(forward, low, high) - o) / d
+        leave = (np.where(forward, high, low) - o) / d
+        entry -= PAD_RTOL * np.abs(entry) + PAD_ATOL
+        leave += PAD_RTOL * np.abs(leave) + PAD_ATOL
+    beside = ((d == 0.0) & ((o < low) | (o > high))).any(axis=0)  # there, entry and leave are NaN
+    near = np.fmax.reduce(entry, axis=0, initial=-np.inf)
+    far = np.fmin.reduce(leave, axis=0, initial=np.inf)
+    crossed: np.ndarray = ~(beside | (near > far) | (far <= rays.t_min[ray]) | (near > rays.t_max[ray]))
+    return crossed, near
+
+
+def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """An order in which neighbours are close to each other: by the bits of their centres, taken in turn."""
+    if not len(low):
+        return np.zeros(0, np.int64)
+    centre = 0.5 * low + 0.5 * high
+    start = centre.min(axis=0)
+    size = np.maximum(0.5 * centre.max(axis=0) - 0.5 * start, np.finfo(np.float64).tiny)
+    cell = (np.clip((0.5 * centre - 0.5 * start) / size, 0.0, 1.0) * (2**MORTON_BITS_PER_AXIS - 1)).astype(
+        np.int64
+    )
+    code = np.zeros(len(low), np.int64)
+    for bit in range(MORTON_BITS_PER_AXIS):
+        for axis in range(3):
+            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+class PrimitiveArray(NamedTuple):
+    """All primitives of one kind."""
+
+    kind: ExactKind
+    prims: Any
+    ids: np.ndarray  # (n,) the number of each in the scene
+    ready: dict[int, Any]  # prepared primitives, by row
+
+    def intersect(self, k: int, ray: IntegerRay) -> LineIntersections:
+        if k not in self.ready:
+            self.ready[k] = self.kind.prepare(self.prims, k)
+        return self.kind.intersect(self.ready[k], ray)
+
+
+class CandidatePrimitive(NamedTuple):
+    """A primitive that one ray may intersect, but not at any t < near."""
+
+    part: PrimitiveArray
+    k: int
+    near: float
+
+
+class PrimitiveIndex:
+    """All primitives of a scene, array after array; an index counts through this list."""
+
+    def __init__(self, parts: Sequence[PrimitiveArray]) -> None:
+        """Raises OutsideDomain for primitives with numbers that are outside the domain."""
+        for part in parts:
+            check_usable(part)
+        self.parts = tuple(parts)
+        self.first = np.cumsum([0, *(len(part.ids) for part in parts)])
+        present = [part.kind.present(part.prims) for part in parts]
+        self.present = np.concatenate([np.zeros(0, bool), *present])
+        boxes = [(np.zeros((0, 3)), np.zeros((0, 3))), *(part.kind.boxes(part.prims) for part in parts)]
+        low, high = (np.concatenate(bounds) for bounds in zip(*boxes, strict=True))
+        bounded = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
+        self.boxed = np.flatnonzero(self.present & bounded)  # indices
+        self.boundless = np.flatnonzero(self.present & ~bounded)  # of primitives that any ray may intersect
+        self.tree = BoxTree(low[self.boxed], high[self.boxed])
+
+    def numbered(self, prim: int) -> Iterator[tuple[PrimitiveArray, int]]:
+        """All pieces of primitive number `prim`; none for a face that is nowhere, or a number that is none."""
+        for part, first in zip(self.parts, self.first.tolist(), strict=False):
+            for k in np.flatnonzero(part.ids == prim).tolist():
+                if self.present[first + k]:
+                    yield part, k
+
+    def candidates(self, rays: RayColumns) -> Iterator[list[CandidatePrimitive]]:
+        """For each ray the primitives it may intersect at t_min < t <= t_max, sorted by `near`; never too few."""
+        for start in range(0, rays.o.shape[1], RAYS_PER_CHUNK):
+            yield from self._candidates(RayColumns(*(a[..., start : start + RAYS_PER_CHUNK] for a in rays)))
+
+    def _candidates(self, rays: RayColumns) -> Iterator[list[CandidatePrimitive]]:
+        crossings, count = self.tree.crossings(rays), rays.o.shape[1]
+        if crossings is None:
+            for half in (slice(None, count // 2), slice(count // 2, None)):
+                yield from self._candidates(RayColumns(*(a[..., half] for a in rays)))
+            return
+        ray, index, near = self._pairs(rays, crossings)
+        order = np.lexsort([index, near, ray])
+        part = np.searchsorted(self.first, index, side="right") - 1
+        k = index - self.first[part]
+        columns = (column[order].tolist() for column in (part, k, near))
+        rows = [CandidatePrimitive(self.parts[part], k, near) for part, k, near in zip(*columns, strict=True)]
+        ends = np.searchsorted(ray[order], np.arange(count + 1)).tolist()
+        for start, end in pairwise(ends):
+            yield rows[start:end]
+
+    def _pairs(self, rays: RayColumns, crossings: BoxCrossings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(ray, index, near), (m,) each."""
+        ray, index = crossings.ray, self.boxed[crossings.box]
+        kept = self._may_intersect(rays, ray, index)
+        count, more = rays.o.shape[1], len(self.boundless)
+        return (
+            np.concatenate([ray[kept], np.repeat(np.arange(count), more)]),
+            np.concatenate([index[kept], np.tile(self.boundless, count)]),
+            np.concatenate([crossings.near[kept], np.full(count * more, -np.inf)]),
+        )
+
+    def _may_intersect(self, rays: RayColumns, ray: np.ndarray, index: np.ndarray) -> np.ndarray:
+        kept = np.ones(len(ray), bool)
+        for part, first, end in zip(self.parts, self.first, self.first[1:], strict=False):
+            rows = np.flatnonzero((index >= first) & (index < end))
+            if part.kind.may_intersect is not None and len(rows):
+                o, d = rays.o[:, ray[rows]].T, rays.d[:, ray[rows]].T
+                kept[rows] = part.kind.may_intersect(part.prims, index[rows] - first, o, d)
+        return kept
+
+
+def check_usable(part: PrimitiveArray) -> None:
+    bad = np.flatnonzero(~part.kind.usable(part.prims))
+    if len(bad):
+        k = int(bad[0])
+        raise OutsideDomain(
+            f"primitive {part.ids[k]} (row {k} of {type(part.prims).__name__}) must have finite numbers and no "
+            f"radius below 0, got {[a[k].tolist() for a in part.prims]}"
+        )

@@ -22,8 +22,7 @@ from mitsuba_ref.probe.witnesses import WitnessAnswer, witness_answers, witness_
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.shapes import reference_of
-from mitsuba_ref.subjects.ours import COMPARED_AOVS
-from mitsuba_ref.subjects.subject import Subject
+from mitsuba_ref.subjects.subject import COMPARED_AOVS, Subject
 
 
 @dataclass(frozen=True)

@@ -272,7 +272,6 @@ def percent_text(count: int, total: int) -> str:
 
 # ---- what failing scenes have in common ----
 
-
 MIN_FAILING_SCENES = 2  # scenes that fail: of one, everything is in common
 NO_ANSWER = "no comparison"
 

@@ -9,8 +9,10 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.judge.aggregate import (
     NEVER_GIVEN,
+    check_bias,
     class_counts,
     defect_counts,
+    error_statistics,
     failing_by_check,
     failure_at,
     failure_hints,
@@ -19,7 +21,6 @@ from mitsuba_ref.judge.aggregate import (
     listed_failures,
     quantities_not_given,
 )
-from mitsuba_ref.judge.bias import check_bias, error_statistics
 from mitsuba_ref.judge.classification import judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges
@@ -46,9 +47,8 @@ from mitsuba_ref.report.reproducers import (
 from mitsuba_ref.runner.memory import check_memory
 from mitsuba_ref.subjects.answer import NoAnswer
 from mitsuba_ref.subjects.function import function_subject
-from mitsuba_ref.subjects.ours import OURS
 from mitsuba_ref.subjects.requests import parse_candidate, request_answer
-from mitsuba_ref.subjects.subject import Subject
+from mitsuba_ref.subjects.subject import OURS, Subject
 
 
 class Validation(Verdict):

@@ -27,21 +27,21 @@ from mitsuba_ref.error_model.intersections import (
 )
 from mitsuba_ref.oracle.exact_quadrics import CYLINDERS as EXACT_CYLINDERS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.descriptions import unit_shape_matrix
-from mitsuba_ref.shapes.quadric_error import (
-    affine_bounds,
-    half_chord_error,
-    ours_through_object_space,
-    rays_in_object_space,
-    sphere_roots,
-    world_normal,
-)
 from mitsuba_ref.shapes.shape_reference import (
     Fields,
     PrimitiveReference,
     ShapeReference,
     XmlShape,
     to_world_fields,
+    unit_shape_matrix,
+)
+from mitsuba_ref.shapes.surface_errors import (
+    affine_bounds,
+    half_chord_error,
+    ours_through_object_space,
+    rays_in_object_space,
+    sphere_roots,
+    world_normal,
 )
 from mitsuba_ref.shapes.targets import (
     BESIDE_DECADES,

@@ -25,13 +25,6 @@ from mitsuba_ref.error_model.intersections import (
 )
 from mitsuba_ref.oracle.exact_planar import DISKS as EXACT_DISKS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.descriptions import unit_shape_matrix
-from mitsuba_ref.shapes.quadric_error import (
-    affine_bounds,
-    ours_through_object_space,
-    rays_in_object_space,
-    world_normal,
-)
 from mitsuba_ref.shapes.shape_reference import (
     MIRROR_Z,
     Fields,
@@ -39,6 +32,14 @@ from mitsuba_ref.shapes.shape_reference import (
     ShapeReference,
     XmlShape,
     unit_shape_importer,
+    unit_shape_matrix,
+)
+from mitsuba_ref.shapes.surface_errors import (
+    UNRESOLVABLE,
+    affine_bounds,
+    ours_through_object_space,
+    rays_in_object_space,
+    world_normal,
 )
 from mitsuba_ref.shapes.targets import (
     Rng,
@@ -49,7 +50,6 @@ from mitsuba_ref.shapes.targets import (
     to_world_points,
     unit_circle_points,
 )
-from mitsuba_ref.shapes.triangle_error import UNRESOLVABLE
 
 
 def to_xml(out: ShapeWriter, shape: Disk, part: Any) -> list[XmlElement]:

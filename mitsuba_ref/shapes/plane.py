@@ -26,9 +26,13 @@ from mitsuba_ref.error_model.intersections import (
 )
 from mitsuba_ref.oracle.exact_planar import PLANES as EXACT_PLANES
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
-from mitsuba_ref.shapes import triangle_error
-from mitsuba_ref.shapes.descriptions import unit_vector_rounding_to
-from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
+from mitsuba_ref.shapes import surface_errors
+from mitsuba_ref.shapes.shape_reference import (
+    Fields,
+    PrimitiveReference,
+    ShapeReference,
+    unit_vector_rounding_to,
+)
 from mitsuba_ref.shapes.targets import (
     Rng,
     SurfacePoints,
@@ -131,7 +135,7 @@ def intersect(
     face, within = _face_of_hit(prims, k, o, d, t)
     mesh = as_triangles(prims)
     first, second = (k * len(PATCH_FACES) + face + j for j in (0, 1))
-    (local,), (other,) = (triangle_error.intersect(mesh, each, o, d, ku) for each in (first, second))
+    (local,), (other,) = (surface_errors.intersect(mesh, each, o, d, ku) for each in (first, second))
     corners, others = (mesh.vertices[mesh.faces[each]] for each in (first, second))
     moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # one rounding, not K of them
     within_one = local.certain | other.certain
@@ -161,7 +165,7 @@ def intersect_ours(
         rho = ku * dot(np.abs(n), np.abs(d)) / np.abs(slope)
         reach = np.abs(point) + np.abs(o) + np.abs(t)[:, None] * np.abs(d)
         t_error = ku * (dot(np.abs(n), reach) / np.abs(slope) + np.abs(t))
-        t_error = np.where(rho < triangle_error.UNRESOLVABLE, t_error / (1.0 - np.minimum(rho, 0.5)), np.inf)
+        t_error = np.where(rho < surface_errors.UNRESOLVABLE, t_error / (1.0 - np.minimum(rho, 0.5)), np.inf)
     t_error = np.where(np.isfinite(t), t_error, np.inf)
     t, everywhere, flat = finite_or_zero(t, t_error), np.ones(len(k), bool), np.full(len(k), ku)
     p_error = position_error(o, d, t, t_error, ku)

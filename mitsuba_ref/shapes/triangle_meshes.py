@@ -1,4 +1,4 @@
-"""Triangles: the primitive kind, whose error model is in triangle_error.py, and the shapes that are made of them.
+"""Triangles: the primitive kind, whose error model is in surface_errors.py, and the shapes that are made of them.
 
 Both sides trace these shapes as the same triangles, in world space and in float32: a PLY file for Mitsuba. Mitsuba's
 own rectangle and cube are among them: they would take their shading normals from the matrix, ours come of the float32
@@ -42,7 +42,6 @@ from mitsuba_ref.error_model.independent_transform import (
 )
 from mitsuba_ref.error_model.intersections import KU, by_corner, by_normal
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.descriptions import unit_vector_rounding_to
 from mitsuba_ref.shapes.shape_reference import (
     Fields,
     ImportShape,
@@ -53,7 +52,9 @@ from mitsuba_ref.shapes.shape_reference import (
     note_normal_side,
     to_world_fields,
     unit_shape_importer,
+    unit_vector_rounding_to,
 )
+from mitsuba_ref.shapes.surface_errors import MODEL
 from mitsuba_ref.shapes.targets import (
     BESIDE_DECADES,
     Rng,
@@ -63,7 +64,6 @@ from mitsuba_ref.shapes.targets import (
     random_fractions,
     random_point,
 )
-from mitsuba_ref.shapes.triangle_error import MODEL
 
 
 def describe_triangle(part: Triangles, k: int) -> Fields:

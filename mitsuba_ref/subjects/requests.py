@@ -19,12 +19,12 @@ from mitsuba_ref.subjects.answer import DEFAULT_SECONDS, PRECISIONS, Answer, NoA
 from mitsuba_ref.subjects.command import (
     PLACEHOLDERS,
     RAY_PLACEHOLDERS,
+    RayCommand,
     camera_rounding,
     command_of,
     split_command,
 )
 from mitsuba_ref.subjects.function import import_function, is_function
-from mitsuba_ref.subjects.ray_command import RayCommand
 from mitsuba_ref.subjects.subject import CastRequest, Subject
 
 FAR_PLANE_NOTE = "in the XML, planes end at the sensor's far plane, and nothing is judged beyond it"

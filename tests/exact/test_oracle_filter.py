@@ -7,10 +7,9 @@ import pytest
 from oracle_aims import KINDS, SCALES, aim, packed, triangles
 
 from mitsuba_ref.oracle import exact_planar as triangles_module
-from mitsuba_ref.oracle import primitive_index
+from mitsuba_ref.oracle import oracle
 from mitsuba_ref.oracle.exact_numbers import integer_ray
-from mitsuba_ref.oracle.oracle import EXACT_KINDS, Oracle
-from mitsuba_ref.oracle.primitive_index import BoxTree, RayColumns, slab_test
+from mitsuba_ref.oracle.oracle import EXACT_KINDS, BoxTree, Oracle, RayColumns, slab_test
 
 COUNT = 300
 
@@ -46,8 +45,8 @@ def test_what_is_sorted_out_is_not_met(kind):
 @pytest.mark.parametrize(
     ("module", "name", "value"),
     [
-        (primitive_index, "PAD_RTOL", 0.0),
-        (primitive_index, "PAD_RTOL", -(2.0**-50)),
+        (oracle, "PAD_RTOL", 0.0),
+        (oracle, "PAD_RTOL", -(2.0**-50)),
         (triangles_module, "EDGE_RTOL", -(2.0**-50)),
     ],
 )
@@ -118,7 +117,7 @@ def test_rays_that_pass_many_boxes_are_asked_one_by_one(monkeypatch):
     oracle = Oracle(packed(triangles(corners)))
     o, d = rays_at(corners, np.random.default_rng(2), 90)
     together = oracle.first_hits(o, d)
-    monkeypatch.setattr(primitive_index, "MAX_RAY_BOX_PAIRS", 1)
+    monkeypatch.setattr("mitsuba_ref.oracle.oracle.MAX_RAY_BOX_PAIRS", 1)
     assert oracle.primitives.tree.crossings(RayColumns(o.T, d.T, np.zeros(90), np.ones(90))) is None
     assert oracle.first_hits(o, d) == together and sum(answer.hit for answer in together) >= 30
 

@@ -18,8 +18,7 @@ from caster.shapes.disk import Disks
 from caster.shapes.plane import Planes
 from caster.shapes.sphere import Ellipsoids, Spheres
 from mitsuba_ref.oracle import exact_quadrics
-from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
-from mitsuba_ref.oracle.primitive_index import CandidatePrimitive, PrimitiveIndex
+from mitsuba_ref.oracle.oracle import CandidatePrimitive, Oracle, OutsideDomain, PrimitiveIndex
 from mitsuba_ref.shapes.plane import PATCH_FACES, patches
 
 LEFT = -math.inf

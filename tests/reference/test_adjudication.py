@@ -28,8 +28,8 @@ from mitsuba_ref.probe.pixel import probe
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.report.reproducers import reproducer
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
-from mitsuba_ref.subjects import ours
-from mitsuba_ref.subjects.ours import cast_ours
+from mitsuba_ref.subjects import subject
+from mitsuba_ref.subjects.subject import cast_ours
 
 LAMP = caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))
 TURN_IN_PLANE = [{"rotate": {"axis": [0, 0, 1], "degrees": 17}}]
@@ -225,7 +225,7 @@ def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_says(monkeypatc
         nothing = view.nearest._replace(t=np.array([np.inf]), prim=np.array([-1], np.int32))
         return replace(view, nearest=nothing)
 
-    monkeypatch.setattr(ours, "cast_ours", misses)
+    monkeypatch.setattr(subject, "cast_ours", misses)
     found = probe(scene, 0, 0)
     assert (found.verdict, found.ok, found.exact) == ("wrong", False, right.exact)
     assert found.why.startswith("missed; exact arithmetic hits; beyond their bounds: ")

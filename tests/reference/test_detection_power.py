@@ -21,7 +21,7 @@ from mitsuba_ref import validate
 from mitsuba_ref.error_model.intersections import K
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import LARGEST_Z
-from mitsuba_ref.judge.bias import check_bias, error_statistics
+from mitsuba_ref.judge.aggregate import check_bias, error_statistics
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images
 from mitsuba_ref.judge.verdict import ErrorStatistics
@@ -30,7 +30,7 @@ from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 from mitsuba_ref.reference.scene_export import model_of
 from mitsuba_ref.reference.session import SendRequest
-from mitsuba_ref.subjects.ours import answer_of_view, cast_ours
+from mitsuba_ref.subjects.subject import answer_of_view, cast_ours
 
 
 class Asked:

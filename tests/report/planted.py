@@ -13,9 +13,9 @@ from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.scene_export import shape_ids
 from mitsuba_ref.runner.validation import validate_scene
-from mitsuba_ref.subjects import ours
+from mitsuba_ref.subjects import subject
 from mitsuba_ref.subjects.function import function_subject
-from mitsuba_ref.subjects.ours import cast_ours
+from mitsuba_ref.subjects.subject import cast_ours
 
 WIDTH, HEIGHT = 24, 20
 OURS_WRONG, REFERENCE_MISSES, NAN, INFINITE = (
@@ -60,7 +60,7 @@ def bad(patch: pytest.MonkeyPatch) -> SceneVerdict:
         t[row_of(OURS_WRONG)] *= 1.0 + 1e-5
         return replace(view, nearest=view.nearest._replace(t=t))
 
-    patch.setattr(ours, "cast_ours", wrong_view)
+    patch.setattr(subject, "cast_ours", wrong_view)
     return judged("bad & <worse>", plant)
 
 

@@ -24,7 +24,7 @@ from mitsuba_ref.error_model.intersections import (
     single_group,
 )
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
-from mitsuba_ref.judge.bias import check_bias, extremes, looseness, weakest_bias, z_of_groups
+from mitsuba_ref.judge.aggregate import check_bias, extremes, looseness, weakest_bias, z_of_groups
 from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneVerdict, Verdict
 from mitsuba_ref.report.ci_summaries import junit
 from mitsuba_ref.report.verdict_text import failure_text, summary_text

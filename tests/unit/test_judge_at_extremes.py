@@ -24,8 +24,8 @@ from mitsuba_ref.judge.scene_checks import check_geometry, check_render
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.scene_export import model_of
-from mitsuba_ref.shapes import cylinder, disk, sphere, triangle_error
-from mitsuba_ref.subjects.ours import cast_ours
+from mitsuba_ref.shapes import cylinder, disk, sphere, surface_errors
+from mitsuba_ref.subjects.subject import cast_ours
 
 # --- a near plane far from the origin
 
@@ -129,7 +129,7 @@ def test_our_position_on_a_small_triangle_seen_from_afar_is_within_its_bound():
     hit = view.nearest.prim == 0
     o, d, prim = o[hit], rays.d[hit].astype(float), np.zeros(hit.sum(), int)
     at = model.intersect(prim, o, d, KU_OURS, ours=True).at
-    (bare,) = triangle_error.intersect(model.kinds[0], prim, o, d, KU_OURS)
+    (bare,) = surface_errors.intersect(model.kinds[0], prim, o, d, KU_OURS)
     point = o + view.nearest.t[hit, None] * d
     away = np.linalg.norm(view.surfaces.p[hit] - point, axis=1)
     assert hit.sum() >= 50

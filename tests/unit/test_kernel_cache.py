@@ -2,19 +2,16 @@
 
 import itertools
 import os
-import platform
 import random
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
-import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
-from caster.jit import kernel_cache, machine_code
+from caster.jit import machine_code
 from caster.jit.arguments import MISMATCH, checked_call, signature_key
 from caster.jit.kernel_cache import COMPILED, compiler_version, read_sealed, source_hash
 
@@ -147,74 +144,6 @@ def test_a_disk_without_room_means_no_cache(tmp_path):
 def test_no_folder_at_all_means_no_cache(tmp_path):
     done = run(tmp_path / "no", "-c", SMALL, XDG_CACHE_HOME=os.devnull, TMPDIR=os.devnull)
     assert done.returncode == 0 and done.stdout.endswith("compiled 3 loaded 0 True\n"), done.stderr
-
-
-# ---- the name of the folder ----
-
-
-def source_copy(folder: Path) -> list[Path]:
-    """The sources that kernels come from, copied; the largest of them first."""
-    for path in (ROOT / "caster").rglob("*.py"):
-        copy = folder / path.relative_to(ROOT / "caster")
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        copy.write_bytes(path.read_bytes())
-    left_out = {folder / name for name in kernel_cache.WITHOUT_KERNELS}
-    found = [path for path in folder.rglob("*.py") if not left_out & set(path.parents)]
-    return sorted(found, key=lambda path: -path.stat().st_size)
-
-
-def unchanged_names(folder: Path, name_of, places=8) -> Iterator[str]:
-    """The places of bytes that may change without the name: the ends of every source, and some between."""
-    rng = random.Random(7)
-    paths = source_copy(folder)
-    assert paths[0].stat().st_size > 3 * 4096  # so that a digest of a file's first block is found
-    before = name_of("compiler")
-    for path in paths:
-        data = path.read_bytes()
-        middle = [rng.randrange(len(data)) for _ in range(places)] if path in paths[:12] else []
-        for at in sorted({0, len(data) - 1, *middle}) if data else ():
-            path.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
-            if name_of("compiler") == before:
-                yield f"{path.relative_to(folder)}:{at}"
-        path.write_bytes(data)
-    assert name_of("compiler") == before
-
-
-def test_any_byte_of_any_source_changes_the_folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(kernel_cache, "PACKAGE", tmp_path)
-    assert not list(unchanged_names(tmp_path, source_hash))
-    assert len({source_hash(version) for version in ("numba 1", "numba 2", "")}) == 3
-    before = source_hash("compiler")
-    (tmp_path / "kernels/nearest.py").rename(tmp_path / "kernels/farthest.py")
-    assert source_hash("compiler") != before
-
-
-@pytest.mark.parametrize(
-    "digest_of",
-    [
-        lambda data: data[:4096],
-        lambda data: data.strip(),
-        lambda data: bytes(len(data)),
-        lambda data: b"".join(sorted(data.splitlines()[:100])),
-    ],
-    ids=["first 4096 bytes", "stripped", "size", "first lines"],
-)
-def test_a_digest_that_leaves_out_a_part_is_found(tmp_path, monkeypatch, digest_of):
-    class Planted(type(tmp_path)):
-        def read_bytes(self):
-            return digest_of(super().read_bytes())
-
-    monkeypatch.setattr(kernel_cache, "PACKAGE", Planted(tmp_path))
-    assert any(unchanged_names(tmp_path, source_hash))
-
-
-def test_another_machine_or_setting_has_its_own_entries(monkeypatch):
-    monkeypatch.setenv("NUMBA_OPT", "3")
-    before = machine_code.target_description.__wrapped__()
-    for part in (platform.python_version(), np.__version__, llvm.get_host_cpu_name(), "NUMBA_OPT=3"):
-        assert part in before
-    monkeypatch.setenv("NUMBA_OPT", "1")
-    assert machine_code.target_description.__wrapped__() != before
 
 
 def test_a_render_says_when_it_compiles_and_loads_no_compiler_when_it_need_not(tmp_path):

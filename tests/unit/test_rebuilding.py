@@ -15,7 +15,7 @@ from caster.scene.model import Scene
 from caster.shapes import SHAPES
 from mitsuba_ref.report.reproducers import pack_one, with_hex_floats
 from mitsuba_ref.shapes import KINDS, REFERENCES, kind_of
-from mitsuba_ref.shapes.descriptions import unit_vector_rounding_to
+from mitsuba_ref.shapes.shape_reference import unit_vector_rounding_to
 from mitsuba_ref.subjects.subject import describe_primitive, packs_identically
 
 STRETCH = [

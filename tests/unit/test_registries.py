@@ -12,7 +12,7 @@ from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
 from mitsuba_ref.scene_xml.elements import missing_reference
 from mitsuba_ref.shapes import reference_of
-from mitsuba_ref.subjects.ours import COMPARED_AOVS
+from mitsuba_ref.subjects.subject import COMPARED_AOVS
 
 # AOVs that are not compared with the reference, and why; all but uv have to follow from our own hits (coherence.py).
 NOT_COMPARED = {
@@ -41,7 +41,7 @@ def test_every_aov_is_compared_or_listed_as_not_compared():
     for aov in AOVS:
         assert (aov.NAME in COMPARED_AOVS or aov.NAME in SEEN_THROUGH) != (aov.NAME in NOT_COMPARED), (
             f"{aov.NAME}: add its check to CHECKS in mitsuba_ref/judge/comparison.py and its name to "
-            "COMPARED_AOVS in mitsuba_ref/subjects/ours.py, or say in NOT_COMPARED why it is not compared"
+            "COMPARED_AOVS in mitsuba_ref/subjects/subject.py, or say in NOT_COMPARED why it is not compared"
         )
     assert {*COMPARED_AOVS, *SEEN_THROUGH, *NOT_COMPARED} == {aov.NAME for aov in AOVS}
 
