@@ -6,7 +6,7 @@ from pathlib import Path
 from caster import load_scene
 from caster.image.image_files import write_image
 from caster.image.previews import exr_images, sheet
-from mitsuba_ref.runner.validation import validate_scene
+from mitsuba_ref.report.validation import validate_scene
 
 DOCS = Path(__file__).parent
 NAME = "every-shape"

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
     from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
     from mitsuba_ref.reference.rendering import render_reference
-    from mitsuba_ref.runner.validation import Validation, validate
+    from mitsuba_ref.report.validation import Validation, validate
 
 __all__ = [
     "Reading",
@@ -27,11 +27,11 @@ _HOMES = {
     "Reading": "exr_compare.two_files",
     "SceneVerdict": "judge.verdict",
     "Tolerances": "exr_compare.two_files",
-    "Validation": "runner.validation",
+    "Validation": "report.validation",
     "Verdict": "judge.verdict",
     "compare_exr": "exr_compare.two_files",
     "render_reference": "reference.rendering",
-    "validate": "runner.validation",
+    "validate": "report.validation",
 }
 
 

@@ -1,22 +1,112 @@
-"""The command `mitsuba-ref`; its commands are listed in mitsuba_ref/cli."""
+"""The command `mitsuba-ref`, whose commands are listed in mitsuba_ref/cli, and its supervisor.
 
+A candidate that is a Python function may end the process it runs in, or never answer: another process supervises it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NoReturn, TextIO
 
 from caster.cli import application
-from caster.system import process
+from caster.system.process import DIFFERENCES, INTERRUPTED, MEANINGS, PIPE_CLOSED, reopen_closed_streams
 from mitsuba_ref.cli import COMMANDS
-from mitsuba_ref.runner import supervisor
+from mitsuba_ref.reference.subprocess_runner import exit_name, run_attached
 
 ABOUT = "A judge of ray casters: compares them with Mitsuba 3, ray by ray, within derived bounds."
-CODES = tuple(code for code in process.MEANINGS if code != process.PIPE_CLOSED)
+CODES = tuple(code for code in MEANINGS if code != PIPE_CLOSED)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; its exit code. argv: default those of this process, which may need a supervisor."""
-    if argv is None and supervisor.needs_supervision(sys.argv[1:]):
-        return supervisor.run_supervised(sys.argv[1:])
+    if argv is None and needs_supervision(sys.argv[1:]):
+        return run_supervised(sys.argv[1:])
     return application.main("mitsuba-ref", ABOUT, COMMANDS, CODES, argv)
+
+
+# ---- the supervisor ----
+
+SUPERVISED_VARIABLE = "MITSUBA_REF_SUPERVISED"  # in the environment of the one that is looked after
+INTERRUPT_GRACE_SECONDS = (
+    4.8  # seconds for the scenes that are being judged to end, and to be written down, after an interruption
+)
+CHILD_SOURCE = (
+    "import sys; sys.path[:] = {path!r}; from mitsuba_ref.__main__ import looked_after, main; "
+    "looked_after({fd}, main)"
+)
+
+
+def needs_supervision(words: Sequence[str]) -> bool:
+    """Whether this command line may run a candidate function in the process of the judge."""
+    if os.name != "posix" or SUPERVISED_VARIABLE in os.environ:
+        return False
+    has_candidate = any(word.partition("=")[0] in ("--candidate", "--candidate-rays") for word in words)
+    return has_candidate and list(words[:1]) in (["validate"], ["probe"])
+
+
+def run_supervised(words: Sequence[str]) -> int:
+    """The exit code of the command line, run in a child; one that ends without a word has failed."""
+    began = time.time()
+    reopen_closed_streams()
+    end = run_attached(
+        lambda fd: [sys.executable, "-c", CHILD_SOURCE.format(path=sys.path, fd=fd), *words],
+        {SUPERVISED_VARIABLE: "1"},
+        INTERRUPT_GRACE_SECONDS,
+    )
+    if end.code is None:
+        print("interrupted: the candidate did not end, and was killed", file=sys.stderr)
+        return int(end.report or INTERRUPTED)
+    if end.report or end.code == INTERRUPTED:
+        return int(end.report or end.code)
+    for path in output_paths(words):  # of an earlier run: they would pass for this one's
+        if path.is_file() and path.stat().st_mtime < began:
+            path.unlink()
+    print(f"the candidate ended the process, {_exit_text(end.code)}: nothing is judged", file=sys.stderr)
+    return DIFFERENCES
+
+
+def _exit_text(code: int) -> str:
+    return f"exit {code}" if code >= 0 else f"by {exit_name(code)}"
+
+
+def looked_after(fd: int, main: Callable[[Sequence[str]], int]) -> NoReturn:
+    """The command line of this process, in the child; its exit code goes through fd before the process ends.
+
+    sys.exit reaches `main`; os._exit and C's exit() end the process before its code is reported. What it exits with
+    does not count: what the candidate left for the end of the process may change that.
+    """
+    sys.stdout = results = _result_stream()
+    code = main(sys.argv[1:])
+    os.write(fd, b"%d" % code)
+    sys.stdout = sys.__stdout__
+    results.close()
+    sys.exit(code)
+
+
+def _result_stream() -> TextIO:
+    """A way of our own to where results go; what others print, from C as well, goes to standard error."""
+    out = sys.stdout
+    kept = os.fdopen(os.dup(1), "w", 1 if out.isatty() else -1, encoding=out.encoding, errors=out.errors)
+    os.dup2(2, 1)
+    return kept
+
+
+def output_paths(words: Sequence[str]) -> Iterator[Path]:
+    """The verdict files that this command line names; a pixel's goes to standard output."""
+    if list(words[:1]) != ["validate"]:
+        return
+    parser = argparse.ArgumentParser(add_help=False)
+    for option in ("--json", "--junit", "--out"):
+        parser.add_argument(option)
+    options, _ = parser.parse_known_args(list(words))
+    yield from (Path(path) for path in (options.json, options.junit) if path)
+    if options.out:
+        yield Path(options.out) / "verdict.json"
 
 
 if __name__ == "__main__":

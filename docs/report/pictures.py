@@ -19,8 +19,8 @@ from caster import load_scene
 from caster.rendering.hits import RayHits
 from mitsuba_ref.reference.rays import pixel_of
 from mitsuba_ref.report.html.html_report import HtmlReport, write_report
+from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.runner import scene_runner
-from mitsuba_ref.runner.validation import validate_scene
 from mitsuba_ref.subjects import subject
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import cast_ours

@@ -190,7 +190,7 @@ def replay(args: argparse.Namespace) -> int:
 
 def long_run(args: argparse.Namespace) -> int:
     """Millions of rays per shape type."""
-    from mitsuba_ref.fuzz import long_run
+    from mitsuba_ref.fuzz import campaign
     from mitsuba_ref.fuzz.settings import shape_types
 
     known = shape_types()
@@ -200,7 +200,7 @@ def long_run(args: argparse.Namespace) -> int:
     if not args.rays:
         print("nothing selected: --rays 0 selects no ray", file=sys.stderr)
         return NOTHING_SELECTED
-    outcome = long_run.LongRun(args.seed, args.rays, tuple(args.shape) or known, Path(args.out), args.keep)
+    outcome = campaign.LongRun(args.seed, args.rays, tuple(args.shape) or known, Path(args.out), args.keep)
     finished, line = False, StatusLine()
     try:
         for progress in outcome.run():

@@ -79,8 +79,7 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
 def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
     """The selected scenes, not loaded yet; where there is none, this is printed. Raises SceneError."""
     from caster.scene.model import Film
-    from mitsuba_ref.runner.scene_runner import source_of
-    from mitsuba_ref.runner.scene_selection import matching
+    from mitsuba_ref.runner.scene_runner import matching, source_of
 
     fits = matching(args.expression)
     files = [file for file in scene_files(args.scenes) if fits(Path(file).stem)]
@@ -289,7 +288,7 @@ def select(items: Sequence[T], what: str, words: Sequence[str], expression: str 
     for word in words:
         if word not in known:
             raise SceneError(f"{what} '{word}': unknown{suggestion(word, known)} (known: {', '.join(names)})")
-    from mitsuba_ref.runner.scene_selection import matching
+    from mitsuba_ref.runner.scene_runner import matching
 
     matches = matching(expression)
     chosen = (item for item in items if not words or {item.name, item.name.partition("-")[0]} & set(words))

@@ -19,8 +19,8 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
+from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text
-from mitsuba_ref.runner.validation import validate_scene
 from mitsuba_ref.subjects.answer import Answer, NoAnswer
 from mitsuba_ref.subjects.command import answer_from_exr, run_program
 from mitsuba_ref.subjects.requests import parse_candidate

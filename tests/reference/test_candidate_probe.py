@@ -11,13 +11,13 @@ import pytest
 
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
+from mitsuba_ref import __main__
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import WRONG
 from mitsuba_ref.probe import pixel
 from mitsuba_ref.probe.candidate_pixel import CandidatePixel, probe_candidate
 from mitsuba_ref.probe.pixel import as_text
-from mitsuba_ref.runner import supervisor
-from mitsuba_ref.runner.validation import validate_scene
+from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.subject import Subject
 
@@ -158,11 +158,11 @@ def test_the_text_has_the_candidate_between_ours_and_mitsuba(at, monkeypatch, br
 
 def test_a_probe_of_a_function_is_looked_after_and_deletes_nothing():
     words = ["probe", "--json", "scene.toml", "1", "2", "--candidate", "mine:trace"]
-    assert supervisor.needs_supervision(words) and supervisor.needs_supervision(
+    assert __main__.needs_supervision(words) and __main__.needs_supervision(
         [*words[:5], "--candidate=mine:trace"]
     )
-    assert not supervisor.needs_supervision(words[:5])
-    assert list(supervisor.output_paths(words)) == []  # after `validate`, --json has a file behind it
+    assert not __main__.needs_supervision(words[:5])
+    assert list(__main__.output_paths(words)) == []  # after `validate`, --json has a file behind it
 
 
 class Closed:

@@ -18,8 +18,8 @@ from mitsuba_ref.judge.aggregate import NEVER_GIVEN
 from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, TIE, WRONG, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.report.ci_summaries import junit
+from mitsuba_ref.report.validation import Validation, validate, validate_scene
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
-from mitsuba_ref.runner.validation import Validation, validate, validate_scene
 from mitsuba_ref.subjects.function import FunctionSubject, import_function
 
 ROOT = Path(__file__).parents[2]

@@ -26,7 +26,7 @@ from mitsuba_ref.judge.independent_checks import exact_rays
 from mitsuba_ref.judge.verdict import CLASSES
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.session import ResidentSession
-from mitsuba_ref.runner.validation import validate_scene
+from mitsuba_ref.report.validation import validate_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "scenes" / "one-sphere.toml"

@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from mitsuba_ref.cli.doctor import CHROMIUM
 from mitsuba_ref.judge.verdict import SceneVerdict
-from mitsuba_ref.runner.validation import Validation
+from mitsuba_ref.report.validation import Validation
 
 # As root, as in containers, Chromium does not start with its sandbox; and it opens nothing here but our own files.
 OPTIONS = ["--no-sandbox"]

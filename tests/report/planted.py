@@ -12,7 +12,7 @@ from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.scene_export import shape_ids
-from mitsuba_ref.runner.validation import validate_scene
+from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects import subject
 from mitsuba_ref.subjects.function import function_subject
 from mitsuba_ref.subjects.subject import cast_ours

@@ -8,7 +8,7 @@ import textbook_pages
 from test_pages import NUMBERS, color_at, section
 
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.runner.validation import Validation
+from mitsuba_ref.report.validation import Validation
 
 SIZE = (textbook_pages.WIDTH, textbook_pages.HEIGHT)
 

@@ -11,7 +11,7 @@ import textbook_pages
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG
 from mitsuba_ref.report.html.html_report import index_row
 from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, scene_record
-from mitsuba_ref.runner.validation import Validation
+from mitsuba_ref.report.validation import Validation
 
 WRONG = CLASSES.index(WRONG)
 

@@ -10,7 +10,7 @@ import pytest
 
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.verdict import SceneVerdict
-from mitsuba_ref.runner.validation import Validation
+from mitsuba_ref.report.validation import Validation
 
 BAD = "bad & <worse>"
 NUMBERS = re.compile(r"-?(?:0x[01]\.[0-9a-f]+p[+-]\d+)")

@@ -98,6 +98,20 @@ def test_equal_graphs_give_equal_bytes():
     assert one.count('class="arrow"') == len(weights) and ">40</text>" in one
 
 
+MAX_FILES = 260
+MAX_PACKAGE_LAYERS = 12
+MAX_SINGLE_IMPORTERS = 40
+
+
+def test_the_tree_stays_within_its_limits():
+    """Circles, and imports against the flow, are the contract's (tests/unit/test_imports.py)."""
+    found = architecture.figures()
+    assert found["crowded_packages"] == {}, "a package of more than 12 modules"
+    assert found["files"] <= MAX_FILES, "fold a fragment into the file of its subject"
+    assert found["package_layers"] <= MAX_PACKAGE_LAYERS
+    assert len(found["one_importer"]) <= MAX_SINGLE_IMPORTERS, found["one_importer"]
+
+
 PAGE = (ROOT / "docs/ARCHITECTURE.md").read_text(encoding="utf-8")
 
 

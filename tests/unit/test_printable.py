@@ -10,8 +10,8 @@ import mitsuba_ref.__main__
 from caster.description.errors import SceneError
 from caster.system.process import run_command
 from caster.system.terminal import printable
+from mitsuba_ref.report import validation
 from mitsuba_ref.report.results import Column, format_table
-from mitsuba_ref.runner import memory
 
 HOSTILE = "a\x1b[2J\x07\r\x9b31m\u202eb\u2066\u200b\x7f"
 
@@ -59,9 +59,9 @@ def test_hostile_arguments_and_source_lines_are_escaped(main, argv, capfd, tmp_p
 
 def test_a_film_beyond_the_memory_is_refused_with_the_numbers(monkeypatch):
     scene = caster.load_scene("scenes/one-sphere.toml").with_film(width=20_000, height=20_000)
-    monkeypatch.setattr(memory, "available_bytes", lambda: 8e9)
+    monkeypatch.setattr(validation, "available_bytes", lambda: 8e9)
     with pytest.raises(SceneError, match=r"20000 x 20000 pixels need some 560\.0 GB .* and 8\.0 GB are left"):
-        memory.check_memory(scene)
-    memory.check_memory(scene.with_film(crop=(0, 0, 100, 100)))
+        validation.check_memory(scene)
+    validation.check_memory(scene.with_film(crop=(0, 0, 100, 100)))
     monkeypatch.undo()
-    assert 1e6 < memory.available_bytes() < 1e15
+    assert 1e6 < validation.available_bytes() < 1e15

@@ -19,8 +19,8 @@ from mitsuba_ref.report.html.html_report import (
     index_row,
     page,
 )
+from mitsuba_ref.report.validation import Validation
 from mitsuba_ref.report.verdict_text import failure_text
-from mitsuba_ref.runner.validation import Validation
 
 FAILURE = Failure(3, 4, "wrong", "depth", 41.0, "a", "b", "c", "by exact arithmetic, ours is wrong")
 FAILING = SceneVerdict("two words", "scenes/two words.toml", 100, 100, failures=(FAILURE,))

@@ -11,8 +11,7 @@ from caster.description.errors import SceneError
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict
 from mitsuba_ref.runner import scene_runner, validation_run
-from mitsuba_ref.runner.scene_runner import Entry, SceneSource, run, source_of
-from mitsuba_ref.runner.scene_selection import matching
+from mitsuba_ref.runner.scene_runner import Entry, SceneSource, matching, run, source_of
 from mitsuba_ref.runner.shards import Shard, missing_shards, scenes_of_shard
 
 SCENE = """[film]
