@@ -15,6 +15,7 @@ from pathlib import Path
 
 from caster.description.errors import SceneError
 from caster.description.input_files import is_input
+from caster.jit.kernel_cache import distrust, read_sealed, write_sealed
 
 if os.name == "posix":  # elsewhere nothing is locked, and nothing abandoned is removed
     import fcntl
@@ -26,7 +27,10 @@ __all__ = [
     "check_folder",
     "check_output",
     "check_writable",
+    "distrust",
+    "read_sealed",
     "write_bytes",
+    "write_sealed",
     "write_text",
 ]
 

@@ -18,7 +18,7 @@ from mitsuba_ref.bench.result import Row, SceneResult, Score
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.bench.worker import STATUS_READY
-from mitsuba_ref.judge.exact_hits import PreparedScene
+from mitsuba_ref.judge.adjudication import PreparedScene
 from mitsuba_ref.reference.subprocess_runner import (
     ProcessEnd,
     ProcessEnded,

@@ -80,6 +80,7 @@ def judge_findings(probe: Sequence[str] = (sys.executable, "-c", PROBE_SCRIPT)) 
         _variants(answer, problem),
         _llvm(answer),
         _gpu(),
+        answer_store(),
         *map(find_package, (MATPLOTLIB, *PEERS)),
         browser(),
     ]
@@ -91,6 +92,20 @@ def browser() -> Finding:
     detail = path or "none of " + ", ".join(BROWSERS)
     adds = "reports of `validate --html`, and their tests (Chromium)"
     return Finding("browser", path is not None, False, detail, adds)
+
+
+def answer_store() -> Finding:
+    """Where answers of Mitsuba are kept, how many and how large."""
+    from mitsuba_ref.reference.answer_store import OFF, STORE_VARIABLE, local_store
+
+    store, adds = local_store(), "`validate` without asking Mitsuba again about what has not changed"
+    if store is None:
+        return Finding("store", False, False, f"{STORE_VARIABLE} is {OFF}", adds)
+    if why := store.refusal():
+        return Finding("store", False, False, f"{store.folder}: not used: {why}", adds)
+    answers, size = store.use()
+    detail = f"{store.folder}: {answers} answers of Mitsuba, {size / 1e6:.0f} of {store.limit / 1e6:.0f} MB"
+    return Finding("store", True, False, detail, adds)
 
 
 def _pinned(name: str) -> Finding:

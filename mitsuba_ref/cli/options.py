@@ -108,6 +108,16 @@ def add_timeout(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_store(parser: argparse.ArgumentParser) -> None:
+    """--no-store."""
+    parser.add_argument(
+        "--no-store",
+        dest="store",
+        action="store_false",
+        help="ask Mitsuba about every scene, also where it answered the very same request in an earlier run",
+    )
+
+
 # ---- a candidate ----
 
 

@@ -18,6 +18,7 @@ from mitsuba_ref.cli.options import (
     HTML_SUFFIX,
     add_candidate,
     add_selection,
+    add_store,
     add_timeout,
     add_verdict_files,
     check_verdict_files,
@@ -54,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="reuse from --out what was judged of the very same scene, code, variant and options",
     )
     add_timeout(parser)
+    add_store(parser)
     add_candidate(parser)
 
 
@@ -126,7 +128,15 @@ def run_options(args: argparse.Namespace) -> RunOptions:
     whole_folders = not args.expression and all(Path(place).is_dir() for place in args.scenes)
     out = Path(args.out) if args.out else None
     return RunOptions(
-        args.workers, args.maxfail, out, args.html, args.resume, args.shard, args.timeout, whole_folders
+        args.workers,
+        args.maxfail,
+        out,
+        args.html,
+        args.resume,
+        args.shard,
+        args.timeout,
+        args.store,
+        whole_folders,
     )
 
 

@@ -156,6 +156,7 @@ class SceneVerdict:
     versions: dict[str, str] = field(default_factory=dict)
     seconds: Seconds = 0.0
     reference_seconds: Seconds = 0.0
+    reference_stored: bool = False  # Mitsuba answered earlier, and was not asked in this run
     problem: str = ""  # why there is no comparison at all: a crash of the reference, with its output
     size: tuple[int, int] = (0, 0)  # of the film
     resized: bool = False  # another film than the scene's own
@@ -296,11 +297,22 @@ class Verdict:
                 total[case] = total.get(case, 0) + count
         return total
 
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def references_stored(self) -> int:
+        """Scenes whose reference answers came from the store: Mitsuba was not asked in this run."""
+        return sum(scene.reference_stored for scene in self.scenes)
+
     @property
     def versions(self) -> tuple[str, ...]:
-        """Versions that judged the scenes, each once."""
+        """Versions that judged the scenes, each once, and for how many scenes Mitsuba was not asked in this run."""
         each = [", ".join(f"{k} {v}" for k, v in scene.versions.items()) for scene in self.scenes]
-        return tuple(dict.fromkeys(filter(None, each)))
+        stored = (
+            f"{self.references_stored} of {len(self.scenes)} scenes: answered in earlier runs, taken from the store"
+            if self.references_stored
+            else ""
+        )
+        return tuple(dict.fromkeys(filter(None, [*each, stored])))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, as in verdict.json."""

@@ -3,15 +3,16 @@
 Arrays go into .npz, everything else into .json; no pickle, so that a half-written file is an error, not code.
 """
 
+import io
 import json
 import os
 import sys
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import IO, Any, ClassVar
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class TraceRequest:
 
     @classmethod
     def read(cls, folder: Path) -> "TraceRequest":
-        record = _read(cls, folder / "job")
+        record = _read(folder / "job")
         more = tuple((Path(xml), first) for xml, first in record["more"])
         return cls(**(record | {"xml": Path(record["xml"]), "more": more}))
 
@@ -103,6 +104,7 @@ class TraceResponse:
     sensor_t_max: np.ndarray | None  # (m,) float32
     versions: dict[str, str]  # mitsuba, drjit, variant, libllvm
     seconds: float  # loading and tracing, without starting Python
+    stored: bool = False  # answered earlier, to the same request; no Mitsuba ran, and `seconds` is 0
 
     def write(self, folder: Path) -> None:
         _write(self, folder / "answer")
@@ -110,12 +112,29 @@ class TraceResponse:
     @classmethod
     def read(cls, folder: Path, rays: int) -> "TraceResponse":
         """The response to a request of so many rays. Raises ValueError where it is missing, cut short or malformed."""
+        return cls._checked(lambda: _read(folder / "answer"), rays)
+
+    @classmethod
+    def _checked(cls, read: Callable[[], dict[str, Any]], rays: int) -> "TraceResponse":
         try:
-            response = cls(**_read(cls, folder / "answer"))
+            response = cls(**read())
         except UNREADABLE_FILE_ERRORS as error:
             raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
         response.check(rays)
         return response
+
+    def to_bytes(self) -> bytes:
+        """Of one file: a line of JSON, then the arrays as .npz."""
+        rest, arrays = _parts(self)
+        file = io.BytesIO()
+        np.savez(file, allow_pickle=False, **arrays)
+        return json.dumps(rest).encode() + b"\n" + file.getvalue()
+
+    @classmethod
+    def from_bytes(cls, content: bytes, rays: int) -> "TraceResponse":
+        """The inverse of `to_bytes`. Raises ValueError as `read`."""
+        line, _, arrays = content.partition(b"\n")
+        return cls._checked(lambda: _record(json.loads(line), io.BytesIO(arrays)), rays)
 
     def check(self, rays: int) -> None:
         """Raise ValueError unless every array has its length, dtype and range."""
@@ -204,18 +223,27 @@ def _check(name: str, array: Any, shape: tuple[int, ...], dtype: type) -> None:
         raise ValueError(f"{name}: expected {np.dtype(dtype)}{list(shape)}, got {got}")
 
 
-def _write(record: Any, path: Path) -> None:
-    """Arrays first, then the .json by an atomic rename: where it is, the rest is whole."""
+def _parts(record: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Fields that are no arrays, and those that are."""
     values = {field.name: getattr(record, field.name) for field in fields(record)}
     arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-    rest = {name: value for name, value in values.items() if name not in arrays}
+    return {name: value for name, value in values.items() if name not in arrays}, arrays
+
+
+def _write(record: Any, path: Path) -> None:
+    """Arrays first, then the .json by an atomic rename: where it is, the rest is whole."""
+    rest, arrays = _parts(record)
     np.savez(path.with_suffix(".npz"), allow_pickle=False, **arrays)
     path.with_suffix(".part").write_text(json.dumps(rest, default=str), encoding="utf-8")
     os.replace(path.with_suffix(".part"), path.with_suffix(".json"))
 
 
-def _read(cls: type, path: Path) -> dict[str, Any]:
-    record: dict[str, Any] = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-    with path.with_suffix(".npz").open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        record |= {name: arrays[name] for name in arrays.files}
-    return record
+def _read(path: Path) -> dict[str, Any]:
+    rest = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    with path.with_suffix(".npz").open("rb") as file:
+        return _record(rest, file)
+
+
+def _record(rest: dict[str, Any], arrays: IO[bytes]) -> dict[str, Any]:
+    with np.load(arrays, allow_pickle=False) as found:
+        return rest | {name: found[name] for name in found.files}

@@ -177,13 +177,18 @@ def _version(path: str) -> tuple[list[int], str]:
 def _cache_key(candidates: list[str]) -> str:
     """A hash of everything that the outcome depends on."""
     parts = [*(file.read_text(encoding="utf-8") for file in SOURCES), platform.node(), platform.machine()]
-    parts += [os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE, ""), _installed("mitsuba"), _installed("drjit")]
+    parts += [
+        os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE, ""),
+        installed_version("mitsuba"),
+        installed_version("drjit"),
+    ]
     for path in candidates:
         parts += [path, *_file_stamp(path)]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 
-def _installed(name: str) -> str:
+def installed_version(name: str) -> str:
+    """The version of a distribution; "none" where it is not installed."""
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:

@@ -235,7 +235,7 @@ def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
     kept = "kept from an earlier run, not judged now; " if scene.kept else ""
     SubElement(case, "system-out").text = printable(
         f"{kept}{judged}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
-        f"{_errors(scene)}{scene.versions}"
+        f"{_errors(scene)}{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"
     )
 
 

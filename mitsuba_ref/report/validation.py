@@ -35,7 +35,7 @@ from mitsuba_ref.judge.scene_checks import (
 from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
+from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.report.class_images import write_images
 from mitsuba_ref.report.html.evidence import Evidence
 from mitsuba_ref.report.html.html_report import write_report
@@ -97,7 +97,7 @@ def validate_scene(
     first_ray: int = 0,
     folder: Path | None = None,
     timeout: float = DEFAULT_TIMEOUT,
-    send: SendRequest = send_request,
+    send: SendRequest = send_stored,
     keep: bool = False,
 ) -> SceneVerdict:
     """The verdict of one scene that is loaded; what a candidate does wrong is in the verdict.
@@ -169,6 +169,7 @@ def validate_scene(
         versions=pair.result.answer.versions,
         seconds=time.perf_counter() - start,
         reference_seconds=pair.result.answer.seconds,
+        reference_stored=pair.result.answer.stored,
         size=(scene.film.width, scene.film.height),
         allowed={name: check.ratio for name, check in scene.checks.items()} if ours else {},
         adjudicated=len(judgement.exact.rows),

@@ -20,7 +20,7 @@ from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
+from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.runner.isolation import Isolated, WorkerEnded
@@ -200,6 +200,7 @@ def judge_here(
     folder: Path | None,
     *,
     timeout: float = DEFAULT_TIMEOUT,
+    store: bool = True,
     subject: Subject | None = None,
     inputs_of: Callable[[SceneEntry], str] | None = None,
     known: str = "",
@@ -207,15 +208,18 @@ def judge_here(
 ) -> SceneVerdict:
     """Load and judge one scene in this process. Raises what loading and judging raise.
 
-    timeout: seconds for Mitsuba; subject: in place of our caster; inputs_of: a hash of all that the verdict depends on,
-    recorded as its `inputs`; known: such a hash for which nothing is judged, and the verdict says nothing else;
-    page_of: what of the verdict and its evidence the report needs, which takes the place of the evidence.
+    timeout: seconds for Mitsuba; store: take its answer to the very same request in an earlier run; subject: in place
+    of our caster; inputs_of: a hash of all that the verdict depends on, recorded as its `inputs`; known: such a hash
+    for which nothing is judged, and the verdict says nothing else; page_of: what of the verdict and its evidence the
+    report needs, which takes the place of the evidence.
     """
     loaded = entry.load()
     inputs = inputs_of(loaded) if inputs_of else ""
     if inputs and inputs == known:
         return SceneVerdict(entry.name, entry.path, entry.pixels, inputs=inputs)
     given: dict[str, Any] = {"timeout": timeout, "keep": page_of is not None}
+    if not store:
+        given["send"] = send_request
     if loaded.rays is not None:
         given |= {"rays": loaded.rays, "first_ray": loaded.ray_range[0]}
     if subject or loaded.subject:

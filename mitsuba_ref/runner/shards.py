@@ -15,6 +15,7 @@ from caster.description.errors import SceneError
 from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
+from mitsuba_ref.runner.resume import UnreadableVerdict
 from mitsuba_ref.runner.scene_runner import Entry
 
 # Python, OpenEXR and pydantic read and write; these compute.
@@ -200,5 +201,7 @@ def shard_in(part: Verdict, place: str, parts: int) -> Shard:
         if parts > 1:
             raise DifferentRuns(f"{place}: expected a shard, got a run that was not divided")
         return Shard(1, 1)
-    index, _, count = part.shard.partition("/")
-    return Shard(int(index), int(count))
+    try:
+        return parse_shard(part.shard)
+    except argparse.ArgumentTypeError as error:
+        raise UnreadableVerdict(f"{place}: shard: {error}") from error

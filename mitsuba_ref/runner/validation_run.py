@@ -32,6 +32,7 @@ class RunOptions:
     resume: bool = False  # reuse what `out` holds of the same inputs
     shard: Shard | None = None
     timeout: float = DEFAULT_TIMEOUT  # seconds that Mitsuba may take for one scene
+    store: bool = True  # take what Mitsuba answered in earlier runs to the very same request
     whole_folders: bool = False  # every scene of the folders was selected: files of other scenes are obsolete
 
 
@@ -108,7 +109,11 @@ class ValidationRun:
 
     def _judge(self) -> JudgeScene:
         page_of = partial(page_record, one_file=self.html.one_file) if self.html else None
-        options: dict[str, Any] = {"timeout": self.options.timeout, "page_of": page_of}
+        options: dict[str, Any] = {
+            "timeout": self.options.timeout,
+            "store": self.options.store,
+            "page_of": page_of,
+        }
         if self.candidate is not None:
             judge = candidate_judge(self.candidate, **options)
             return recorded(judge, self.out) if self.out else judge

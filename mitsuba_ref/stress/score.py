@@ -13,7 +13,7 @@ from caster.rendering.hits import cast
 from caster.rendering.images import camera_rays, film_window
 from caster.rendering.rasterization import find_nearest_on_film
 from caster.scene.model import Scene
-from mitsuba_ref.judge.exact_hits import ExactHits, PreparedScene, prepare_scene
+from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.scene_export import export, shape_ids
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, send_requests
