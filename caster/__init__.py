@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from caster.rendering.hits import cast as cast
     from caster.rendering.hits import occluded as occluded
     from caster.rendering.images import render as render
-    from caster.scene.appearance import Ambient as Ambient
-    from caster.scene.appearance import Diffuse as Diffuse
-    from caster.scene.appearance import Directional as Directional
-    from caster.scene.appearance import Point as Point
     from caster.scene.files import load_scene as load_scene
+    from caster.scene.model import Ambient as Ambient
     from caster.scene.model import Check as Check
+    from caster.scene.model import Diffuse as Diffuse
+    from caster.scene.model import Directional as Directional
     from caster.scene.model import Film as Film
+    from caster.scene.model import Point as Point
     from caster.scene.model import Scene as Scene
     from caster.scene.model import Shading as Shading
     from caster.shapes import *  # noqa: F403 - a registry, whatever is in it
@@ -42,9 +42,9 @@ _HOMES = {
     "Film": "caster.scene.model",
     "Shading": "caster.scene.model",
     "Check": "caster.scene.model",
-    "Diffuse": "caster.scene.appearance",
+    "Diffuse": "caster.scene.model",
 }
-_REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.appearance": "LIGHTS"}
+_REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.model": "LIGHTS"}
 
 
 if not TYPE_CHECKING:  # a type checker is to tell misspelt names

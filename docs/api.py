@@ -26,7 +26,7 @@ GROUPS = (
 REGISTRIES = (
     ("Shapes", "caster.shapes", "SHAPES"),
     ("Cameras", "caster.cameras", "CAMERAS"),
-    ("Lights", "caster.scene.appearance", "LIGHTS"),
+    ("Lights", "caster.scene.model", "LIGHTS"),
 )
 
 

@@ -12,8 +12,7 @@ from caster.description.fields import Shape
 from caster.geometry.world_space import as_given, world_vertices
 from caster.rendering.hits import RayHits
 from caster.rendering.images import film_window, trace_film
-from caster.scene.appearance import Ambient, Directional, Light, Point
-from caster.scene.model import Scene
+from caster.scene.model import Ambient, Directional, Light, Point, Scene
 from caster.shapes import Plane, Sphere
 
 __all__ = ["with_window_behind_scene"]

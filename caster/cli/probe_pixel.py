@@ -14,7 +14,7 @@ from caster.system.process import OK
 
 if TYPE_CHECKING:
     from caster.geometry.edge_distances import EdgeDistance
-    from caster.rendering.pixel_probe import Candidate, PrimitiveResult, Probe
+    from caster.rendering.inspection import Candidate, PrimitiveResult, Probe
     from caster.scene.model import Scene
 
 MAX_LISTED = 8  # shapes, and primitives, in the text; --json lists all
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the intersections of the pixel's ray. Raises SceneError for a pixel outside the film."""
     scene = load(args)
-    from caster.rendering.pixel_probe import probe
+    from caster.rendering.inspection import probe
 
     with error_prefix(args.scene):
         found = probe(scene, args.x, args.y)

@@ -95,13 +95,13 @@ def run(args: argparse.Namespace) -> int:
         save_preview(args.preview, images, shown)
     if args.json:
         from caster.jit.decorators import COMPILATION_LOG
-        from caster.rendering.explain import account
+        from caster.rendering.inspection import account
 
         kernels = {"compiled": COMPILATION_LOG.compiled, "loaded": COMPILATION_LOG.loaded}
         print(json.dumps({"output": output, **account(rendered, aovs), "kernels": kernels}, indent=2))
         return OK
     if args.explain:
-        from caster.rendering.explain import explain
+        from caster.rendering.inspection import explain
 
         print(explain(rendered, aovs))
     height, width = images.hit.shape

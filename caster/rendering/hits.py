@@ -21,8 +21,7 @@ from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.threads import parallel_for
 from caster.rendering.tiles import NO_START, TileShader, TileWorkspace, material_tables, new_image
-from caster.scene.appearance import Light
-from caster.scene.model import Scene
+from caster.scene.model import Light, Scene
 
 __all__ = ["Hits", "RayHits", "cast", "trace", "trace_rays", "validated_rays"]
 

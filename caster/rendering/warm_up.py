@@ -17,8 +17,7 @@ from caster.kernels.nearest import Rays, exact_hit, precedes
 from caster.rendering.casting import Culling, exact_nearest
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
-from caster.scene.appearance import Directional, Point
-from caster.scene.model import Scene
+from caster.scene.model import Directional, Point, Scene
 from caster.shapes import SHAPES
 
 # Each alone, the default ones, and all at once: other sets share most kernels with these.

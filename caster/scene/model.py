@@ -1,13 +1,14 @@
-"""The scene model: film, shading, checks, and validation across elements."""
+"""The scene model: lights, materials, film, shading, checks, and validation across elements."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias, Union
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias, Union
 
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from caster.cameras import CAMERAS
+from caster.description import fields
 from caster.description.errors import (
     CROSS_ELEMENT_ERROR,
     PLURAL,
@@ -20,17 +21,77 @@ from caster.description.errors import (
     suggestion,
     value_diagnostic,
 )
-from caster.description.fields import Camera, Name, Shape
-from caster.description.quantities import Description, PositiveNumber, row
+from caster.description.fields import RGB, Camera, Description, Name, Reflectance, Shape, UnitVec3, Vec3
+from caster.description.quantities import PositiveNumber, row
 from caster.description.registry import load_plugins
-from caster.scene.appearance import DEFAULT, LIGHTS, Diffuse, Light
+from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.scene.export import canonical_json, fingerprint, to_toml
 from caster.shapes import SHAPES
 
-__all__ = ["MAX_FILM_SIDE", "Check", "Film", "Scene"]
+__all__ = [
+    "MAX_FILM_SIDE",
+    "Ambient",
+    "Check",
+    "Diffuse",
+    "Film",
+    "Point",
+    "Scene",
+]
+
+# ---- lights and materials ----
+
+
+class Point(fields.Light):
+    """An isotropic point light. `intensity` in power per solid angle (W/sr)."""
+
+    type: Literal["point"] = "point"
+    position: Vec3
+    intensity: RGB
+
+    def pack(self) -> PointLight:
+        return PointLight(self.position, self.intensity)
+
+
+class Directional(fields.Light):
+    """Parallel light along `direction`; a perpendicular surface receives `irradiance` (W/m^2)."""
+
+    type: Literal["directional"] = "directional"
+    direction: UnitVec3
+    irradiance: RGB
+
+    def pack(self) -> DirectionalLight:
+        x, y, z = self.direction
+        return DirectionalLight((0.0 - x, 0.0 - y, 0.0 - z), self.irradiance)
+
+
+class Ambient(fields.Light):
+    """Constant `radiance` from all directions (W/(m^2 sr)), without shadows."""
+
+    type: Literal["ambient"] = "ambient"
+    radiance: RGB
+
+
+Light = Point | Directional | Ambient
+LIGHTS = (Point, Directional, Ambient)
+
+
+class Diffuse(Description):
+    """A Lambertian surface that reflects the fraction `reflectance` of incident light.
+
+    A one-sided surface is black where its shading normal points away from the viewer.
+    """
+
+    type: Literal["diffuse"] = "diffuse"
+    reflectance: Reflectance = (0.5, 0.5, 0.5)
+    two_sided: bool = False
+
+
+DEFAULT_MATERIAL = Diffuse()
+
+
+# ---- the scene ----
 
 MAX_FILM_SIDE = 65536  # pixels; one float32 channel of such a square takes 16 GiB
-
 
 Pixels = Annotated[int, Field(ge=1, le=MAX_FILM_SIDE)]
 Index = Annotated[int, Field(ge=0)]
@@ -204,7 +265,7 @@ class Scene(Description):
 
     def material_of(self, shape: Shape) -> Diffuse:
         """The material of a shape; the default material if it names none."""
-        return self.materials[shape.material] if shape.material else DEFAULT
+        return self.materials[shape.material] if shape.material else DEFAULT_MATERIAL
 
     def shape_names(self) -> list[str]:
         """The name of each shape, shape-<index> if it has none."""

@@ -9,14 +9,13 @@ import numpy as np
 
 from caster.cameras import Fisheye, Orthographic, Pinhole
 from caster.geometry.packing import Triangles
-from caster.scene.appearance import Ambient, Diffuse, Point
-from caster.scene.model import Scene
+from caster.scene.model import Ambient, Diffuse, Point, Scene
 from caster.shapes import MeshFile, Sphere
 from caster.shapes.heightfield import tessellate_heightfield
 from caster.shapes.torus import tessellate_torus
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.bench.entries import ANY, FILM, NEAREST, SHADING
-from mitsuba_ref.reference.rays import shared_rays
+from mitsuba_ref.reference.shared_input import shared_rays
 from mitsuba_ref.scene_xml.elements import ply_bytes
 
 

@@ -21,7 +21,7 @@ from mitsuba_ref.bench.entries import (
 from mitsuba_ref.bench.result import Score
 from mitsuba_ref.bench.scenes import BenchScene, rays_of, unit
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
-from mitsuba_ref.reference.scene_export import export
+from mitsuba_ref.reference.shared_input import export
 from mitsuba_ref.report.results import largest
 
 Rng = np.random.Generator

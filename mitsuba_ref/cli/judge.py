@@ -83,7 +83,7 @@ def camera_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.
     """(the rays that `validate` shares with Mitsuba (n, 8), their pixels (n, 2))."""
     import numpy as np
 
-    from mitsuba_ref.reference.rays import pixel_of, shared_rays
+    from mitsuba_ref.reference.shared_input import pixel_of, shared_rays
 
     rays = shared_rays(scene)
     there = np.flatnonzero(rays.t_max >= 0.0)

@@ -181,7 +181,7 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
 def run_export(args: argparse.Namespace) -> int:
     """Write the files and print their names. Raises SceneError, FileMissing, OutputError."""
     scene = load(args)
-    from mitsuba_ref.reference.scene_export import export_scene
+    from mitsuba_ref.reference.shared_input import export_scene
 
     exported = export_scene(scene)
     path = exported.write(Path(args.output))

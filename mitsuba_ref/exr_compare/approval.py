@@ -39,8 +39,7 @@ from mitsuba_ref.exr_compare.two_files import compare_exr
 from mitsuba_ref.judge.comparison import PixelPairs, compare
 from mitsuba_ref.judge.diffuse import materials_of
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.rays import shared_rays
-from mitsuba_ref.reference.scene_export import model_of
+from mitsuba_ref.reference.shared_input import model_of, shared_rays
 from mitsuba_ref.subjects.subject import answer_of_view, cast_ours
 
 COLORS = ("R", "G", "B")

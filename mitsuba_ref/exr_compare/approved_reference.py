@@ -18,9 +18,8 @@ from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.comparison import pair_images
 from mitsuba_ref.judge.verdict import EXCUSED, TIE
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.rays import shared_rays
 from mitsuba_ref.reference.rendering import aovs_of, trace_reference
-from mitsuba_ref.reference.scene_export import model_of
+from mitsuba_ref.reference.shared_input import model_of, shared_rays
 from mitsuba_ref.report import class_images
 from mitsuba_ref.subjects.subject import answer_of_view, cast_ours
 

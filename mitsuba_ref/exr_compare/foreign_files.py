@@ -207,8 +207,7 @@ def near_in_xml(scene: Scene) -> float | None:
     from caster.geometry.packing import pack
     from caster.geometry.world_space import as_float32
     from mitsuba_ref.cameras.camera_reference import clip_planes
-    from mitsuba_ref.reference.rays import shared_rays
-    from mitsuba_ref.reference.scene_export import clip_range, model_of
+    from mitsuba_ref.reference.shared_input import clip_range, model_of, shared_rays
 
     if not hasattr(scene.camera, "near"):
         return None

@@ -28,7 +28,7 @@ from mitsuba_ref.judge.independent_checks.exact_rays import (
     with_limits,
 )
 from mitsuba_ref.oracle.oracle import ExactAnswer, OutsideDomain
-from mitsuba_ref.reference.rays import pixel_of
+from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.shapes.targets import Rng
 
 LIMITED_PUBLIC_CALLS = 3  # of them by caster.cast, which takes one pair of limits a call

@@ -31,7 +31,7 @@ from mitsuba_ref.judge.verdict import (
     SceneCheck,
     SceneStatistics,
 )
-from mitsuba_ref.reference.rays import pixel_of
+from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.subjects.answer import FLOAT32, Answer
 

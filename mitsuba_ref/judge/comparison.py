@@ -19,8 +19,8 @@ from caster.rendering.images import film_window
 from caster.scene.model import Check, Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
 from mitsuba_ref.error_model.intersections import KU_OURS
-from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
+from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.answer import NOT_FINITE, Answer
 from mitsuba_ref.subjects.subject import COMPARED_AOVS
 

@@ -12,8 +12,7 @@ from caster.geometry.world_space import Rounding, as_float32, as_given
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import trace, trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render
-from caster.scene.appearance import Diffuse
-from caster.scene.model import Scene
+from caster.scene.model import Diffuse, Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, nearest_root
@@ -24,9 +23,8 @@ from mitsuba_ref.error_model.lambert import ShadingPoints
 from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, TRANSFORM_ROUNDINGS
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
 from mitsuba_ref.judge.verdict import SceneCheck
-from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import ReferenceResult
-from mitsuba_ref.reference.scene_export import model_of
+from mitsuba_ref.reference.shared_input import SharedRays, model_of
 from mitsuba_ref.shapes import reference_of
 
 

@@ -17,8 +17,8 @@ from caster.scene.model import MAX_FILM_SIDE, Scene
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, scene_judge
 from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.rays import SharedRays, shared_rays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
+from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
 from mitsuba_ref.report.class_images import hex_color
 
 NEIGHBOR_PIXELS = 3  # pixels on each side whose classes are shown

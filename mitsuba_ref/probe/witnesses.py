@@ -16,8 +16,8 @@ from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.scene_export import export, shape_ids
 from mitsuba_ref.reference.session import send_requests
+from mitsuba_ref.reference.shared_input import export, shape_ids
 
 CANDIDATE = "candidate"
 MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_use_robust_intersections

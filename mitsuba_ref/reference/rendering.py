@@ -15,9 +15,8 @@ from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.rays import SharedRays, shared_rays
-from mitsuba_ref.reference.scene_export import export, model_of, shape_ids
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
+from mitsuba_ref.reference.shared_input import SharedRays, export, model_of, shape_ids, shared_rays
 from mitsuba_ref.reference.variants import variant_for
 from mitsuba_ref.shapes import reference_of
 

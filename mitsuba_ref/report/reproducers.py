@@ -23,7 +23,7 @@ from mitsuba_ref.judge.explanations import format_primitive, pixel_answers, repr
 from mitsuba_ref.judge.independent_checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.rays import pixel_of
+from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.subject import describe_primitive, packs_identically
 

@@ -15,8 +15,8 @@ from caster.rendering.rasterization import find_nearest_on_film
 from caster.scene.model import Scene
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.scene_export import export, shape_ids
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, send_requests
+from mitsuba_ref.reference.shared_input import export, shape_ids
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
 from mitsuba_ref.report.results import largest
 from mitsuba_ref.stress.family import Setting

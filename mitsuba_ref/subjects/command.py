@@ -17,8 +17,7 @@ from caster.system.atomic_files import write_bytes
 from caster.system.terminal import printable
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.intersections import KU, U, dot, norm
-from mitsuba_ref.reference.rays import pixel_of
-from mitsuba_ref.reference.scene_export import export
+from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import exit_name, run
 from mitsuba_ref.subjects.answer import (
     FLOAT32,

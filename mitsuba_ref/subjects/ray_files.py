@@ -14,7 +14,7 @@ from caster.cameras.ray import Ray
 from caster.description.errors import FileMissing, SceneError
 from caster.scene.model import MAX_FILM_SIDE, Film, Scene
 from caster.system.atomic_files import write_bytes
-from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.answer import Answer, NoAnswer, checked_answer
 from mitsuba_ref.subjects.subject import CastRequest
 

@@ -13,8 +13,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.cameras.camera_reference import clip_planes
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
-from mitsuba_ref.reference.rays import SharedRays, shared_rays
-from mitsuba_ref.reference.scene_export import clip_range, model_of
+from mitsuba_ref.reference.shared_input import SharedRays, clip_range, model_of, shared_rays
 from mitsuba_ref.subjects.answer import DEFAULT_SECONDS, PRECISIONS, Answer, NoAnswer
 from mitsuba_ref.subjects.command import (
     PLACEHOLDERS,

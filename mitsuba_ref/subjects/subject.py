@@ -15,7 +15,7 @@ from caster.rendering.images import evaluate, film_window
 from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder, write_bytes
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.reference.rays import SharedRays
+from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.scene_xml.elements import ply_bytes, safe_name
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.subjects.answer import FLOAT64, Answer

@@ -13,10 +13,9 @@ from mitsuba_ref.error_model.intersections import KU, KU_OURS, K, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference import session
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.rays import SharedRays
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
-from mitsuba_ref.reference.scene_export import model_of
 from mitsuba_ref.reference.session import SendRequest
+from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 
 class Observed(NamedTuple):

@@ -25,7 +25,7 @@ from mitsuba_ref.judge.explanations import full_reason, not_judged
 from mitsuba_ref.judge.verdict import FAILING, UNLISTED, Verdict
 from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
 from mitsuba_ref.probe.pixel import probe
-from mitsuba_ref.reference.rays import shared_rays
+from mitsuba_ref.reference.shared_input import shared_rays
 from mitsuba_ref.report.reproducers import reproducer
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
 from mitsuba_ref.subjects import subject

@@ -13,7 +13,7 @@ from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
 from caster.scene.files import load_scene
 from mitsuba_ref.exr_compare.two_files import Reading, compare_exr
-from mitsuba_ref.reference.scene_export import export_scene
+from mitsuba_ref.reference.shared_input import export_scene
 
 ROOT = Path(__file__).parents[2]
 

@@ -13,8 +13,8 @@ from caster.rendering.images import render
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.importers.mitsuba_xml import import_xml
-from mitsuba_ref.reference.scene_export import export_scene
 from mitsuba_ref.reference.session import send_request
+from mitsuba_ref.reference.shared_input import export_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 U = 2.0**-24

@@ -48,7 +48,7 @@ SPHERE, CYLINDER, DISK, PLANE = (
     f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane")
 )
 PINHOLE, ORTHOGRAPHIC = "caster/cameras/pinhole.py", "caster/cameras/orthographic.py"
-LIGHTS, TILES = "caster/scene/appearance.py", "caster/rendering/tiles.py"
+LIGHTS, TILES = "caster/scene/model.py", "caster/rendering/tiles.py"
 LIGHT = "caster/kernels/surface/lighting.py"
 SCREEN, TREE, PLACING = (
     "caster/kernels/raster/tile_casting.py",

@@ -9,7 +9,7 @@ import pytest
 import caster
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.probe.pixel_picture import RAYS_ACROSS_PIXEL, Patch, beside, draw_inside, outline
-from mitsuba_ref.reference.rays import SharedRays, shared_rays
+from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
 
 # Along an edge of the mesh within a rounding, where Embree lets the ray slip through unless it is told to be robust.
 EDGE = """
@@ -122,7 +122,7 @@ class _FakeJudge:
     def __init__(self):
         from caster.geometry.packing import pack
         from caster.geometry.world_space import as_float32
-        from mitsuba_ref.reference.scene_export import model_of
+        from mitsuba_ref.reference.shared_input import model_of
 
         self.scene = caster.Scene(
             camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere()]

@@ -9,8 +9,8 @@ from mitsuba_scenes import job, shape, write
 
 from mitsuba_ref.reference import session
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.scene_export import export
 from mitsuba_ref.reference.session import ResidentSession
+from mitsuba_ref.reference.shared_input import export
 from mitsuba_ref.reference.variants import SCALAR, usable_variants
 from mitsuba_ref.stress import FAMILIES, score, sweeps
 from mitsuba_ref.stress.family import Setting

@@ -10,8 +10,7 @@ from caster import Ambient, Diffuse, Film, Pinhole, Plane, Scene, Sphere
 from caster.rendering.hits import RayHits
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
-from mitsuba_ref.reference.rays import shared_rays
-from mitsuba_ref.reference.scene_export import shape_ids
+from mitsuba_ref.reference.shared_input import shape_ids, shared_rays
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects import subject
 from mitsuba_ref.subjects.function import function_subject

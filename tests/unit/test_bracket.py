@@ -13,8 +13,7 @@ from mitsuba_ref.error_model.bracket import Bracket, BracketResult, Claims
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
 from mitsuba_ref.error_model.intersections import KU, KU_OURS, U
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.scene_export import model_of
+from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 UP = np.array([0.0, 0.0, 1.0])
 DOWN = -UP

@@ -8,8 +8,7 @@ from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from mitsuba_ref.error_model.intersections import KU_OURS, norm, unit
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
-from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.scene_export import model_of
+from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 TURN, SHIFT = 1e-6, 2e-6  # so much more than float64's rounding that this is nothing beside them
 SETTINGS = (Setting(), Setting(distances=(0.5, 3.0)), Setting(slopes=(1e-4, 1e-2)), Setting(edges=1.0))

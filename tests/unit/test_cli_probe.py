@@ -10,7 +10,7 @@ import caster
 from caster.__main__ import main
 from caster.geometry.packing import pack
 from caster.kernels.triangles import Triangles
-from caster.rendering.pixel_probe import probe
+from caster.rendering.inspection import probe
 
 SCENE = """
 [film]

@@ -22,8 +22,7 @@ from mitsuba_ref.judge import scene_checks
 from mitsuba_ref.judge.known_defects import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.scene_checks import check_geometry, check_render
 from mitsuba_ref.oracle.oracle import Oracle
-from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.scene_export import model_of
+from mitsuba_ref.reference.shared_input import SharedRays, model_of
 from mitsuba_ref.shapes import cylinder, disk, sphere, surface_errors
 from mitsuba_ref.subjects.subject import cast_ours
 

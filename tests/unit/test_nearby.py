@@ -11,8 +11,7 @@ from mitsuba_ref.error_model import bracket
 from mitsuba_ref.error_model.bracket import PRIMS_PER_GROUP, BroadPhase, morton_order, spread_bits
 from mitsuba_ref.error_model.intersections import KU_OURS
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.scene_export import model_of
+from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 SETTINGS = (
     Setting(),

@@ -14,9 +14,9 @@ from caster.__main__ import main
 from caster.aovs import BY_NAME
 from caster.cameras import Ray
 from caster.jit.kernel_cache import COMPILED
-from caster.rendering.explain import account
 from caster.rendering.images import render_film, trace_film
-from caster.scene.appearance import Ambient, Directional, Point
+from caster.rendering.inspection import account
+from caster.scene.model import Ambient, Directional, Point
 
 ROOT = Path(__file__).resolve().parents[2]
 EYE = {"eye": (0.3, 0.4, 6.0), "look_at": (0.0, 0.0, 0.0)}

@@ -10,7 +10,7 @@ import pytest
 
 import caster
 from caster.cameras import CAMERAS
-from caster.scene.appearance import LIGHTS
+from caster.scene.model import LIGHTS
 from caster.shapes import SHAPES
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,9 +9,8 @@ from caster.aovs import BY_NAME
 from caster.cameras import CAMERAS
 from caster.description.errors import format_value
 from caster.description.fields import Camera, Shape
-from caster.scene.appearance import LIGHTS, Diffuse
 from caster.scene.files import load_scene, scene_from_text
-from caster.scene.model import MAX_FILM_SIDE, Check, Film, Shading
+from caster.scene.model import LIGHTS, MAX_FILM_SIDE, Check, Diffuse, Film, Shading
 from caster.shapes import SHAPES
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/scene-format.md").read_text()

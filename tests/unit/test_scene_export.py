@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from caster.cameras import CAMERAS, Fisheye, Pinhole
 from caster.description.errors import FileMissing
 from caster.geometry.world_space import MeshShape
-from caster.scene.appearance import Ambient, Diffuse, Directional, Point
 from caster.scene.files import load_scene, scene_from_text
-from caster.scene.model import Check, Film, Scene, Shading
+from caster.scene.model import Ambient, Check, Diffuse, Directional, Film, Point, Scene, Shading
 from caster.shapes import SHAPES, MeshFile, Sphere
 
 NEEDS = {  # what a shape cannot do without

@@ -11,7 +11,7 @@ from caster.kernels.surface.lighting import (
     received_irradiance,
     shadow_ray,
 )
-from caster.scene.appearance import Ambient, Directional, Point
+from caster.scene.model import Ambient, Directional, Point
 
 P = [(0.0, 0.0, 0.0), (3.0, 0.0, 4.0), (1.0, 2.0, 3.0)]
 

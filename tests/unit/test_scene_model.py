@@ -10,8 +10,7 @@ from pydantic import ValidationError
 from caster.cameras import Orthographic, Pinhole
 from caster.description.errors import SceneError
 from caster.description.fields import Description
-from caster.scene.appearance import Ambient, Diffuse, Point
-from caster.scene.model import Check, Film, Scene, Shading, one_of
+from caster.scene.model import Ambient, Check, Diffuse, Film, Point, Scene, Shading, one_of
 from caster.shapes import SHAPES, Cube, Disk, Sphere
 
 CAMERA = Pinhole(eye=[0, 0, 5], look_at=[0, 0, 0])

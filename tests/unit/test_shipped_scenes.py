@@ -15,9 +15,8 @@ from caster.description.quantities import Description
 from caster.geometry.packing import pack, primitive_count
 from caster.kernels.triangles import Triangles
 from caster.rendering.images import render
-from caster.scene.appearance import LIGHTS
 from caster.scene.files import load_scene, scene_schema
-from caster.scene.model import Film, Scene, Shading
+from caster.scene.model import LIGHTS, Film, Scene, Shading
 from caster.shapes import SHAPES
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"

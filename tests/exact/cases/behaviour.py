@@ -13,9 +13,8 @@ from cases.case import FLOAT32, Case, Maker, Question
 from cases.probes import probed
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.rays import SharedRays
-from mitsuba_ref.reference.scene_export import export, model_of
 from mitsuba_ref.reference.session import send_requests
+from mitsuba_ref.reference.shared_input import SharedRays, export, model_of
 from mitsuba_ref.reference.variants import usable_variants
 
 DATA = Path(__file__).parent.parent / "mitsuba_behaviour.json"
