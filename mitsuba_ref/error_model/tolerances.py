@@ -29,6 +29,11 @@ CAMERA_ROUNDINGS = 8.0
 # dozen roundings. In float32 it is rounded once more.
 TRANSFORM_ROUNDINGS = 16.0
 
+# Scene check `mesh_files`, against Mitsuba's loader, in float32: a normal is rounded as it is parsed and made unit, by
+# 3 squares, 2 sums, a root and a quotient; of a number of up to 1 that is at most 8 U. A v of uv is rounded, and once
+# more where it is turned over.
+FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS = 8.0, 2.0
+
 # ---- comparison of two EXR files ----
 
 DEPTH_RTOL = K * U * 3

@@ -9,12 +9,14 @@ rounding allows its answer; our caster claims exact visibility, and is not.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
 from caster.aovs import Aovs
 from caster.scene.model import Scene
+from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Bracket, Claims
 from mitsuba_ref.error_model.intersections import KU, Intersections
@@ -41,6 +43,7 @@ from mitsuba_ref.judge.comparison import (
     self_checks,
 )
 from mitsuba_ref.judge.diffuse import DiffuseComparison, diffuse_within_float64, judge_diffuse, shading_points
+from mitsuba_ref.judge.independent_checks.mesh_files import files_of, for_mitsuba
 from mitsuba_ref.judge.known_defects import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.verdict import (
     AGREE,
@@ -453,7 +456,11 @@ def judge_of(
         result: ReferenceResult | Crash = known.result
     else:
         lights = answer.images is not None
-        result = trace_reference(scene, model, traced, lights=lights, timeout=timeout, send=send)
+        with ScratchFolder() as folder:
+            meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files_of(scene))]
+            result = trace_reference(
+                scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send
+            )
     if isinstance(result, Crash):
         return result
     if rays.is_list:

@@ -101,8 +101,13 @@ PRECISIONS = (
 
 
 def check_geometry(scene: Scene) -> SceneCheck:
-    """Each shape's numbers in the world, float64 and float32, against its description, worked out a second time."""
+    """Each shape's numbers in the world, float64 and float32, against its description, worked out a second time; and
+    generated meshes against closed forms."""
     shares = Shares()
+    for name, shape in zip(scene.shape_names(), scene.shapes, strict=True):
+        for claim in reference_of(shape).closed_form(shape):
+            share = _packing_error_ratio(claim, PRECISIONS[0].unit_roundoff, PRECISIONS[0].smallest_normal)
+            shares.add(f"{claim.what} of {name}", share)
     for precision in PRECISIONS:
         parts = pack(scene, precision.rounded).parts
         for name, shape, part in zip(scene.shape_names(), scene.shapes, parts, strict=True):

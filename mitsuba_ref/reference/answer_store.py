@@ -150,6 +150,8 @@ def request_key(request: TraceRequest) -> str:
     for folder, number in folders.items():
         for path in sorted(path for path in folder.rglob("*") if path.is_file()):
             add(f"{number} {path.relative_to(folder).as_posix()}", path.read_bytes())
+    for file in request.mesh_files:
+        add(f"mesh {file.name}", file.read_bytes())
     return digest.hexdigest()
 
 

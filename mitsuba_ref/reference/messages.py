@@ -9,10 +9,10 @@ import os
 import sys
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any, ClassVar
+from typing import IO, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -46,6 +46,7 @@ class TraceRequest:
     sensor: bool = False  # whether to sample the rays of the scene's own sensor
     strict: bool = True  # whether a warning of Mitsuba's is an error
     more: tuple[tuple[Path, int], ...] = ()  # further scenes, and the first of the rays that go through each
+    mesh_files: tuple[Path, ...] = ()  # to be read by Mitsuba's own loader, too
 
     def __post_init__(self) -> None:
         _check_rows(self, len(self.o))
@@ -54,13 +55,15 @@ class TraceRequest:
 
     def write(self, folder: Path) -> None:
         more = tuple((xml.absolute(), first) for xml, first in self.more)
-        _write(replace(self, xml=self.xml.absolute(), more=more), folder / "job")  # read in another folder
+        meshes = tuple(file.absolute() for file in self.mesh_files)  # read in another folder, as the scenes
+        _write(replace(self, xml=self.xml.absolute(), more=more, mesh_files=meshes), folder / "job")
 
     @classmethod
     def read(cls, folder: Path) -> "TraceRequest":
         record = _read(folder / "job")
         more = tuple((Path(xml), first) for xml, first in record["more"])
-        return cls(**(record | {"xml": Path(record["xml"]), "more": more}))
+        meshes = tuple(Path(file) for file in record["mesh_files"])
+        return cls(**(record | {"xml": Path(record["xml"]), "more": more, "mesh_files": meshes}))
 
     def per_scene(self) -> list["TraceRequest"]:
         """One job a scene, in order."""
@@ -105,6 +108,18 @@ class TraceResponse:
     versions: dict[str, str]  # mitsuba, drjit, variant, libllvm
     seconds: float  # loading and tracing, without starting Python
     stored: bool = False  # answered earlier, to the same request; no Mitsuba ran, and `seconds` is 0
+    # of the mesh files: (f, 3, 8) float32, position, normal and uv at the corners of all faces
+    mesh_corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 8), np.float32))
+    mesh_faces: Sequence[int] = ()  # how many of them are of each file
+    mesh_problems: Sequence[str] = ()  # why Mitsuba's loader did not read each file; "": it did
+
+    @property
+    def meshes(self) -> tuple["LoadedMesh", ...]:
+        """The mesh files of the request."""
+        ends = np.cumsum(self.mesh_faces, dtype=int)
+        parts = np.split(self.mesh_corners.astype(np.float64), ends[:-1]) if len(ends) else []
+        rows = zip(parts, self.mesh_problems, strict=True)
+        return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], problem) for c, problem in rows)
 
     def write(self, folder: Path) -> None:
         _write(self, folder / "answer")
@@ -142,6 +157,9 @@ class TraceResponse:
         lights = len(self.light_rgb)
         _check("light_rgb", self.light_rgb, (lights, rays, 3), np.float32)
         _check("light_visible", self.light_visible, (lights, rays), np.bool_)
+        _check("mesh_corners", self.mesh_corners, (sum(self.mesh_faces), 3, 8), np.float32)
+        if len(self.mesh_faces) != len(self.mesh_problems):
+            raise ValueError("mesh_problems: expected one for each mesh file")
         if self.sensor_o is not None:
             pixels = len(self.sensor_o)
             _check("sensor_o", self.sensor_o, (pixels, 3), np.float32)
@@ -152,6 +170,15 @@ class TraceResponse:
             raise ValueError(
                 "shape: expected one of the named where t is not inf and -1 elsewhere, got others"
             )
+
+
+class LoadedMesh(NamedTuple):
+    """A mesh file as Mitsuba's loader reads it: float32 numbers at the corners of its faces, in the file's order."""
+
+    corners: np.ndarray  # (f, 3, 3)
+    normals: np.ndarray  # (f, 3, 3), 0 where there are none
+    uv: np.ndarray  # (f, 3, 2), 0 where there are none
+    problem: str = ""  # its message where it refuses the file
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def trace_request(request: TraceRequest) -> TraceResponse:
     _set_log_level(request.strict)
     start = time.perf_counter()
     scene = mi.load_file(str(request.xml), optimize=False)  # optimising merges meshes and loses their ids
-    arrays: dict[str, Any] = _trace(scene, request) | _sensor_rays(scene, request)
+    arrays: dict[str, Any] = _trace(scene, request) | _sensor_rays(scene, request) | _meshes(request)
     seconds = time.perf_counter() - start
     names = [shape.id() for shape in scene.shapes()]
     return TraceResponse(names=names, versions=_versions(request.variant), seconds=seconds, **arrays)
@@ -70,6 +70,36 @@ def _sensor_rays(scene: Any, request: TraceRequest) -> dict[str, Any]:
     sensor = scene.sensors()[0]
     sample = _llvm_sensor_rays if request.variant.startswith(LLVM_PREFIX) else _scalar_sensor_rays
     return dict(zip(names, sample(sensor, *_pixel_centers(sensor.film())), strict=True))
+
+
+def _meshes(request: TraceRequest) -> dict[str, Any]:
+    """The request's mesh files by Mitsuba's loader, corner by corner; its message where it refuses one."""
+    mi.logger().set_error_level(mi.LogLevel.Error)  # a warning about a file is not one about the scene
+    found, problems = [np.zeros((0, 3, 8), np.float32)], []
+    for file in request.mesh_files:
+        try:
+            mesh = mi.load_dict({"type": file.suffix[1:].lower(), "filename": str(file)})
+            found.append(_corners(mi.traverse(mesh)))
+            problems.append("")
+        except RuntimeError as error:
+            found.append(found[0])
+            problems.append(str(error))
+    return {
+        "mesh_corners": np.concatenate(found),
+        "mesh_faces": [len(each) for each in found[1:]],
+        "mesh_problems": problems,
+    }
+
+
+def _corners(parameters: Any) -> np.ndarray:
+    """(f, 3, 8) position, normal and uv of each face's corners; 0 where the mesh has none."""
+    faces = np.array(parameters["faces"]).reshape(-1, 3)
+    rows = np.zeros((np.array(parameters["vertex_positions"]).size // 3, 8), np.float32)
+    for name, columns in (("positions", slice(0, 3)), ("normals", slice(3, 6)), ("texcoords", slice(6, 8))):
+        values = np.array(parameters[f"vertex_{name}"], np.float32)
+        if values.size:
+            rows[:, columns] = values.reshape(len(rows), -1)
+    return rows[faces]
 
 
 def _pixel_centers(film: Any) -> tuple[np.ndarray, np.ndarray]:

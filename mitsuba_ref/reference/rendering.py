@@ -74,14 +74,25 @@ def trace_reference(
     *,
     variant: str | None = None,
     lights: bool = True,
+    mesh_files: Sequence[Path] = (),
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
 ) -> ReferenceResult | Crash:
-    """Trace these rays by Mitsuba, in a process that `send` reaches. A crash is a result, too."""
+    """Trace these rays by Mitsuba, in a process that `send` reaches. A crash is a result, too.
+
+    mesh_files: to be read by its own loader as well, for a check.
+    """
     with ScratchFolder() as folder:
         xml = export(scene, model).write(Path(folder))
         job = TraceRequest(
-            xml, variant or variant_of(scene), rays.o, rays.d, rays.t_max, lights=lights, sensor=True
+            xml,
+            variant or variant_of(scene),
+            rays.o,
+            rays.d,
+            rays.t_max,
+            lights=lights,
+            sensor=True,
+            mesh_files=tuple(mesh_files),
         )
         answer = send(job, timeout)
     return answer if isinstance(answer, Crash) else reference_result(scene, answer)

@@ -26,6 +26,7 @@ from mitsuba_ref.judge.aggregate import (
 from mitsuba_ref.judge.classification import judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges
+from mitsuba_ref.judge.independent_checks.mesh_files import check_mesh_files
 from mitsuba_ref.judge.scene_checks import (
     CHECKS_OF_OUR_CASTER,
     CHECKS_OF_RAY_LISTS,
@@ -151,6 +152,7 @@ def validate_scene(
     if not ours:
         given = CHECKS_OF_SHARED_INPUT if rays is None else CHECKS_OF_RAY_LISTS
         checks = tuple(check(response.scene) for check in given)
+    checks = (*checks, check_mesh_files(response.scene, pair.result.answer.meshes))
     if rays is None:
         checks = (*checks, check_sensor(response.scene, pair.result))
     if ours:

@@ -51,7 +51,7 @@ def shading_normal(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
 def seen_from_pixel_corners(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     """Half a pixel to the right and down: where the sample (x + 1, y + 1) is taken for the centre."""
     from mitsuba_ref.cameras.camera_reference import to_world_directions
-    from mitsuba_ref.cameras.pinhole import half_extents
+    from mitsuba_ref.cameras.with_sensor import half_extents
 
     film, across = scene.film, half_extents(scene.camera, scene.film)
     y, x = (axis.ravel() + 1.0 for axis in np.indices((film.height, film.width)))

@@ -145,6 +145,7 @@ CHANGES = {
     "mesh": other_mesh,
     "a mesh more": other_file,
     "name of a mesh": other_name,
+    "mesh file": lambda request, patch: replace(request, mesh_files=(request.xml,)),
     "libLLVM": other_library,
     "source": other_source,
     "Mitsuba": other_version_of("mitsuba"),

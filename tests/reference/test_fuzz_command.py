@@ -22,7 +22,7 @@ from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.families import FAMILIES
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.judge.classification import scene_judge
-from mitsuba_ref.judge.independent_checks import exact_rays
+from mitsuba_ref.judge.independent_checks import knife_edges
 from mitsuba_ref.judge.verdict import CLASSES
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.session import ResidentSession
@@ -57,7 +57,7 @@ def fault(monkeypatch):
         return nearest
 
     def plant():
-        monkeypatch.setattr(exact_rays, "find_nearest", forgetful)
+        monkeypatch.setattr(knife_edges, "find_nearest", forgetful)
         monkeypatch.setattr(images, "find_nearest", forgetful)
         monkeypatch.setattr(hits, "find_nearest", forgetful)
 

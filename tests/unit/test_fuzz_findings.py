@@ -9,7 +9,7 @@ from mitsuba_ref.fuzz import checks
 from mitsuba_ref.fuzz.checks import adjudicate, check_rays, check_surfaces
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally, first_of_each_kind
 from mitsuba_ref.judge.independent_checks.aims import RayBatch
-from mitsuba_ref.judge.independent_checks.exact_rays import NearestHits, cast_by_culling, prepared_scene
+from mitsuba_ref.judge.independent_checks.knife_edges import NearestHits, cast_by_culling, prepared_scene
 from mitsuba_ref.oracle.oracle import Oracle
 
 SQUARE = (

@@ -3,8 +3,8 @@
 An error in one of them is found whatever the other one is like.
 """
 
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -100,7 +100,9 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
 
     monkeypatch.setattr(scene_checks, "pack", pack_and_note)
     assert check_geometry(scene_of(shape)).ok
-    monkeypatch.setattr(scene_checks, "reference_of", lambda shape: SimpleNamespace(expected=placed))
+    monkeypatch.setattr(
+        scene_checks, "reference_of", lambda shape: replace(reference_of(shape), expected=placed)
+    )
     found = check_geometry(scene_of(shape))
     assert not found.ok
     assert found.what == f"{what} of shape-0 ({precision})"

@@ -5,8 +5,12 @@ import pytest
 
 from caster.scene.model import Scene
 from mitsuba_ref.judge.independent_checks import knife_edges as module
-from mitsuba_ref.judge.independent_checks.exact_rays import cast_by_culling, prepared_scene
-from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges, rays_at_edges
+from mitsuba_ref.judge.independent_checks.knife_edges import (
+    cast_by_culling,
+    knife_edges,
+    prepared_scene,
+    rays_at_edges,
+)
 
 SHAPES = [
     {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": 0.5},

@@ -1,9 +1,10 @@
-"""Pinhole: Mitsuba's perspective sensor."""
+"""Cameras that Mitsuba has a sensor for: pinhole (its perspective) and orthographic (a window [-1, 1] until scaled)."""
 
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from caster.cameras.orthographic import Orthographic
 from caster.cameras.pinhole import Pinhole
 from caster.scene.model import Film
 from mitsuba_ref.cameras.camera_reference import (
@@ -12,6 +13,7 @@ from mitsuba_ref.cameras.camera_reference import (
     ClipRange,
     Fields,
     RandomView,
+    camera_axes,
     clip_planes,
     eye_origins,
     sensor_pose,
@@ -34,7 +36,7 @@ def half_extents(camera: Pinhole, film: Film) -> tuple[float, float]:
     return tangent * width / side, tangent * height / side
 
 
-def rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+def pinhole_rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
     """Rays through points (2 s - 1) tan of the image plane, s the fraction of the film; near and far are planes."""
     across, above = half_extents(camera, film)
     px, py = camera.principal_point
@@ -48,7 +50,7 @@ def rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRay
     )
 
 
-def to_xml(camera: Pinhole, film: Film, limits: ClipRange) -> XmlElement:
+def pinhole_to_xml(camera: Pinhole, film: Film, limits: ClipRange) -> XmlElement:
     across, _ = half_extents(camera, film)
     sensor = Element("sensor", type="perspective")
     px, py = camera.principal_point
@@ -65,13 +67,13 @@ def to_xml(camera: Pinhole, film: Film, limits: ClipRange) -> XmlElement:
     return sensor
 
 
-def amplification(camera: Pinhole, film: Film) -> float:
+def pinhole_amplification(camera: Pinhole, film: Film) -> float:
     """Film positions are rounded where they are multiplied with the tangent, and offsets where they are added."""
     px, py = camera.principal_point
     return 1.0 + max(half_extents(camera, film)) * (1.0 + abs(px) + abs(py))
 
 
-def random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+def pinhole_random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
     planes = {"near": float(size * rng.uniform(0.0, 1.5))} if rng.random() < 0.3 else {}
     if rng.random() < 0.2:
         planes["far"] = float(size * rng.uniform(2.0, 9.0))
@@ -79,4 +81,34 @@ def random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fi
     return {**view(), "fov": fov, **planes}
 
 
-REFERENCE = CameraReference(Pinhole, rays, to_xml, amplification, random_fields)
+PINHOLE = CameraReference(Pinhole, pinhole_rays, pinhole_to_xml, pinhole_amplification, pinhole_random_fields)
+
+
+def orthographic_rays(camera: Orthographic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """Parallel rays, from a window of the camera's width whose pixels are square."""
+    pixel = camera.width / film.width
+    right, up, forward = camera_axes(camera)
+    o = eye_origins(camera, len(x))
+    o += np.outer((x - film.width / 2.0) * pixel, right) + np.outer((film.height / 2.0 - y) * pixel, up)
+    n, far = len(x), np.inf if camera.far is None else camera.far
+    return CameraRays(o, np.tile(forward, (n, 1)), np.full(n, camera.near), np.full(n, far))
+
+
+def orthographic_to_xml(camera: Orthographic, film: Film, limits: ClipRange) -> XmlElement:
+    sensor = Element("sensor", type="orthographic")
+    for name, value in clip_planes(camera, limits).items():
+        SubElement(sensor, "float", name=name, value=repr(float(value)))
+    sensor.append(matrix_element(*sensor_pose(camera, camera.width / 2.0)))
+    return sensor
+
+
+def orthographic_random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
+    """On the fuzzer's lattice a pixel is an eighth to a half of a shape wide, so that many rays hit edges exactly."""
+    width = size * float(2.0 ** rng.integers(-1, 3))
+    near = {"near": float(size * rng.uniform(0.0, 1.5))} if rng.random() < 0.2 else {}
+    return {**view(), "width": width, **near}
+
+
+ORTHOGRAPHIC = CameraReference(
+    Orthographic, orthographic_rays, orthographic_to_xml, random_fields=orthographic_random_fields
+)

@@ -1,0 +1,226 @@
+"""Mesh files read again, by Mitsuba's own loader and by plain Python, both against the mesh that the caster has read.
+
+A mesh reaches both sides of a comparison as the caster has read it, so no pixel shows an error of its reader. Here the
+original file goes to Mitsuba's `obj` or `ply` plug-in: its faces, corner by corner in the file's order, are the
+caster's. Mitsuba parses a number to the nearest float32 at once, the caster to float64, which is rounded to float32
+later. Both agree, but where that float64 lies in the middle between two float32, when either of these is right. The
+same faces by Python's `float` and `struct` show what float32 does not: they are the caster's to the bit.
+"""
+
+import struct
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.scene.model import Scene
+from caster.shapes.mesh import MeshFile
+from mitsuba_ref.error_model.bounds import error_over_bound
+from mitsuba_ref.error_model.intersections import U
+from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS
+from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.reference.messages import LoadedMesh
+
+MAX_PLAIN_BYTES = 2_000_000  # of files that plain Python reads, too: a second
+REFUSED = "not compared: Mitsuba's loader says"
+
+
+class PlainMesh(NamedTuple):
+    """A file's faces as triangles. plain: Mitsuba's loader supports all that is in it."""
+
+    corners: np.ndarray  # (f, 3, 3) float64
+    plain: bool
+    mixed: bool = False  # some corners have a normal or uv, others none
+
+
+def files_of(scene: Scene) -> dict[Path, Any]:
+    """The mesh files of a scene, each once, as the caster read them."""
+    return {Path(each.file): each.mesh() for each in scene.shapes if isinstance(each, MeshFile)}
+
+
+def read_plainly(file: Path) -> PlainMesh | None:
+    """The faces of a file by plain Python; None for a large one."""
+    if file.stat().st_size > MAX_PLAIN_BYTES:
+        return None
+    data = file.read_bytes()
+    return plain_obj(data) if file.suffix.lower() == ".obj" else plain_ply(data)
+
+
+def for_mitsuba(file: Path, folder: Path, number: int) -> Path:
+    """The file itself; where Mitsuba's loader does not support all that is in it, the same faces in a file of its kind.
+
+    Its OBJ has neither negative indices nor continued lines, its PLY no polygons.
+    """
+    found = read_plainly(file)
+    if found is None or found.plain:
+        return file
+    copy = folder / f"mesh-file-{number}.obj"
+    if file.suffix.lower() == ".obj":
+        copy.write_bytes(b"".join(b" ".join(words) + b"\n" for words, _ in obj_statements(file.read_bytes())))
+        return copy
+    lines = ["v " + " ".join(map(repr, corner)) for corner in found.corners.reshape(-1, 3).tolist()]
+    lines += [f"f {3 * k + 1} {3 * k + 2} {3 * k + 3}" for k in range(len(found.corners))]
+    copy.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return copy
+
+
+def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck:
+    """Every mesh file of the scene as others read it. loaded: by Mitsuba, in the order of `files_of`."""
+    files = files_of(scene)
+    if len(loaded) != len(files):
+        return SceneCheck("mesh_files", np.inf, f"{len(files)} files, Mitsuba has read {len(loaded)}")
+    shares: dict[str, float] = {}
+    for (file, mesh), theirs in zip(files.items(), loaded, strict=True):
+        found = read_plainly(file)
+        claims = _against_mitsuba(mesh, theirs, found, file.suffix.lower())
+        if found is not None:
+            claims["float64"] = _same(mesh.vertices[mesh.faces], found.corners)
+        shares |= {f"{what} of {file.name}": share for what, share in claims.items()}
+    worst = max(shares, key=lambda name: shares[name], default="no mesh file")
+    return SceneCheck("mesh_files", shares.get(worst, 0.0), worst)
+
+
+def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, ending: str) -> dict[str, float]:
+    """Errors over their bounds of positions, normals and uv at the corners of all faces."""
+    if theirs.problem:
+        return {f"{REFUSED} {theirs.problem!r}": 0.0 if found is not None else np.inf}
+    given = mesh.vertices[mesh.faces]
+    shares = {"corners": _same_in_float32(given, theirs.corners)}
+    as_is = found is None or found.plain or ending == ".obj"  # or the copy has positions alone
+    whole = as_is and not (found is not None and found.mixed)
+    if whole and mesh.normals is not None and shares["corners"] == 0.0:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            normals = theirs.normals / np.linalg.norm(theirs.normals, axis=2, keepdims=True)
+        shares["normals"] = _share(mesh.normals[mesh.faces], normals, FILE_NORMAL_ROUNDINGS * U)
+    if whole and mesh.uv is not None and shares["corners"] == 0.0:
+        uv = mesh.uv[mesh.faces]
+        shares["uv"] = _share(uv, theirs.uv, FILE_UV_ROUNDINGS * U * (1.0 + np.abs(uv)))
+    return shares
+
+
+def _share(ours: np.ndarray, theirs: np.ndarray, bound: Any) -> float:
+    if ours.shape != theirs.shape:
+        return float("inf")
+    error = np.abs(ours - theirs)
+    return float(error_over_bound(error, np.broadcast_to(bound, error.shape)).max(initial=0.0))
+
+
+def _same(ours: np.ndarray, expected: np.ndarray) -> float:
+    """0 if they are the same numbers, NaN included; else inf."""
+    return (
+        0.0
+        if ours.shape == expected.shape and np.array_equal(ours, expected, equal_nan=True)
+        else float("inf")
+    )
+
+
+def _same_in_float32(ours: np.ndarray, theirs: np.ndarray) -> float:
+    """0 if theirs are ours in float32; of two that are equally near, either."""
+    if ours.shape != theirs.shape:
+        return float("inf")
+    with np.errstate(all="ignore"):
+        rounded = ours.astype(np.float32).astype(np.float64)
+        tie = np.abs(ours - theirs) == np.abs(ours - rounded)
+    same = (theirs == rounded) | (np.isnan(theirs) & np.isnan(rounded)) | tie
+    return 0.0 if same.all() else float("inf")
+
+
+# ---- plain readers, of files that the caster has accepted
+
+
+def obj_statements(data: bytes) -> Iterator[tuple[list[bytes], bool]]:
+    """(words, whether they stand so in the file) of v, vt, vn and f, with indices that count from 1."""
+    counts = {b"v": 0, b"vt": 0, b"vn": 0}
+    before: list[bytes] = []
+    for line in data.removeprefix(b"\xef\xbb\xbf").splitlines():
+        text = line.split(b"#")[0].rstrip()
+        words, before, continued = before + text.removesuffix(b"\\").split(), [], bool(before)
+        if text.endswith(b"\\"):
+            before = words
+        elif words and words[0] in counts:
+            counts[words[0]] += 1
+            yield words, not continued
+        elif words and words[0] in (b"f", b"fo"):
+            corners = [_absolute(word, [*counts.values()]) for word in words[1:]]
+            yield [b"f", *corners], not continued and words == [b"f", *corners]
+
+
+def _absolute(word: bytes, counts: list[int]) -> bytes:
+    numbers = zip(word.split(b"/"), counts, strict=False)
+    return b"/".join(b"%d" % (count + 1 + int(text)) if text[:1] == b"-" else text for text, count in numbers)
+
+
+def plain_obj(data: bytes) -> PlainMesh:
+    """Faces of an OBJ file; polygons as fans around their first corner."""
+    points: list[list[float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    plain, kinds = True, set()
+    for words, as_is in obj_statements(data):
+        plain = plain and as_is
+        if words[0] == b"v":
+            points.append([float(word) for word in words[1:4]])
+        elif words[0] == b"f":
+            parts = [word.split(b"/") for word in words[1:]]
+            kinds |= {tuple(bool(text) for text in part) for part in parts}
+            triangles += _fan([int(part[0]) - 1 for part in parts])
+    return PlainMesh(np.array(points)[np.array(triangles)], plain, len(kinds) > 1)
+
+
+def _fan(polygon: list[int]) -> list[tuple[int, int, int]]:
+    return [(polygon[0], b, c) for b, c in pairwise(polygon[1:])]
+
+
+PLY_TYPES = {
+    "char": "b", "int8": "b", "uchar": "B", "uint8": "B", "short": "h", "int16": "h", "ushort": "H", "uint16": "H",
+    "int": "i", "int32": "i", "uint": "I", "uint32": "I", "float": "f", "float32": "f", "double": "d", "float64": "d",
+}  # fmt: skip
+
+
+def plain_ply(data: bytes) -> PlainMesh:
+    """Faces of a PLY file, number by number; polygons as fans around their first corner."""
+    end = data.index(b"\n" if b"\n" in data[:6] else b"\r", data.index(b"end_header")) + 1
+    header = [line.split() for line in data[:end].decode("ascii", "replace").splitlines()]
+    encoding = next(words[1] for words in header if words[:1] == ["format"])
+    read = _ascii_numbers(data[end:]) if encoding == "ascii" else _binary_numbers(data, end, encoding)
+    points: list[list[float]] = []
+    polygons: list[list[int]] = []
+    for at, words in enumerate(header):
+        if words[:1] != ["element"]:
+            continue
+        following = header[at + 1 :]
+        last = next((k for k, each in enumerate(following) if each[:1] in (["element"], ["end_header"])), 0)
+        properties = [each for each in following[:last] if each[:1] == ["property"]]
+        for _ in range(int(words[2])):
+            row = {
+                each[-1]: [read(each[3]) for _ in range(int(read(each[2])))]
+                if each[1] == "list"
+                else [read(each[1])]
+                for each in properties
+            }
+            if words[1] == "vertex":
+                points.append([float(row[axis][0]) for axis in "xyz"])
+            elif words[1] == "face":
+                polygons.append([int(i) for i in row.get("vertex_indices", row.get("vertex_index", []))])
+    triangles = [triangle for polygon in polygons for triangle in _fan(polygon)]
+    return PlainMesh(np.array(points)[np.array(triangles)], all(len(polygon) == 3 for polygon in polygons))
+
+
+def _ascii_numbers(body: bytes) -> Any:
+    words = iter(body.split())
+    return lambda kind: float(next(words))
+
+
+def _binary_numbers(data: bytes, at: int, encoding: str) -> Any:
+    order = "<" if "little" in encoding else ">"
+    place = at
+
+    def read(kind: str) -> float:
+        nonlocal place
+        layout = order + PLY_TYPES[kind]
+        (number,) = struct.unpack_from(layout, data, place)
+        place += struct.calcsize(layout)
+        return number
+
+    return read
