@@ -27,7 +27,7 @@ GROUPS = {
     "shapes": ("caster/shapes/*.py",),
     "cameras": ("caster/cameras/*.py",),
     "AOVs": ("caster/aovs/*.py",),
-    "readers": ("caster/geometry/**/*.py", "caster/scene/*.py"),
+    "readers": ("caster/geometry/**/*.py", "caster/scene/*.py", "caster/description/text.py"),
     "judge": ("mitsuba_ref/judge/**/*.py",),
     "oracle": ("mitsuba_ref/oracle/*.py",),
     "error model": ("mitsuba_ref/error_model/*.py",),

@@ -18,7 +18,7 @@ from playwright.sync_api import Browser, sync_playwright
 from caster import load_scene
 from caster.rendering.hits import RayHits
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.report.html.html_report import HtmlReport, write_report
+from mitsuba_ref.report.html_report import HtmlReport, write_report
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.runner import scene_runner
 from mitsuba_ref.subjects import subject

@@ -20,7 +20,7 @@ from mitsuba_ref.judge.verdict import EXCUSED, TIE
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rendering import aovs_of, trace_reference
 from mitsuba_ref.reference.shared_input import model_of, shared_rays
-from mitsuba_ref.report import class_images
+from mitsuba_ref.report import evidence
 from mitsuba_ref.subjects.subject import answer_of_view, cast_ours
 
 # The class of each pixel on approval: on edges and ties another answer is right as well.
@@ -87,7 +87,7 @@ def render_fresh(scene: Scene, path: str, *, variant: str | None, command: str) 
     versions = versions | {"libllvm": Path(versions.get("libllvm", "none")).name, "command": command}
     about = provenance(scene, __version__, Path(path).name)
     about |= {PREFIX + name: version for name, version in versions.items()}
-    about |= class_images.class_attributes()
+    about |= evidence.class_attributes()
     channels = {name: to_stored_type(plane) for name, plane in aovs_to_channels(images).items()}
     channels[CLASS_CHANNEL] = classes.reshape(shape).astype(np.uint32)
     return Reference(channels, about, scene.film.window, (0, 0, scene.film.width, scene.film.height))

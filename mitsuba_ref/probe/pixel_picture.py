@@ -19,7 +19,7 @@ from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
-from mitsuba_ref.report.class_images import hex_color
+from mitsuba_ref.report.evidence import hex_color
 
 NEIGHBOR_PIXELS = 3  # pixels on each side whose classes are shown
 RAYS_ACROSS_PIXEL = 81  # rays across a pixel, odd, so that one of them is the pixel's own

@@ -37,9 +37,8 @@ from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.report.class_images import write_images
-from mitsuba_ref.report.html.evidence import Evidence
-from mitsuba_ref.report.html.html_report import write_report
+from mitsuba_ref.report.evidence import Evidence, write_images
+from mitsuba_ref.report.html_report import write_report
 from mitsuba_ref.report.reproducers import (
     StoredReproducers,
     with_replay,

@@ -11,7 +11,7 @@ from typing import Any
 from caster.description.errors import SceneError
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
-from mitsuba_ref.report.html.html_report import HtmlReport, page_record
+from mitsuba_ref.report.html_report import HtmlReport, page_record
 from mitsuba_ref.report.output_manifest import OutFolder, RemovedFiles
 from mitsuba_ref.runner import scene_runner
 from mitsuba_ref.runner.isolation import CALL_TIMEOUTS, Isolated, WorkerEnded

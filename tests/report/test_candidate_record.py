@@ -9,8 +9,8 @@ import pytest
 import textbook_pages
 
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG
-from mitsuba_ref.report.html.html_report import index_row
-from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, scene_record
+from mitsuba_ref.report.html_report import index_row
+from mitsuba_ref.report.scene_record import PIXEL_LAYERS, scene_record
 from mitsuba_ref.report.validation import Validation
 
 WRONG = CLASSES.index(WRONG)
@@ -21,7 +21,7 @@ def recorded(verdict, exact=True):
 
 
 def unpacked(array, like=None):
-    """The way back, as mitsuba_ref/report/html/page/arrays.js has it, in a few lines of NumPy."""
+    """The way back, as mitsuba_ref/report/page/arrays.js has it, in a few lines of NumPy."""
     kind = np.dtype(array["type"])
     planes = np.frombuffer(zlib.decompress(base64.b64decode(array["z"])), np.uint8).reshape(kind.itemsize, -1)
     bits = np.ascontiguousarray(planes.T).view(f"u{kind.itemsize}").ravel()

@@ -12,7 +12,7 @@ from made_verdicts import scene as made
 
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.report.html.html_report import MAX_PIXELS_WITH_IMAGES, HtmlReport
+from mitsuba_ref.report.html_report import MAX_PIXELS_WITH_IMAGES, HtmlReport
 from mitsuba_ref.report.output_manifest import IMAGES, MANIFEST, OutputManifest, files_of
 from mitsuba_ref.runner import scene_runner
 
@@ -219,7 +219,7 @@ def test_a_folder_whose_list_cannot_be_written_is_said_before_any_work(judged, c
 @pytest.fixture
 def report(tmp_path, monkeypatch):
     """report(scene, ...): a report on them in tmp_path, swept. What goes into its pages is made up."""
-    monkeypatch.setattr("mitsuba_ref.report.html.html_report.page", lambda *_: ["<title>ray-reference"])
+    monkeypatch.setattr("mitsuba_ref.report.html_report.page", lambda *_: ["<title>ray-reference"])
 
     def made_from(*scenes, spared=()):
         one = HtmlReport(tmp_path, len(scenes))

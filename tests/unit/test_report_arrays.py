@@ -6,7 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
-from mitsuba_ref.report.html.scene_record import base_bits, coarse, narrowest, packed, rounded
+from mitsuba_ref.report.scene_record import base_bits, coarse, narrowest, packed, rounded
 
 ODD = [0.0, -0.0, 1.5, -2.25, np.inf, -np.inf, np.nan, 5e-324, 1e-45, 3.4e38, np.pi]
 

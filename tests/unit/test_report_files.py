@@ -9,9 +9,8 @@ import pytest
 
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict
-from mitsuba_ref.report import class_images
-from mitsuba_ref.report.html import html_report
-from mitsuba_ref.report.html.html_report import (
+from mitsuba_ref.report import evidence, html_report
+from mitsuba_ref.report.html_report import (
     ONE_FILE_LIMIT_BYTES,
     SCRIPTS,
     HtmlReport,
@@ -62,7 +61,7 @@ def test_no_layer_comes_without_what_it_belongs_to():
 
 
 def test_one_file_never_outgrows_its_size(tmp_path, monkeypatch):
-    monkeypatch.setattr("mitsuba_ref.report.html.html_report.ONE_FILE_LIMIT_BYTES", 150_000)
+    monkeypatch.setattr("mitsuba_ref.report.html_report.ONE_FILE_LIMIT_BYTES", 150_000)
     report = HtmlReport(tmp_path / "r.html", 20)
     for i in range(20):
         name = f"scene-{i}"
@@ -83,7 +82,7 @@ def test_one_file_never_outgrows_its_size(tmp_path, monkeypatch):
 
 
 def kept_of(file, sizes):
-    from mitsuba_ref.report.html.html_report import WrittenScene
+    from mitsuba_ref.report.html_report import WrittenScene
 
     return WrittenScene(file, "", sizes)
 
@@ -106,7 +105,7 @@ def test_no_text_ends_its_script():
 
 
 def test_every_script_of_the_page_is_in_it():
-    files = {each.name for each in (resources.files("mitsuba_ref.report.html") / "page").iterdir()}
+    files = {each.name for each in (resources.files("mitsuba_ref.report") / "page").iterdir()}
     assert {f"{name}.js" for name in SCRIPTS} | {"page.html", "page.css"} == files
     text = "".join(page({"summary": "", "candidate": "", "classes": []}, []))
     assert not re.findall(r"https?://|\bfetch\(|\bimport\b|new Worker|\beval\(", text)
@@ -123,7 +122,7 @@ ENOUGH = 4.5  # WCAG 2.2, 1.4.3: contrast of text of this size
 
 @pytest.mark.parametrize("theme", [0, 1, 2], ids=["light", "dark by the system", "dark by choice"])
 def test_words_stand_out_from_what_they_are_on(theme):
-    css = (resources.files("mitsuba_ref.report.html") / "page" / "page.css").read_text(encoding="utf-8")
+    css = (resources.files("mitsuba_ref.report") / "page" / "page.css").read_text(encoding="utf-8")
     blocks = re.findall(r"\{([^{}]*--bg:[^{}]*)\}", css)
     assert len(blocks) == 3
     colors = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", blocks[theme]))
@@ -166,13 +165,13 @@ def test_a_verdict_writes_itself(tmp_path):
 
 
 def test_classes_have_the_same_colours_on_the_page_as_in_files():
-    script = (resources.files("mitsuba_ref.report.html") / "page/colors.js").read_text(encoding="utf-8")
+    script = (resources.files("mitsuba_ref.report") / "page/colors.js").read_text(encoding="utf-8")
     listed = script.partition("const CLASS_COLORS = {")[2].partition("}")[0]
     found = {
         name: tuple(map(int, rgb.split(","))) for name, rgb in re.findall(r"(\w+): \[([^\]]+)\]", listed)
     }
     assert found.keys() == {*CLASSES, "unlisted"} and len(set(found.values())) == len(found)
-    assert {name: found[name] for name in CLASSES} == class_images.CLASS_COLORS
+    assert {name: found[name] for name in CLASSES} == evidence.CLASS_COLORS
 
 
 def test_a_page_of_others_is_left_alone(tmp_path):

@@ -1,4 +1,4 @@
-// Arrays out of text, to the bit: mitsuba_ref/report/html/scene_record.py packs them.
+// Arrays out of text, to the bit: mitsuba_ref/report/scene_record.py packs them.
 
 const KINDS = { f4: Float32Array, f8: Float64Array, i4: Int32Array, u1: Uint8Array };
 

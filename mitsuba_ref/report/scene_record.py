@@ -1,6 +1,6 @@
 """The data of one scene on the report's page, in parts: verdict, findings of each pixel, and both images.
 
-Arrays are text: bytes of equal weight grouped, deflated, in base64; lossless. mitsuba_ref/report/html/page/arrays.js
+Arrays are text: bytes of equal weight grouped, deflated, in base64; lossless. mitsuba_ref/report/page/arrays.js
 decodes them.
 """
 
@@ -18,7 +18,7 @@ from mitsuba_ref.judge.classification import CLASS_CODE
 from mitsuba_ref.judge.explanations import format_exact_hit
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.report.html.evidence import Evidence
+from mitsuba_ref.report.evidence import Evidence
 
 Packed = dict[str, Any]  # {"type": "f4", "z": text}, and "delta" or "xor" for the step before
 

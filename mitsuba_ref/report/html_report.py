@@ -20,10 +20,10 @@ from caster.system.atomic_files import (
     write_text,
 )
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG, SceneVerdict, json_number
-from mitsuba_ref.report.html.evidence import Evidence
-from mitsuba_ref.report.html.scene_record import PIXEL_LAYERS, SceneRecord, scene_record
+from mitsuba_ref.report.evidence import Evidence
 from mitsuba_ref.report.output_manifest import ManifestEntry, OutputManifest, RemovedFiles
 from mitsuba_ref.report.reproducers import replay, replay_around
+from mitsuba_ref.report.scene_record import PIXEL_LAYERS, SceneRecord, scene_record
 from mitsuba_ref.report.verdict_text import failure_text
 
 # One file: opens within two seconds on a small machine, and is accepted by mail and CI servers.
@@ -286,7 +286,7 @@ def _template() -> tuple[str, str, str]:
 
 
 def _part(name: str) -> str:
-    return (resources.files("mitsuba_ref.report.html") / "page" / name).read_text(encoding="utf-8")
+    return (resources.files("mitsuba_ref.report") / "page" / name).read_text(encoding="utf-8")
 
 
 def _plain_table(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> str:

@@ -1,1 +1,0 @@
-"""The HTML report: per-pixel records and the page that shows them, opened from a file."""
