@@ -44,6 +44,7 @@ SCENE_CHECKS = (
     "render",
     "culling",
     "knife_edges",
+    "mesh_files",
     "sensor",
     "bias",
 )

@@ -209,9 +209,9 @@ def judge_here(
     """Load and judge one scene in this process. Raises what loading and judging raise.
 
     timeout: seconds for Mitsuba; store: take its answer to the very same request in an earlier run; subject: in place
-    of our caster; inputs_of: a hash of all that the verdict depends on, recorded as its `inputs`; known: such a hash
-    for which nothing is judged, and the verdict says nothing else; page_of: what of the verdict and its evidence the
-    report needs, which takes the place of the evidence.
+    of our caster, where the entry has none of its own; inputs_of: a hash of all that the verdict depends on, recorded
+    as its `inputs`; known: such a hash for which nothing is judged, and the verdict says nothing else; page_of: what of
+    the verdict and its evidence the report needs, which takes the place of the evidence.
     """
     loaded = entry.load()
     inputs = inputs_of(loaded) if inputs_of else ""
@@ -222,8 +222,8 @@ def judge_here(
         given["send"] = send_request
     if loaded.rays is not None:
         given |= {"rays": loaded.rays, "first_ray": loaded.ray_range[0]}
-    if subject or loaded.subject:
-        given["subject"] = subject or loaded.subject
+    if loaded.subject or subject:
+        given["subject"] = loaded.subject or subject
     try:
         verdict = validate_scene(loaded.scene, loaded.name, loaded.path, folder=folder, **given)
     except OutputError:
