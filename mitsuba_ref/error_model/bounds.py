@@ -128,6 +128,9 @@ def t_bounds(
     4 units in their last places, times the condition of each intersection, at the root nearest to t.
     """
     (t, prim), (o, d) = hits, rays
+    exponent = np.frexp(np.abs(d).max(axis=1, initial=0.0))[1]  # so that no square of a direction overflows
+    with np.errstate(all="ignore"):
+        unscaled, t, d = t, np.ldexp(t, exponent), np.ldexp(d, -exponent[:, None])
     bounds = np.full(len(t), np.nan)
     shape = packed.shape_of(prim)
     for number in np.unique(shape[prim >= 0]):
@@ -139,7 +142,8 @@ def t_bounds(
             k = prim[rows] - packed.first[number]
             bounds[rows] = _error_of_nearest_root(t[rows], intersect(part, k, o[rows], d[rows], KU_OURS))
     with np.errstate(all="ignore"):
-        return bounds + T_ROUNDING_ULPS * np.spacing(np.abs(t)) + UNDERFLOW_BOUND
+        bounds = np.ldexp(bounds, -exponent)
+        return bounds + T_ROUNDING_ULPS * np.spacing(np.abs(unscaled)) + UNDERFLOW_BOUND
 
 
 def _error_of_nearest_root(t: np.ndarray, roots: Sequence[Intersections]) -> np.ndarray:

@@ -118,7 +118,7 @@ NO_NORMAL = np.array([1.0, 0.0, 0.0])  # what Mitsuba gives a vertex without a f
 
 def angle_weighted_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angle-weighted normals corner by corner, and the size of their rounding (inf where they cancel)."""
-    p = vertices / max(np.abs(vertices).max(), np.finfo(float).tiny)
+    p = np.ldexp(vertices, -np.frexp(np.abs(vertices).max())[1])  # exact: differences cancel no rounding
     total, weight = np.zeros_like(p), np.zeros(len(p))
     with np.errstate(divide="ignore", invalid="ignore"):
         for j in range(3):

@@ -134,7 +134,8 @@ class Campaign:
 
     def _is_judged(self, tried: Example) -> bool:
         every = self.plan.judge_every
-        return every > 0 and tried.family.fits_float32 and tried.random(MITSUBA_STREAM).random() * every < 1.0
+        drawn = tried.family.always_judged or tried.random(MITSUBA_STREAM).random() * every < 1.0
+        return every > 0 and tried.family.fits_float32 and drawn
 
     def _keep(self, tried: Example, finding: Finding, resident: ResidentSession) -> None:
         """Keep the scene, then replace it by the shrunk one: an interruption in between leaves the large one."""
@@ -184,7 +185,7 @@ def raising_rays(tried: Example, rays: RayBatch) -> Iterator[Finding]:
 
 
 def case_of(data: dict[str, Any], ray: RayBatch | None) -> Case:
-    return Case(data["film"], data["camera"], data["shape"], ray)
+    return Case.of(data)._replace(ray=ray)
 
 
 def mitsuba_findings(case: Case, resident: ResidentSession, tally: Tally) -> list[Finding]:

@@ -10,8 +10,10 @@ import math
 import shutil
 import tomllib
 import traceback
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,11 +40,12 @@ class Case(NamedTuple):
     camera: dict[str, Any]
     shapes: list[dict[str, Any]]
     ray: RayBatch | None = None  # one row; None: the rays of the camera
+    rest: Mapping[str, Any] = MappingProxyType({})  # lights, materials and what else there is
 
     def scene_data(self) -> dict[str, Any]:
         """The scene; a single ray becomes its camera, without its t_min."""
         if self.ray is None:
-            return {"film": self.film, "camera": self.camera, "shape": self.shapes}
+            return {"film": self.film, "camera": self.camera, "shape": self.shapes, **self.rest}
         camera: dict[str, Any] = {
             "type": "ray",
             "origin": self.ray.o[0].tolist(),
@@ -50,14 +53,14 @@ class Case(NamedTuple):
         }
         if 0.0 < self.ray.t_max[0] < np.inf:
             camera["t_max"] = float(self.ray.t_max[0])
-        return {"film": {"width": 1, "height": 1}, "camera": camera, "shape": self.shapes}
+        return {"film": {"width": 1, "height": 1}, "camera": camera, "shape": self.shapes, **self.rest}
 
     def scene(self) -> Scene:
         return scene_of(self.scene_data())
 
     def to_data(self) -> dict[str, Any]:
         """Plain data, for the shrinker."""
-        data = {"film": self.film, "camera": self.camera, "shape": self.shapes}
+        data = {"film": self.film, "camera": self.camera, "shape": self.shapes, **self.rest}
         if self.ray is not None:
             (o,), (d,), (t_min,), (t_max,) = (a.tolist() for a in self.ray)
             data["ray"] = {"o": o, "d": d, "t_min": t_min, "t_max": t_max}
@@ -65,9 +68,9 @@ class Case(NamedTuple):
 
     @classmethod
     def of(cls, data: dict[str, Any]) -> "Case":
-        return cls(
-            data["film"], data["camera"], data["shape"], one_ray(**data["ray"]) if "ray" in data else None
-        )
+        ray = one_ray(**data["ray"]) if "ray" in data else None
+        rest = {key: value for key, value in data.items() if key not in ("film", "camera", "shape", "ray")}
+        return cls(data["film"], data["camera"], data["shape"], ray, rest)
 
 
 def one_ray(o: list[float], d: list[float], t_min: float, t_max: float) -> RayBatch:
@@ -155,9 +158,8 @@ def read_kept(path: Path) -> KeptCase:
     for shape, loaded in zip(data["shape"], scene.shapes, strict=True):
         if "file" in shape:
             shape["file"] = getattr(loaded, "file", shape["file"])
-    ray = one_ray(**record["ray"]) if "ray" in record else None
-    case = Case(data["film"], parse_hex_floats(data["camera"]), parse_hex_floats(data["shape"]), ray)
-    return KeptCase(record["kind"], case, record["found_by"])
+    rays = {"ray": record["ray"]} if "ray" in record else {}
+    return KeptCase(record["kind"], Case.of({**parse_hex_floats(data), **rays}), record["found_by"])
 
 
 def _parse_record(path: Path, text: str) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from caster import cast
 from caster.aovs import Aovs
+from caster.description.errors import SceneError
 from caster.geometry.packing import Packed
 from caster.rendering.casting import Culling
 from caster.rendering.hits import Hits
@@ -20,6 +21,7 @@ from mitsuba_ref.judge.independent_checks.knife_edges import (
     PreparedScene,
     cast_by_culling,
     concatenated,
+    content_seed,
     discrepancy,
     error_models,
     error_over_bound,
@@ -27,6 +29,7 @@ from mitsuba_ref.judge.independent_checks.knife_edges import (
     t_text,
     with_limits,
 )
+from mitsuba_ref.judge.independent_checks.scaling import exponents_of, scaling_differences
 from mitsuba_ref.oracle.oracle import ExactAnswer, OutsideDomain
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.shapes.targets import Rng
@@ -136,7 +139,20 @@ def check_image(subject: PreparedScene, tally: Tally) -> list[Finding]:
     }
     expected = images["brute-force"]
     findings = [f for name in images for f in _image_differences(subject, expected, images[name], name)]
+    findings += _scaling_differences(subject, tally)
     return findings + _adjudicate_image(subject, expected, tally)
+
+
+def _scaling_differences(subject: PreparedScene, tally: Tally) -> Iterator[Finding]:
+    try:
+        exponents = exponents_of(subject.scene, content_seed(subject.packed))
+        different = scaling_differences(subject.scene, exponents)
+    except SceneError:
+        tally.outside += 1
+        return
+    for exponent, aov, pixels in different:
+        what = f"{aov}: other bits in {len(pixels)} pixels 2^{exponent} times as large"
+        yield Finding("scaling", what, pixel=pixel_of(subject.scene, int(pixels[0])))
 
 
 def _image_differences(subject: PreparedScene, expected: Aovs, other: Aovs, name: str) -> Iterator[Finding]:

@@ -15,6 +15,7 @@ from mitsuba_ref.fuzz.settings import (
     Fields,
     bounded_types,
     log_uniform,
+    matrix_rows,
     random_camera,
     random_lattice_setting,
     random_rotation,
@@ -24,6 +25,7 @@ from mitsuba_ref.fuzz.settings import (
     shape_types,
     triangle_of,
     vector,
+    with_options,
 )
 from mitsuba_ref.judge.independent_checks import aims
 from mitsuba_ref.judge.independent_checks.aims import (
@@ -34,7 +36,7 @@ from mitsuba_ref.judge.independent_checks.aims import (
     aimed_rays,
     perturbed_by_ulps,
 )
-from mitsuba_ref.shapes.targets import Rng
+from mitsuba_ref.shapes.targets import Rng, coin_flip
 
 RAYS_PER_EXAMPLE = 40  # before those with limits
 
@@ -55,6 +57,8 @@ class Family(NamedTuple):
     fits_float32: bool = True  # so that Mitsuba can trace it
     cameras: tuple[str, ...] = ()  # types; (): all that are registered
     films: tuple[tuple[int, int], ...] = FILM_SIZES
+    finish: Callable[[Rng, Setting, dict[str, Any]], dict[str, Any]] = lambda rng, setting, data: data
+    always_judged: bool = False  # by Mitsuba, unless none is
 
 
 # ---- shapes that are hard together ----
@@ -231,6 +235,42 @@ def clutter(rng: Rng) -> tuple[Setting, Shapes]:
     return setting, [random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(count)]
 
 
+def nearly_similar(rng: Rng, setting: Setting) -> Shapes:
+    """Matrices within 10^-1 to 10^-16 of a similarity: stretched, sheared, or any way off; some shapes come twice."""
+    shapes = []
+    for shape in random_shapes(rng, setting, shape_types("quadric"), 3):
+        off = rng.normal(size=(3, 3)) * 10.0 ** -float(rng.integers(1, 17))
+        off *= (np.eye(3), 1.0 - np.eye(3), np.ones((3, 3)))[int(rng.integers(3))]
+        size = setting.size * float(rng.choice([1.0, 0.5, -0.25]))
+        similar = size * (np.eye(3) if setting.lattice else random_rotation(rng))
+        move = setting.on_lattice(np.array(setting.center) + 1.5 * setting.size * rng.normal(size=3))
+        for share in (1.0, 1.0, 0.0)[: int(rng.integers(1, 4))]:
+            rows = matrix_rows(similar @ (np.eye(3) + share * off), move)
+            shapes.append({**shape, "to_world": [{"matrix": rows}]})
+    return shapes
+
+
+def any_magnitude(rng: Rng) -> tuple[Setting, Shapes]:
+    """Sizes of 2^-300 to 2^300; without faces where those are rejected."""
+    exponent = int(rng.integers(-MAX_EXPONENT, MAX_EXPONENT + 1))
+    setting = Setting(2.0**exponent, condition=10.0, lattice=coin_flip(rng))
+    types = shape_types("quadric") if exponent > LARGEST_EXPONENT_OF_FACES else bounded_types()
+    return setting, random_shapes(rng, setting, types, 3)
+
+
+def options(rng: Rng) -> tuple[Setting, Shapes]:
+    """Of two kinds at most in half of the scenes, so that most kinds come twice."""
+    setting = random_setting(rng, decades_of_size=1.0)
+    kinds = rng.choice(shape_types(), 2) if rng.random() < 0.5 else shape_types()
+    return setting, [
+        random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(int(rng.integers(1, 5)))
+    ]
+
+
+# Products of three lengths stay below 2^1024 and, where they are not cancelled by 2^120, above 2^-1022. Faces with a
+# vertex beyond 2^60.6 are rejected (caster.geometry.world_space.LARGEST_COORDINATE), and shapes have some sizes.
+MAX_EXPONENT, LARGEST_EXPONENT_OF_FACES = 300, 55
+
 ANY_SHAPES = shapes_of(random_setting, "", 5)
 
 FAMILIES: tuple[Family, ...] = (
@@ -291,6 +331,25 @@ FAMILIES: tuple[Family, ...] = (
         cameras=("pinhole", "orthographic"),
         films=((16, 12), (13, 13)),
     ),
+    Family(
+        "similarities",
+        "matrices within 10^-1 to 10^-16 of a similarity",
+        in_random_setting(nearly_similar),
+    ),
+    Family(
+        "magnitudes",
+        "scenes and directions of 2^-300 to 2^300",
+        any_magnitude,
+        tuple(aims.of_any_length(aim, MAX_EXPONENT) for aim in aims.ALL_AIMS),
+        fits_float32=False,
+    ),
+    Family(
+        "options",
+        "everything a scene file can say: films, crops, cameras, lights, materials",
+        options,
+        finish=with_options,
+        always_judged=True,
+    ),
 )
 BY_NAME = {family.name: family for family in FAMILIES}
 
@@ -324,7 +383,8 @@ def example(seed: int, number: int, families: Sequence[Family]) -> Example:
     rng = np.random.default_rng([seed, number, seed_of_name(family.name), SCENE_STREAM])
     setting, shapes = family.draw(rng)
     film, camera = random_camera(rng, setting, family.cameras, family.films)
-    return Example(seed, number, family, setting, {"film": film, "camera": camera, "shape": shapes})
+    data = family.finish(rng, setting, {"film": film, "camera": camera, "shape": shapes})
+    return Example(seed, number, family, setting, data)
 
 
 def seed_of_name(name: str) -> int:

@@ -16,6 +16,7 @@ FINDING_KINDS = {
     "t": "t is farther from the exact one than float64 rounding explains",
     "culling": "two ways to cast the same ray differ in some bit",
     "surface": "a position or normal is not finite, or a normal is not of length 1",
+    "scaling": "a scene 2^k times as large is not rendered alike",
     "judged": "the judge's comparison with Mitsuba fails",
     "crash": "Mitsuba ended without an answer",
 }

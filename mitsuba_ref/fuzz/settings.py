@@ -1,15 +1,17 @@
-"""Random settings, transforms, shapes and cameras of fuzzed scenes."""
+"""Random settings, transforms, shapes and cameras of fuzzed scenes; their options: films, crops, lights, materials."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+import typing
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from caster.cameras import CAMERAS
 from caster.description.errors import SceneError
 from mitsuba_ref import cameras
 from mitsuba_ref.judge.independent_checks.aims import Setting
 from mitsuba_ref.shapes import REFERENCES
-from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng, random_directions
+from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng, coin_flip, random_directions
 
 T = TypeVar("T")
 Fields = dict[str, Any]  # of a shape, a camera or a film, as a scene file gives them
@@ -166,3 +168,113 @@ def _random_linear(rng: Rng, setting: Setting) -> np.ndarray:
     values = np.array([1.0, condition ** -rng.random(), 1.0 / condition])
     values = rng.permutation(values) * rng.choice([-1.0, 1.0], 3)
     return setting.size * random_rotation(rng) @ np.diag(values) @ random_rotation(rng)
+
+
+# ---- options: everything that a scene file can say ----
+
+
+OPTION_FILMS = ((5, 3), (3, 5), (4, 4), (8, 2), (2, 8), (6, 5))  # pixels: landscape, portrait, square
+MATERIALS = ("first", "second")
+CHECKED = ("depth", "diffuse")  # AOVs that a table `check` names
+
+
+def with_options(rng: Rng, setting: Setting, data: dict[str, Any]) -> dict[str, Any]:
+    """The scene with a random choice of everything that a scene file can say."""
+    materials = {name: _material(rng) for name in MATERIALS[: int(rng.integers(3))]}
+    scene = {
+        "film": _film(rng),
+        "camera": _camera(rng, setting, data["camera"]),
+        "shape": [_shape(rng, setting, i, shape, list(materials)) for i, shape in enumerate(data["shape"])],
+        "light": [
+            {"type": kind, **fields(rng, setting)}
+            for kind, fields in LIGHT_FIELDS.items()
+            for _ in range(int(rng.integers(3)))
+        ],
+        "material": materials,
+        "check": {name: _sometimes(rng, {"ratio": 2.0}, 0.3) for name in CHECKED[: int(rng.integers(3))]},
+    }
+    return scene | _sometimes(rng, {"shading": {"shadows": coin_flip(rng)}})
+
+
+def _sometimes(rng: Rng, fields: Fields, share: float = 0.5) -> Fields:
+    return fields if rng.random() < share else {}
+
+
+def _film(rng: Rng) -> Fields:
+    width, height = OPTION_FILMS[int(rng.integers(len(OPTION_FILMS)))]
+    x0, y0 = (int(rng.integers(2)) for _ in range(2))
+    x1, y1 = (max(first + 1, side - int(rng.integers(2))) for first, side in ((x0, width), (y0, height)))
+    return {"width": width, "height": height} | _sometimes(rng, {"crop": [x0, y0, x1, y1]}, 0.6)
+
+
+def _camera(rng: Rng, setting: Setting, camera: Fields) -> Fields:
+    """Enumerations at random, from the schema; optional fields given or left out."""
+    (model,) = (each for each in CAMERAS if each.model_fields["type"].default == camera["type"])
+    choices = {
+        name: str(rng.choice(typing.get_args(field.annotation)))
+        for name, field in model.model_fields.items()
+        if typing.get_origin(field.annotation) is Literal and name != "type"
+    }
+    lengths = {"far": float(setting.size * rng.uniform(2.0, 20.0)), "t_max": log_uniform(rng, 1.0, 100.0)}
+    optional = {
+        "principal_point": rng.uniform(-0.3, 0.3, 2).tolist(),
+        **{name: length * (setting.size if name == "t_max" else 1.0) for name, length in lengths.items()},
+    }
+    given = {name: value for name, value in optional.items() if name in model.model_fields and coin_flip(rng)}
+    out = {**camera, **choices, **given}
+    if "fov" in out and rng.random() < 0.3:
+        del out["fov"]
+    if "look_at" in model.model_fields and coin_flip(rng):
+        way = np.array(out.pop("direction"))
+        out["look_at"] = (np.array(out["eye"]) + setting.size * float(rng.uniform(1.0, 9.0)) * way).tolist()
+    return out
+
+
+def _shape(rng: Rng, setting: Setting, number: int, shape: Fields, materials: list[str]) -> Fields:
+    out = dict(shape)
+    if rng.random() < 0.3:
+        out.pop("seed", None)
+    if rng.random() < 0.4:
+        out["to_world"] = _steps(rng, setting)
+    if not out.get("to_world", True):
+        del out["to_world"]
+    out |= _sometimes(rng, {"name": f"shape {number}"})
+    return out | (_sometimes(rng, {"material": str(rng.choice(materials))}, 0.8) if materials else {})
+
+
+def _steps(rng: Rng, setting: Setting) -> list[Fields]:
+    """No step, or a scale and a look_at, with or without its own up."""
+    if rng.random() < 0.4:
+        return []
+    origin = np.array(setting.center) + setting.size * rng.normal(size=3)
+    view = {"origin": origin.tolist(), "target": (origin + setting.size * rng.normal(size=3)).tolist()}
+    up = _sometimes(rng, {"up": rng.normal(size=3).tolist()})
+    return [{"scale": setting.size * float(rng.uniform(0.2, 1.0))}, {"look_at": {**view, **up}}]
+
+
+def _material(rng: Rng) -> Fields:
+    return {"reflectance": rng.random(3).tolist()} | _sometimes(rng, {"two_sided": True})
+
+
+def _point(rng: Rng, setting: Setting) -> Fields:
+    position = np.array(setting.center) + 4.0 * setting.size * rng.normal(size=3)
+    intensity = setting.size**2 * rng.uniform(1.0, 30.0, 3)
+    return {"position": vector(position), "intensity": vector(intensity)}
+
+
+def _directional(rng: Rng, setting: Setting) -> Fields:
+    return {
+        "direction": random_directions(rng, 1)[0].tolist(),
+        "irradiance": vector(rng.uniform(0.1, 2.0, 3)),
+    }
+
+
+def _ambient(rng: Rng, setting: Setting) -> Fields:
+    return {"radiance": vector(rng.uniform(0.01, 0.5, 3))}
+
+
+LIGHT_FIELDS: dict[str, Callable[[Rng, Setting], Fields]] = {
+    "point": _point,
+    "directional": _directional,
+    "ambient": _ambient,
+}

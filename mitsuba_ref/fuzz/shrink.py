@@ -126,7 +126,7 @@ def fewer_fields(shrinker: Shrinker) -> bool:
     changed = False
     for path, value in list(walk(shrinker.data)):
         is_field = isinstance(path[-1], str) or isinstance(value, dict)
-        if is_field and len(path) > 1 and path[0] in ("shape", "camera") and path[-1] != "type":
+        if is_field and len(path) > 1 and path[0] not in ("film", "ray") and path[-1] != "type":
             changed |= exists(shrinker.data, path) and shrinker.accepts(without(shrinker.data, path))
     return changed
 
@@ -135,7 +135,7 @@ def rounder_numbers(shrinker: Shrinker) -> bool:
     """Replace each number by the simplest one that still fails."""
     changed = False
     for path, value in list(walk(shrinker.data)):
-        if isinstance(value, float) and path[0] in ("shape", "camera", "ray"):
+        if isinstance(value, float) and path[0] != "film":
             changed |= any(
                 shrinker.accepts(with_value(shrinker.data, path, number)) for number in simpler_numbers(value)
             )

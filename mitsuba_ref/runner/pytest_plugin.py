@@ -45,6 +45,7 @@ SCENE_CHECKS = (
     "culling",
     "knife_edges",
     "mesh_files",
+    "scaling",
     "sensor",
     "bias",
 )

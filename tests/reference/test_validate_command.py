@@ -205,6 +205,7 @@ def test_out_holds_the_verdict_and_the_pictures_it_is_about(ref, tmp_path):
         "sensor",
         "culling",
         "knife_edges",
+        "scaling",
         "geometry",
     }
 

@@ -156,6 +156,16 @@ def from_afar(rng: Rng, targets: Targets, setting: Setting, count: int) -> Origi
     return o, at.p - o
 
 
+def of_any_length(aim: Aim, exponent: int) -> Aim:
+    """The same rays, with directions 2^-exponent to 2^exponent times as long."""
+
+    def longer(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
+        o, d = aim(rng, targets, setting, count)
+        return o, np.ldexp(d, rng.integers(-exponent, exponent + 1, (count, 1)))
+
+    return longer
+
+
 ALL_AIMS: tuple[Aim, ...] = (
     at_features,
     tangents,

@@ -1,0 +1,117 @@
+"""Everything that a scene file can say is in a shipped scene or drawn by the fuzzer, so that a judge looks at it."""
+
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from pydantic import Field
+from scene_options import aspects, demanded, demanded_aspects, exercised
+
+from caster.cameras import Pinhole
+from caster.description.quantities import Description
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
+from mitsuba_ref.fuzz.families import FAMILIES, example, scene_of
+
+# Examples of each family, from the first of seed 0 on. Of `options` as many as `mitsuba-ref fuzz` checks within some
+# minutes; the rarest (two conditions at once) are met by one in a hundred.
+EXAMPLES, EXAMPLES_OF_OPTIONS = 8, 400
+
+# What no judge can look at, and why.
+NOT_EXERCISED = {"Scene.shapes: none": "no ray hits, and a comparison without hits does not pass"}
+
+
+def options_of(scene):
+    return {*exercised(scene), *aspects(scene)}
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return {
+        option for path in sorted(Path("scenes").glob("*.toml")) for option in options_of(load_scene(path))
+    }
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return {
+        option
+        for family in FAMILIES
+        for number in range(EXAMPLES_OF_OPTIONS if family.name == "options" else EXAMPLES)
+        for option in options_of(scene_of(example(0, number, [family]).data))
+    }
+
+
+def missing(wanted, found):
+    return sorted(set(wanted) - set(found))
+
+
+def test_every_option_is_exercised_by_a_scene_or_by_fuzz(shipped, drawn):
+    wanted = {*demanded(Scene), *demanded_aspects(Scene)}
+    assert len(wanted) > 400
+    assert missing(wanted, shipped | drawn) == sorted(NOT_EXERCISED), "no scene and no fuzz family has this"
+
+
+def test_every_enumerated_value_is_drawn_by_fuzz(drawn):
+    """Those of enumerations, kinds and bools: shipped scenes may change."""
+    enumerated = [each for each in demanded(Scene) if each.endswith("'") or each.endswith(("True", "False"))]
+    assert enumerated and not missing(enumerated, drawn)
+
+
+def test_what_is_exercised_is_spelled_as_what_is_demanded(shipped, drawn):
+    assert not missing(shipped | drawn, [*demanded(Scene), *demanded_aspects(Scene)])
+
+
+class Wider(Pinhole):
+    """A pinhole with options that no scene has."""
+
+    fov_axis: Literal["x", "y", "diagonal", "smaller", "larger", "widest"] = "x"
+    mirrored: bool = False
+
+
+class Holder(Description):
+    camera: Wider
+    several: tuple[Wider, ...] = Field(default=(), alias="more")
+    shutter: float | None = None
+    gain: float = 1.0
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "Wider 'pinhole'.fov_axis: 'widest'",
+        "Wider 'pinhole'.mirrored: True",
+        "Holder.several: two or more",
+        "Holder.shutter: given",
+        "Holder.gain: another than the default",
+    ],
+)
+def test_a_new_option_is_demanded_by_its_name(option):
+    """Of one that uses none of them, each is missing; of one that uses it, it is not."""
+    view = {"eye": (0.0, 0.0, 5.0), "direction": (0.0, 0.0, -1.0)}
+    plain, wide = Wider(**view), Wider(**view, fov_axis="widest", mirrored=True)
+    assert option in missing(demanded(Holder), exercised(Holder(camera=plain)))
+    rich = Holder(camera=wide, more=(plain, wide), shutter=0.5, gain=2.0)
+    assert option not in missing(demanded(Holder), exercised(rich))
+
+
+@pytest.mark.parametrize(
+    ("leave_out", "named"),
+    [
+        (
+            lambda scene: scene.camera.type == "pinhole" and scene.camera.fov_axis == "larger",
+            "fov_axis: 'larger'",
+        ),
+        (lambda scene: len([each for each in scene.lights if each.type == "ambient"]) > 1, "two of Ambient"),
+        (lambda scene: scene.film.width < scene.film.height, "portrait film"),
+        (lambda scene: scene.film.crop is not None and scene.camera.type == "panorama", "crop of Panorama"),
+        (lambda scene: not scene.shading.shadows, "Shading.shadows: False"),
+    ],
+)
+def test_without_the_scenes_that_have_it_an_option_is_named(leave_out, named):
+    paths = sorted(Path("scenes").glob("*.toml"))
+    family = next(each for each in FAMILIES if each.name == "options")
+    scenes = [load_scene(path) for path in paths]
+    scenes += [scene_of(example(0, number, [family]).data) for number in range(60)]
+    found = {option for scene in scenes if not leave_out(scene) for option in options_of(scene)}
+    assert any(named in option for option in missing([*demanded(Scene), *demanded_aspects(Scene)], found))
