@@ -90,7 +90,9 @@ def camera_axes(camera: Camera) -> np.ndarray:
 
 def to_world_directions(camera: Camera, local: np.ndarray) -> np.ndarray:
     """Local directions (n, 3) right, up, forward -> unit world directions."""
-    d = local @ camera_axes(camera)
+    d = np.einsum(
+        "ij,jk->ik", local, camera_axes(camera)
+    )  # BLAS's threads wait for each other longer than this takes
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 

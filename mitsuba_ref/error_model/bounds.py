@@ -89,9 +89,12 @@ def error_over_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
 
 def row_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Euclidean distance of rows (n, c); NaN where either is not finite."""
+    squares, finite = np.zeros(len(a)), np.ones(len(a), bool)
     with np.errstate(invalid="ignore"):
-        distance: np.ndarray = np.sqrt(np.sum((a - b) ** 2, axis=1))
-    return np.where(np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1), distance, np.nan)
+        for one, other in zip(a.T, b.T, strict=True):  # a sum over an axis of three takes five times as long
+            squares += (one - other) ** 2
+            finite &= np.isfinite(one) & np.isfinite(other)
+    return np.where(finite, np.sqrt(squares), np.nan)
 
 
 # Bounds on the float64 rounding of our caster's t, images and surfaces, against exact answers.

@@ -78,9 +78,20 @@ def unit(a: np.ndarray) -> np.ndarray:
 
 def cross_permanent(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The cross product with every subtraction made an addition of magnitudes: what its rounding scales with."""
-    a, b = np.abs(a), np.abs(b)
-    c, d = np.roll(a, -1, axis=1), np.roll(b, -1, axis=1)
-    return np.roll(c * b + a * d, -1, axis=1)
+    (ax, ay, az), (bx, by, bz) = np.abs(a).T, np.abs(b).T
+    return np.stack([az * by + ay * bz, ax * bz + az * bx, ay * bx + ax * by], axis=1)
+
+
+def row_groups(keys: np.ndarray) -> np.ndarray:
+    """(m,) for each row of keys (m, c) the number of its group of equal rows, in the order of the keys."""
+    order = np.lexsort(keys.T[::-1])  # sorts columns of numbers, where np.unique compares rows one by one
+    ordered = keys[order]
+    new = np.zeros(len(keys), np.int64)
+    for column in ordered.T:
+        new[1:] |= column[1:] != column[:-1]
+    group = np.empty(len(keys), np.int64)
+    group[order] = np.cumsum(new)
+    return group
 
 
 def mat_vec_rows(m: np.ndarray, v: np.ndarray) -> np.ndarray:

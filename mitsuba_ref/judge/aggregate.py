@@ -10,7 +10,7 @@ from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
-from mitsuba_ref.error_model.intersections import KU, KU_OURS, K
+from mitsuba_ref.error_model.intersections import KU, KU_OURS, K, row_groups
 from mitsuba_ref.error_model.tolerances import LARGEST_Z
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.comparison import ImagePair
@@ -224,8 +224,7 @@ def z_of_groups(key: np.ndarray, error: np.ndarray) -> tuple[int, float]:
     z is the sum of the groups' means over the root of the sum of their squares: mean / (std / sqrt(n)), with the
     spread about 0, which is where the mean has to be, and not about the mean that was found.
     """
-    _, group = np.unique(key, axis=0, return_inverse=True)
-    group = group.ravel()
+    group = row_groups(key)
     count = np.bincount(group)
     means = np.bincount(group, error) / count
     spread = float(np.sqrt(np.sum(means**2)))

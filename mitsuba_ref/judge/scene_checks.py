@@ -7,8 +7,8 @@ import numpy as np
 
 from caster.aovs import Aovs
 from caster.description.fields import Camera, Shape
-from caster.geometry.packing import pack
-from caster.geometry.world_space import Rounding, as_float32, as_given
+from caster.geometry.packing import Packed, packed
+from caster.geometry.world_space import as_given
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import trace, trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render
@@ -24,7 +24,7 @@ from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, TRANSFORM_ROUND
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.rendering import ReferenceResult
-from mitsuba_ref.reference.shared_input import SharedRays, model_of
+from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 from mitsuba_ref.shapes import reference_of
 
 
@@ -87,7 +87,7 @@ class Precision(NamedTuple):
     """How the numbers of a shape are rounded when it is packed."""
 
     name: str
-    rounded: Rounding
+    packing: Callable[[Scene], Packed]
     unit_roundoff: float
     # Below it the spacing of numbers stays what it is there, and so does what a rounding may take: half of it, the
     # unit round-off of the smallest normal number.
@@ -95,8 +95,8 @@ class Precision(NamedTuple):
 
 
 PRECISIONS = (
-    Precision("float64", as_given, 2.0**-53, 2.0**-1022),  # what `render` casts
-    Precision("float32", as_float32, 2.0**-24, 2.0**-126),  # what is judged against the reference
+    Precision("float64", packed, 2.0**-53, 2.0**-1022),  # what `render` casts
+    Precision("float32", packed_float32, 2.0**-24, 2.0**-126),  # what is judged against the reference
 )
 
 
@@ -109,7 +109,7 @@ def check_geometry(scene: Scene) -> SceneCheck:
             share = _packing_error_ratio(claim, PRECISIONS[0].unit_roundoff, PRECISIONS[0].smallest_normal)
             shares.add(f"{claim.what} of {name}", share)
     for precision in PRECISIONS:
-        parts = pack(scene, precision.rounded).parts
+        parts = precision.packing(scene).parts
         for name, shape, part in zip(scene.shape_names(), scene.shapes, parts, strict=True):
             for claim in reference_of(shape).expected(shape, part):
                 share = _packing_error_ratio(claim, precision.unit_roundoff, precision.smallest_normal)
@@ -184,7 +184,7 @@ def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: RaySegment
     """(m,) bool: geometry within float64's bracket, diffuse as the lights' definitions give it there."""
     depth, n, sh_n, p, shape, diffuse, prim = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)
     t = depth / norm(rays.d)
-    model = model_of(scene, pack(scene, as_given), SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))))
+    model = model_of(scene, packed(scene), SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))))
     bracket = Bracket(model, KU_OURS, ours=True)
     claims = Claims(t, shape, n, sh_n, p, KU_OURS * t)
     found = bracket.judge(rays.o, rays.d, rays.t_max, claims, t_min=rays.t_min)
@@ -273,7 +273,7 @@ def check_culling(scene: Scene) -> SceneCheck:
     every primitive there is: the same bits."""
     names = ("depth", "normal", "shading_normal", "position", "shape_id", "prim_id", "diffuse")
     rays = camera_rays(scene)
-    judged = trace_rays(scene, pack(scene, as_given), rays, np.zeros(len(rays.o)))
+    judged = trace_rays(scene, packed(scene), rays, np.zeros(len(rays.o)))
     planned, tree = render(scene, names), evaluate(judged, names, film_window(scene))
     differs = np.any([bits_differ(planned, tree, name) for name in names], axis=0)
     rows = _sampled_rays(len(rays.o), int(judged.packed.first[-1]))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root, integer_ray
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root, integer_ray, integer_rays
 from mitsuba_ref.oracle.interface import (
     EXACT_KINDS,
     STAND_INS,
@@ -83,8 +83,8 @@ class Oracle:
         starts, ends = (np.broadcast_to(np.asarray(t, np.float64), len(o)) for t in (t_min, t_max))
         check_rays(o, d, starts, ends)
         candidates = self.primitives.candidates(RayColumns(o.T.copy(), d.T.copy(), starts, ends))
-        rays = zip(o.tolist(), d.tolist(), starts.tolist(), ends.tolist(), candidates, strict=True)
-        return [self._first(integer_ray(*line), (start, end), near) for *line, start, end, near in rays]
+        rays = zip(integer_rays(o, d), starts.tolist(), ends.tolist(), candidates, strict=True)
+        return [self._first(ray, (start, end), near) for ray, start, end, near in rays]
 
     def _first(
         self, ray: IntegerRay, span: tuple[float, float], candidates: Iterable[CandidatePrimitive]
@@ -238,9 +238,11 @@ def slab_test(
         leave = (np.where(forward, high, low) - o) / d
         entry -= PAD_RTOL * np.abs(entry) + PAD_ATOL
         leave += PAD_RTOL * np.abs(leave) + PAD_ATOL
-    beside = ((d == 0.0) & ((o < low) | (o > high))).any(axis=0)  # there, entry and leave are NaN
-    near = np.fmax.reduce(entry, axis=0, initial=-np.inf)
-    far = np.fmin.reduce(leave, axis=0, initial=np.inf)
+    outside = (d == 0.0) & ((o < low) | (o > high))  # there, entry and leave are NaN
+    beside, near, far = np.zeros(len(ray), bool), np.full(len(ray), -np.inf), np.full(len(ray), np.inf)
+    for axis in range(3):
+        beside |= outside[axis]
+        near, far = np.fmax(near, entry[axis]), np.fmin(far, leave[axis])
     crossed: np.ndarray = ~(beside | (near > far) | (far <= rays.t_min[ray]) | (near > rays.t_max[ray]))
     return crossed, near
 

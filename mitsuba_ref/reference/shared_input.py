@@ -100,6 +100,14 @@ def pixel_of(scene: Scene, row: int) -> tuple[int, int]:
 NEAR_PER_REACH, FAR_PER_REACH = 2.0**-20, 2.0**10
 
 
+def packed_float32(scene: Scene) -> Packed:
+    """The packing that is judged against the reference, cached with the scene."""
+    if "packed float32" not in scene.derived:
+        scene.derived["packed float32"] = pack(scene, as_float32)
+    found: Packed = scene.derived["packed float32"]
+    return found
+
+
 def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
     """The judge's view of packed float32 geometry; stand-ins are cut to these rays."""
     references = [reference_of(shape) for shape in scene.shapes]
@@ -140,7 +148,7 @@ class SceneExport:
 
 def export_scene(scene: Scene) -> SceneExport:
     """XML and meshes of a scene, for use with plain Mitsuba."""
-    return export(scene, model_of(scene, pack(scene, as_float32), shared_rays(scene)))
+    return export(scene, model_of(scene, packed_float32(scene), shared_rays(scene)))
 
 
 def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExport:

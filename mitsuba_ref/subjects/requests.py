@@ -7,13 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.description.errors import SceneError
-from caster.geometry.packing import Packed, pack
-from caster.geometry.world_space import as_float32
+from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.cameras.camera_reference import clip_planes
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
-from mitsuba_ref.reference.shared_input import SharedRays, clip_range, model_of, shared_rays
+from mitsuba_ref.reference.shared_input import SharedRays, clip_range, model_of, packed_float32, shared_rays
 from mitsuba_ref.subjects.answer import DEFAULT_SECONDS, PRECISIONS, Answer, NoAnswer
 from mitsuba_ref.subjects.command import (
     PLACEHOLDERS,
@@ -55,7 +54,7 @@ def request_answer(
     that stand-ins are cut to, if they are others than the window's own. alone: a row that is requested
     by itself as well, if it has a ray. Raises NoAnswer.
     """
-    packed = pack(scene, as_float32)
+    packed = packed_float32(scene)
     scene, ends = with_far_plane(scene, packed) if subject.reads_xml else (scene, ())
     rays = shared_rays(scene) if rays is None else rays
     model = model_of(scene, packed, rays if whole is None else whole)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from caster.description.fields import Shape
-from caster.geometry.packing import pack
-from caster.geometry.world_space import as_float32, as_given
+from caster.geometry.packing import packed
+from caster.geometry.world_space import as_given
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.shapes import (
@@ -29,7 +29,8 @@ from caster.shapes import (
     Triangle,
 )
 from mitsuba_ref.judge import scene_checks
-from mitsuba_ref.judge.scene_checks import PRECISIONS, Shares, check_geometry
+from mitsuba_ref.judge.scene_checks import PRECISIONS, Precision, Shares, check_geometry
+from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.shapes import reference_of
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"
@@ -69,7 +70,7 @@ def scene_of(shape: Shape) -> Scene:
 
 
 def claims_of(shape: Shape) -> list[str]:
-    part = pack(scene_of(shape), as_given).parts[0]
+    part = packed(scene_of(shape)).parts[0]
     return [claim.what for claim in reference_of(shape).expected(shape, part)]
 
 
@@ -84,21 +85,23 @@ FAULTS = [
 @pytest.mark.parametrize(("shape", "what", "precision"), FAULTS)
 def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, what, precision):
     """The other precision is right, whichever is looked at last."""
-    rounded = {each.name: each.rounded for each in PRECISIONS}[precision]
-    packed_now: list[Any] = []
+    packed_now: list[str] = []
 
-    def pack_and_note(scene: Scene, how: Any) -> Any:
-        packed_now[:] = [how]
-        return pack(scene, how)
+    def noting(each: Precision) -> Precision:
+        def packing(scene: Scene) -> Any:
+            packed_now[:] = [each.name]
+            return each.packing(scene)
+
+        return each._replace(packing=packing)
 
     def placed(shape: Shape, part: Any) -> Any:
         for claim in reference_of(shape).expected(shape, part):
-            if claim.what == what and packed_now == [rounded]:
+            if claim.what == what and packed_now == [precision]:
                 off = OFF[precision] if claim.rounded else 1.0  # an index or a flag is right or another one
                 claim = claim._replace(packed=claim.packed + off * np.maximum(np.abs(claim.packed), off))
             yield claim
 
-    monkeypatch.setattr(scene_checks, "pack", pack_and_note)
+    monkeypatch.setattr(scene_checks, "PRECISIONS", tuple(map(noting, PRECISIONS)))
     assert check_geometry(scene_of(shape)).ok
     monkeypatch.setattr(
         scene_checks, "reference_of", lambda shape: replace(reference_of(shape), expected=placed)
@@ -137,7 +140,7 @@ def test_a_share_is_not_overwritten():
 
 
 def test_both_precisions_are_those_that_are_cast():
-    assert [each.rounded for each in PRECISIONS] == [as_given, as_float32]
+    assert [each.packing for each in PRECISIONS] == [packed, packed_float32]
     assert [each.name for each in PRECISIONS] == ["float64", "float32"]
     assert [each.unit_roundoff for each in PRECISIONS] == [2.0**-53, 2.0**-24]
     assert [each.smallest_normal for each in PRECISIONS] == [
