@@ -13,7 +13,7 @@ INSTALLED := .venv/installed-$(HERE)
 
 unexport PYTHONPATH PYTHONHOME
 .DELETE_ON_ERROR:
-.PHONY: help install validate test lint docs stress bench guard fuzz faults mutants nightly clean
+.PHONY: help install validate test lint docs stress bench guard fuzz faults hostile mutants nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -36,7 +36,10 @@ faults: $(INSTALLED) ## plant every fault there is in a copy of the caster: fuzz
 mutants: $(INSTALLED) ## plant small faults by rule, a sample of each group of modules: writes docs/mutants.md; hours
 	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --page docs/mutants.md $(ARGS)
 
-nightly: $(INSTALLED) faults ## what make test has no time for: all faults, 200,000 hard rays a shape, 12 million at edges and corners
+hostile: $(INSTALLED) ## a thousand broken and hostile inputs to every command: none may crash, hang or leave anything
+	@PYTHONPATH=tests/hostile $(BIN)/python -P -m hostile_runs --count 1000 $(ARGS)
+
+nightly: $(INSTALLED) faults hostile ## what make test has no time for: all faults, 200,000 hard rays a shape, 12 million at edges and corners
 	@$(BIN)/mitsuba-ref fuzz --rays 200000
 	@$(BIN)/mitsuba-ref stress watertight --rays 1000000
 	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --seed $$(date +%j) --out build/mutants-nightly

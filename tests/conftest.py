@@ -16,6 +16,7 @@ KINDS = {
     "exact": "against exact arithmetic",
     "reference": "asks Mitsuba, and fails without it",
     "report": "looks at reports in a browser",
+    "hostile": "broken and hostile inputs to every command",
 }
 # Mitsuba's own abort is planted with it, where a machine has it.
 OLD_LLVM = Path("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1")

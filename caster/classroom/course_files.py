@@ -30,7 +30,7 @@ from caster.description.errors import (
     join_words,
     suggestion,
 )
-from caster.description.text import format_excerpt, read_text
+from caster.description.text import format_excerpt, list_errors, read_text
 from caster.scene.files import MeshFolders, resolve_mesh_files
 from caster.scene.model import Scene
 
@@ -289,6 +289,5 @@ def _by_position(errors: Iterable[SourceMessage]) -> list[SourceMessage]:
 
 
 def _format_errors(errors: Iterable[SourceMessage], text: str, origin: str) -> str:
-    return "\n".join(
-        format_excerpt(at.span, message, text, origin) for at, message in _by_position(dict.fromkeys(errors))
-    )
+    ordered = _by_position(dict.fromkeys(errors))
+    return list_errors(ordered, lambda error: format_excerpt(error.at.span, error.text, text, origin), origin)

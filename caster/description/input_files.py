@@ -4,10 +4,19 @@ import contextlib
 import os
 import stat
 from collections.abc import Iterator
+from typing import IO
 
 from caster.description.errors import FileMissing, SceneError
 
-__all__ = ["MAX_TEXT_BYTES", "is_input", "read_input", "record_input", "recorded_inputs"]
+__all__ = [
+    "MAX_TEXT_BYTES",
+    "is_input",
+    "opened_input",
+    "read_input",
+    "read_own",
+    "record_input",
+    "recorded_inputs",
+]
 
 MAX_TEXT_BYTES = 2**28  # of a scene file: a million spheres are half of it
 MAX_MESH_BYTES = 2**32  # of a mesh file: 80 million triangles in binary PLY
@@ -54,12 +63,43 @@ def file_id(path: str | os.PathLike[str]) -> _FileId | None:
 
 
 def read_input(path: str | os.PathLike[str], what: str, max_bytes: int) -> bytes:
-    """Content of a regular file, recorded as an input. what: "scene file", in messages.
+    """Content of a regular file, recorded as an input; what and errors as of `opened_input`.
 
-    Raises FileMissing for a missing or unreadable file and for anything but a file, such as a FIFO, which would block,
-    or a device, which has no end; SceneError for a file of more than max_bytes.
+    Raises SceneError for a file of more than max_bytes.
+    """
+    with opened_input(path, what) as (file, size):
+        if size > max_bytes:
+            raise SceneError(
+                f"{os.fspath(path)}: this {what} is too large: expected at most {max_bytes:,} bytes, got {size:,}"
+            )
+        record_input(path)
+        return file.read()
+
+
+def read_own(path: str | os.PathLike[str], what: str) -> str:
+    """Text that this project wrote and may write again, such as a manifest: not recorded as an input.
+
+    Raises FileMissing, SceneError for a text of more than MAX_TEXT_BYTES, or one that is not in UTF-8.
+    """
+    with opened_input(path, what) as (file, size):
+        if size > MAX_TEXT_BYTES:
+            raise SceneError(f"{os.fspath(path)}: this {what} is too large: {size:,} bytes")
+        try:
+            return file.read().decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise SceneError(f"{os.fspath(path)}: this {what} is not a text in UTF-8") from error
+
+
+@contextlib.contextmanager
+def opened_input(path: str | os.PathLike[str], what: str) -> Iterator[tuple[IO[bytes], int]]:
+    """An open regular file and its size. what: "scene file", in messages.
+
+    Raises FileMissing for a missing or unreadable file, also while the body reads it, and for anything but a file,
+    such as a FIFO, which would block, or a device, which has no end.
     """
     name = os.fspath(path)
+    if "\0" in str(name):
+        raise FileMissing(f"{name!r}: cannot read this {what}: a NUL character in its name")
     flags = (
         os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
     )
@@ -70,16 +110,9 @@ def read_input(path: str | os.PathLike[str], what: str, max_bytes: int) -> bytes
                 raise FileMissing(
                     f"{name}: cannot read this {what}: expected a file, got {_kind(status.st_mode)}"
                 )
-            if status.st_size > max_bytes:
-                raise SceneError(
-                    f"{name}: this {what} is too large: expected at most {max_bytes:,} bytes, got {status.st_size:,}"
-                )
-            record_input(name)
-            return file.read()
+            yield file, status.st_size
     except OSError as error:
         raise FileMissing(f"{name}: cannot read this {what}: {error.strerror or error}") from error
-    except ValueError as error:  # a NUL character in the path
-        raise FileMissing(f"{name!r}: cannot read this {what}: {error}") from error
 
 
 def _kind(mode: int) -> str:

@@ -4,14 +4,16 @@ import json
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from caster.description.errors import Diagnostic, SceneError
 from caster.description.input_files import MAX_TEXT_BYTES, read_input
 
-__all__ = ["Span", "format_excerpt", "read_text"]
+__all__ = ["Span", "format_excerpt", "list_errors", "read_text"]
+
+Error = TypeVar("Error")
 
 DataPath = tuple[str | int, ...]
 
@@ -198,9 +200,14 @@ def format_diagnostics(problems: Sequence[Diagnostic], text: str, kind: SceneFor
     """All diagnostics ordered by position, each with an excerpt of its line."""
     positions = Positions(text, kind)
     located = sorted(((positions.of(path), said) for path, said in problems), key=lambda found: found[0][:2])
-    listed = [format_excerpt(span, said, text, origin) for span, said in located[:MAX_ERRORS_LISTED]]
-    if len(located) > len(listed):
-        listed.append(f"{origin}: and {len(located) - len(listed)} more errors")
+    return list_errors(located, lambda found: format_excerpt(found[0], found[1], text, origin), origin)
+
+
+def list_errors(errors: Sequence[Error], format_error: Callable[[Error], str], origin: str) -> str:
+    """The first errors, each on its lines, and how many more there are."""
+    listed = [format_error(error) for error in errors[:MAX_ERRORS_LISTED]]
+    if len(errors) > len(listed):
+        listed.append(f"{origin}: and {len(errors) - len(listed)} more errors")
     return "\n".join(listed)
 
 

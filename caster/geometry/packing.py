@@ -187,13 +187,15 @@ def _count_rejected(
 
 def _count_degenerate(corners: np.ndarray) -> int:
     """corners: (m, 3, 3), finite."""
+    alike = (corners == np.roll(corners, 1, axis=1)).all(axis=2).any(axis=1)  # two corners in one place
+    repeated, corners = int(alike.sum()), corners[~alike]
     e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     terms = np.roll(e, -1, axis=1) * np.roll(f, 1, axis=1), np.roll(e, 1, axis=1) * np.roll(f, -1, axis=1)
     sure = (
         np.abs(terms[0] - terms[1])
         > CROSS_RELATIVE_ERROR * (np.abs(terms[0]) + np.abs(terms[1])) + CROSS_UNDERFLOW
     )
-    return sum(_is_degenerate(face) for face in corners[~sure.any(axis=1)].tolist())
+    return repeated + sum(_is_degenerate(face) for face in corners[~sure.any(axis=1)].tolist())
 
 
 def _is_degenerate(face: list[list[float]]) -> bool:

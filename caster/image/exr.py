@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
+import mmap
 import os
 import struct
 import threading
@@ -14,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.errors import FileMissing, SceneError
+from caster.description.input_files import opened_input
 from caster.image.exr_validation import (
     PROVENANCE_PREFIX,
     Part,
@@ -37,6 +40,7 @@ NO_ID = 0xFFFFFFFF
 
 MAGIC = 20000630  # first four bytes of an EXR file, little endian
 DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four bytes
+ZIP_ROWS = 16  # of a chunk
 
 
 class Exr(NamedTuple):
@@ -89,6 +93,25 @@ def write_exr(
     copies = {name: to_storable(name, channels[name], window) for name in sorted(channels)}
     with atomic_write(path) as part:
         OpenEXR.File(header, copies).write(str(part))
+        _check_whole(part, height)
+
+
+def _check_whole(path: Path, height: int) -> None:
+    """Raise OSError for a file that ends early: the library does not look whether its last buffer was written."""
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            at = 8  # the first attribute: name, type, size, value
+            while data[at]:
+                name = data.find(b"\0", at)
+                kind = data.find(b"\0", name + 1)
+                at = kind + 5 + struct.unpack_from("<I", data, kind + 1)[0]
+            chunks = struct.unpack_from(f"<{-(-height // ZIP_ROWS)}Q", data, at + 1)
+            (size,) = struct.unpack_from("<4xi", data, max(chunks))
+            whole = min(chunks) > at and max(chunks) + 8 + size == len(data)
+    except (ValueError, IndexError, struct.error):
+        whole = False
+    if not whole:
+        raise OSError(errno.ENOSPC, "the file was not written to its end, as on a full disk")
 
 
 def read_exr(path: str | os.PathLike[str]) -> Exr:
@@ -140,15 +163,13 @@ def _exclusive(box: Any) -> Window:
 
 def _is_multi_part(path: Path) -> bool:
     """Whether a file is a multi-part EXR. Raises FileMissing, and UnreadableExr for anything but a flat EXR image."""
-    if path.exists() and not path.is_file() and not path.is_dir():  # a FIFO would block
-        raise UnreadableExr(f"{path}: expected an EXR image, got a FIFO or a device")
+    if not os.path.lexists(path):
+        raise FileMissing(f"{path}: no such file")
     try:
-        with path.open("rb") as file:
+        with opened_input(path, "EXR image") as (file, _):
             start = file.read(8)
-    except FileNotFoundError as e:
-        raise FileMissing(f"{path}: no such file") from e
-    except OSError as e:
-        raise UnreadableExr(f"{path}: cannot read: {e.strerror}") from e
+    except FileMissing as e:
+        raise UnreadableExr(str(e)) from e
     if not start:
         raise UnreadableExr(f"{path}: expected an EXR image, the file is empty (0 bytes)")
     magic, flags = struct.unpack("<II", start.ljust(8, b"\0"))

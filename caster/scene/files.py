@@ -39,9 +39,9 @@ class MeshFolders(NamedTuple):
 
     def resolve(self, file: str) -> Path | None:
         """The absolute path, or None if it is in none of the folders. Symbolic links are resolved first."""
-        path = (self.folder / file).resolve()
-        allowed = (self.folder, *self.mesh_dirs)
-        return path if any(path.is_relative_to(folder.resolve()) for folder in allowed) else None
+        path = Path(os.path.realpath(self.folder / file))  # of a link to itself as well
+        allowed = (os.path.realpath(folder) for folder in (self.folder, *self.mesh_dirs))
+        return path if any(path.is_relative_to(folder) for folder in allowed) else None
 
     def refusal(self, file: str) -> str:
         """Message for a file in none of the folders."""

@@ -23,6 +23,7 @@ if os.name == "posix":  # elsewhere nothing is locked, and nothing abandoned is 
 __all__ = [
     "OutputError",
     "ScratchFolder",
+    "append_text",
     "atomic_write",
     "check_folder",
     "check_output",
@@ -67,6 +68,13 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     """Write a binary file atomically. Raises OutputError."""
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)
+
+
+def append_text(path: str | os.PathLike[str], text: str) -> None:
+    """Append to a UTF-8 text file, or create it. Raises OutputError, also for a FIFO or a device."""
+    target = _resolved_target(path)
+    with _os_errors_as_output_errors(target), target.open("a", encoding="utf-8") as file:
+        file.write(text)
 
 
 @contextlib.contextmanager

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 # Stated here as well, since loading the judge loads the kernels (tests/unit/test_cli_help.py compares).
 CANDIDATE_SECONDS = REFERENCE_SECONDS = 300.0
 PRECISIONS = ("float32", "float64")
+MAX_SECONDS = 100_000.0  # a day; the system's waits take milliseconds in 31 bits, of some times as long
 HTML_SUFFIX = ".html"  # of --html: one file, and else a folder
 
 
@@ -40,13 +41,15 @@ def whole(text: str) -> int:
 
 
 def positive_seconds(text: str) -> float:
-    """A number > 0. Raises argparse.ArgumentTypeError."""
+    """A number > 0, at most MAX_SECONDS. Raises argparse.ArgumentTypeError."""
     try:
         value = float(text)
     except ValueError:
         value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected a number of seconds > 0, got '{text}'")
+    if not 0.0 < value <= MAX_SECONDS:
+        raise argparse.ArgumentTypeError(
+            f"expected a number of seconds > 0 and at most {MAX_SECONDS:,.0f}, got '{text}'"
+        )
     return value
 
 

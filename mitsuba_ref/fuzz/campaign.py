@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from caster.description.errors import SceneError
+from caster.description.input_files import read_own
 from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder, write_text
 from mitsuba_ref.fuzz import cases
@@ -47,6 +48,7 @@ from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.shapes.targets import Rng
 
 TRACE_FILE = "unfinished.txt"
+MAX_TRACE_CHARACTERS = 500  # that are shown of it; the options of an example are some 50
 KEPT_PER_KIND_AND_FAMILY = 3  # findings of one kind in one family that are shrunk and kept; all are counted
 SHRINK_GRACE_S = 5.0  # seconds that a finding may still be shrunk when the time is up
 MITSUBA_SHRINK_ATTEMPTS = SHRINK_ATTEMPTS // 10  # each traces the scene with Mitsuba
@@ -82,8 +84,8 @@ class Trace:
 def unfinished_example(folder: Path) -> str:
     """The command of the example that a process died in; "" if none did."""
     try:
-        return (folder / TRACE_FILE).read_text(encoding="utf-8").strip()
-    except OSError:
+        return read_own(folder / TRACE_FILE, "trace").strip()[:MAX_TRACE_CHARACTERS]
+    except SceneError:
         return ""
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePath
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from caster.system.atomic_files import OutputError, check_output
+from caster.system.atomic_files import append_text
 from caster.system.terminal import printable
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
 from mitsuba_ref.report.reproducers import replay
@@ -38,13 +38,8 @@ def append(
 
     Raises OutputError.
     """
-    check_output(path)
-    try:
-        before = Path(path).stat().st_size if Path(path).exists() else 0
-        with open(path, "a", encoding="utf-8") as file:
-            file.write(markdown(verdict, seconds, limit - before))
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write: {error.strerror or error}") from error
+    before = Path(path).stat().st_size if Path(path).exists() else 0
+    append_text(path, markdown(verdict, seconds, limit - before))
 
 
 def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
+from caster.description.input_files import opened_input
 from caster.system.atomic_files import (
     OutputError,
     ScratchFolder,
@@ -49,7 +50,11 @@ NOTHING_WRITTEN = WrittenScene("", "", {})
 
 def refuse_page_of_others(index: Path) -> None:
     """Raise OutputError for an existing file that is no report."""
-    if index.is_file() and b"<title>ray-reference" not in index.read_bytes()[:4096]:
+    if not index.exists():
+        return
+    with opened_input(index, "page") as (file, _):
+        start = file.read(4096)
+    if b"<title>ray-reference" not in start:
         raise OutputError(f"{index}: exists, and is no report of validate; choose another folder")
 
 

@@ -10,7 +10,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from caster.system.atomic_files import OutputError, write_text
+from caster.description.errors import SceneError
+from caster.description.input_files import read_own
+from caster.system.atomic_files import OutputError, append_text, write_text
 from mitsuba_ref.judge.verdict import FileRecord, SceneVerdict, Verdict
 
 MANIFEST = (
@@ -81,16 +83,10 @@ class OutputManifest:
         Raises OutputError.
         """
         found = {file: digest for file in files if (digest := record_of(self.folder / file)) is not None}
-        try:
-            with self.lock, self.list.open("a", encoding="utf-8") as out:
-                out.writelines(
-                    self._lines(
-                        {file: ManifestEntry(scene, each, self.run, labels) for file, each in found.items()}
-                    )
-                )
-                self.now |= found
-        except OSError as error:
-            raise OutputError(f"{self.list}: cannot write: {error.strerror or error}") from error
+        entries = {file: ManifestEntry(scene, each, self.run, labels) for file, each in found.items()}
+        with self.lock:
+            append_text(self.list, "".join(self._lines(entries)))
+            self.now |= found
         return found
 
     def unchanged(self, file: str, **labels: str) -> ManifestEntry | None:
@@ -128,8 +124,8 @@ class OutputManifest:
     def _known(self) -> dict[str, ManifestEntry]:
         """File name -> entry. Malformed lines, and names outside the folder, are ignored."""
         found = {}
-        with suppress(OSError, ValueError):
-            for line in self.list.read_text(encoding="utf-8").splitlines():
+        with suppress(SceneError):
+            for line in read_own(self.list, "manifest").splitlines():
                 with suppress(ValueError, KeyError, TypeError, OverflowError, RecursionError):
                     record = json.loads(line)
                     file = str(record["file"])

@@ -196,9 +196,10 @@ def validate_scene(
 
 # ---- memory that judging a film needs ----
 
-# Resident size of `validate` on large films, divided by the pixels of their windows: rays, answers of both sides,
-# bounds and classes, in float64.
-BYTES_PER_PIXEL = 1400
+# Growth of the largest resident size of `validate` from 512 x 512 to 1024 x 1024 pixels, by the pixels: rays, answers
+# of both sides, bounds and classes, in float64. 1040 bytes (parabolic), 1280 (cornell-box), 1430 (every-shape) and 1440
+# (one-sphere) with one or two lights, 2020 with four (lights-and-shadows).
+BYTES_PER_PIXEL, BYTES_PER_PIXEL_AND_LIGHT, LIGHTS_WITHIN = 1450, 290, 2
 CGROUP_LIMITS = (
     (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")),
     (
@@ -211,10 +212,11 @@ CGROUP_LIMITS = (
 def check_memory(scene: Scene) -> None:
     """Raise SceneError with the numbers for a film that cannot be judged in the memory that is left."""
     x0, y0, x1, y1 = scene.film.window
-    needed, left = (x1 - x0) * (y1 - y0) * BYTES_PER_PIXEL, available_bytes()
+    bytes_each = BYTES_PER_PIXEL + BYTES_PER_PIXEL_AND_LIGHT * max(0, len(scene.lights) - LIGHTS_WITHIN)
+    needed, left = (x1 - x0) * (y1 - y0) * bytes_each, available_bytes()
     if needed > left:
         raise SceneError(
-            f"film: {x1 - x0} x {y1 - y0} pixels need some {needed / 1e9:.1f} GB ({BYTES_PER_PIXEL} bytes each), and "
+            f"film: {x1 - x0} x {y1 - y0} pixels need some {needed / 1e9:.1f} GB ({bytes_each} bytes each), and "
             f"{left / 1e9:.1f} GB are left: judge a crop or a smaller film (--size W H), or fewer scenes at a time (-j)"
         )
 

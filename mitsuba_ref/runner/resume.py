@@ -16,8 +16,8 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from caster.description.errors import FileMissing, SceneError
-from caster.description.input_files import MAX_TEXT_BYTES, read_input
-from caster.system.atomic_files import OutputError, write_text
+from caster.description.input_files import MAX_TEXT_BYTES, read_input, read_own
+from caster.system.atomic_files import append_text, write_text
 from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.rendering import variant_of
@@ -133,8 +133,8 @@ def inputs_hash(entry: SceneEntry) -> str:
     """
     try:
         variant = variant_of(entry.scene)
-        file = Path(entry.path).read_bytes()
-    except (SceneError, OSError):
+        file = read_input(entry.path, "scene file", MAX_TEXT_BYTES)
+    except SceneError:
         return ""
     known = {
         "format": VERDICT_FORMAT,
@@ -197,11 +197,8 @@ class ResumableResults:
         return verdict
 
     def _write(self, verdict: SceneVerdict) -> None:
-        try:
-            with self.lock, self.journal.open("a", encoding="utf-8") as file:
-                file.write(journal_line(verdict))
-        except OSError as error:
-            raise OutputError(f"{self.journal}: cannot write: {error.strerror or error}") from error
+        with self.lock:
+            append_text(self.journal, journal_line(verdict))
 
     def _read(self) -> Iterator[tuple[str, SceneVerdict]]:
         """Results of the last complete run, then of an interrupted one. Malformed records are ignored."""
@@ -214,17 +211,17 @@ class ResumableResults:
 
     def _of_the_verdict(self) -> list[dict[str, Any]]:
         try:
-            record = json.loads((self.folder / "verdict.json").read_text(encoding="utf-8"))
+            record = json.loads(read_own(self.folder / "verdict.json", "verdict"))
             return list(record["scenes"]) if record.get("format") == VERDICT_FORMAT else []
-        except (OSError, *MALFORMED):
+        except (SceneError, *MALFORMED):
             return []
 
     def _of_the_journal(self) -> list[dict[str, Any]]:
         """Records of the journal; a truncated line belongs to a scene that was not finished."""
         found = []
         try:
-            lines = self.journal.read_text(encoding="utf-8").splitlines()
-        except (OSError, ValueError):
+            lines = read_own(self.journal, "journal").splitlines()
+        except SceneError:
             return []
         for line in lines:
             with suppress(*MALFORMED):

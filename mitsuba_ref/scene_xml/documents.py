@@ -8,7 +8,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from caster.description.errors import FileMissing, SceneError, suggestion
-from caster.description.text import Span, format_excerpt, read_text
+from caster.description.text import Span, format_excerpt, list_errors, read_text
 
 
 class SourcePosition(NamedTuple):
@@ -32,12 +32,12 @@ class ImportDiagnostic(NamedTuple):
 
 def format_diagnostics(errors: list[ImportDiagnostic], texts: dict[str, str]) -> str:
     """All diagnostics, each with its source line. texts: contents by file."""
-    return "\n".join(
-        format_excerpt(
-            Span(position.line, position.column, 1), text, texts.get(position.file, ""), position.file
-        )
-        for position, text in dict.fromkeys(errors)
-    )
+
+    def excerpt(error: ImportDiagnostic) -> str:
+        at = error.position
+        return format_excerpt(Span(at.line, at.column, 1), error.text, texts.get(at.file, ""), at.file)
+
+    return list_errors([*dict.fromkeys(errors)], excerpt, next(iter(texts), "the document"))
 
 
 # ---- elements ----

@@ -1,6 +1,7 @@
 """Files of rays and of hits: read without trust, judged as the answer of a subject that is not there."""
 
 import os
+import tokenize
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from numpy.lib import format as npy
 
 from caster.cameras.ray import Ray
 from caster.description.errors import FileMissing, SceneError
+from caster.description.input_files import opened_input
 from caster.scene.model import MAX_FILM_SIDE, Film, Scene
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -52,20 +54,18 @@ def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, np.nda
     """
     path = Path(path)
     try:
-        with path.open("rb") as file:
+        with opened_input(path, "file of arrays") as (file, size):
             start = file.read(len(NPY_MAGIC))
             if start == NPY_MAGIC:
                 file.seek(0)
-                return {"": _read_array(file, str(path), path.stat().st_size)}
+                return {"": _read_array(file, str(path), size)}
             if not start.startswith(ZIP_MAGIC):
                 raise UnreadableArray(
                     f"{path}: expected a .npz or .npy file of NumPy, got one that starts with {start!r}"
                 )
             with zipfile.ZipFile(file) as archive:
                 return _read_members(archive, path, names)
-    except FileNotFoundError as error:
-        raise FileMissing(f"{path}: no such file") from error
-    except (OSError, zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
         raise UnreadableArray(f"{path}: cannot be read: {error}") from error
 
 
@@ -89,7 +89,7 @@ def _read_array(file: IO[bytes], where: str, size: int) -> np.ndarray:
         if version not in HEADER_READERS:
             raise UnreadableArray(f"{where}: expected a plain array of numbers, got .npy version {version}")
         shape, fortran, dtype = HEADER_READERS[version](file)
-    except (ValueError, SyntaxError, TypeError) as error:
+    except (ValueError, SyntaxError, TypeError, tokenize.TokenError, RecursionError, MemoryError) as error:
         raise UnreadableArray(f"{where}: its header is damaged: {error}") from error
     if dtype.hasobject or dtype.kind not in "fiub":
         raise UnreadableArray(f"{where}: expected numbers, got {dtype}; objects are never unpickled")

@@ -37,7 +37,7 @@ def test_what_is_no_file_is_refused_at_once(fifo, tmp_path):
         with pytest.raises(FileMissing, match="mesh file: expected a file, got a FIFO"):
             load_mesh(fifo.rename(fifo.with_suffix(ending)))
         fifo = fifo.with_suffix(ending)
-    with pytest.raises(UnreadableExr, match="got a FIFO or a device"):
+    with pytest.raises(UnreadableExr, match="EXR image: expected a file, got a FIFO"):
         read_exr(fifo.rename(fifo.with_suffix(".exr")))
 
 
