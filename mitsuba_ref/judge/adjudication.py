@@ -20,7 +20,7 @@ from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
-from mitsuba_ref.subjects.answer import Answer
+from mitsuba_ref.subjects.subject import Answer
 
 # Agreeing pixels of a scene, away from edges, that are held to exact arithmetic all the same: a tenth of a second.
 AGREEING_PIXELS_ADJUDICATED = 1024

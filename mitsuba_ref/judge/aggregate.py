@@ -33,7 +33,7 @@ from mitsuba_ref.judge.verdict import (
 )
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.shapes import kind_of
-from mitsuba_ref.subjects.answer import FLOAT32, Answer
+from mitsuba_ref.subjects.subject import FLOAT32, Answer
 
 # What the judge compares of our caster, and no candidate gives.
 NEVER_GIVEN = ("position", "shading_normal", "shape_id", "diffuse")

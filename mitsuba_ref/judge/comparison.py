@@ -21,8 +21,7 @@ from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, r
 from mitsuba_ref.error_model.intersections import KU_OURS
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.answer import NOT_FINITE, Answer
-from mitsuba_ref.subjects.subject import COMPARED_AOVS
+from mitsuba_ref.subjects.subject import COMPARED_AOVS, NOT_FINITE, Answer
 
 # The quantities with a bound that a scene's own [check.AOV] may make stricter or laxer; the others are exact.
 BOUNDED_AOVS = ("depth", "position", "normal", "shading_normal", "diffuse")

@@ -22,7 +22,7 @@ from mitsuba_ref.judge.verdict import (
     UNLISTED,
 )
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.subjects.answer import Answer
+from mitsuba_ref.subjects.subject import Answer
 
 QUANTITY_NAMES = {EXACT: "t by exact arithmetic", "mask": "hit or miss", "shape_id": "the shape"}
 COMPARED_AT_HITS = ("depth", "position", "normal", "shading_normal")  # compared where both sides hit

@@ -17,9 +17,8 @@ from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, in_ulps, ratio_to_bound
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.subjects.answer import Answer, NoAnswer
 from mitsuba_ref.subjects.requests import SubjectResponse, one_of, request_answer
-from mitsuba_ref.subjects.subject import Subject
+from mitsuba_ref.subjects.subject import Answer, NoAnswer, Subject
 
 
 def errors_from_exact(judge: Judge, exact: ExactAnswer | None) -> dict[str, Any]:

@@ -47,10 +47,9 @@ from mitsuba_ref.report.reproducers import (
     write_answer_reproducers,
     write_reproducers,
 )
-from mitsuba_ref.subjects.answer import NoAnswer
 from mitsuba_ref.subjects.function import function_subject
 from mitsuba_ref.subjects.requests import parse_candidate, request_answer
-from mitsuba_ref.subjects.subject import OURS, Subject
+from mitsuba_ref.subjects.subject import OURS, NoAnswer, Subject
 
 
 class Validation(Verdict):

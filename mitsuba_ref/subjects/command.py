@@ -19,15 +19,6 @@ from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.intersections import KU, U, dot, norm
 from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import exit_name, run
-from mitsuba_ref.subjects.answer import (
-    FLOAT32,
-    FLOAT64,
-    LAST_WORDS,
-    PRECISIONS,
-    Answer,
-    NoAnswer,
-    checked_answer,
-)
 from mitsuba_ref.subjects.ray_files import (
     HIT_COLUMNS,
     answer_of_hits,
@@ -35,7 +26,16 @@ from mitsuba_ref.subjects.ray_files import (
     read_arrays,
     spread_answer,
 )
-from mitsuba_ref.subjects.subject import CastRequest
+from mitsuba_ref.subjects.subject import (
+    FLOAT32,
+    FLOAT64,
+    LAST_WORDS,
+    PRECISIONS,
+    Answer,
+    CastRequest,
+    NoAnswer,
+    checked_answer,
+)
 
 SCENE_PLACEHOLDERS = ("xml", "toml")
 PLACEHOLDERS = (*SCENE_PLACEHOLDERS, "exr", "width", "height")

@@ -16,8 +16,14 @@ from typing import Any
 import numpy as np
 
 from caster.description.errors import SceneError
-from mitsuba_ref.subjects.answer import PRECISIONS, Answer, NoAnswer, checked_answer, exception_text
-from mitsuba_ref.subjects.subject import CastRequest
+from mitsuba_ref.subjects.subject import (
+    PRECISIONS,
+    Answer,
+    CastRequest,
+    NoAnswer,
+    checked_answer,
+    exception_text,
+)
 
 FUNCTION_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
 HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # whose calls are not a candidate's

@@ -17,8 +17,7 @@ from caster.description.input_files import opened_input
 from caster.scene.model import MAX_FILM_SIDE, Film, Scene
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.answer import Answer, NoAnswer, checked_answer
-from mitsuba_ref.subjects.subject import CastRequest
+from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, checked_answer
 
 COLUMNS = 8  # of a row of rays: o (3), d (3), t_min, t_max
 NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK"

@@ -13,7 +13,6 @@ from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.cameras.camera_reference import clip_planes
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.reference.shared_input import SharedRays, clip_range, model_of, packed_float32, shared_rays
-from mitsuba_ref.subjects.answer import DEFAULT_SECONDS, PRECISIONS, Answer, NoAnswer
 from mitsuba_ref.subjects.command import (
     PLACEHOLDERS,
     RAY_PLACEHOLDERS,
@@ -23,7 +22,7 @@ from mitsuba_ref.subjects.command import (
     split_command,
 )
 from mitsuba_ref.subjects.function import import_function, is_function
-from mitsuba_ref.subjects.subject import CastRequest, Subject
+from mitsuba_ref.subjects.subject import DEFAULT_SECONDS, PRECISIONS, Answer, CastRequest, NoAnswer, Subject
 
 FAR_PLANE_NOTE = "in the XML, planes end at the sensor's far plane, and nothing is judged beyond it"
 

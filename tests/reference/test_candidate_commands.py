@@ -21,10 +21,9 @@ from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text
-from mitsuba_ref.subjects.answer import Answer, NoAnswer
 from mitsuba_ref.subjects.command import answer_from_exr, run_program
 from mitsuba_ref.subjects.requests import parse_candidate
-from mitsuba_ref.subjects.subject import CastRequest
+from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer
 
 SCENES = Path(__file__).parents[2] / "scenes"
 PYTHON = shlex.quote(sys.executable)

@@ -8,8 +8,7 @@ import pytest
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32, as_given
 from caster.scene.files import load_scene
-from mitsuba_ref.subjects.answer import NoAnswer, checked_answer
-from mitsuba_ref.subjects.subject import scene_as_traced
+from mitsuba_ref.subjects.subject import NoAnswer, checked_answer, scene_as_traced
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
 NUMBERS = ("vertices", "faces", "center", "radius", "to_world", "to_object", "point")

@@ -9,7 +9,7 @@ from mitsuba_ref.cli import exr_comparison, options, scene_exchange
 from mitsuba_ref.exr_compare import approval
 from mitsuba_ref.reference import session
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
-from mitsuba_ref.subjects import answer
+from mitsuba_ref.subjects import subject
 
 
 def test_the_aovs_that_help_names_are_those_of_the_registry():
@@ -33,6 +33,6 @@ def test_the_modes_of_approval_are_those_that_it_knows():
 
 
 def test_a_candidate_gets_the_seconds_and_has_the_precisions_that_help_names():
-    assert options.CANDIDATE_SECONDS == answer.DEFAULT_SECONDS
+    assert options.CANDIDATE_SECONDS == subject.DEFAULT_SECONDS
     assert options.REFERENCE_SECONDS == session.DEFAULT_TIMEOUT
-    assert tuple(answer.PRECISIONS) == options.PRECISIONS
+    assert tuple(subject.PRECISIONS) == options.PRECISIONS
