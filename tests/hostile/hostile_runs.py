@@ -6,6 +6,7 @@ python -m hostile_runs --seed 0 --count 1000
 import argparse
 import atexit
 import contextlib
+import gc
 import hashlib
 import json
 import os
@@ -298,6 +299,7 @@ def run_case(case: Case, home: Path, said: int) -> NoReturn:
         else:
             code = MAINS[case.program](case.words)
         sys.stdout.flush()
+        gc.collect()
         atexit._run_exitfuncs()
     except BaseException:
         with contextlib.suppress(BaseException):
