@@ -347,6 +347,14 @@ FAMILIES: tuple[Family, ...] = (
         "options",
         "everything a scene file can say: films, crops, cameras, lights, materials",
         options,
+        cameras=(
+            *["pinhole"] * 4,
+            "orthographic",
+            "fisheye",
+            "panorama",
+            "parabolic",
+            "ray",
+        ),  # by their options
         finish=with_options,
         always_judged=True,
     ),

@@ -174,7 +174,7 @@ def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
     """Clip planes that cut nothing off: by the farthest corner of bounded primitives, and the eye."""
     corners = np.abs(np.concatenate(model.boxes))
     ends = corners[np.isfinite(corners)]
-    reach = float(max(ends.max(initial=0.0), np.abs(scene.camera.eye).max(), 1e-3))
+    reach = float(max(ends.max(initial=0.0), np.abs(scene.camera.eye).max())) or 1.0  # all is in the origin
     return ClipRange(NEAR_PER_REACH * reach, FAR_PER_REACH * reach)
 
 

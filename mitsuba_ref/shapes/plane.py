@@ -79,6 +79,10 @@ def _patch(normal: np.ndarray, point: np.ndarray, o: np.ndarray, d: np.ndarray) 
     return n, point, center, axes, np.array(half), corners.astype(np.float32).astype(np.float64)
 
 
+# Its square, an area, is a normal number of float32 still.
+SMALLEST_HALF_SIDE = 2.0**-60
+
+
 def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarray, d: np.ndarray) -> float:
     """As far from the centre as the nearest tenth of all hits."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -86,7 +90,7 @@ def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarr
     met = np.isfinite(t) & (t > 0.0)
     away = norm(o[met] + t[met, None] * d[met] - center)
     size = float(np.quantile(away, 0.1)) if len(away) else 1.0
-    size = max(size, float(np.abs(center).max()) * 2.0**-20, 1e-6)
+    size = max(size, float(np.abs(center).max()) * 2.0**-20, SMALLEST_HALF_SIDE)
     return min(
         size, LARGEST_PATCH_COORDINATE / 4.0 * 2.0**-PATCH_RINGS
     )  # or the outer rings would have no area, which Embree may hit

@@ -1,0 +1,132 @@
+"""Faults of options that no shipped scene has, and thresholds in scene units, where ratios of lengths alone may decide.
+
+Each is planted in a copy of both packages, and has to be found by `validate` of a scene or by `fuzz`. All of them by
+`make faults` (FAULTS=all); without it only those in QUICK.
+"""
+
+import os
+import re
+from typing import NamedTuple
+
+import pytest
+from edited_tree import ROOT, copy_tree, edit, run
+
+PINHOLE, TILES = "caster/cameras/pinhole.py", "caster/rendering/tiles.py"
+LIGHTING, WORLD = "caster/kernels/surface/lighting.py", "caster/geometry/world_space.py"
+SPHERE = "caster/shapes/sphere.py"
+SIZE = ("--size", "20", "16")
+JUDGED, UNJUDGED = ("--judge-every", "1"), ("--judge-every", "0")
+
+
+class Fault(NamedTuple):
+    """An edit of a copy, the scene or the examples of fuzz that find it, and a pattern of what is said then."""
+
+    family: str
+    what: str
+    found_by: str  # the name of a shipped scene, for `validate`, or a family of fuzz and its examples A..B
+    message: str
+    file: str
+    old: str
+    new: str
+
+
+OPTION_FAULTS = (
+    (
+        "fov_axis larger of a portrait film is x",
+        "options 95..97",
+        "judged",
+        PINHOLE,
+        'else "larger")',
+        'else "none")',
+    ),
+    (
+        "second ambient light",
+        "options 9..14",
+        "judged",
+        TILES,
+        '== "ambient"]).reshape',
+        '== "ambient"][:1]).reshape',
+    ),
+    (
+        "principal point where primitives are projected",
+        "options 27..29",
+        "culling",
+        PINHOLE,
+        "y = (0.5 - camera.shift[1]) * camera.size[1]",
+        "y = (0.5 + camera.shift[1]) * camera.size[1]",
+    ),
+)
+SCALE_FAULTS = (
+    (
+        "similar within 1e-4",
+        "similarities 0..9",
+        "judged|culling|t",
+        WORLD,
+        "SIMILARITY_RTOL = 128 * 2.0**-53",
+        "SIMILARITY_RTOL = 1e-4",
+    ),
+    (
+        "similar within 1e-12",
+        "similarities 0..19",
+        "judged|culling|t",
+        WORLD,
+        "SIMILARITY_RTOL = 128 * 2.0**-53",
+        "SIMILARITY_RTOL = 1e-12",
+    ),
+    (
+        "no hit nearer than 1e-6",
+        "one-sphere",
+        "scaling: ",
+        SPHERE,
+        "first_root(quadric_roots(pre, d, 0.0), t_min, t_max)",
+        "first_root(quadric_roots(pre, d, 0.0), max(t_min, 1e-6), t_max)",
+    ),
+    (
+        "shadow rays start 1e-6 off",
+        "lights-and-shadows",
+        "scaling: ",
+        LIGHTING,
+        " + max_norm(p))\n",
+        " + max_norm(p)) + 1e-6\n",
+    ),
+    (
+        "depth below 1e-6 is not projected",
+        "one-sphere",
+        "scaling: ",
+        PINHOLE,
+        "MIN_INVERTIBLE_DEPTH = 2.0**-1000",
+        "MIN_INVERTIBLE_DEPTH = 1e-6",
+    ),
+)
+FAULTS = tuple(
+    Fault(family, *fault)
+    for family, faults in (("options", OPTION_FAULTS), ("scale", SCALE_FAULTS))
+    for fault in faults
+)
+QUICK = ("second ambient light", "no hit nearer than 1e-6")
+CHOSEN = [fault for fault in FAULTS if fault.what in QUICK or os.environ.get("FAULTS") == "all"]
+
+
+@pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: fault.what)
+def test_a_planted_fault_is_found(tmp_path, fault):
+    tree = copy_tree(tmp_path / "tree")
+    edit(tree, fault.file, fault.old, fault.new)
+    out = ("--out", str(tmp_path / "out"))
+    if " " in fault.found_by:
+        family, examples = fault.found_by.split()
+        judged = JUDGED if "judged" in fault.message else UNJUDGED
+        words = ["fuzz", "--family", family, "--examples", examples, "--time", "60s", "--keep", "1", *judged]
+        pattern = rf"^FAIL  (?:{fault.message}): "
+    else:
+        words = ["validate", f"scenes/{fault.found_by}.toml", *SIZE, "-j", "1"]
+        pattern = rf"^FAIL  {fault.found_by}  .*{fault.message}"
+    found = run(tree, *words, *out)
+    print(f"{fault.what}: {found.stdout}")
+    assert found.returncode == 1, f"this passes: {fault.what}\n{found.stdout}{found.stderr}"
+    assert re.search(pattern, found.stdout, re.MULTILINE), found.stdout
+
+
+def test_every_fault_fits_the_source_of_today():
+    for fault in FAULTS:
+        assert (ROOT / fault.file).read_text(encoding="utf-8").count(fault.old) == 1, fault.what
+    assert set(QUICK) <= {fault.what for fault in FAULTS}
