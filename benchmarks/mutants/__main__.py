@@ -17,7 +17,7 @@ def main() -> int:
     )
     parser.add_argument("--seed", type=int, default=1, help="of the sample (default: %(default)s)")
     parser.add_argument(
-        "--budget", type=float, default=30.0, help="CPU seconds of tests a mutant (default: %(default)s)"
+        "--budget", type=float, default=10.0, help="CPU seconds of tests a mutant (default: %(default)s)"
     )
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
     parser.add_argument("--again", action="store_true", help="try survivors of the earlier run once more")

@@ -42,7 +42,8 @@ OPTIONS = (
     "ignore::pytest.PytestAssertRewriteWarning",
 )
 MEMORY_LIMIT = 6 << 30  # bytes of address space; an edit may make a loop that allocates for ever
-TRACED_CALLS = 40  # calls of one function in one test whose lines are recorded; later ones cost too much
+# A function's lines are recorded until so many calls in a row, or steps of one call, have shown no new line.
+QUIET_CALLS, QUIET_STEPS = 40, 400
 
 
 class Ended(NamedTuple):
@@ -185,13 +186,13 @@ class Measured:
         self.prefixes = tuple(f"{tree}/{package}/" for package in PACKAGES)
         self.skip = len(str(tree)) + 1
         self.lines: set[tuple[str, int]] = set()
-        self.calls: dict[CodeType, int] = {}
+        self.quiet: dict[CodeType, int] = {}  # calls of a function since its last new line
         self.shared: set[tuple[str, int]] = set()  # by fixtures that may serve later tests as well
         self.passed = False
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        self.lines, self.calls, self.passed = set(), {}, False
+        self.lines, self.quiet, self.passed = set(), {}, False
         start = time.process_time() + sum(os.times()[2:4])
         signal.signal(signal.SIGPROF, _give_up)
         signal.setitimer(signal.ITIMER_PROF, self.slowest)
@@ -217,16 +218,24 @@ class Measured:
 
     def _call(self, frame: FrameType, event: str, arg: Any) -> Any:
         code = frame.f_code
-        if not code.co_filename.startswith(self.prefixes):
+        quiet = self.quiet.get(code, 0)
+        if quiet > QUIET_CALLS:
             return None
-        self.calls[code] = count = self.calls.get(code, 0) + 1
-        if count > TRACED_CALLS:
+        name = code.co_filename
+        if not name.startswith(self.prefixes):
+            self.quiet[code] = QUIET_CALLS + 1
             return None
-        name, add = code.co_filename, self.lines.add
-        add((name, frame.f_lineno))
+        self.quiet[code] = quiet + 1
+        lines, steps = self.lines, 0
 
         def line(frame: FrameType, event: str, arg: Any) -> Any:
-            add((name, frame.f_lineno))
+            nonlocal steps
+            place, steps = (name, frame.f_lineno), steps + 1
+            if place not in lines:
+                lines.add(place)
+                self.quiet[code] = steps = 0
+            elif steps > QUIET_STEPS:
+                frame.f_trace_lines = False
             return line
 
-        return line
+        return line(frame, event, arg)

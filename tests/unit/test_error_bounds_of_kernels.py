@@ -1,0 +1,333 @@
+"""Error bounds that kernels state, against inputs moved by as much as they are off; small parts by formula."""
+
+import math
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from caster.aovs import AOVS, kernel_of, register
+from caster.cameras import Fisheye
+from caster.description.errors import SceneError
+from caster.geometry.packing import pack
+from caster.jit.simd import CHILDREN, LANES
+from caster.kernels.bvh.build import open_largest
+from caster.kernels.bvh.traversal import cast_packets_brute_force, cast_rays_singly
+from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
+from caster.kernels.math.vec import permanent
+from caster.kernels.protocol import intersect, load, normal, prepare
+from caster.kernels.raster.tile import PRIM, T_ERROR, UNCERTAIN, T, lane, new_tile, start_ray
+from caster.kernels.raster.tile_casting import bounds_in_tile, row_bounds
+from caster.kernels.raster.wide_angle import MAX_HULL_ANGLE
+from caster.rendering.bvh import bvh_of
+from caster.rendering.casting import STACK_SIZE
+from caster.scene.model import Scene
+from caster.shapes import Cylinder, Disk, Plane, Sphere, Torus
+from caster.shapes.cylinder import clip_to_height
+
+SLACK = 1e-9  # of what is computed here in float64, far below the errors that are planted
+MOVED = 12  # inputs moved at random, for each that is looked at
+PLACED = [
+    {"scale": [0.5, 2.0, 1.0]},
+    {"rotate": {"axis": [1, 2, 3], "degrees": 50}},
+    {"translate": [1, 2, 3]},
+]
+
+
+def prims_of(shape):
+    camera = Fisheye(eye=(0.0, 0.0, 0.0), look_at=(0.0, 0.0, 1.0))
+    return pack(Scene(film={"width": 8, "height": 6}, camera=camera, shapes=[shape])).kinds[0].prims
+
+
+def moved(rng, v, by):
+    """v and a vector that differs from it by `by` in length."""
+    step = rng.normal(size=len(v))
+    return v + by * step / np.linalg.norm(step)
+
+
+def test_roots_of_a_sphere_hold_for_every_centre_and_direction_within_their_errors():
+    rng, said = np.random.default_rng(160), {"met": 0, "missed": 0}
+    for _ in range(400):
+        r = 10.0 ** rng.uniform(-1.0, 1.0)
+        f, d = r * rng.uniform(0.0, 4.0) * moved(rng, np.zeros(3), 1.0), rng.normal(size=3)
+        if rng.random() < 0.7:  # towards it
+            d = -f + 0.8 * r * rng.normal(size=3)
+        f_error, d_error = (10.0 ** rng.uniform(-7.0, -1.5, 2)) * (rng.random(2) < 0.7)
+        f_error, d_error = f_error * r, d_error * np.linalg.norm(d)
+        found = quadric_roots(quadric_setup(tuple(f), r, f_error), tuple(d), d_error)
+        assert not (found.met and found.missed)
+        said["met"] += found.met
+        said["missed"] += found.missed
+        for _ in range(MOVED):
+            a_f, a_d = moved(rng, f, f_error), moved(rng, d, d_error)
+            a, b, c = a_d @ a_d, -(a_f @ a_d), a_f @ a_f - r * r
+            space = b * b - a * c
+            size = b * b + a * (a_f @ a_f + r * r)
+            if found.missed:
+                assert space < SLACK * size
+            if found.met:
+                assert space > -SLACK * size
+                roots = (b + np.array([-1.0, 1.0]) * math.sqrt(max(space, 0.0))) / a
+                off = np.abs(roots - [found.near, found.far])
+                assert (
+                    off <= np.array([found.near_error, found.far_error]) + SLACK * np.abs(roots).max()
+                ).all()
+    assert min(said.values()) >= 60
+
+
+def test_a_disk_is_hit_or_missed_for_every_input_within_its_errors_and_both_occur():
+    prims = prims_of(Disk(to_world=PLACED))
+    m, f, _, _ = prepare(prims, load(prims, 0), (0.0, 0.0, 0.0))
+    to_object = np.array(m)
+    rng, said = np.random.default_rng(161), {"hit": 0, "missed": 0}
+    for _ in range(600):
+        e = np.array([*rng.uniform(-1.5, 1.5, 2), -1.0]) * rng.uniform(0.3, 2.0)
+        f = np.array([*rng.uniform(-1.1, 1.1, 2), 0.0]) - rng.uniform(0.2, 3.0) * e
+        d = np.linalg.solve(to_object, e)
+        f_error, e_off = 10.0 ** rng.uniform(-8.0, -1.0, (2, 3)) * (rng.random((2, 3)) < 0.6)
+        steps = e_off * np.abs(d).sum()
+        t, error = intersect(prims, (m, tuple(f), tuple(f_error), tuple(e_off)), tuple(d), 0.0, math.inf)
+        if t == 0.0:
+            continue
+        said["missed" if t == math.inf else "hit"] += 1
+        for _ in range(MOVED):
+            a_f, a_e = f + f_error * rng.choice([-1, 1], 3), e + steps * rng.choice([-1, 1], 3)
+            at = -a_f[2] / a_e[2]
+            rho = math.hypot(*(a_f + at * a_e)[:2])
+            assert rho >= 1.0 - SLACK if t == math.inf else rho <= 1.0 + SLACK
+            assert t == math.inf or abs(at - t) <= error + SLACK * t
+    assert min(said.values()) >= 60
+
+
+def test_a_disk_without_errors_is_decided_up_to_rounding():
+    prims = prims_of(Disk(to_world=PLACED))
+    m, *_ = prepare(prims, load(prims, 0), (0.0, 0.0, 0.0))
+    rng, none = np.random.default_rng(162), (0.0, 0.0, 0.0)
+    for _ in range(200):
+        f, e = np.array([*rng.uniform(-2.0, 2.0, 2), 1.0]), np.array([*rng.uniform(-1.5, 1.5, 2), -1.0])
+        d = np.linalg.solve(np.array(m), e)
+        t, error = intersect(prims, (m, tuple(f), none, none), tuple(d), 0.0, math.inf)
+        rho = math.hypot(*(f + e)[:2])
+        if abs(rho - 1.0) > 1e-12:
+            assert (t == math.inf) == (rho > 1.0) and error < 1e-14
+            assert t == math.inf or t == pytest.approx(1.0, abs=1e-14)
+
+
+def test_a_cylinder_is_clipped_for_every_height_within_its_errors():
+    rng, said = np.random.default_rng(163), {"inside": 0, "outside": 0}
+    for _ in range(600):
+        t, error, f_error, e_off = rng.uniform(0.1, 4.0), *(10.0 ** rng.uniform(-7.0, -1.0, 3))
+        e, z = rng.uniform(-2.0, 2.0), rng.uniform(-0.5, 1.5)
+        f = z - t * e
+        found, found_error = clip_to_height((t, error), (f, f_error, e, e_off))
+        if found == 0.0:
+            assert min(abs(z), abs(1.0 - z)) <= 4.0 * (f_error + t * e_off + abs(e) * error)
+            continue
+        said["outside" if found == math.inf else "inside"] += 1
+        assert (found, found_error) in ((t, error), (math.inf, 0.0))
+        for step in np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T:
+            height = f + f_error * step[0] + (t + error * step[1]) * (e + e_off * step[2])
+            assert (0.0 <= height <= 1.0) == (found == t)
+    assert min(said.values()) >= 60
+    assert clip_to_height((math.inf, 0.0), (0.5, 0.0, 0.0, 0.0))[0] == math.inf  # a miss stays one
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_wall_of_a_prepared_cylinder_is_off_by_both_coordinates_across(axis):
+    """One coordinate is stretched by 1000, along the axis by 1/1000: the height's own error cannot stand for it."""
+    prims = prims_of(Cylinder(radius=0.4, to_world=PLACED))
+    center, m = load(prims, 0)[0], np.diag([1e-3] * 3)
+    m[axis, axis] = 1e3
+    rows = tuple(map(tuple, m))
+    found = prepare(prims, (center, rows, 0.0, 0.0), tuple(np.array(center) + 1.0))
+    exact = quadric_setup(found.wall.f, 1.0, 0.0)
+    assert found.wall.moved - exact.moved > 1e5 * found.height_error > 0.0
+    assert found.wall.f == (m[0, 0], m[1, 1], 0.0) and found.height == m[2, 2]
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_plane_is_met_for_every_input_within_its_errors(axis):
+    n = [0.0, 0.0, 0.0]
+    n[axis] = 1.0
+    prims = prims_of(Plane(normal=tuple(n), offset=2.0))
+    found = prepare(prims, load(prims, 0), (0.5, 0.25, -0.125))
+    point = load(prims, 0)[1]
+    away = np.abs(np.array(point) - [0.5, 0.25, -0.125]).sum()
+    assert found[3] >= 5.0 * 2.0**-53 and found[2] >= 5.0 * 2.0**-53 * away > 0.0
+    rng, hits = np.random.default_rng([169, axis]), 0
+    for _ in range(300):
+        d = rng.normal(size=3)
+        height, (height_error, slope_error) = rng.uniform(-3.0, 3.0), 10.0 ** rng.uniform(-7.0, -1.0, 2)
+        pre = (tuple(n), height, height_error, slope_error)
+        t, error = intersect(prims, pre, tuple(d), 0.0, math.inf)
+        if 0.0 < t < math.inf:
+            hits += 1
+            for up in (-1, 1):
+                for more in (-1, 1):
+                    slope = d[axis] + more * slope_error * np.abs(d).sum()
+                    assert abs((height + up * height_error) / slope - t) <= error + SLACK * t
+    assert hits >= 60
+
+
+@pytest.mark.parametrize("any_hit", [False, True])
+def test_rays_of_a_packet_that_go_singly_meet_what_brute_force_does(any_hit):
+    rng = np.random.default_rng(172)
+    camera = Fisheye(eye=(0.0, 0.0, 0.0), look_at=(0.0, 0.0, 1.0))
+    balls = [Sphere(center=tuple(rng.uniform(-3.0, 3.0, 3)), radius=rng.uniform(0.1, 0.5)) for _ in range(70)]
+    (kind,) = pack(Scene(film={"width": 8, "height": 6}, camera=camera, shapes=balls)).kinds
+    tree, singly, brute = bvh_of(kind), new_tile(), new_tile()
+    count, workspace = 32, (np.zeros(STACK_SIZE, np.int32), np.empty(STACK_SIZE), np.empty(CHILDREN))
+    for i in range(count):
+        o, d = 4.0 * rng.normal(size=3), rng.normal(size=3)
+        for tile in (singly, brute):
+            start_ray(tile, lane(i), (tuple(o), tuple(d - 0.4 * o), 0.0, math.inf))
+    for first in range(0, count, LANES):
+        cast_rays_singly(kind.prims, tree, 5, singly, lane(first), workspace, any_hit)
+    cast_packets_brute_force(kind.prims, len(balls), 5, count, brute, any_hit)
+    met = brute[int(T) : int(T) + count] < math.inf
+    assert 4 <= met.sum() < count
+    assert ((singly[int(T) : int(T) + count] < math.inf) == met).all()
+    if not any_hit:
+        for field in (T, T_ERROR, PRIM, UNCERTAIN):
+            part = slice(int(field), int(field) + count)
+            assert singly[part].tobytes() == brute[part].tobytes()
+    assert (singly[int(PRIM) : int(PRIM) + count][met] >= 5.0).all()
+
+
+def test_the_permanent_is_the_cross_product_of_magnitudes_with_every_minus_a_plus():
+    rng = np.random.default_rng(164)
+    for _ in range(20):
+        a, b = rng.normal(size=(2, 3))
+        p, q = np.abs(a), np.abs(b)
+        expected = [p[i - 2] * q[i - 1] + p[i - 1] * q[i - 2] for i in range(3)]
+        assert permanent(tuple(a), tuple(b)) == pytest.approx(expected, rel=1e-15)
+
+
+def whole_lanes(start, stop):
+    return start - start % LANES, stop + -stop % LANES
+
+
+def test_the_part_of_a_span_in_a_tile_is_what_both_hold():
+    rng = np.random.default_rng(165)
+    for _ in range(60):
+        x, y = np.sort(rng.integers(0, 400, (2, 2)), axis=1) + np.array([0, 1])
+        box = 128, 64, 256, 128
+        pixels = np.array([[0, 0, 0, 0], [x[0], y[0], x[1], y[1]]], np.int32)
+        start, stop = whole_lanes(max(x[0] - 128, 0), min(x[1], 256) - 128)
+        expected = start, max(y[0] - 64, 0), stop, min(y[1], 128) - 64
+        assert tuple(map(int, bounds_in_tile(pixels, 1, box))) == expected
+
+
+class Projected(NamedTuple):
+    """What `row_bounds` reads of the bounds of triangles."""
+
+    faces: np.ndarray
+    projected: np.ndarray
+
+
+def test_the_part_of_a_row_holds_what_lies_in_a_triangle_and_little_else():
+    rng, inside = np.random.default_rng(166), 0
+    faces = np.array([[0, 0, 0], [2, 0, 1]], np.int32)
+    box, whole = (128, 64, 256, 128), (0, 0, 128, 64)
+    for _ in range(150):
+        corners = np.array([128.0, 64.0]) + rng.uniform([-40.0, -20.0], [170.0, 90.0], (3, 2))
+        wide = float(rng.choice([0.0, 0.3, 4.0]))
+        bounds = Projected(faces, np.column_stack([corners, [[wide, 1.0]] * 3]))
+        y = int(rng.integers(64))
+        start, stop = row_bounds(bounds, 1, box, whole, y)
+        across = []  # where the edges are met by the row, or by lines within `wide` of it
+        for line in np.linspace(-wide, wide, 5) + 64 + y + 0.5:
+            for a, b in zip(corners, np.roll(corners, 1, axis=0), strict=True):
+                if min(a[1], b[1]) <= line <= max(a[1], b[1]):
+                    across.append(a[0] + (line - a[1]) / (b[1] - a[1]) * (b[0] - a[0]))
+        if not across:
+            continue
+        low, high = min(across) - wide - 128, max(across) + wide - 128
+        held = [x for x in range(128) if low <= x + 0.5 <= high]
+        inside += bool(held)
+        if held:
+            first, last = whole_lanes(held[0], held[-1] + 1)
+            assert start <= held[0] and stop > held[-1]
+            assert start >= max(whole_lanes(held[0] - 2, 0)[0], 0) or wide > 0.0
+            assert stop <= whole_lanes(0, held[-1] + 3)[1] or wide > 0.0
+            assert (start, stop) >= (0, 0) and first >= 0 and last <= 128
+    assert inside >= 40
+    unknown = Projected(faces, np.full((3, 4), math.inf))
+    assert tuple(row_bounds(unknown, 1, box, (8, 0, 96, 64), 5)) == (8, 96)
+
+
+def test_a_node_takes_the_children_of_its_largest_until_it_is_full():
+    """A chain: box k holds the leaf k + 1 and the box k + 2, and the first is the largest that is left."""
+    links = np.full((41, 2), -1, np.int32)  # second child, or -1 - ...; first leaf
+    boxes = np.zeros((41, 6), np.float32)
+    for k in range(0, 39, 2):
+        links[k] = k + 2, -1
+        boxes[k] = 0, 0, 0, *([50.0 - k] * 3)
+        links[k + 1] = 0, 1
+        boxes[k + 1] = 0, 0, 0, 60.0, 60.0, 60.0  # a leaf is not opened, however large it is
+    links[40] = 0, 1
+    inside = np.zeros(CHILDREN, np.int64)
+    assert open_largest(boxes, links, inside) == CHILDREN
+    assert sorted(inside) == [*range(1, 2 * CHILDREN - 2, 2), 2 * CHILDREN - 2]
+    few = np.zeros(CHILDREN, np.int64)
+    few[0] = 36
+    assert open_largest(boxes, links, few) == 3 and sorted(few[:3]) == [37, 39, 40]
+    one = np.full(CHILDREN, 40, np.int64)
+    assert open_largest(boxes, links, one) == 1
+
+
+def test_the_normal_of_an_ellipsoid_is_that_of_its_matrix():
+    prims = prims_of(Sphere(to_world=PLACED))
+    to_object, center = np.linalg.inv(prims.to_world[0]), prims.center[0]
+    rng = np.random.default_rng(167)
+    for _ in range(40):
+        q = moved(rng, np.zeros(3), 1.0)
+        o = center + 6.0 * rng.normal(size=3)
+        d = center + prims.to_world[0] @ q - o
+        expected = to_object.T @ q
+        found = normal(prims, 0, tuple(o), tuple(d), 1.0)
+        assert found == pytest.approx(expected / np.linalg.norm(expected), abs=1e-10)
+
+
+@pytest.mark.parametrize("minor", [1.0, 1.0 + 1e-15, 2.0])
+def test_a_torus_without_a_hole_is_refused(minor):
+    assert Torus(minor_radius=1.0 - 1e-15).minor_radius < 1.0
+    with pytest.raises(SceneError, match=r"minor_radius must be < major_radius 1.0, got"):
+        Torus(minor_radius=minor)
+
+
+@pytest.mark.parametrize("fov", [30.0, 180.0, 250.0, 300.0])
+def test_the_bend_of_a_fisheye_bounds_second_derivatives_beyond_its_film_as_well(fov):
+    """Along great circles, by differences; up to MAX_HULL_ANGLE outside of the film."""
+    bend = Fisheye(eye=(0.0, 0.0, 0.0), look_at=(0.0, 0.0, 1.0), fov=fov).pack(80, 60).bend
+    rng, step, most = np.random.default_rng(168), 1e-3, 0.0
+    limit = math.radians(fov) / 2.0 + MAX_HULL_ANGLE
+
+    def place(d):
+        angle = math.atan2(math.hypot(d[0], d[1]), d[2])
+        return angle * np.array(d[:2]) / math.hypot(d[0], d[1])
+
+    for _ in range(400):
+        angle, turn = limit * rng.uniform(0.8, 0.995), rng.uniform(0.0, math.pi)
+        p = np.array([math.sin(angle), 0.0, math.cos(angle)])
+        v = np.array([math.cos(angle) * math.cos(turn), math.sin(turn), -math.sin(angle) * math.cos(turn)])
+        before, at, after = (place(p * math.cos(s) + v * math.sin(s)) for s in (-step, 0.0, step))
+        most = max(most, float(np.linalg.norm(before - 2.0 * at + after)) / step**2)
+    assert most <= bend * (1.0 + 1e-2) and (bend <= 3.0 * most or fov < 60.0)
+
+
+def aov(**changed):
+    declared = {"NAME": "an aov", "CHANNELS": ("an.aov",), "DTYPE": np.float64, "MISS": 0.0, "NEEDS": ()}
+    return SimpleNamespace(**{**declared, "PREVIEW": "gray", "evaluate": lambda hit: 0.0, **changed})
+
+
+@pytest.mark.parametrize("changed", [{"DTYPE": np.float32}, {"DTYPE": np.int64}, {"CHANNELS": ()}])
+def test_an_aov_of_another_type_or_without_channels_is_refused(changed):
+    with pytest.raises(ValueError, match="DTYPE must be float64 or int32, and CHANNELS not empty"):
+        register(aov(**changed))
+
+
+def test_the_class_of_an_aov_belongs_to_the_module_that_declares_it():
+    for each in AOVS:
+        assert type(kernel_of(each.NAME)).__module__ == each.__name__

@@ -1,0 +1,113 @@
+"""What the judge says about a pixel, and quantities that conditions of known defects are of, by their rules."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from caster.aovs import Aovs
+from mitsuba_ref.error_model.defect_conditions import abs_cosine
+from mitsuba_ref.error_model.lambert import direction_to_light
+from mitsuba_ref.judge.classification import reference_prims
+from mitsuba_ref.judge.diagnosis import _marked_misses, marked_miss
+from mitsuba_ref.judge.explanations import QUANTITY_NAMES, exceeded_bounds, format_defect, not_compared
+from mitsuba_ref.judge.scene_checks import bits_differ
+
+
+@pytest.mark.parametrize(
+    ("ratios", "told"),
+    [
+        ({}, ""),
+        ({"t": 1.0, "normal": 0.0}, ""),  # a bound that is just reached is kept
+        ({"t": math.nextafter(1.0, 2.0)}, "beyond its bound: {t} 1x"),
+        ({"t": 2.5, "normal": 0.5}, "beyond its bound: {t} 2.5x"),
+        ({"t": 2.5, "normal": 1234.5}, "beyond their bounds: {t} 2.5x, {normal} 1.23e+03x"),
+        ({"t": math.inf}, "beyond its bound: {t}"),
+        ({"t": math.nan}, "beyond its bound: {t}"),  # what is no number is not within
+        ({"exact": math.inf}, "beyond its bound: {exact}"),
+        ({"exact": math.inf, "t": 3.0}, "beyond its bound: {t} 3x"),
+        ({"exact": 4.0, "t": 3.0}, "beyond their bounds: {exact} 4x, {t} 3x"),
+    ],
+)
+def test_what_exceeds_its_bound_is_told_with_its_factor(ratios, told):
+    names = {name: QUANTITY_NAMES.get(name, name) for name in ("t", "normal", "exact")}
+    assert exceeded_bounds(ratios) == told.format(**names)
+
+
+@pytest.mark.parametrize(
+    ("subject", "reference", "why"),
+    [(True, False, "ours alone hits"), (False, True, "Mitsuba alone hits"), (False, False, "nothing is hit")],
+)
+def test_why_quantities_are_not_compared(subject, reference, why):
+    assert not_compared(subject, reference, "ours", ("t", "n")) == {"t": why, "n": why}
+    assert not_compared(True, True, "ours", ("t",)) == {}
+
+
+def test_a_defect_is_told_with_its_number_and_an_unlisted_one_as_such():
+    assert "none of the cases that are known" in format_defect(None)
+    assert format_defect(16).startswith("case 16: ")
+
+
+def test_the_cosine_between_a_ray_and_a_normal_is_that_of_unit_vectors():
+    rng = np.random.default_rng(170)
+    for _ in range(20):
+        n, d = rng.normal(size=(2, 3)) * 10.0 ** rng.uniform(-3.0, 3.0, (2, 1))
+        expected = abs(n / np.linalg.norm(n) @ (d / np.linalg.norm(d)))
+        assert abs_cosine(n, d) == pytest.approx(expected, rel=1e-12)
+
+
+def test_directions_to_lights_are_unit_vectors_or_reach_the_light():
+    p = np.random.default_rng(171).normal(size=(5, 3))
+    far, where = SimpleNamespace(type="directional", direction=(0.0, 3.0, -4.0)), (1.0, 2.0, 3.0)
+    d, distance = direction_to_light(far, p)
+    assert d.shape == (5, 3) and (d == np.array([0.0, -0.6, 0.8])).all() and (distance == math.inf).all()
+    d, distance = direction_to_light(SimpleNamespace(type="point", position=where), p)
+    assert np.allclose(p + d * distance[:, None], where, rtol=0, atol=1e-15) and (distance == 1.0).all()
+
+
+def test_bits_differ_where_any_component_has_others():
+    hit = np.ones((2, 3), bool)
+    n, t = np.zeros((2, 3, 3)), np.ones((2, 3))
+    other_n, other_t = n.copy(), t.copy()
+    other_n[0, 1, 2], other_n[1, 2, 0], other_t[1, 0] = -0.0, 1.0, np.nextafter(1.0, 2.0)
+    ours, others = Aovs({"normal": n, "depth": t}, hit), Aovs({"normal": other_n, "depth": other_t}, hit)
+    assert np.flatnonzero(bits_differ(ours, others, "normal")).tolist() == [1, 5]
+    assert np.flatnonzero(bits_differ(ours, others, "depth")).tolist() == [3]
+    assert not bits_differ(ours, ours, "normal").any()
+
+
+def test_a_primitive_of_mitsuba_is_counted_in_its_shape_and_of_a_stand_in_is_the_first():
+    model = SimpleNamespace(packed=SimpleNamespace(first=np.array([0, 1, 5, 6])))
+    shape, prim = np.array([0, 1, 1, 1, 2, 2, -1, 1]), np.array([0, 0, 3, 4, 7, 0, 2, 1])
+    hit = np.array([1, 1, 1, 1, 1, 1, 1, 0], bool)
+    result = SimpleNamespace(shape_id=shape, hit=hit, answer=SimpleNamespace(prim=prim))
+    found = reference_prims(result, model)
+    assert found.tolist() == [0, 1, 4, 1, 5, 5, -1, -1] and found.dtype == np.int32
+
+
+@pytest.mark.parametrize(
+    ("t", "hits_only", "told"),
+    [
+        ([5.0, 9.0, 9.0, 3.0], False, [1, 2]),
+        ([5.0, 9.0, 8.0, 3.0], False, None),  # not the same number
+        ([5.0, math.inf, math.inf, 3.0], False, None),
+        ([5.0, 9.0, 9.0, 3.0], True, None),  # who answers hits alone marks no miss
+    ],
+)
+def test_a_number_in_place_of_inf_is_told_where_mitsuba_misses(t, hits_only, told):
+    """Rays 1 and 2 miss; the last one is none."""
+    judge = SimpleNamespace(
+        result=SimpleNamespace(hit=np.array([True, False, False, False])),
+        t_max=np.array([1.0, 1.0, 0.0, -1.0]),
+        answer=SimpleNamespace(t=np.array(t), hits_only=hits_only),
+    )
+    found = [(what, rows.tolist()) for what, rows in _marked_misses(judge)]
+    assert found == ([] if told is None else [(marked_miss(9.0), told)])
+    assert not list(
+        _marked_misses(
+            SimpleNamespace(
+                **{**vars(judge), "result": SimpleNamespace(hit=np.array([True, False, True, True]))}
+            )
+        )
+    )
