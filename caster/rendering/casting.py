@@ -226,6 +226,8 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
         merge(nearest, found, kind.ids, contested, 0, count)
         for i in np.flatnonzero(contested):
             _decide_between(packed, kind, rays, nearest, found, int(i))
+    hit = nearest.prim >= 0  # exactly t_min < t <= t_max; the float64 beside such a t may lie beyond an end
+    nearest.t[hit] = np.clip(nearest.t[hit], np.nextafter(rays.t_min[hit], np.inf), rays.t_max[hit])
     return nearest
 
 

@@ -190,3 +190,19 @@ def test_what_lies_behind_the_eye_is_looked_for_nowhere():
     bounds = kind.bounds.pixels
     nowhere = ((bounds[:, 0] >= bounds[:, 2]) | (bounds[:, 1] >= bounds[:, 3])).mean()
     assert nowhere > 0.8 and (trace_film(scene).hit).all()
+
+
+@pytest.mark.parametrize("shape", SMALL, ids=name)
+@np.errstate(all="ignore")  # of kernels in plain Python
+def test_a_hit_at_an_end_of_the_range_lies_within_the_range(shape):
+    """There exact arithmetic decides, and t is the float64 beside what was decided about."""
+    rng, at_ends = np.random.default_rng([91, SHAPES.index(shape)]), 0
+    scene = random_scene(rng, [shape], Pinhole, count=2)
+    for o, d in hard_rays(packed(scene), rng, FEW).values():
+        ends = cast(scene, o, d).t
+        for i in np.flatnonzero(np.isfinite(ends) & (ends > 0.0)):
+            for t_min, t_max in ((0.0, ends[i]), (ends[i], np.inf), (np.nextafter(ends[i], 0.0), ends[i])):
+                found = cast(scene, o[i : i + 1], d[i : i + 1], t_min=t_min, t_max=t_max).t[0]
+                assert t_min < found <= t_max or np.isinf(found)
+                at_ends += bool(np.isfinite(found))
+    assert at_ends > 10
