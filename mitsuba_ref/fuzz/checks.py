@@ -29,6 +29,7 @@ from mitsuba_ref.judge.independent_checks.knife_edges import (
     t_text,
     with_limits,
 )
+from mitsuba_ref.judge.independent_checks.routes import RouteDifference, route_differences
 from mitsuba_ref.judge.independent_checks.scaling import exponents_of, scaling_differences
 from mitsuba_ref.oracle.oracle import ExactAnswer, OutsideDomain
 from mitsuba_ref.reference.shared_input import pixel_of
@@ -140,6 +141,7 @@ def check_image(subject: PreparedScene, tally: Tally) -> list[Finding]:
     expected = images["brute-force"]
     findings = [f for name in images for f in _image_differences(subject, expected, images[name], name)]
     findings += _scaling_differences(subject, tally)
+    findings += [_route_finding(found) for found in route_differences(subject.scene)]
     return findings + _adjudicate_image(subject, expected, tally)
 
 
@@ -153,6 +155,10 @@ def _scaling_differences(subject: PreparedScene, tally: Tally) -> Iterator[Findi
     for exponent, aov, pixels in different:
         what = f"{aov}: other bits in {len(pixels)} pixels 2^{exponent} times as large"
         yield Finding("scaling", what, pixel=pixel_of(subject.scene, int(pixels[0])))
+
+
+def _route_finding(found: RouteDifference) -> Finding:
+    return Finding("route", str(found), pixel=(found.x, found.y))
 
 
 def _image_differences(subject: PreparedScene, expected: Aovs, other: Aovs, name: str) -> Iterator[Finding]:

@@ -15,6 +15,7 @@ FINDING_KINDS = {
     "prim": "another primitive is hit first by exact arithmetic, or as early with a lower number",
     "t": "t is farther from the exact one than float64 rounding explains",
     "culling": "two ways to cast the same ray differ in some bit",
+    "route": "another public route to the same pixel gives other bits",
     "surface": "a position or normal is not finite, or a normal is not of length 1",
     "scaling": "a scene 2^k times as large is not rendered alike",
     "judged": "the judge's comparison with Mitsuba fails",

@@ -27,6 +27,7 @@ from mitsuba_ref.judge.classification import judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges
 from mitsuba_ref.judge.independent_checks.mesh_files import check_mesh_files
+from mitsuba_ref.judge.independent_checks.routes import check_routes
 from mitsuba_ref.judge.independent_checks.scaling import check_scaling
 from mitsuba_ref.judge.scene_checks import (
     CHECKS_OF_OUR_CASTER,
@@ -112,7 +113,12 @@ def validate_scene(
     stored = StoredReproducers((), 0)
     if ours:
         at_edges, wrong_rays = knife_edges(scene)
-        checks = (*(check(scene) for check in CHECKS_OF_OUR_CASTER), at_edges, check_scaling(scene))
+        checks = (
+            *(check(scene) for check in CHECKS_OF_OUR_CASTER),
+            at_edges,
+            check_scaling(scene),
+            check_routes(scene, path),
+        )
         if folder:
             stored = write_aimed_reproducers(folder, name, wrong_rays, path or name)
 

@@ -44,8 +44,9 @@ SCENE_CHECKS = (
     "render",
     "culling",
     "knife_edges",
-    "mesh_files",
     "scaling",
+    "routes",
+    "mesh_files",
     "sensor",
     "bias",
 )

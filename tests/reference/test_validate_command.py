@@ -206,6 +206,7 @@ def test_out_holds_the_verdict_and_the_pictures_it_is_about(ref, tmp_path):
         "culling",
         "knife_edges",
         "scaling",
+        "routes",
         "geometry",
     }
 

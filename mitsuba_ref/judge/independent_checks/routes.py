@@ -1,0 +1,382 @@
+"""Every public route to a pixel gives the same bits: sets of AOVs, threads, dtypes, crops, film sizes, cast, probe.
+
+What is compared with the reference is one image: all AOVs, by the planned culling. Whatever else users may call has
+to give the bits of that image, or, on films of other sizes, those of the camera's rays cast one by one. Which routes
+are taken is drawn from a seed that depends on geometry and film alone, so that a scene costs a tenth of its judgement.
+"""
+
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster import cast, occluded
+from caster.aovs import AOVS, Aovs
+from caster.geometry.packing import pack, packed
+from caster.geometry.world_space import as_given
+from caster.rendering.casting import Culling
+from caster.rendering.hits import trace_rays
+from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
+from caster.scene.model import Scene
+from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.judge.independent_checks.knife_edges import content_seed
+from mitsuba_ref.judge.scene_checks import bits_differ
+from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.shapes.targets import Rng
+
+ALL_AOVS = tuple(aov.NAME for aov in AOVS)
+RAY_ALONE = frozenset(aov.NAME for aov in AOVS if not aov.NEEDS)
+# Sets that films of one kind of primitive have kernels of their own for, which every user of `render` compiles.
+WITHOUT_SURFACES = (("depth", "normal"), ("normal",), ("depth",))
+
+# What is rendered beside the whole film is small beside it: a share of its pixels, within limits.
+CROPS, SETS_OF_CROPS = 3, 10
+CROP_SHARE, CROP_SIDES = 8, (3, 48)  # pixels: each side is at most the root of that share
+FILM_SHARE = 8
+SMALL_FILM, FILM_SIZES = (
+    4096,
+    (1, 3),
+)  # pixels; films of other sizes for a film smaller than that, and for others
+TILE_WIDTHS = (1, 2)  # of 128 pixels, that a film is as wide as, or one narrower or wider
+MOST_ROWS = 7  # pixels of the other side of such a film
+BRUTE_FORCE_TESTS = 1 << 17  # rays times primitives that are tried without any culling
+SAMPLE_SHARE, SAMPLED_PIXELS = (
+    4,
+    (16, 256),
+)  # pixels: that share, within limits; cast one by one, half of them at edges
+LIMITS = 3  # pairs of t_min and t_max, each of a call of its own
+PROBED_PIXELS = 2
+
+
+class RouteDifference(NamedTuple):
+    """One route with other bits than the image: the first pixel of one AOV, and how many there are."""
+
+    route: str  # as a call in Python
+    aov: str
+    x: int
+    y: int
+    expected: str
+    got: str
+    pixels: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.route}: {self.aov} at ({self.x}, {self.y}) is {self.got}, expected {self.expected}; "
+            f"{self.pixels} pixels"
+        )
+
+
+def check_routes(scene: Scene, path: str = "") -> SceneCheck:
+    """A sample of routes, the same for the same scene; infinite for one that differs, with AOV, pixel and a command."""
+    taken = 0
+
+    def count() -> None:
+        nonlocal taken
+        taken += 1
+
+    for found in route_differences(scene, count)[:1]:
+        again = f"; again: python -c '{_program(found.route, path)}'" if path else ""
+        return SceneCheck("routes", np.inf, f"{found}{again}")
+    return SceneCheck("routes", 0.0, f"{taken} routes")
+
+
+def _program(route: str, path: str) -> str:
+    """The route as a program. o, d: of all pixels, of which the route took some."""
+    if route.startswith("caster probe"):
+        x, y = route.split()[-2:]
+        return f'from caster.__main__ import main; main(["probe", "{path}", "{x}", "{y}"])'
+    rays = (
+        ""
+        if "(scene, o, d" not in route
+        else ("from caster.rendering.images import camera_rays; o, d = camera_rays(scene)[:2]; ")
+    )
+    head = f'import caster, numpy as np; from numpy import inf; scene = caster.load_scene("{path}")'
+    return f"{head}; {rays}print({route})".replace("'", '"')
+
+
+@np.errstate(all="ignore")  # of kernels in plain Python
+def route_differences(scene: Scene, on_route: Callable[[], None] = lambda: None) -> list[RouteDifference]:
+    """Routes with other bits. on_route: called before each route."""
+    return list(_differences(scene, on_route))
+
+
+def _differences(scene: Scene, on_route: Callable[[], None]) -> Iterator[RouteDifference]:
+    rng = np.random.default_rng(_seed(scene))
+    whole = render(scene, ALL_AOVS)
+    edges = np.flatnonzero(_beside_another(whole))
+    for routes in (
+        _other_sets(scene, rng, whole),
+        _crops(scene, rng, whole, edges),
+        _other_films(scene, rng),
+        _ray_by_ray(scene, rng, whole, edges),
+        _probed(scene, rng, whole, edges),
+    ):
+        for found in routes:
+            on_route()
+            yield from found
+
+
+def _seed(scene: Scene) -> int:
+    film = scene.film
+    return zlib.crc32(
+        repr((film.width, film.height, film.crop, scene.camera)).encode(), content_seed(packed(scene))
+    )
+
+
+# ---- images
+
+
+Found = Iterator[Iterator[RouteDifference]]
+
+
+def _compare(
+    scene: Scene, route: str, expected: Aovs, got: Aovs, dtype: type[np.floating] = np.float64
+) -> Iterator[RouteDifference]:
+    """Of every AOV that `got` has, and of the mask; expected is rounded to `dtype`, as the route is documented to."""
+    x0, y0, x1, _ = scene.film.window
+    masks = Aovs({"mask": expected.hit}, expected.hit), Aovs({"mask": got.hit}, got.hit)
+    rounded = Aovs({name: _rounded(expected[name], dtype) for name in got}, expected.hit)
+    for name, a, b in [("mask", *masks), *((name, rounded, got) for name in got)]:
+        one, two = a[name], b[name]
+        if one.shape != two.shape or one.dtype != two.dtype:
+            before, after = (f"{image.shape} {image.dtype}" for image in (one, two))
+            yield RouteDifference(route, name, x0, y0, before, after, one.size)
+            continue
+        rows = np.flatnonzero(bits_differ(a, b, name))
+        if len(rows):
+            before, after = (_text(aov_rows(image, name)[rows[0]]) for image in (a, b))
+            x, y = x0 + int(rows[0]) % (x1 - x0), y0 + int(rows[0]) // (x1 - x0)
+            yield RouteDifference(route, name, x, y, before, after, len(rows))
+
+
+def _rounded(image: np.ndarray, dtype: type[np.floating]) -> np.ndarray:
+    if image.dtype.kind != "f":
+        return image
+    with np.errstate(over="ignore", under="ignore"):
+        return image.astype(dtype)
+
+
+def _text(value: Any) -> str:
+    return repr(np.asarray(value).tolist())
+
+
+def _call(
+    aovs: Sequence[str],
+    crop: Sequence[int] | None = None,
+    size: tuple[int, int] | None = None,
+    **options: Any,
+) -> str:
+    film = [f"width={size[0]}, height={size[1]}"] if size else []
+    film += [f"crop={tuple(int(n) for n in crop)}"] if crop is not None else []
+    scene = f"scene.with_film({', '.join(film)})" if film else "scene"
+    texts = {
+        key: f"np.{value.__name__}" if isinstance(value, type) else repr(value)
+        for key, value in options.items()
+    }
+    words = "".join(f", {key}={text}" for key, text in texts.items())
+    return f"caster.render({scene}, {tuple(aovs)!r}{words})"
+
+
+def _sets(scene: Scene, rng: Rng, count: int) -> list[tuple[str, ...]]:
+    """Single AOVs and pairs, in random order. Where a film has one kind of primitive, AOVs that need the ray alone come
+    in pairs: each alone would be compiled for that kind and camera."""
+    alone = [(name,) for name in ALL_AOVS if len(packed(scene).kinds) > 1 or name not in RAY_ALONE]
+    alone = [names for names in alone if names not in WITHOUT_SURFACES]
+    pairs = [(a, b) for i, a in enumerate(ALL_AOVS) for b in ALL_AOVS[i + 1 :] if _has_surface(a, b)]
+    rng.shuffle(alone)
+    rng.shuffle(pairs)
+    mixed = [names for two in zip(alone, pairs, strict=False) for names in two]
+    return [tuple(names) for names in mixed[:count]]
+
+
+def _has_surface(a: str, b: str) -> bool:
+    """Whether the pair goes by tiles, whose kernels are those of each AOV alone."""
+    return "normal" not in (a, b) or not {a, b} & RAY_ALONE
+
+
+def _other_sets(scene: Scene, rng: Rng, whole: Aovs) -> Found:
+    """Other AOVs, numbers of threads and dtypes, of the whole film."""
+    threads = rng.permutation([1, 2, 3]).tolist()
+    for i, names in enumerate([*WITHOUT_SURFACES, *_sets(scene, rng, 2)]):
+        options = {"threads": threads[i % 3]}
+        yield _compare(scene, _call(names, **options), whole, render(scene, names, **options))
+
+
+def _crops(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
+    """Random windows are what is cut out of the whole, whatever is asked of them."""
+    x0, y0, x1, y1 = scene.film.window
+    sets = [*WITHOUT_SURFACES[:2], *_sets(scene, rng, SETS_OF_CROPS)]
+    side = int(np.clip((whole.hit.size // CROP_SHARE) ** 0.5, *CROP_SIDES))
+    share = -(-len(sets) // CROPS)
+    for number in range(CROPS):
+        pixel = int(rng.choice(edges)) if len(edges) else int(rng.integers(whole.hit.size))
+        left, right = _around(rng, pixel % (x1 - x0), x1 - x0, side)
+        top, bottom = _around(rng, pixel // (x1 - x0), y1 - y0, side)
+        crop = (x0 + left, y0 + top, x0 + right, y0 + bottom)
+        part = scene.with_film(crop=crop)
+        cut = Aovs(
+            {name: np.ascontiguousarray(whole[name][top:bottom, left:right]) for name in whole},
+            whole.hit[top:bottom, left:right],
+        )
+        yield _compare(part, _call(ALL_AOVS, crop), cut, render(part, ALL_AOVS))
+        if number == 0:
+            options: dict[str, Any] = {"dtype": np.float32, "threads": int(rng.integers(1, 4))}
+            image = render(part, ALL_AOVS, **options)
+            yield _compare(part, _call(ALL_AOVS, crop, **options), cut, image, np.float32)
+        for names in sets[number * share : (number + 1) * share]:
+            yield _compare(part, _call(names, crop, threads=1), cut, render(part, names, threads=1))
+
+
+def _around(rng: Rng, at: int, length: int, most: int) -> tuple[int, int]:
+    """A random interval that holds `at`."""
+    side = int(rng.integers(1, min(most, length) + 1))
+    start = int(rng.integers(max(0, at - side + 1), min(at, length - side) + 1))
+    return start, start + side
+
+
+def _other_films(scene: Scene, rng: Rng) -> Found:
+    """Films as wide as tiles, or one pixel off, and portraits: `render` is the camera's rays, cast by any culling."""
+    numbers = pack(scene, as_given)
+    x0, y0, x1, y1 = scene.film.window
+    rows = int(np.clip((x1 - x0) * (y1 - y0) // (FILM_SHARE * 128), 1, MOST_ROWS))
+    small = (x1 - x0) * (y1 - y0) < SMALL_FILM
+    for i in range(FILM_SIZES[not small]):
+        long = 128 * int(rng.choice(TILE_WIDTHS[: 2 - small])) + int(rng.integers(-1, 2) if small else i - 1)
+        short = int(rng.integers(1, rows + 1))
+        size = (short, long) if rng.random() < 0.25 else (long, short)
+        crop = (0, 0, *size)
+        film = scene.with_film(width=size[0], height=size[1], crop=crop)
+        rays = camera_rays(film)
+        view = trace_rays(film, numbers, rays, np.zeros(len(rays.o)))
+        expected = evaluate(view, ALL_AOVS, film_window(film))
+        for names in (ALL_AOVS, WITHOUT_SURFACES[0]):
+            yield _compare(film, _call(names, crop, size), expected, render(film, names))
+        if not small and rays.o.shape[0] * int(numbers.first[-1]) <= BRUTE_FORCE_TESTS:
+            culling = _CULLINGS[i % 2]
+            image = render(film, ALL_AOVS, culling=culling)
+            yield _compare(film, _call(ALL_AOVS, crop, size, culling=culling), expected, image)
+
+
+_CULLINGS: tuple[Culling, ...] = ("brute-force", "bvh")
+
+
+# ---- rays, one by one
+
+
+def _beside_another(whole: Aovs) -> np.ndarray:
+    """(h, w) bool: pixels whose left or upper neighbour hits another primitive."""
+    ids = whole["shape_id"].astype(np.int64) * 2**32 + whole["prim_id"]
+    edges = np.zeros(ids.shape, bool)
+    edges[:, 1:] |= ids[:, 1:] != ids[:, :-1]
+    edges[1:] |= ids[1:] != ids[:-1]
+    return edges
+
+
+def _some_pixels(rng: Rng, whole: Aovs, edges: np.ndarray, count: int) -> np.ndarray:
+    """Up to half of them at edges, where uncertain pixels are; the others anywhere."""
+    chosen = rng.permutation(edges)[: count // 2]
+    anywhere = rng.integers(whole.hit.size, size=count - len(chosen))
+    return np.unique(np.concatenate([chosen, anywhere])).astype(int)
+
+
+def _ray_by_ray(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
+    """`cast`, its Hits and `occluded` at some pixels: the values of the image, and of each other."""
+    rays = camera_rays(scene)
+    count = int(np.clip(len(rays.o) // SAMPLE_SHARE, *SAMPLED_PIXELS))
+    rows = _some_pixels(rng, whole, edges, count)
+    rows = rows[rays.t_max[rows] >= 0.0]
+    if not len(rows):
+        return
+    limits, member = np.unique(
+        np.column_stack([rays.t_min[rows], rays.t_max[rows]]), axis=0, return_inverse=True
+    )
+    order = np.argsort(-np.bincount(member.ravel()))[:LIMITS]
+    for number in order.tolist():
+        some, (t_min, t_max) = rows[member.ravel() == number], limits[number].tolist()
+        yield _hits_differences(scene, rays.o[some], rays.d[some], (t_min, t_max), some, whole)
+    for t_min, t_max in _limits(rng, aov_rows(whole, "depth")[rows]):
+        o, d = rays.o[rows], rays.d[rows]
+        blocked = occluded(scene, o, d, t_max, t_min=t_min)
+        hit = np.isfinite(cast(scene, o, d, t_min=t_min, t_max=t_max).t)
+        route = f"caster.occluded(scene, o, d, {t_max!r}, t_min={t_min!r})"
+        yield _rows_differ(scene, route, "t", hit, blocked, rows)
+
+
+def _limits(rng: Rng, depth: np.ndarray) -> Iterator[tuple[float, float]]:
+    """None, and around one hit: excluded, just reached, beyond."""
+    yield 0.0, np.inf
+    finite = np.sort(depth[np.isfinite(depth) & (depth > 0.0)])
+    if len(finite):
+        t = float(rng.choice(finite))
+        yield 0.0, t
+        yield 0.0, float(np.nextafter(t, 0.0))
+        yield t, np.inf
+        yield float(finite[len(finite) // 4]), float(finite[3 * len(finite) // 4])
+
+
+def _hits_differences(
+    scene: Scene,
+    o: np.ndarray,
+    d: np.ndarray,
+    limits: tuple[float, float],
+    rows: np.ndarray,
+    whole: Aovs,
+) -> Iterator[RouteDifference]:
+    """Fields of Hits, each of a call of its own where one field may be found without the others."""
+    t_min, t_max = limits
+    route = f"caster.cast(scene, o, d, t_min={t_min!r}, t_max={t_max!r})"
+    hits = cast(scene, o, d, t_min=t_min, t_max=t_max)
+    normal = cast(scene, o, d, t_min=t_min, t_max=t_max).normal
+    surface = hits.surface
+    length = np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2])
+    fields = {
+        "shape_id": ("shape_id", hits.shape_id),
+        "prim_id": ("prim_id", hits.prim_id),
+        "normal": ("normal", normal),
+        "surface.n": ("normal", surface.n),
+        "surface.p": ("position", surface.p),
+        "surface.sh_n": ("shading_normal", surface.sh_n),
+        "surface.uv": ("uv", surface.uv),
+    }
+    for field, (name, values) in fields.items():
+        yield from _rows_differ(scene, f"{route}.{field}", name, aov_rows(whole, name)[rows], values, rows)
+    t = hits.t * length
+    yield from _rows_differ(scene, f"{route}.t", "depth", aov_rows(whole, "depth")[rows], t, rows)
+
+
+def _rows_differ(
+    scene: Scene, route: str, name: str, expected: np.ndarray, got: np.ndarray, rows: np.ndarray
+) -> Iterator[RouteDifference]:
+    """One difference, at the first row with other bits; NaN is like NaN."""
+    x0, y0, x1, _ = scene.film.window
+    a, b = (np.ascontiguousarray(values) for values in (expected, got))
+    if a.shape != b.shape or a.dtype != b.dtype:
+        yield RouteDifference(
+            route, name, x0, y0, f"{a.shape} {a.dtype}", f"{b.shape} {b.dtype}", int(a.shape[0])
+        )
+        return
+    if not len(a):
+        return
+    bytes_a, bytes_b = (values.reshape(len(a), -1).view(np.uint8) for values in (a, b))
+    bad = np.flatnonzero((bytes_a != bytes_b).any(axis=1))
+    if len(bad):
+        row = int(rows[bad[0]])
+        x, y = x0 + row % (x1 - x0), y0 + row // (x1 - x0)
+        yield RouteDifference(route, name, x, y, _text(a[bad[0]]), _text(b[bad[0]]), len(bad))
+
+
+def _probed(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
+    """What `caster probe` casts, at a few pixels."""
+    x0, y0, x1, _ = scene.film.window
+    pixels = rng.permutation(_some_pixels(rng, whole, edges, 4 * PROBED_PIXELS))[:PROBED_PIXELS]
+    for row in pixels.tolist():
+        x, y = x0 + row % (x1 - x0), y0 + row // (x1 - x0)
+        one = scene.with_film(crop=(x, y, x + 1, y + 1))
+        view = trace_film(one, threads=1)
+        image = evaluate(view, ALL_AOVS, film_window(one))
+        cut = Aovs(
+            {name: aov_rows(whole, name)[[row]].reshape(image[name].shape) for name in image},
+            whole.hit.reshape(-1)[[row]][:, None],
+        )
+        yield _compare(one, f"caster probe SCENE {x} {y}", cut, image)

@@ -1,0 +1,128 @@
+"""Faults of one public route alone: `validate` names route, AOV and pixel, or a test finds them.
+
+Each is planted in a copy of both packages, and has to be found by `validate` or by the test that is named. All of them
+by `make faults` (FAULTS=all); without it only those in QUICK.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from typing import NamedTuple
+
+import pytest
+from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
+
+IMAGES, HITS = (f"caster/rendering/{name}.py" for name in ("images", "hits"))
+SIZE = ("--size", "12", "10")
+
+
+class Fault(NamedTuple):
+    """An edit of a copy, the scene or the test that finds it, and a pattern of what is said then."""
+
+    family: str
+    what: str
+    found_by: str  # the name of a shipped scene, for `validate`, or the path of a test
+    message: str
+    file: str
+    old: str
+    new: str
+
+
+AT_ONCE = "            self._render_at_once(kinds[0], *aovs)\n"
+RETURNED = "        return RenderResult(scene, arrays, Aovs(film.images, film.hit), planned, counts)"
+
+ROUTE_FAULTS = (
+    Fault(
+        "routes",
+        "hits lost with depth and normal alone, on wide films",
+        "one-sphere",
+        r"routes: .*caster\.render\(scene\.with_film\(width=\d+, .*\('depth', 'normal'\)\): .* at \(\d+, \d+\) is ",
+        IMAGES,
+        AT_ONCE,
+        f"{AT_ONCE}            if self.window.width + self.window.height > 120 and len(self.images) == 2:\n"
+        "                self.images['depth'][...] = np.inf\n",
+    ),
+    Fault(
+        "routes",
+        "normal alone turned round",
+        "one-sphere",
+        r"routes: .*caster\.render\(.*\('normal',\).*: normal at ",
+        IMAGES,
+        RETURNED,
+        "        if tuple(aovs) == ('normal',):\n            film.images['normal'] *= -1.0\n" + RETURNED,
+    ),
+    Fault(
+        "routes",
+        "Hits.normal of another length",
+        "one-sphere",
+        r"routes: .*caster\.cast\(.*\.normal: normal at ",
+        HITS,
+        'return self.evaluate(("normal",))["normal"]',
+        'return 1.5 * self.evaluate(("normal",))["normal"]',
+    ),
+    Fault(
+        "routes",
+        "float32 truncated",
+        "one-sphere",
+        r"routes: .*dtype=np\.float32.*: position at ",
+        IMAGES,
+        RETURNED,
+        "        if dtype is np.float32:\n"
+        "            film.images['position'] = np.nextafter(film.images['position'], np.float32(0))\n"
+        + RETURNED,
+    ),
+    Fault(
+        "routes",
+        "occluded without t_max",
+        "one-sphere",
+        r"routes: .*caster\.occluded\(",
+        HITS,
+        "    given, plain = validated_rays_with_range(o, d, t_min, t_max)\n    return find_any",
+        "    given, plain = validated_rays_with_range(o, d, t_min, np.inf)\n    return find_any",
+    ),
+    Fault(
+        "routes",
+        "one pixel cast with the rays of its neighbour",
+        "one-sphere",
+        r"routes: .*(caster probe|crop=)",
+        IMAGES,
+        "    packed, rays = pack(scene, rounded), camera_rays(scene, threads)\n",
+        "    packed, rays = pack(scene, rounded), camera_rays(scene, threads)\n"
+        "    if len(rays.o) == 1 and scene.film.crop[2] < scene.film.width:\n"
+        "        x, y, _, _ = scene.film.crop\n"
+        "        rays = camera_rays(scene.with_film(crop=(x + 1, y, x + 2, y + 1)), threads)\n",
+    ),
+)
+
+FAULTS = ROUTE_FAULTS
+QUICK = ("normal alone turned round", "occluded without t_max", "Hits.normal of another length")
+CHOSEN = [fault for fault in FAULTS if fault.what in QUICK or os.environ.get("FAULTS") == "all"]
+
+
+def run_test(tree, path):
+    """A test file with the packages of a copy, without the compiler."""
+    words = [sys.executable, "-P", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", path]
+    environment = {**os.environ, "PYTHONPATH": str(tree), "CASTER_JIT": "0"}
+    return subprocess.run(
+        words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
+    )
+
+
+@pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: fault.what.replace(" ", "-"))
+def test_a_planted_fault_is_found(tmp_path, fault):
+    tree = copy_tree(tmp_path / "tree")
+    edit(tree, fault.file, fault.old, fault.new)
+    if fault.found_by.endswith(".py"):
+        found = run_test(tree, fault.found_by)
+    else:
+        found = run(tree, "validate", f"scenes/{fault.found_by}.toml", *SIZE, "-j", "1")
+    print(found.stdout)
+    assert found.returncode == 1, f"this passes: {fault.what}\n{found.stdout}{found.stderr}"
+    assert re.search(fault.message, found.stdout), found.stdout
+
+
+def test_every_fault_fits_the_source_of_today():
+    for fault in FAULTS:
+        assert (ROOT / fault.file).read_text(encoding="utf-8").count(fault.old) == 1, fault
+    assert set(QUICK) <= {fault.what for fault in FAULTS}
