@@ -19,7 +19,8 @@ from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.judge.diagnosis import Diagnosis
 from mitsuba_ref.judge.explanations import constant_reasons, reason
-from mitsuba_ref.judge.verdict import CLASSES, FAILING
+from mitsuba_ref.judge.independent_checks.exr_files import WrittenImage, check_exr_files, stored_planes
+from mitsuba_ref.judge.verdict import CLASSES, FAILING, SceneCheck
 
 Channels = Mapping[str, np.ndarray]
 
@@ -48,8 +49,8 @@ def class_attributes(names: Sequence[str] = CLASSES) -> dict[str, str]:
     }
 
 
-def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) -> None:
-    """NAME.ours.exr or NAME.candidate.exr, NAME.reference.exr and NAME.verdict.exr. Raises OutputError."""
+def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) -> SceneCheck:
+    """NAME.ours.exr or NAME.candidate.exr, NAME.reference.exr and NAME.verdict.exr, read back. Raises OutputError."""
     scene, pair = judge.scene, judge.pair
     classified = (pair.any_hit | judgement.is_class(*FAILING)).reshape(pair.shape)
     images = {
@@ -61,9 +62,14 @@ def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) ->
     }
     film = (0, 0, scene.film.width, scene.film.height)
     about = provenance(scene, __version__, name) | class_attributes()
+    window, written = scene.film.window, []
     for which, channels in images.items():
         path = folder / f"{name}.{which}.exr"
-        write_exr(path, channels, about, data_window=scene.film.window, display_window=film)
+        write_exr(path, channels, about, data_window=window, display_window=film)
+        aovs = {"reference": pair.reference, "verdict": None}.get(which, pair.subject)
+        planes = dict(channels) if aovs is None else stored_planes(aovs)
+        written.append(WrittenImage(path, planes, window, film[2:]))
+    return check_exr_files(written)
 
 
 def class_map(classified: np.ndarray, judgement: Judgement) -> Channels:
@@ -72,7 +78,7 @@ def class_map(classified: np.ndarray, judgement: Judgement) -> Channels:
     return {
         "A": classified.astype(np.float32),
         "class.I": judgement.classes.reshape(classified.shape).astype(np.uint32),
-        "ratio.Y": clipped_to_float32(ratio).reshape(classified.shape),
+        "ratio.Y": clipped_to_float32(ratio).reshape(classified.shape).astype(np.float32),
     }
 
 

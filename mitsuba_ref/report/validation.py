@@ -147,8 +147,7 @@ def validate_scene(
     judgement, pair, answer = judge.judge(), judge.pair, judge.answer
     diagnosis = diagnose(judge, judgement)
     errors = None
-    if folder:
-        write_images(folder, name, judge, judgement)
+    files = (write_images(folder, name, judge, judgement),) if folder else ()
     if folder and ours:
         of_pixels = write_reproducers(folder, name, judge, judgement, path or name)
         stored = StoredReproducers((*of_pixels.files, *stored.files), of_pixels.left_out)
@@ -157,7 +156,7 @@ def validate_scene(
     if not ours:
         given = CHECKS_OF_SHARED_INPUT if rays is None else CHECKS_OF_RAY_LISTS
         checks = tuple(check(response.scene) for check in given)
-    checks = (*checks, check_mesh_files(response.scene, pair.result.answer.meshes))
+    checks = (*checks, *files, check_mesh_files(response.scene, pair.result.answer.meshes))
     if rays is None:
         checks = (*checks, check_sensor(response.scene, pair.result))
     if ours:

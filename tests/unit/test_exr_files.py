@@ -1,0 +1,51 @@
+"""What `caster render` writes is what `caster.render` gives, for each AOV, in crops as well."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import caster
+from caster.__main__ import main
+from caster.aovs import AOVS, Aovs
+from mitsuba_ref.judge.independent_checks.exr_files import CHANNELS, WrittenImage, difference, stored_planes
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENE, SIZE, CROP = str(ROOT / "scenes/every-shape.toml"), (24, 18), (5, 3, 20, 17)
+NAMES = tuple(aov.NAME for aov in AOVS)
+
+
+@pytest.mark.parametrize("crop", [None, CROP], ids=["whole", "crop"])
+@pytest.mark.parametrize("names", [*((name,) for name in NAMES), NAMES], ids=" ".join)
+def test_a_file_holds_what_render_gives(tmp_path, names, crop):
+    path = tmp_path / "image.exr"
+    words = ["render", SCENE, "-o", str(path), "--size", *map(str, SIZE), "--aov", ",".join(names)]
+    assert main([*words, "--crop", *map(str, crop)] if crop else words) == 0
+    scene = caster.load_scene(SCENE).with_film(width=SIZE[0], height=SIZE[1], crop=crop or (0, 0, *SIZE))
+    planes = stored_planes(caster.render(scene, names))
+    assert difference(WrittenImage(path, planes, scene.film.window, SIZE)) == ""
+    if "depth" in names:
+        nudged = planes | {"depth.Z": np.nextafter(planes["depth.Z"], np.float32(0))}
+        assert difference(WrittenImage(path, nudged, scene.film.window, SIZE)).startswith("depth.Z at (")
+
+
+def test_the_names_of_channels_are_those_of_the_page_and_of_every_aov():
+    page = (ROOT / "docs/exr.md").read_text(encoding="utf-8")
+    listed = {}
+    for names, channels in re.findall(r"^\| (`\w+`(?:, `\w+`)*) \| (.*?) \|", page, re.MULTILINE):
+        given = re.findall(r"`([\w.]+)`", channels)
+        whole = [name if not name.startswith(".") else given[0].partition(".")[0] + name for name in given]
+        words = re.findall(r"`(\w+)`", names)
+        listed |= dict(
+            zip(words, [(each,) for each in whole] if len(words) > 1 else [tuple(whole)], strict=True)
+        )
+    assert listed == CHANNELS == {aov.NAME: tuple(aov.CHANNELS) for aov in AOVS}
+
+
+def test_ids_and_numbers_beyond_float32_are_stored_as_the_page_says():
+    hit = np.array([[True, False]])
+    planes = stored_planes(Aovs({"shape_id": np.array([[2, -1]]), "depth": np.array([[1e300, np.inf]])}, hit))
+    assert planes["id.shape"].tolist() == [[2, 4294967295]] and planes["id.shape"].dtype == np.uint32
+    assert planes["depth.Z"].tolist() == [[float(np.finfo(np.float32).max), np.inf]]
+    assert planes["A"].tolist() == [[1.0, 0.0]]
