@@ -123,7 +123,7 @@ def test_nothing_lies_beyond_an_infinite_t_min(shape):
 
 
 def test_a_hit_nearer_than_the_smallest_float64_is_a_hit():
-    """t is some 2^-1127: it rounds to 0, as does what bounds its error, and is more than 0."""
+    """t is some 2^-1127: what bounds its error rounds to 0, and t, which is more than 0, to the least float64."""
     tiny = float.fromhex("0x0.0000000000002p-1022")
     corners = np.array([[8.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 1.0, -tiny]])
     scene = Scene(
@@ -131,7 +131,7 @@ def test_a_hit_nearer_than_the_smallest_float64_is_a_hit():
     )
     along = np.array([[8.0 * tiny, 0.0, -(2.0**53)], [8.0 * tiny, 0.0, 2.0**53]])
     hits = cast(scene, np.zeros((2, 3)), along)
-    assert hits.shape_id.tolist() == [0, -1] and hits.t[0] == 0.0
+    assert hits.shape_id.tolist() == [0, -1] and hits.t[0] == np.nextafter(0.0, 1.0)
 
 
 @pytest.mark.parametrize("shape", [Plane(normal=(0, 0, 1), offset=0.0), Sphere(), Cube(), Cylinder(), Disk()])

@@ -251,7 +251,10 @@ def test_a_crash_of_every_process_is_a_finding_and_the_next_scene_gets_a_new_chi
         assert compare_with_mitsuba(scene, resident, Tally()) == []
 
 
-def test_a_hang_of_mitsuba_is_a_finding():
+def test_a_hang_of_mitsuba_is_a_finding(monkeypatch):
+    """Of the process that serves all scenes, and of the one that is asked once more."""
+    again = Crash("timeout", "", "no answer within 0.5 s", 0.5)
+    monkeypatch.setattr("mitsuba_ref.reference.session.send_alone", lambda *_: again)
     with ResidentSession() as resident:
         scene = load_scene(SCENE).with_film(width=8, height=8)
         compare_with_mitsuba(scene, resident, Tally())

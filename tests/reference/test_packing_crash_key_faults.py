@@ -130,8 +130,8 @@ PACKING_FAULTS = (
         GEOMETRY_TEST,
         r"assert",
         CHECKS,
-        'Precision("float64", as_given,',
-        'Precision("float64", as_float32,',
+        'Precision("float64", packed,',
+        'Precision("float64", packed_float32,',
     ),
 )
 

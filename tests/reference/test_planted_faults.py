@@ -32,7 +32,7 @@ class Fault(NamedTuple):
 
 ONE_NAN = """
         if {aov!r} in images:
-            images[{aov!r}].reshape(window.height * WIDTH, -1)[np.flatnonzero(self.hit)[7]] = np.nan
+            images[{aov!r}].reshape(window.height * WIDTH, -1)[np.flatnonzero(self.hit)[7:8]] = np.nan
 """
 
 
@@ -593,7 +593,7 @@ FAULTS = (
         "cornell-box",
         "materials",
         "caster/scene/model.py",
-        "self.materials[shape.material] if shape.material else DEFAULT",
+        "self.materials[shape.material] if shape.material else DEFAULT_MATERIAL",
         "next(iter(self.materials.values()))",
     ),
     # ---- cullings ----
@@ -620,7 +620,7 @@ FAULTS = (
         IMAGES,
         "        decided = self._decide_uncertain()\n",
         "        decided = self._decide_uncertain()\n"
-        "        if 'depth' in self.images:\n            self.images['depth'][5, 6] = np.nan\n",
+        "        if 'depth' in self.images:\n            self.images['depth'][5:6, 6:7] = np.nan\n",
     ),
     Fault(
         "one NaN in the normals of render",
@@ -629,7 +629,7 @@ FAULTS = (
         IMAGES,
         "        decided = self._decide_uncertain()\n",
         "        decided = self._decide_uncertain()\n"
-        "        if 'normal' in self.images:\n            self.images['normal'][5, 6, 1] = np.nan\n",
+        "        if 'normal' in self.images:\n            self.images['normal'][5:6, 6:7, 1] = np.nan\n",
     ),
     Fault(
         "one NaN in the light of render",

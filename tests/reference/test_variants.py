@@ -187,7 +187,7 @@ def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, mo
     elif change == "gone":
         Path(libraries[0]).unlink()
     elif change == "versions":
-        monkeypatch.setattr(variants, "_installed", lambda name: "9.9.9")
+        monkeypatch.setattr(variants, "installed_version", lambda name: "9.9.9")
     else:
         monkeypatch.setenv(LIBLLVM_ENVIRONMENT_VARIABLE, libraries[0])
     usable_variants()

@@ -60,7 +60,7 @@ def test_hostile_arguments_and_source_lines_are_escaped(main, argv, capfd, tmp_p
 def test_a_film_beyond_the_memory_is_refused_with_the_numbers(monkeypatch):
     scene = caster.load_scene("scenes/one-sphere.toml").with_film(width=20_000, height=20_000)
     monkeypatch.setattr(validation, "available_bytes", lambda: 8e9)
-    with pytest.raises(SceneError, match=r"20000 x 20000 pixels need some 560\.0 GB .* and 8\.0 GB are left"):
+    with pytest.raises(SceneError, match=r"20000 x 20000 pixels need some 580\.0 GB .* and 8\.0 GB are left"):
         validation.check_memory(scene)
     validation.check_memory(scene.with_film(crop=(0, 0, 100, 100)))
     monkeypatch.undo()

@@ -129,11 +129,23 @@ def check_scaling(scene: Scene) -> SceneCheck:
     if not different:
         what = " and ".join(f"2^{exponent}" for exponent in exponents)
         return SceneCheck("scaling", 0.0, f"the scene {what} times as large")
+    if still := _shapes_that_stay(scene):
+        return SceneCheck("scaling", 0.0, f"{still[0]} does not follow its to_world")
     x0, y0, x1, _ = part.film.window
     exponent, aov, pixels = different[0]
     x, y = x0 + int(pixels[0]) % (x1 - x0), y0 + int(pixels[0]) // (x1 - x0)
     what = f"{aov} at ({x}, {y}) and {len(pixels) - 1} more pixels: other bits 2^{exponent} times as large"
     return SceneCheck("scaling", np.inf, what)
+
+
+def _shapes_that_stay(scene: Scene) -> list[str]:
+    """Names of shapes whose packed numbers are the same twice as large: kinds from elsewhere may ignore to_world."""
+    parts, doubled = packed(scene).parts, packed(scaled_scene(scene, 1)).parts
+    return [
+        name
+        for name, part, other in zip(scene.shape_names(), parts, doubled, strict=True)
+        if type(part) is type(other) and all(map(np.array_equal, part, other))
+    ]
 
 
 def _random_window(rng: np.random.Generator, window: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
