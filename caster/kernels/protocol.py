@@ -103,6 +103,16 @@ def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> A
 
 
 @generic_inlined
+def surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
+    """Put what `fast_surface` reads of primitive k into lanes start..stop of a scratch (surface/lanes.py). Optional."""
+
+
+@generic_inlined
+def fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) -> Any:
+    """(safe, p, n, sh_n) of lane x: where safe, the same bits as `surface`. Without a branch. Optional."""
+
+
+@generic_inlined
 def hull_size(prims: Any) -> Any:
     """How many points hull_point gives for each primitive; 0 for a kind without bounds."""
 

@@ -34,6 +34,7 @@ from caster.kernels.protocol import (
     Vec3,
     exact_intersect,
     fast_normal,
+    fast_surface,
     hull_point,
     hull_size,
     intersect,
@@ -44,8 +45,11 @@ from caster.kernels.protocol import (
     same_geometry,
     surely_misses,
     surface,
+    surface_setup,
     t_lower_bound,
 )
+from caster.kernels.raster.tile import lane
+from caster.kernels.surface.lanes import LANE_SETUP, SURFACE_LANES, get_lane, put_lane
 
 
 class Triangles(NamedTuple):
@@ -327,6 +331,104 @@ def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> 
         s = b0 * prims.uv[i0, 0] + (b1 * prims.uv[i1, 0] + b2 * prims.uv[i2, 0])
         r = b0 * prims.uv[i0, 1] + (b1 * prims.uv[i1, 1] + b2 * prims.uv[i2, 1])
     return p, n, sh_n, s, r
+
+
+# Fields of a lane: corners, vertex normals, whether they are used.
+LANE_A, LANE_B, LANE_C, LANE_NA, LANE_NB, LANE_NC, LANE_SMOOTH = (
+    LANE_SETUP + lane(SURFACE_LANES * field) for field in (0, 3, 6, 9, 12, 15, 18)
+)
+
+
+@implement(surface_setup, Triangles)
+def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
+    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
+    a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
+    smooth = prims.smooth[k]
+    for x in range(start, stop):
+        put_lane(scratch, LANE_A + x, a)
+        put_lane(scratch, LANE_B + x, b)
+        put_lane(scratch, LANE_C + x, c)
+        scratch[LANE_SMOOTH + x] = 1.0 if smooth else 0.0
+    if smooth:
+        n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)
+        for x in range(start, stop):
+            put_lane(scratch, LANE_NA + x, n0)
+            put_lane(scratch, LANE_NB + x, n1)
+            put_lane(scratch, LANE_NC + x, n2)
+
+
+@inlined
+def dominant_last(axis0: bool, axis1: bool, v: Vec3) -> Vec3:
+    """v turned so that component 0, 1 or else 2 is last, the others in the order in which `sheared` takes them."""
+    return (
+        v[1] if axis0 else (v[2] if axis1 else v[0]),
+        v[2] if axis0 else (v[0] if axis1 else v[1]),
+        v[0] if axis0 else (v[1] if axis1 else v[2]),
+    )
+
+
+@inlined
+def sheared_last(p: Vec3, d: Vec3) -> tuple[float, float]:
+    """`sheared` of vectors whose dominant component is last."""
+    return p[0] * d[2] - d[0] * p[2], p[1] * d[2] - d[1] * p[2]
+
+
+@implement(fast_surface, Triangles)
+def _fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) -> Any:
+    a, b, c = get_lane(scratch, LANE_A + x), get_lane(scratch, LANE_B + x), get_lane(scratch, LANE_C + x)
+    known, (b0, b1, b2) = fast_barycentrics(sub(a, o), sub(b, o), sub(c, o), d)
+    p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
+    e1, e2 = sub(b, a), sub(c, a)
+    across, spread = cross(e1, e2), permanent(e1, e2)
+    square = dot(across, across)
+    wide = (
+        (square > SMALLEST_SQUARE)
+        & (square < LARGEST_SQUARE)
+        & (square > MIN_SIN_SQUARED * dot(spread, spread))
+    )
+    length = math.sqrt(square) if wide else 1.0
+    n = across[0] / length, across[1] / length, across[2] / length
+    n0, n1, n2 = (
+        get_lane(scratch, LANE_NA + x),
+        get_lane(scratch, LANE_NB + x),
+        get_lane(scratch, LANE_NC + x),
+    )
+    between = add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2)))
+    square, smooth = dot(between, between), scratch[LANE_SMOOTH + x] != 0.0
+    long = (square >= SMALLEST_SQUARE) & (square <= LARGEST_SQUARE)
+    length = math.sqrt(square) if long else 1.0
+    sh_n = (
+        between[0] / length if smooth else n[0],
+        between[1] / length if smooth else n[1],
+        between[2] / length if smooth else n[2],
+    )
+    return known & wide & (long | (not smooth)), p, n, sh_n
+
+
+@inlined
+def magnitudes(a: Vec3) -> Vec3:
+    return abs(a[0]), abs(a[1]), abs(a[2])
+
+
+@inlined
+def fast_barycentrics(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> tuple[bool, Vec3]:
+    """(whether these are those of `barycentrics`, they), without a branch."""
+    x, y, z = abs(d[0]), abs(d[1]), abs(d[2])
+    axis0, axis1 = (x >= y) & (x >= z), y >= z
+    along = dominant_last(axis0, axis1, d)
+    p = sheared_last(dominant_last(axis0, axis1, a), along)
+    q = sheared_last(dominant_last(axis0, axis1, b), along)
+    r = sheared_last(dominant_last(axis0, axis1, c), along)
+    u = r[0] * q[1] - r[1] * q[0]
+    v = p[0] * r[1] - p[1] * r[0]
+    w = q[0] * p[1] - q[1] * p[0]
+    area = u + (v + w)
+    widest = max(max(max(abs(p[0]), abs(p[1])), max(abs(q[0]), abs(q[1]))), max(abs(r[0]), abs(r[1])))
+    far = component_max(component_max(magnitudes(a), magnitudes(b)), magnitudes(c))
+    error = SHEAR_ERROR * max(max(far[0], far[1]), far[2]) * abs(along[2])
+    known = abs(area) > 2.0 * (12.0 * widest * error + 6.0 * error * error + 15.0 * U * widest * widest)
+    divisor = area if known else 1.0
+    return known, (u / divisor, v / divisor, w / divisor)
 
 
 @implement(hull_size, Triangles)

@@ -12,7 +12,9 @@ import numpy as np
 
 from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
+from caster.jit.decorators import implements
 from caster.kernels.nearest import Rays
+from caster.kernels.protocol import fast_surface
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import (
     DX,
@@ -29,6 +31,7 @@ from caster.kernels.raster.tile import (
     T,
     new_tile,
 )
+from caster.kernels.surface.lanes import new_lanes
 from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
 from caster.kernels.surface.normals import normals_in_tile
 from caster.kernels.surface.per_hit import (
@@ -37,6 +40,7 @@ from caster.kernels.surface.per_hit import (
     fill_miss,
     new_surface_buffer,
     surfaces_in_tile,
+    surfaces_in_tile_by_lanes,
     write_aov,
 )
 from caster.rendering.casting import exact_nearest, prim_offsets, scene_prim_ids, tile_caster
@@ -58,6 +62,10 @@ class TileWorkspace:
     @cached_property
     def surface(self) -> np.ndarray:
         return new_surface_buffer()
+
+    @cached_property
+    def lanes(self) -> np.ndarray:
+        return new_lanes()
 
     @cached_property
     def shadow_tile(self) -> np.ndarray:
@@ -180,6 +188,8 @@ def kind_ranges(packed: Packed) -> list[tuple[Any, tuple[int, int]]]:
 
 
 def _surface_step(prims: Any, numbers: tuple[int, int], wants_uv: bool) -> Step:
+    if implements(fast_surface, type(prims)) and not wants_uv:
+        return lambda ws, box: surfaces_in_tile_by_lanes(prims, numbers, ws.tile, box, ws.surface, ws.lanes)
     return lambda ws, box: surfaces_in_tile(prims, numbers, ws.tile, box, ws.surface, wants_uv)
 
 

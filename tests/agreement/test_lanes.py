@@ -8,6 +8,15 @@ from caster.jit.decorators import jit
 from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.traversal import PacketBoxSetup, RayBoxSetup
+from caster.kernels.raster import tile as tiles
+from caster.kernels.surface.lanes import new_lanes
+from caster.kernels.surface.per_hit import (
+    STRIDE,
+    new_surface_buffer,
+    surfaces_in_tile,
+    surfaces_in_tile_by_lanes,
+)
+from caster.kernels.triangles import Triangles
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba there is only the plain text")
 
@@ -92,3 +101,56 @@ def test_numbers_of_lanes_are_chosen_alike():
             float(simd.any_sum_reaches(numbers, i, j, limit)),
             simd.lowest_bit(mask),
         ]
+
+
+SIZES = 10.0 ** np.array([0.0, 0.0, 0.0, 3.0, -9.0, 120.0, 152.0, -152.0, -200.0])
+
+
+def hard_triangles(rng, count):
+    """Of all sizes; some thin, some points, some with normals that cancel or vanish."""
+    corners = rng.normal(size=(count, 3, 3)) + rng.normal(size=(count, 1, 3))
+    thin, point = rng.random(count) < 0.2, rng.random(count) < 0.05
+    between = corners[:, 0] + rng.random((count, 1)) * (corners[:, 1] - corners[:, 0])
+    corners[thin, 2] = between[thin] + rng.choice([0.0, 1e-13, 1e-9], (count, 1))[thin] * corners[thin, 2]
+    corners[point, 1:] = corners[point, :1]
+    vertices = (corners * rng.choice(SIZES, (count, 1, 1))).reshape(-1, 3)
+    normals = rng.normal(size=(3 * count, 3)) * rng.choice(SIZES, (3 * count, 1))
+    normals[rng.random(3 * count) < 0.1] = 0.0
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    smooth, textured = rng.random((2, count)) < 0.6
+    return Triangles(vertices, faces, normals, rng.random((3 * count, 2)), smooth, textured)
+
+
+def hit_tile(rng, prims, count):
+    """Rays of a tile with what they meet, in runs: towards a point of that triangle, some along its plane."""
+    tile, pixels = tiles.new_tile(), tiles.PIXELS
+    hit = np.repeat(rng.integers(-1, count, pixels), rng.integers(1, 40, pixels))[:pixels]
+    corners = prims.vertices.reshape(-1, 3, 3)[np.maximum(hit, 0)]
+    size = np.abs(corners).max(axis=(1, 2))[:, None] + 1e-300
+    p = (corners * rng.dirichlet((1, 1, 1), pixels)[:, :, None]).sum(axis=1)
+    along = rng.random((pixels, 1)) < 0.1
+    d = np.where(along, (corners[:, 1] - corners[:, 0]) / size, rng.normal(size=(pixels, 3)))
+    t = size[:, 0] * rng.random(pixels)
+    o = p - t[:, None] * d
+    fields = [(tiles.T, t), (tiles.PRIM, hit)]
+    fields += [(at, o[:, c]) for c, at in enumerate((tiles.OX, tiles.OY, tiles.OZ))]
+    fields += [(at, d[:, c]) for c, at in enumerate((tiles.DX, tiles.DY, tiles.DZ))]
+    for at, values in fields:
+        tile[int(at) : int(at) + pixels] = values
+    return tile
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_surfaces_of_several_pixels_are_those_of_one_at_a_time(seed):
+    rng = np.random.default_rng(seed)
+    prims, box = hard_triangles(rng, 300), (0, 0, 101, 64)
+    tile = hit_tile(rng, prims, 300)
+    for numbers in ((0, 300), (20, 320)):  # the second: others are of another kind
+        one, several = new_surface_buffer(), new_surface_buffer()
+        surfaces_in_tile(prims, numbers, tile, box, one, False)
+        surfaces_in_tile_by_lanes(prims, numbers, tile, box, several, new_lanes())
+        inside = np.arange(tiles.PIXELS) % tiles.WIDTH < box[2]
+        for field in range(9):
+            rows = slice(field * STRIDE, field * STRIDE + tiles.PIXELS)
+            np.testing.assert_array_equal(one[rows][inside], several[rows][inside], str(field))
+            assert np.array_equal(np.signbit(one[rows][inside]), np.signbit(several[rows][inside]))

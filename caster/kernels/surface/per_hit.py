@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import generic_inlined, inlined, jit
-from caster.kernels.protocol import Vec3, surface
+from caster.kernels.protocol import Vec3, fast_surface, surface, surface_setup
 from caster.kernels.raster.tile import (
     CACHE_LINE,
     DX,
@@ -22,6 +22,15 @@ from caster.kernels.raster.tile import (
     Box,
     T,
     lane,
+)
+from caster.kernels.surface.lanes import (
+    LANE_N,
+    LANE_P,
+    LANE_SH_N,
+    LANE_UNSAFE,
+    NEXT,
+    SURFACE_LANES,
+    put_lane,
 )
 
 
@@ -99,6 +108,79 @@ def surfaces_in_tile(prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any,
                 put(buffer, N + i, n)
                 put(buffer, SH_N + i, sh_n)
                 buffer[UV + i], buffer[UV + i + ONE] = u, v
+
+
+@jit
+def surfaces_in_tile_by_lanes(
+    prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any, scratch: Any
+) -> None:
+    """`surfaces_in_tile` without UV, of a kind with a body for `fast_surface`: SURFACE_LANES pixels at a time."""
+    for y in range(box[3] - box[1]):
+        for at in range(0, box[2] - box[0], SURFACE_LANES):
+            first = lane(y * WIDTH + at)
+            if gather_primitives(prims, numbers, tile, first, scratch) == 0:
+                continue
+            if compute_lanes(prims, numbers, tile, first, scratch) > 0:
+                recompute_unsafe(prims, numbers, tile, first, scratch)
+            keep_lanes(numbers, tile, first, scratch, buffer)
+
+
+@inlined
+def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any) -> int:
+    """What `fast_surface` reads, for the lanes that show the kind; how many do."""
+    x, count = lane(0), 0
+    while x < lane(SURFACE_LANES):
+        prim, end = tile[PRIM + first + x], x + lane(1)
+        while end < lane(SURFACE_LANES) and tile[PRIM + first + end] == prim:
+            end += lane(1)
+        if numbers[0] <= prim < numbers[1]:
+            surface_setup(prims, int(prim) - numbers[0], x, end, scratch)
+            count += int(end - x)
+        x = end
+    return count
+
+
+@inlined
+def compute_lanes(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any) -> int:
+    """Surfaces of all lanes, whatever they show; how many of the kind are not safe."""
+    unsafe, least, most = 0, float(numbers[0]), float(numbers[1])
+    for x in range(lane(SURFACE_LANES)):
+        o, d = ray_of(tile, first + x)
+        safe, p, n, sh_n = fast_surface(prims, scratch, x, o, d, tile[T + first + x])
+        put_lane(scratch, LANE_P + x, p)
+        put_lane(scratch, LANE_N + x, n)
+        put_lane(scratch, LANE_SH_N + x, sh_n)
+        prim = tile[PRIM + first + x]
+        fails = (not safe) & (least <= prim) & (prim < most)
+        scratch[LANE_UNSAFE + x] = 1.0 if fails else 0.0
+        unsafe += 1 if fails else 0  # of integers: a sum of floats keeps LLVM from using vectors
+    return unsafe
+
+
+@inlined
+def recompute_unsafe(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any) -> None:
+    """Surfaces that `fast_surface` leaves open."""
+    for x in range(lane(SURFACE_LANES)):
+        if scratch[LANE_UNSAFE + x] != 0.0:
+            i = first + x
+            o, d = ray_of(tile, i)
+            k = int(tile[PRIM + i]) - numbers[0]
+            p, n, sh_n, _, _ = surface(prims, k, o, d, tile[T + i], False)
+            put_lane(scratch, LANE_P + x, p)
+            put_lane(scratch, LANE_N + x, n)
+            put_lane(scratch, LANE_SH_N + x, sh_n)
+
+
+@inlined
+def keep_lanes(numbers: Any, tile: Any, first: Any, scratch: Any, buffer: Any) -> None:
+    """Into the surface buffer, but for lanes that show another kind."""
+    least, most = float(numbers[0]), float(numbers[1])
+    for field in range(lane(9)):
+        into, out = lane(STRIDE) * field + first, NEXT * field
+        for x in range(lane(SURFACE_LANES)):
+            prim = tile[PRIM + first + x]
+            mine = (least <= prim) & (prim < most)
+            buffer[into + x] = scratch[out + x] if mine else buffer[into + x]
 
 
 @inlined
