@@ -9,8 +9,6 @@ from caster.jit.decorators import implement, inlined, jit
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_triangle
 from caster.kernels.math.vec import (
-    LARGEST_SQUARE,
-    SMALLEST_SQUARE,
     TINY,
     U,
     abs_dot,
@@ -20,6 +18,7 @@ from caster.kernels.math.vec import (
     cross,
     cross_of_edges,
     dot,
+    fast_normalize,
     filter_result,
     l1_norm,
     max_norm,
@@ -265,13 +264,23 @@ MIN_SIN_SQUARED = 2.0**-52  # its square over that of the permanent
 @inlined
 def triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     """The unit normal of a triangle, however small, large or thin it is."""
+    known, n = fast_triangle_normal(a, b, c)
+    return n if known else triangle_normal_slow(a, b, c)
+
+
+@inlined
+def fast_triangle_normal(a: Vec3, b: Vec3, c: Vec3) -> tuple[bool, Vec3]:
+    """(whether this is the unit normal, it), without a branch."""
     e1, e2 = sub(b, a), sub(c, a)
     n, spread = cross(e1, e2), permanent(e1, e2)
-    square = dot(n, n)
-    if SMALLEST_SQUARE < square < LARGEST_SQUARE and square > MIN_SIN_SQUARED * dot(spread, spread):
-        length = math.sqrt(square)
-        return n[0] / length, n[1] / length, n[2] / length
-    return triangle_normal_slow(a, b, c)
+    known, unit = fast_normalize(n)
+    return known & (dot(n, n) > MIN_SIN_SQUARED * dot(spread, spread)), unit
+
+
+@inlined
+def fast_interpolated_normal(weights: Vec3, n0: Vec3, n1: Vec3, n2: Vec3) -> tuple[bool, Vec3]:
+    """(whether this is of length 1, the normal between those of three vertices), without a branch."""
+    return fast_normalize(add(scaled(weights[0], n0), add(scaled(weights[1], n1), scaled(weights[2], n2))))
 
 
 @jit
@@ -319,13 +328,14 @@ def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
 def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
-    b0, b1, b2 = barycentrics(sub(a, o), sub(b, o), sub(c, o), d, t)
+    weights = b0, b1, b2 = barycentrics(sub(a, o), sub(b, o), sub(c, o), d, t)
     p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
     n = triangle_normal(a, b, c)
     sh_n = n
     if prims.smooth[k]:
         n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)
-        sh_n = normalize(add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2))))
+        known, sh_n = fast_interpolated_normal(weights, n0, n1, n2)
+        sh_n = sh_n if known else normalize(sh_n)
     s, r = b1, b2
     if wants_uv and prims.textured[k]:
         s = b0 * prims.uv[i0, 0] + (b1 * prims.uv[i1, 0] + b2 * prims.uv[i2, 0])
@@ -376,31 +386,20 @@ def sheared_last(p: Vec3, d: Vec3) -> tuple[float, float]:
 @implement(fast_surface, Triangles)
 def _fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) -> Any:
     a, b, c = get_lane(scratch, LANE_A + x), get_lane(scratch, LANE_B + x), get_lane(scratch, LANE_C + x)
-    known, (b0, b1, b2) = fast_barycentrics(sub(a, o), sub(b, o), sub(c, o), d)
-    p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
-    e1, e2 = sub(b, a), sub(c, a)
-    across, spread = cross(e1, e2), permanent(e1, e2)
-    square = dot(across, across)
-    wide = (
-        (square > SMALLEST_SQUARE)
-        & (square < LARGEST_SQUARE)
-        & (square > MIN_SIN_SQUARED * dot(spread, spread))
-    )
-    length = math.sqrt(square) if wide else 1.0
-    n = across[0] / length, across[1] / length, across[2] / length
+    known, weights = fast_barycentrics(sub(a, o), sub(b, o), sub(c, o), d)
+    p = add(scaled(weights[0], a), add(scaled(weights[1], b), scaled(weights[2], c)))
+    wide, n = fast_triangle_normal(a, b, c)
     n0, n1, n2 = (
         get_lane(scratch, LANE_NA + x),
         get_lane(scratch, LANE_NB + x),
         get_lane(scratch, LANE_NC + x),
     )
-    between = add(scaled(b0, n0), add(scaled(b1, n1), scaled(b2, n2)))
-    square, smooth = dot(between, between), scratch[LANE_SMOOTH + x] != 0.0
-    long = (square >= SMALLEST_SQUARE) & (square <= LARGEST_SQUARE)
-    length = math.sqrt(square) if long else 1.0
+    long, between = fast_interpolated_normal(weights, n0, n1, n2)
+    smooth = scratch[LANE_SMOOTH + x] != 0.0
     sh_n = (
-        between[0] / length if smooth else n[0],
-        between[1] / length if smooth else n[1],
-        between[2] / length if smooth else n[2],
+        between[0] if smooth else n[0],
+        between[1] if smooth else n[1],
+        between[2] if smooth else n[2],
     )
     return known & wide & (long | (not smooth)), p, n, sh_n
 

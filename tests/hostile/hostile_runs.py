@@ -42,6 +42,9 @@ MAX_WALL_SECONDS = 60.0  # another user of the machine must not decide
 MAX_KERNEL_BYTES = 50_000  # of a compiled kernel that is damaged: it is compiled again within a few seconds
 MAX_SAID = 2**22  # bytes that a run may print
 MAX_RSS = 10**9  # bytes, of the largest process
+STARTED_RSS = (
+    256 << 20
+)  # bytes, of a command with its modules loaded; what the warm process has beyond, no run took
 ADDRESS_SPACE = 3 << 30  # bytes beyond those of the warm process, so that a run cannot take the machine
 CONTROL = re.compile(rb"[\x00-\x08\x0b-\x1f\x7f]")
 SHOWN = 300  # characters of a run's messages
@@ -129,6 +132,7 @@ class Started:
         self.before = digests(home)
         self.deadline = time.monotonic() + MAX_WALL_SECONDS
         sys.stdout.flush()
+        self.inherited = max(0, resident_bytes() - STARTED_RSS)
         self.pipe, writing = os.pipe()  # a file would feel a full disk, too
         os.set_blocking(self.pipe, False)
         self.said = b""
@@ -156,7 +160,7 @@ class Started:
         self.read()
         os.close(self.pipe)
         said = self.said
-        seconds, rss = used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
+        seconds, rss = used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 - self.inherited
         wrong = tuple(self.wrong(code, said, late, seconds, rss))
         shutil.rmtree(self.home, ignore_errors=True)
         text = said.decode(errors="replace")
@@ -266,6 +270,11 @@ def replace_file(path: Path, case: Case) -> None:
         with path.open("wb") as file:
             file.truncate(2**40 if kind == "sparse" else 0)
         path.chmod(0o200 if kind == "unreadable" else 0o600)
+
+
+def resident_bytes() -> int:
+    """Memory of this process that is in RAM, in bytes."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def run_case(case: Case, home: Path, said: int) -> NoReturn:

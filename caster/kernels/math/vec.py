@@ -109,6 +109,15 @@ def normalize(a: Vec3) -> Vec3:
     return a[0] / length, a[1] / length, a[2] / length
 
 
+@inlined
+def fast_normalize(a: Vec3) -> tuple[bool, Vec3]:
+    """(whether this is `normalize(a)`, a / |a|), without a branch; a itself where it is not."""
+    square = dot(a, a)
+    known = (square > SMALLEST_SQUARE) & (square < LARGEST_SQUARE)
+    length = math.sqrt(square) if known else 1.0
+    return known, (a[0] / length, a[1] / length, a[2] / length)
+
+
 # The square of a camera's d is 1 within this: 10 u for an axis as it was given (transform.UNIT_ATOL), some 4 u for
 # axes that are not quite across each other, and 12 u for six roundings of its length.
 UNIT_SQUARE_ATOL = 32.0 * U
