@@ -107,7 +107,7 @@ def add_timeout(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         type=positive_seconds,
         default=REFERENCE_SECONDS,
-        help=f"seconds that Mitsuba may take for one scene; default {REFERENCE_SECONDS:g}",
+        help=f"seconds that Mitsuba may take for one scene, or one band of a large film; default {REFERENCE_SECONDS:g}",
     )
 
 

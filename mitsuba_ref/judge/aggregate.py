@@ -3,6 +3,8 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +32,7 @@ from mitsuba_ref.judge.verdict import (
     KindBias,
     SceneCheck,
     SceneStatistics,
+    SceneVerdict,
 )
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.shapes import kind_of
@@ -159,8 +162,24 @@ def failure_hints(answer: Answer, judgement: Judgement) -> tuple[str, ...]:
 # *groups* of pixels count, of which nothing that is rounded belongs to two. See docs/method.md, "Bias".
 
 
-def error_statistics(packed: Packed, pair: ImagePair, bounds: Bounds) -> ErrorStatistics:
-    """Of one scene, from both sides' answers and the reference's bounds alone: no float64's bounds, no exact answer."""
+class GroupSums(NamedTuple):
+    """Errors of t in groups of pixels of which nothing that is rounded belongs to two."""
+
+    keys: np.ndarray  # (g, c), distinct
+    errors: np.ndarray  # (g,) sums of signed shares of bounds
+    counts: np.ndarray  # (g,) pixels
+
+
+class PixelErrors(NamedTuple):
+    """Errors of one window of a film, of which those of several windows can be made one statistic."""
+
+    k_t: np.ndarray  # (m,) K times the error over its bound
+    k_normal: np.ndarray  # (m,)
+    groups: Mapping[str, tuple[GroupSums, ...]]  # of each kind of primitive, one for each way to group
+
+
+def pixel_errors(packed: Packed, pair: ImagePair, bounds: Bounds) -> PixelErrors:
+    """From both sides' answers and the reference's bounds alone: no float64's bounds, no exact answer."""
     with np.errstate(invalid="ignore", divide="ignore"):
         error = pair.result.t - pair.t
         share = np.where(error == 0.0, 0.0, error / bounds.at.t_error)
@@ -171,14 +190,21 @@ def error_statistics(packed: Packed, pair: ImagePair, bounds: Bounds) -> ErrorSt
         same = aov_rows(pair.subject, "shape_id") == aov_rows(pair.reference, "shape_id")
         held = (np.abs(share) <= 1.0) & (turned <= 1.0) & np.isfinite(bounds.at.t_error)
     rows = np.flatnonzero((pair.prim >= 0) & pair.result.hit & same & held)
-    t, normal = K * np.abs(share[rows]), K * turned[rows]
-    return ErrorStatistics(
-        len(rows),
-        extremes(t),
-        extremes(normal),
-        looseness(t),
-        _kind_biases(packed, pair, bounds, share, rows),
+    return PixelErrors(
+        K * np.abs(share[rows]), K * turned[rows], _groups_of_kinds(packed, pair, bounds, share, rows)
     )
+
+
+def error_statistics(windows: Sequence[PixelErrors]) -> ErrorStatistics:
+    """Of all windows of one scene's film."""
+    t = np.concatenate([window.k_t for window in windows])
+    normal = np.concatenate([window.k_normal for window in windows])
+    kinds = dict.fromkeys(kind for window in windows for kind in window.groups)
+    biases = []
+    for kind in kinds:
+        ways = zip(*(window.groups[kind] for window in windows if kind in window.groups), strict=True)
+        biases.append(KindBias(kind, *weakest_bias([z_of_groups(merged_groups(way)) for way in ways])))
+    return ErrorStatistics(len(t), extremes(t), extremes(normal), looseness(t), tuple(biases))
 
 
 def extremes(k: np.ndarray) -> Extremes:
@@ -192,15 +218,15 @@ def looseness(k: np.ndarray) -> float:
     return K / middle if middle > 0.0 else float("inf")
 
 
-def _kind_biases(
+def _groups_of_kinds(
     packed: Packed, pair: ImagePair, bounds: Bounds, share: np.ndarray, rows: np.ndarray
-) -> tuple[KindBias, ...]:
-    """One for each kind that is hit at these rows."""
+) -> dict[str, tuple[GroupSums, ...]]:
+    """For each kind that is hit at these rows."""
     prim = pair.prim[rows]
     shape = packed.shape_of(prim)
     kind, k = packed.kind_of[shape], prim - packed.first[shape] + packed.start[shape]
     scalar = pair.result.answer.versions["variant"].startswith("scalar")
-    biases = []
+    found = {}
     for place in np.unique(kind):
         prims, here = packed.kinds[place].prims, kind == place
         at, reference = rows[here], kind_of(prims)
@@ -209,8 +235,8 @@ def _kind_biases(
         if not scalar and reference.rounding_groups_llvm is not None:
             ways = reference.rounding_groups_llvm
         keys = [way(prims, k[here], bounds.own.n[at], o, d) for way in ways]
-        biases.append(KindBias(reference.name, *weakest_bias([z_of_groups(key, share[at]) for key in keys])))
-    return tuple(biases)
+        found[reference.name] = tuple(group_sums(key, share[at]) for key in keys)
+    return found
 
 
 def weakest_bias(found: Sequence[tuple[int, float]]) -> tuple[int, float]:
@@ -218,17 +244,30 @@ def weakest_bias(found: Sequence[tuple[int, float]]) -> tuple[int, float]:
     return min(groups for groups, _ in found), min((z for _, z in found), key=abs)
 
 
-def z_of_groups(key: np.ndarray, error: np.ndarray) -> tuple[int, float]:
-    """(number of groups, z). key: (m, c), equal in a group; error: (m,) signed.
+def group_sums(key: np.ndarray, error: np.ndarray, count: np.ndarray | None = None) -> GroupSums:
+    """Sums over groups. key: (m, c), equal in a group; error: (m,) signed; count: (m,) pixels, one each if None."""
+    group = row_groups(key)
+    keys = np.empty((int(group.max(initial=-1)) + 1, key.shape[1]), key.dtype)
+    keys[group] = key
+    return GroupSums(keys, np.bincount(group, error), np.bincount(group, count))
+
+
+def merged_groups(sums: Sequence[GroupSums]) -> GroupSums:
+    """Sums over the groups of several windows, where a group may have pixels in each."""
+    if len(sums) == 1:
+        return sums[0]
+    return group_sums(*(np.concatenate(arrays) for arrays in zip(*sums, strict=True)))
+
+
+def z_of_groups(sums: GroupSums) -> tuple[int, float]:
+    """(number of groups, z).
 
     z is the sum of the groups' means over the root of the sum of their squares: mean / (std / sqrt(n)), with the
     spread about 0, which is where the mean has to be, and not about the mean that was found.
     """
-    group = row_groups(key)
-    count = np.bincount(group)
-    means = np.bincount(group, error) / count
+    means = sums.errors / sums.counts
     spread = float(np.sqrt(np.sum(means**2)))
-    return len(count), float(means.sum()) / spread if spread > 0.0 else 0.0
+    return len(means), float(means.sum()) / spread if spread > 0.0 else 0.0
 
 
 def check_bias(found: ErrorStatistics) -> SceneCheck:
@@ -238,3 +277,91 @@ def check_bias(found: ErrorStatistics) -> SceneCheck:
         for bias in found.biases
     ]
     return SceneCheck("bias", abs(found.z) / LARGEST_Z, "; ".join(words) or "nothing to look at")
+
+
+# ---- the windows of a large film, judged one after the other ----
+
+
+def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
+    """The verdict of a film from those of windows that it consists of, without statistics and bias.
+
+    Numbers are added up, ratios are the largest; failures of the first are listed first; one window without a
+    comparison is the problem of all.
+    """
+    first, listed = windows[0], [failure for window in windows for failure in window.failures]
+    problems = [window.problem for window in windows if window.problem]
+    return replace(
+        first,
+        pixels=sum(window.pixels for window in windows),
+        hit_pixels=sum(window.hit_pixels for window in windows),
+        counts={name: sum(window.counts[name] for window in windows) for name in CLASSES},
+        ratios=_largest([window.ratios for window in windows]),
+        checks=_worst_checks(windows),
+        failures=_leading(listed),
+        seconds=sum(window.seconds for window in windows),
+        reference_seconds=sum(window.reference_seconds for window in windows),
+        reference_stored=all(window.reference_stored for window in windows),
+        problem=problems[0] if problems else "",
+        adjudicated=sum(window.adjudicated for window in windows),
+        exact_seconds=sum(window.exact_seconds for window in windows),
+        cases=_added([window.cases for window in windows]),
+        reproducers=tuple(file for window in windows for file in window.reproducers),
+        not_stored=sum(window.not_stored for window in windows),
+        failing_by=_added([window.failing_by for window in windows]),
+        worst_by=_worst_failures(windows),
+        findings=_merged_findings(windows),
+        notes=tuple(dict.fromkeys(note for window in windows for note in window.notes)),
+    )
+
+
+def _added(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
+    total: Counter[str] = Counter()
+    for each in counts:
+        total.update(each)
+    return dict(total)
+
+
+def _largest(ratios: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    names = dict.fromkeys(name for each in ratios for name in each)
+    return {name: max(each[name] for each in ratios if name in each) for name in names}
+
+
+def _worst_checks(windows: Sequence[SceneVerdict]) -> tuple[SceneCheck, ...]:
+    """Of each name the one that comes nearest to its bound, or is beyond; in the order of the window with the most."""
+    longest = max(windows, key=lambda window: len(window.checks)).checks
+    names = dict.fromkeys(check.name for check in (*longest, *(c for w in windows for c in w.checks)))
+    every = [check for window in windows for check in window.checks]
+    return tuple(
+        max((check for check in every if check.name == name), key=lambda check: _badness(check.ratio))
+        for name in names
+    )
+
+
+def _badness(ratio: float) -> tuple[bool, float]:
+    """A key by which NaN is beyond everything."""
+    return (not ratio <= np.inf, ratio)
+
+
+def _leading(failures: Sequence[Failure]) -> tuple[Failure, ...]:
+    """One of each reason, then the worst of the others."""
+    leading = list({failure.reason: failure for failure in reversed(failures)}.values())[::-1]
+    others = [failure for failure in failures if failure not in leading]
+    others.sort(key=lambda failure: _badness(failure.ratio), reverse=True)
+    return tuple([*leading, *others][:MAX_LISTED_FAILURES])
+
+
+def _worst_failures(windows: Sequence[SceneVerdict]) -> dict[str, Failure]:
+    """Of each check the failure with the largest ratio."""
+    names = dict.fromkeys(name for window in windows for name in window.worst_by)
+    found = {name: [w.worst_by[name] for w in windows if name in w.worst_by] for name in names}
+    return {name: max(each, key=lambda failure: _badness(failure.ratio)) for name, each in found.items()}
+
+
+def _merged_findings(windows: Sequence[SceneVerdict]) -> tuple[Finding, ...]:
+    """Each diagnosis once, most pixels first."""
+    every = [finding for window in windows for finding in window.findings]
+    pixels = _added([{finding.what: finding.pixels} for finding in every])
+    first = {finding.what: finding for finding in reversed(every)}
+    return tuple(
+        sorted((replace(first[what], pixels=n) for what, n in pixels.items()), key=lambda f: -f.pixels)
+    )

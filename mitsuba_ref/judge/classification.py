@@ -448,8 +448,12 @@ def judge_of(
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
     known: ImagePair | None = None,
+    with_files: bool = True,
 ) -> Judge | Crash:
-    """The judge of a subject's response. known: Mitsuba's answer, which is used if it is about the same rays."""
+    """The judge of a subject's response.
+
+    known: Mitsuba's answer, which is used if it is about the same rays; with_files: Mitsuba reads the mesh files, too.
+    """
     scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
     traced = rays.for_reference()
     if known is not None and all(map(np.array_equal, rays, known.rays)):
@@ -457,7 +461,8 @@ def judge_of(
     else:
         lights = answer.images is not None
         with ScratchFolder() as folder:
-            meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files_of(scene))]
+            files = files_of(scene) if with_files else ()
+            meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files)]
             result = trace_reference(
                 scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send
             )

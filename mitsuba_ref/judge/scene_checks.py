@@ -305,11 +305,11 @@ CHECKS_OF_SHARED_INPUT: tuple[Callable[[Scene], SceneCheck], ...] = (
 
 CHECKS_OF_RAY_LISTS: tuple[Callable[[Scene], SceneCheck], ...] = (check_placement, check_geometry)
 
-CHECKS_OF_OUR_CASTER: tuple[Callable[[Scene], SceneCheck], ...] = (
+CHECKS_OF_OUR_SHAPES: tuple[Callable[[Scene], SceneCheck], ...] = (
     check_placement,
     check_geometry,
     check_materials,
-    check_camera,
-    check_render,
-    check_culling,
 )
+
+# Of the film's window.
+CHECKS_OF_OUR_FILM: tuple[Callable[[Scene], SceneCheck], ...] = (check_camera, check_render, check_culling)

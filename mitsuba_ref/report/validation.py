@@ -2,7 +2,8 @@
 
 import resource
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.judge.aggregate import (
     NEVER_GIVEN,
+    PixelErrors,
     check_bias,
     class_counts,
     defect_counts,
@@ -21,6 +23,8 @@ from mitsuba_ref.judge.aggregate import (
     findings,
     largest_ratios,
     listed_failures,
+    merge_windows,
+    pixel_errors,
     quantities_not_given,
 )
 from mitsuba_ref.judge.classification import judge_of
@@ -30,7 +34,8 @@ from mitsuba_ref.judge.independent_checks.mesh_files import check_mesh_files
 from mitsuba_ref.judge.independent_checks.routes import check_routes
 from mitsuba_ref.judge.independent_checks.scaling import check_scaling
 from mitsuba_ref.judge.scene_checks import (
-    CHECKS_OF_OUR_CASTER,
+    CHECKS_OF_OUR_FILM,
+    CHECKS_OF_OUR_SHAPES,
     CHECKS_OF_RAY_LISTS,
     CHECKS_OF_SHARED_INPUT,
     check_sensor,
@@ -107,47 +112,126 @@ def validate_scene(
     folder: where the images of both sides go; send: the way to Mitsuba; keep: keep what the verdict rests on.
     """
     start = time.perf_counter()
-    check_memory(scene)
+    options: dict[str, Any] = {"subject": subject, "folder": folder, "timeout": timeout, "send": send}
+    bands = bands_of(scene) if subject.takes_rays and rays is None else [scene]
+    check_memory(bands[0])
+    if len(bands) == 1:
+        verdict, errors = _judge_window(
+            scene, name, path, rays=rays, first_ray=first_ray, keep=keep, **options
+        )
+        found = [errors] if errors else []
+    else:
+        verdict, found = _judge_bands(bands, name, path, keep=keep, **options)
+    if found and not verdict.problem:
+        statistics = error_statistics(found)
+        checks = (*verdict.checks, check_bias(statistics))
+        verdict = replace(verdict, checks=checks, statistics=statistics)
+    return replace(verdict, seconds=time.perf_counter() - start)
+
+
+# ---- a film in bands ----
+
+# A film of more pixels than this is judged as several, so that memory stays what one band needs; of so many pixels a
+# band that what is done once for each (its own scene in Mitsuba, samples of every check) costs less than its pixels.
+LARGEST_WHOLE_FILM, BAND_PIXELS = 1 << 20, 1 << 19
+
+
+def bands_of(scene: Scene) -> list[Scene]:
+    """The scene with windows of whole rows that make up its film; itself alone where that is small."""
+    x0, y0, x1, y1 = scene.film.window
+    if (x1 - x0) * (y1 - y0) <= LARGEST_WHOLE_FILM:
+        return [scene]
+    rows = max(1, BAND_PIXELS // (x1 - x0))
+    return [scene.with_film(crop=(x0, y, x1, min(y + rows, y1))) for y in range(y0, y1, rows)]
+
+
+def _judge_bands(
+    bands: Sequence[Scene], name: str, path: str, *, keep: bool, **options: Any
+) -> tuple[SceneVerdict, list[PixelErrors]]:
+    """The verdict of all bands, with the evidence of one: the first of those that fail most, or the middle one."""
+    verdicts, errors = [], []
+    best, shown, seen = (-1, False, False), 0, None
+    for number, band in enumerate(bands):
+        _, first, _, end = band.film.window
+        middle = number == len(bands) // 2
+        images = f"{name}.rows-{first:05}-{end - 1:05}"
+        found, of_band = _judge_window(
+            band, name, path, keep=keep, whole_scene=middle, images=images, **options
+        )
+        rank = found.failing, not found.checks_pass, middle
+        if rank > best:
+            best, shown, seen = rank, number, found.seen
+        verdicts.append(replace(found, seen=None))
+        if found.problem:
+            verdicts[-1] = replace(found, problem=f"rows {first} to {end - 1}: {found.problem}")
+            break
+        errors += [of_band] if of_band else []
+    notes = [f"judged in {len(bands)} bands of at most {BAND_PIXELS} pixels"]
+    _, first, _, end = bands[shown].film.window
+    notes += [] if seen is None else [f"pixels of the report: rows {first} to {end - 1}"]
+    merged = merge_windows([verdicts[shown], *verdicts[:shown], *verdicts[shown + 1 :]])
+    return replace(merged, seen=seen, notes=(*notes, *merged.notes)), errors
+
+
+def _judge_window(
+    scene: Scene,
+    name: str,
+    path: str,
+    *,
+    subject: Subject,
+    folder: Path | None,
+    timeout: float,
+    send: SendRequest,
+    rays: SharedRays | None = None,
+    first_ray: int = 0,
+    keep: bool = False,
+    whole_scene: bool = True,
+    images: str = "",
+) -> tuple[SceneVerdict, PixelErrors | None]:
+    """The verdict of the film's window, without statistics and bias, and the errors that those are made of.
+
+    whole_scene: with the checks in which the window has no part; images: name of EXR files, if not the scene's.
+    """
     ours = subject is OURS
     checks: tuple[SceneCheck, ...] = ()
     stored = StoredReproducers((), 0)
+    if ours and whole_scene:
+        checks = tuple(check(scene) for check in CHECKS_OF_OUR_SHAPES)
     if ours:
+        checks = (*checks, *(check(scene) for check in CHECKS_OF_OUR_FILM))
+    if ours and whole_scene:
         at_edges, wrong_rays = knife_edges(scene)
-        checks = (
-            *(check(scene) for check in CHECKS_OF_OUR_CASTER),
-            at_edges,
-            check_scaling(scene),
-            check_routes(scene, path),
-        )
+        checks = (*checks, at_edges, check_scaling(scene))
         if folder:
             stored = write_aimed_reproducers(folder, name, wrong_rays, path or name)
+    if ours:
+        checks = (*checks, check_routes(scene, path))
 
-    def without_comparison(problem: str) -> SceneVerdict:
+    def without_comparison(problem: str) -> tuple[SceneVerdict, None]:
         x0, y0, x1, y1 = scene.film.window
-        return SceneVerdict(
+        verdict = SceneVerdict(
             name,
             path,
             (x1 - x0) * (y1 - y0),
             checks=checks,
             problem=problem,
-            seconds=time.perf_counter() - start,
             size=(scene.film.width, scene.film.height),
             candidate=subject.name,
             unjudged=() if ours else NEVER_GIVEN,
             reproducers=stored.files,
         )
+        return verdict, None
 
     try:
         response = request_answer(subject, scene, rays=rays)
     except NoAnswer as error:
         return without_comparison(str(error))
-    judge = judge_of(response, timeout=timeout, send=send)
+    judge = judge_of(response, timeout=timeout, send=send, with_files=whole_scene)
     if isinstance(judge, Crash):
         return without_comparison(judge.message)
     judgement, pair, answer = judge.judge(), judge.pair, judge.answer
     diagnosis = diagnose(judge, judgement)
-    errors = None
-    files = (write_images(folder, name, judge, judgement),) if folder else ()
+    files = (write_images(folder, images or name, judge, judgement),) if folder else ()
     if folder and ours:
         of_pixels = write_reproducers(folder, name, judge, judgement, path or name)
         stored = StoredReproducers((*of_pixels.files, *stored.files), of_pixels.left_out)
@@ -156,14 +240,13 @@ def validate_scene(
     if not ours:
         given = CHECKS_OF_SHARED_INPUT if rays is None else CHECKS_OF_RAY_LISTS
         checks = tuple(check(response.scene) for check in given)
-    checks = (*checks, *files, check_mesh_files(response.scene, pair.result.answer.meshes))
+    checks = (*checks, *files)
+    if whole_scene:
+        checks = (*checks, check_mesh_files(response.scene, pair.result.answer.meshes))
     if rays is None:
         checks = (*checks, check_sensor(response.scene, pair.result))
-    if ours:
-        errors = error_statistics(judge.model.packed, pair, judge.bounds)
-        checks = (*checks, check_bias(errors))
     by_check, by_row = failing_by_check(judgement), diagnosis.by_row()
-    return SceneVerdict(
+    verdict = SceneVerdict(
         name,
         path,
         len(pair.t),
@@ -173,7 +256,6 @@ def validate_scene(
         checks=checks,
         failures=listed_failures(judge, judgement, diagnosis),
         versions=pair.result.answer.versions,
-        seconds=time.perf_counter() - start,
         reference_seconds=pair.result.answer.seconds,
         reference_stored=pair.result.answer.stored,
         size=(scene.film.width, scene.film.height),
@@ -181,7 +263,6 @@ def validate_scene(
         adjudicated=len(judgement.exact.rows),
         exact_seconds=judgement.exact_seconds,
         cases=defect_counts(judgement),
-        statistics=errors,
         reproducers=stored.files,
         not_stored=stored.left_out,
         failing_by={check: len(rows) for check, rows in by_check.items()},
@@ -196,6 +277,7 @@ def validate_scene(
         notes=() if ours else (*answer.notes, *response.limits, *failure_hints(answer, judgement)),
         seen=Evidence(judge, judgement, diagnosis) if keep else None,
     )
+    return verdict, pixel_errors(judge.model.packed, pair, judge.bounds) if ours else None
 
 
 # ---- memory that judging a film needs ----
@@ -214,7 +296,7 @@ CGROUP_LIMITS = (
 
 
 def check_memory(scene: Scene) -> None:
-    """Raise SceneError with the numbers for a film that cannot be judged in the memory that is left."""
+    """Raise SceneError with the numbers for a window that cannot be judged in the memory that is left."""
     x0, y0, x1, y1 = scene.film.window
     bytes_each = BYTES_PER_PIXEL + BYTES_PER_PIXEL_AND_LIGHT * max(0, len(scene.lights) - LIGHTS_WITHIN)
     needed, left = (x1 - x0) * (y1 - y0) * bytes_each, available_bytes()

@@ -21,7 +21,7 @@ from mitsuba_ref import validate
 from mitsuba_ref.error_model.intersections import K
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import LARGEST_Z
-from mitsuba_ref.judge.aggregate import check_bias, error_statistics
+from mitsuba_ref.judge.aggregate import check_bias, error_statistics, pixel_errors
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images
 from mitsuba_ref.judge.verdict import ErrorStatistics
@@ -88,7 +88,7 @@ def beyond(judge: Judge) -> np.ndarray:
 
 def errors(asked: Asked, view: RayHits) -> ErrorStatistics:
     judge = asked.judge(view)
-    return error_statistics(asked.packed, judge.pair, judge.bounds)
+    return error_statistics([pixel_errors(asked.packed, judge.pair, judge.bounds)])
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +140,7 @@ def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(send, sha
         prims.vertices[:] += share * (eye - prims.vertices)
 
     judge = asked.judge(asked.altered(pull))
-    found = error_statistics(asked.packed, judge.pair, judge.bounds)
+    found = error_statistics([pixel_errors(asked.packed, judge.pair, judge.bounds)])
     print(f"\nmesh nearer by {share:g}: z {found.z:.1f} of {found.biases}")
     assert [bias.enough_groups for bias in found.biases] == [True] and found.pixels >= 2000
     assert check_bias(found).ok is not biased and (found.z > 2.0 * LARGEST_Z) is biased
@@ -160,7 +160,7 @@ ERRORS = {
 def test_of_the_right_caster_every_pixel_is_far_within_k(send, name):
     asked = Asked(send, name, 64, 48)
     judge = asked.judge(cast_ours(asked.scene, asked.rays))
-    found = error_statistics(asked.packed, judge.pair, judge.bounds)
+    found = error_statistics([pixel_errors(asked.packed, judge.pair, judge.bounds)])
     print(f"\n{name}: {found}")
     assert not beyond(judge).any() and found.pixels >= 0.98 * len(beyond(judge)) >= 800
     t, normal = ERRORS[name]

@@ -24,7 +24,15 @@ from mitsuba_ref.error_model.intersections import (
     single_group,
 )
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
-from mitsuba_ref.judge.aggregate import check_bias, extremes, looseness, weakest_bias, z_of_groups
+from mitsuba_ref.judge.aggregate import (
+    check_bias,
+    extremes,
+    group_sums,
+    looseness,
+    merged_groups,
+    weakest_bias,
+    z_of_groups,
+)
 from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneVerdict, Verdict
 from mitsuba_ref.report.ci_summaries import junit
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
@@ -40,7 +48,7 @@ def errors_of(*biases: KindBias, k: float = 1.25) -> ErrorStatistics:
 
 def alone(error: np.ndarray) -> tuple[int, float]:
     """Each error is a group of its own."""
-    return z_of_groups(np.arange(len(error))[:, None], error)
+    return z_of_groups(group_sums(np.arange(len(error))[:, None], error))
 
 
 # ---- z ----
@@ -62,8 +70,19 @@ def test_errors_that_are_all_alike_give_the_root_of_their_number_and_no_more(siz
 def test_a_group_counts_once_however_many_pixels_it_has():
     error = np.r_[np.full(10_000, 0.5), [-0.5]]
     key = np.r_[np.zeros(10_000), [1.0]][:, None]
-    assert z_of_groups(key, error) == (2, pytest.approx(0.0, abs=1e-12))
+    assert z_of_groups(group_sums(key, error)) == (2, pytest.approx(0.0, abs=1e-12))
     assert alone(error)[1] > 90.0
+
+
+def test_a_group_that_has_pixels_in_several_windows_counts_once():
+    rng = np.random.default_rng(2)
+    key, error = rng.integers(0, 50, (3000, 2)), rng.normal(0.0, 1.0, 3000)
+    parts = [group_sums(key[rows], error[rows]) for rows in np.split(np.arange(3000), [900, 901, 2500])]
+    whole, merged = group_sums(key, error), merged_groups(parts)
+    assert np.array_equal(merged.keys, whole.keys) and np.array_equal(merged.counts, whole.counts)
+    assert merged.counts.sum() == 3000 and len(merged.counts) < sum(len(part.counts) for part in parts)
+    assert merged.errors == pytest.approx(whole.errors, abs=1e-12)
+    assert z_of_groups(merged) == pytest.approx(z_of_groups(whole), rel=1e-9)
 
 
 def test_z_is_the_mean_over_its_spread():

@@ -1,0 +1,159 @@
+"""Films judged in bands: the verdict of the whole film, in memory that does not grow with it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from candidates import ours
+
+import caster
+from mitsuba_ref.error_model.intersections import K
+from mitsuba_ref.error_model.tolerances import LARGEST_Z
+from mitsuba_ref.judge.aggregate import merge_windows
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, WRONG, Failure, Finding, SceneCheck, SceneVerdict
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.report import validation
+from mitsuba_ref.report.validation import bands_of, validate_scene
+from mitsuba_ref.subjects.function import function_subject
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+SIZE, BAND = (60, 42), 420  # six bands of seven rows
+
+
+@pytest.fixture
+def small_bands(monkeypatch):
+    """Switches bands on: films of these tests are large."""
+
+    def switch(on: bool) -> None:
+        monkeypatch.setattr(validation, "LARGEST_WHOLE_FILM", BAND if on else 1 << 20)
+        monkeypatch.setattr(validation, "BAND_PIXELS", BAND)
+
+    return switch
+
+
+def scene(name: str) -> caster.Scene:
+    return caster.load_scene(SCENES / f"{name}.toml").with_film(width=SIZE[0], height=SIZE[1])
+
+
+@pytest.mark.parametrize("window", [(0, 0, 60, 42), (3, 5, 57, 40), (7, 0, 8, 42)])
+def test_bands_are_whole_rows_that_make_up_the_window(small_bands, window):
+    small_bands(True)
+    whole = scene("one-sphere").with_film(crop=window)
+    bands = [band.film.window for band in bands_of(whole)]
+    assert [y for _, first, _, end in bands for y in range(first, end)] == list(range(window[1], window[3]))
+    assert {(x0, x1) for x0, _, x1, _ in bands} == {(window[0], window[2])}
+    assert all((x1 - x0) * (y1 - y0) <= BAND for x0, y0, x1, y1 in bands)
+    assert len(bands) == (1 if (window[2] - window[0]) * (window[3] - window[1]) <= BAND else len(bands)) > 0
+
+
+def test_a_film_that_is_wider_than_a_band_is_judged_row_by_row(small_bands, monkeypatch):
+    small_bands(True)
+    monkeypatch.setattr(validation, "BAND_PIXELS", 10)
+    assert len(bands_of(scene("one-sphere"))) == SIZE[1]
+
+
+# Triangles with shared edges, a plane whose stand-in depends on the rays, a crop, a near plane, quadrics and lights.
+@pytest.mark.parametrize(
+    "name", ["torus-smooth", "plane-edge-on-pinhole", "crop-window", "near-far-clip", "every-shape"]
+)
+def test_the_verdict_is_that_of_the_whole_film(small_bands, send, name):
+    small_bands(False)
+    whole = validate_scene(scene(name), name, send=send)
+    small_bands(True)
+    bands = validate_scene(scene(name), name, send=send)
+    assert whole.ok and bands.ok, (whole.problem, bands.problem)
+    assert (bands.pixels, bands.hit_pixels, bands.counts) == (whole.pixels, whole.hit_pixels, whole.counts)
+    assert bands.cases == whole.cases and bands.size == whole.size
+    assert [check.name for check in bands.checks] == [check.name for check in whole.checks]
+    assert {"culling", "routes", "sensor", "bias", "geometry", "knife_edges"} <= {
+        c.name for c in bands.checks
+    }
+    assert bands.notes[0].startswith("judged in ") and not whole.notes
+    one, other = whole.statistics, bands.statistics
+    assert one is not None and other is not None and other.pixels == one.pixels > 0
+    assert {bias.kind for bias in other.biases} == {bias.kind for bias in one.biases}
+    assert abs(other.z) < LARGEST_Z
+    planes = any(
+        shape.type == "plane" for shape in scene(name).shapes
+    )  # their stand-ins are cut to the band's rays
+    assert other.k_t.largest < K if planes else (other.k_t, other.k_normal) == (one.k_t, one.k_normal)
+
+
+def test_rays_of_every_band_reach_mitsuba_once(small_bands, send):
+    counts = []
+
+    def counting(request, timeout):
+        counts.append(len(request.o))
+        return send(request, timeout)
+
+    small_bands(True)
+    assert validate_scene(scene("one-sphere"), "one-sphere", send=counting).ok
+    assert counts == [BAND] * 6
+
+
+def with_wrong_normals_below(scene, o, d):
+    """Right but in the lower part of the film."""
+    t, n = ours(scene, o, d)
+    return t, np.where((d[:, 1] < -0.12 * np.abs(d[:, 2]))[:, None], -n, n)
+
+
+def test_a_fault_in_some_bands_fails_with_all_its_pixels_and_the_evidence_of_one_band(
+    small_bands, send, tmp_path
+):
+    subject = function_subject(with_wrong_normals_below)
+    found = {}
+    for on in (False, True):
+        small_bands(on)
+        found[on] = validate_scene(
+            scene("one-sphere"), "s", subject=subject, send=send, keep=True, folder=tmp_path
+        )
+    whole, bands = found[False], found[True]
+    assert not bands.ok and bands.counts == whole.counts and 0 < bands.counts[WRONG] < bands.counts[AGREE] * 2
+    assert bands.failing_by == whole.failing_by and set(bands.worst_by) == set(whole.worst_by)
+    assert {f.what: f.pixels for f in bands.findings} == {f.what: f.pixels for f in whole.findings}
+    x0, y0, x1, y1 = bands.seen.scene.film.window
+    assert (x1 - x0, y1 - y0) == (60, 7) and any(f"rows {y0} to {y1 - 1}" in note for note in bands.notes)
+    assert all(
+        y0 <= failure.y < y1 for failure in (bands.failures[0], bands.findings[0])
+    )  # which the page can show
+    assert (bands.seen.judgement.classes == CLASSES.index(WRONG)).any()
+    files = sorted(path.name for path in tmp_path.glob("s.rows-*.verdict.exr"))
+    assert len(files) == 6 and files[-1] == "s.rows-00035-00041.verdict.exr"
+
+
+def test_a_crash_in_one_band_is_the_problem_of_the_scene(small_bands, send):
+    calls = []
+
+    def crashing(request, timeout):
+        calls.append(request)
+        return Crash("abort", "LLVM ERROR", "signal 6", 0.1) if len(calls) == 3 else send(request, timeout)
+
+    small_bands(True)
+    found = validate_scene(scene("one-sphere"), "s", send=crashing)
+    assert not found.ok and found.problem.startswith("rows 14 to 20: ") and "LLVM ERROR" in found.problem
+    assert found.statistics is None and len(calls) == 3
+
+
+def test_merged_windows_lose_no_failure():
+    failure = Failure(1, 2, WRONG, "normal", 3.0, "", "", "", "cause")
+    nan = Failure(1, 30, WRONG, "normal", float("nan"), "", "", "", "cause")
+    counts = dict.fromkeys(CLASSES, 0)
+    one = SceneVerdict(
+        "s", "", 10, 5, counts | {AGREE: 4, WRONG: 1}, {"depth": 0.25}, (SceneCheck("camera", 0.5, "a"),)
+    )
+    one = replace(one, failures=(failure,), failing_by={"normal": 1}, worst_by={"normal": failure})
+    one = replace(one, cases={"1": 2}, findings=(Finding(1, "cause", 1, 2),))
+    checks = SceneCheck("camera", float("nan"), "b"), SceneCheck("bias", 0.1, "c")
+    two = SceneVerdict("s", "", 10, 6, counts | {AGREE: 6}, {"depth": 0.75, "uv": 0.5}, checks)
+    two = replace(two, failures=(nan,), failing_by={"normal": 2}, worst_by={"normal": nan})
+    two = replace(two, cases={"1": 1, "unlisted": 1})
+    two = replace(two, findings=(Finding(2, "cause", 1, 30), Finding(3, "other", 1, 31)))
+    for windows in ((one, two), (two, one)):
+        found = merge_windows(windows)
+        assert (found.pixels, found.hit_pixels, found.counts[AGREE], found.counts[WRONG]) == (20, 11, 10, 1)
+        assert found.ratios == {"depth": 0.75, "uv": 0.5} and found.cases == {"1": 3, "unlisted": 1}
+        assert {check.name: check.what for check in found.checks} == {"camera": "b", "bias": "c"}
+        assert found.failing_by == {"normal": 3} and np.isnan(found.worst_by["normal"].ratio)
+        assert set(found.failures) == {failure, nan} and not found.ok
+        assert [(finding.what, finding.pixels) for finding in found.findings] == [("cause", 3), ("other", 3)]
