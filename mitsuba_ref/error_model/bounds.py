@@ -58,10 +58,10 @@ PIXELS_PER_BATCH = 1 << 17  # pixels; some fifty temporary arrays of three numbe
 
 def missing_intersections(count: int) -> Intersections:
     """Intersections that do not exist: all numbers inf. Without edges, which are for brackets."""
-    t, t_error, n_error, sh_error, p_error = np.full((5, count), np.inf)
-    n, sh_n = np.full((2, count, 3), np.inf)
+    t, t_error, n_error, sh_error, p_error, uv_error = np.full((6, count), np.inf)
+    n, sh_n, uv = np.full((3, count, 3), np.inf)
     possible, certain = np.zeros((2, count), bool)
-    return Intersections(t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error)
+    return Intersections(t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, uv, uv_error)
 
 
 def nearest_root(met: PairIntersections, t: np.ndarray) -> Intersections:

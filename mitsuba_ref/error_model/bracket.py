@@ -119,6 +119,7 @@ class Claims(NamedTuple):
     p: np.ndarray = NOT_CLAIMED  # (n, 3)
     t_rounding: float | np.ndarray = 0.0  # (n,) how far t is off by itself, worked out from something else
     prim: np.ndarray | None = None  # (n,) primitive within its shape; None: not claimed
+    uv: np.ndarray = NOT_CLAIMED  # (n, 2)
 
 
 class BracketResult(NamedTuple):
@@ -261,6 +262,10 @@ class Bracket:
         matches &= within_error(claims.sh_n, ray, at.sh_n, at.sh_error) & within_error(
             claims.p, ray, p, at.p_error
         )
+        if len(claims.uv):
+            rows = np.flatnonzero(matches)
+            uv = self.model.uv_points(found.prim[rows], claims.uv[ray[rows]], ours=self.ours)
+            matches[rows] = within_error(uv, np.arange(len(rows)), at.uv[rows], at.uv_error[rows])
         has_match, untestable = np.zeros(len(line.o), bool), np.zeros(len(line.o), bool)
         has_match[ray[matches]] = True
         untestable[ray[named & ~np.isfinite(at.t_error)]] = True

@@ -34,6 +34,8 @@ class Intersections(NamedTuple):
     possible: np.ndarray  # (m,) bool: some perturbation within the bound hits
     certain: np.ndarray  # (m,) bool: every perturbation within the bound hits
     p_error: np.ndarray  # (m,) bound on the position, scene units
+    uv: np.ndarray  # (m, 3) uv as a point of the kind's UvSpace
+    uv_error: np.ndarray  # (m,) bound on that point
     edge: np.ndarray | None = (
         None  # (m, 6) the end points of the one edge a triangle is not certain of, else NaN
     )
@@ -49,6 +51,28 @@ class Intersections(NamedTuple):
 IntersectFunction = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, float], tuple[Intersections, ...]]
 
 
+# (prims, k (m,), uv (m, 2)) -> (m, 3); NaN where uv are none that the surface has
+UvPoints = Callable[[Any, np.ndarray, np.ndarray], np.ndarray]
+
+
+def plain_uv(_prims: Any, _k: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """(u, v, 0): parameters without seam and pole, which are compared as they are."""
+    return np.column_stack([uv, np.zeros(len(uv))])
+
+
+class UvSpace(NamedTuple):
+    """Where uv of one kind are compared: where neither a seam nor a pole of the parametrisation is a jump.
+
+    u = 0 and u = 1 of a circle are one point of the plane, and at a pole of a sphere every u is the same point. So
+    distances have one bound everywhere, and uv differ from others that mean the same place by nothing.
+    """
+
+    subject: UvPoints = plain_uv
+    reference: UvPoints | None = (
+        plain_uv  # of the reference's uv, whose axes may be others; None: of another surface
+    )
+
+
 class ErrorModel(NamedTuple):
     """The error model of one kind of primitive."""
 
@@ -58,6 +82,7 @@ class ErrorModel(NamedTuple):
     exact: ExactKind | None = None  # our own primitive in whole numbers, for the oracle
     # arrays that stand in for it -> primitives that have an `exact`
     unfold: Mapping[type, ExpandStandIns] | None = None
+    uv: UvSpace = UvSpace()
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

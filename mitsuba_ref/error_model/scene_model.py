@@ -31,9 +31,7 @@ class SceneModel:
         self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool
     ) -> PairIntersections:
         """Primitive prim[i] (m,) with ray i (m, 3), (m, 3), for each i; ours: as our caster has it."""
-        shape = self.packed.shape_of(prim)
-        kind = self.packed.kind_of[shape]
-        k = prim - self.packed.first[shape] + self.packed.start[shape]
+        kind, k = self._kinds_of(prim)
         pairs, found = [], []
         for place, model in enumerate(self.models):
             rows = np.flatnonzero(kind == place)
@@ -47,6 +45,31 @@ class SceneModel:
         return PairIntersections(
             np.concatenate(pairs), Intersections(*(np.concatenate(a) for a in zip(*found, strict=True)))
         )
+
+    def _kinds_of(self, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(m,) the kind of each primitive, and its number in the kind's arrays."""
+        shape = self.packed.shape_of(prim)
+        return self.packed.kind_of[shape], prim - self.packed.first[shape] + self.packed.start[shape]
+
+    def uv_points(self, prim: np.ndarray, uv: np.ndarray, *, ours: bool) -> np.ndarray:
+        """(n, 3) uv (n, 2) of primitive prim[i] in its kind's UvSpace. ours: the subject's, not the reference's.
+
+        0 where prim is -1, and where the reference has uv of another surface.
+        """
+        points, hits = np.zeros((len(prim), 3)), np.flatnonzero(prim >= 0)
+        kind, k = self._kinds_of(prim[hits])
+        for place, model in enumerate(self.models):
+            rows = np.flatnonzero(kind == place)
+            space = model.uv.subject if ours else model.uv.reference
+            if space:
+                points[hits[rows]] = space(self.kinds[place], k[rows], uv[hits[rows]].astype(np.float64))
+        return points
+
+    def reference_has_uv(self, prim: np.ndarray) -> np.ndarray:
+        """(n,) bool: the reference gives uv of primitive prim[i], and not of what stands in for it."""
+        has = np.array([model.uv.reference is not None for model in self.models], bool)
+        found: np.ndarray = has[self._kinds_of(np.maximum(prim, 0))[0]] if len(has) else prim >= 0
+        return found
 
     @cached_property
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -66,7 +89,8 @@ def with_edges(at: Intersections) -> Intersections:
 
 def no_intersections() -> Intersections:
     none, rows, flags = np.zeros(0), np.zeros((0, 3)), np.zeros(0, bool)
-    return Intersections(none, none, rows, none, rows, none, flags, flags, none, np.zeros((0, 6)), none)
+    edge = np.zeros((0, 6))
+    return Intersections(none, none, rows, none, rows, none, flags, flags, none, rows, none, edge, none)
 
 
 RAYS_PER_RING, RING_RADII = 8, (1.0,)
@@ -163,6 +187,7 @@ def enclosing_intersections(found: list[Intersections], along: np.ndarray) -> In
         possible=possible,
         certain=certain,
         p_error=np.full(len(t_error), np.inf),
+        uv_error=np.full(len(t_error), np.inf),
         edge=edge,
         side=side,
     )

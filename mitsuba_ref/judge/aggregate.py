@@ -39,7 +39,7 @@ from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.subjects.subject import FLOAT32, Answer
 
 # What the judge compares of our caster, and no candidate gives.
-NEVER_GIVEN = ("position", "shading_normal", "shape_id", "diffuse")
+NEVER_GIVEN = ("position", "shading_normal", "uv", "shape_id", "diffuse")
 
 
 def quantities_not_given(answer: Answer) -> tuple[str, ...]:

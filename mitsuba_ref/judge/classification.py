@@ -35,6 +35,7 @@ from mitsuba_ref.judge.comparison import (
     ImagePair,
     PixelPairs,
     SelfCheck,
+    UvPair,
     check_allowances,
     compare,
     fails_self_check,
@@ -133,9 +134,28 @@ class Judge:
         if self.answer.prim_id is not None:  # as packed: Mitsuba counts the triangles of a stand-in by itself
             numbers = model.packed.index_in_shape(self.reference_prim).reshape(pair.shape)
             reference = Aovs({**reference, "prim_id": numbers}, reference.hit)
-        self.pixels = PixelPairs(pair.subject, reference, self.bounds, self.answer, pair.length, self.point)
+        uv = self._uv_pair() if "uv" in pair.subject else None
+        self.pixels = PixelPairs(
+            pair.subject, reference, self.bounds, self.answer, pair.length, self.point, uv
+        )
         # No rounding excuses images that contradict themselves.
         self.inconsistent = inconsistent_aovs(scene, model.packed, pair)
+
+    def _uv_pair(self) -> UvPair:
+        """Where the reference names another face of an edge, its uv are those of that face, and held to it."""
+        prim, theirs = self.prim, aov_rows(self.pair.reference, "uv")
+        ours = self.model.uv_points(prim, aov_rows(self.pair.subject, "uv"), ours=True)
+        reference = self.model.uv_points(prim, theirs, ours=False)
+        known, bound = self.model.reference_has_uv(prim), self.bounds.at.uv_error.copy()
+        rows = np.flatnonzero(
+            (prim >= 0) & (self.reference_prim >= 0) & (self.reference_prim != prim) & known
+        )
+        if len(rows):
+            other, (o, d, _) = self.reference_prim[rows], (a[rows] for a in self.reference_lines)
+            at = intersections_at(self.model, other, (o, d), self.reference_t[rows], KU, ours=False)
+            moved = self.model.uv_points(other, theirs[rows], ours=False) - at.uv
+            reference[rows], bound[rows] = ours[rows] + moved, at.uv_error
+        return UvPair(ours, np.where(known[:, None], reference, ours), bound)
 
     def _as_subject(
         self, prim: np.ndarray, lines: tuple[np.ndarray, np.ndarray], t: np.ndarray
@@ -362,7 +382,9 @@ class Judge:
 
     def _reference_claims(self, rows: np.ndarray) -> Claims:
         names = ("shape_id", "normal", "shading_normal", "position")
-        return Claims(self.reference_t[rows], *(aov_rows(self.pair.reference, name)[rows] for name in names))
+        shape, *vectors = (aov_rows(self.pair.reference, name)[rows] for name in names)
+        claims = Claims(self.reference_t[rows], shape, *vectors)
+        return claims if self.pixels.uv is None else claims._replace(uv=self.result.answer.uv[rows])
 
     def _classify_diffuse(self, classes: np.ndarray, allowed: float) -> DiffuseComparison:
         """Judge diffuse where geometry agrees by Mitsuba's lights, elsewhere by float64 alone; classes change."""

@@ -24,7 +24,7 @@ from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.subject import COMPARED_AOVS, NOT_FINITE, Answer
 
 # The quantities with a bound that a scene's own [check.AOV] may make stricter or laxer; the others are exact.
-BOUNDED_AOVS = ("depth", "position", "normal", "shading_normal", "diffuse")
+BOUNDED_AOVS = ("depth", "position", "normal", "shading_normal", "uv", "diffuse")
 
 # What each AOV holds on a miss, a second time; all others hold 0.
 MISS_VALUES = {"depth": np.inf, "shape_id": -1, "prim_id": -1}
@@ -95,6 +95,14 @@ def _images_of(answer: Answer, rays: SharedRays, shape: tuple[int, int]) -> Aovs
     return Aovs(images, answer.hit.reshape(shape))
 
 
+class UvPair(NamedTuple):
+    """uv of both sides in the UvSpace of the primitive in question."""
+
+    subject: np.ndarray  # (n, 3)
+    reference: np.ndarray  # (n, 3) the subject's, where the reference has no uv of that primitive
+    bound: np.ndarray  # (n,) of their distance
+
+
 @dataclass(frozen=True)
 class PixelPairs:
     """What a check reads: both sides' images, n pixels row by row, and the bounds that hold between them."""
@@ -105,10 +113,17 @@ class PixelPairs:
     answer: Answer  # of the subject
     length: np.ndarray  # (n,) of each ray's d
     point: np.ndarray  # (n, 3) o + t d at the subject's hits
+    uv: UvPair | None = None  # None: not given
 
     def pair(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """(the subject's, the reference's) values of one AOV, (n,) or (n, c)."""
         return aov_rows(self.subject, name), aov_rows(self.reference, name)
+
+    def distance(self, name: str) -> np.ndarray:
+        """(n,) between both sides, uv in the space of their kind."""
+        uv = self.uv[:2] if name == "uv" and self.uv else None
+        sides = uv or (values.reshape(len(values), -1) for values in self.pair(name))
+        return row_distance(*sides)
 
     @property
     def hits(self) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +140,7 @@ class PixelPairs:
     ) -> np.ndarray:
         """(n,) where both hit, the larger of two error ratios: from the reference, and from the value (n, 3) of the
         subject's own primitive; 0 elsewhere."""
-        between = error_over_bound(row_distance(*self.pair(name)), bound)
+        between = error_over_bound(self.distance(name), bound)
         alone = error_over_bound(row_distance(aov_rows(self.subject, name), own), own_bound)
         return np.where(self.both_hit, np.maximum(between, alone), 0.0)
 
@@ -208,6 +223,19 @@ def shading_normal_ratio(pixels: PixelPairs) -> np.ndarray:
     return pixels.larger_error_ratio("shading_normal", shading_normal_bound(pixels), own.sh_n, own.sh_error)
 
 
+def uv_bound(pixels: PixelPairs) -> np.ndarray:
+    """Of the distance in the kind's UvSpace, where seams and poles are no jumps."""
+    return pixels.bounds.at.uv_error if pixels.uv is None else pixels.uv.bound
+
+
+def uv_ratio(pixels: PixelPairs) -> np.ndarray:
+    uv, own = pixels.uv, pixels.bounds.own
+    assert uv is not None  # checks_of
+    between = error_over_bound(pixels.distance("uv"), uv.bound)
+    alone = error_over_bound(row_distance(uv.subject, own.uv), own.uv_error)
+    return np.where(pixels.both_hit, np.maximum(between, alone), 0.0)
+
+
 # Of a subject that names its primitive.
 CHECKS = (
     QuantityCheck("mask", mask_ratio),
@@ -217,6 +245,7 @@ CHECKS = (
     QuantityCheck("position", position_ratio, position_bound),
     QuantityCheck("normal", normal_ratio, normal_bound),
     QuantityCheck("shading_normal", shading_normal_ratio, shading_normal_bound),
+    QuantityCheck("uv", uv_ratio, uv_bound),
 )
 
 
@@ -248,10 +277,11 @@ SURFACE_CHECKS = (
 )
 
 
-def checks_of(answer: Answer) -> Iterator[QuantityCheck]:
+def checks_of(pixels: PixelPairs) -> Iterator[QuantityCheck]:
     """The checks of the quantities that an answer has."""
+    answer = pixels.answer
     if answer.prim is not None:
-        yield from CHECKS
+        yield from (check for check in CHECKS if check.name != "uv" or pixels.uv is not None)
         return
     given = {
         "mask": True,
@@ -283,7 +313,7 @@ class Comparison:
 
 def compare(pixels: PixelPairs, checks: Mapping[str, Check]) -> Comparison:
     """All checks. checks: the scene's own [check.AOV]."""
-    ratios = {check.name: check.ratio(pixels) for check in checks_of(pixels.answer)}
+    ratios = {check.name: check.ratio(pixels) for check in checks_of(pixels)}
     return Comparison(
         ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")}
     )
@@ -317,10 +347,11 @@ class SelfCheck(NamedTuple):
 
 
 def self_checks(pixels: PixelPairs) -> Iterator[SelfCheck]:
-    """Normals and position where the subject hits, also where the reference does not; none of one without a primitive.
+    """Normals, position and uv where the subject hits, also where the reference does not; none of one that names no
+    primitive.
 
-    Where float64 does not resolve t, the point and the shading normal, which follow from it, are not held to anything;
-    the geometric normal is.
+    Where float64 does not resolve t, the point, the shading normal and uv, which follow from it, are not held to
+    anything; the geometric normal is.
     """
     prim = pixels.answer.prim
     if prim is None:
@@ -333,6 +364,8 @@ def self_checks(pixels: PixelPairs) -> Iterator[SelfCheck]:
         ("position", pixels.point, own.p_error, resolved),
     ):
         yield SelfCheck(name, row_distance(aov_rows(pixels.subject, name), value), bound, counts)
+    if pixels.uv is not None:
+        yield SelfCheck("uv", row_distance(pixels.uv.subject, own.uv), own.uv_error, resolved)
 
 
 def fails_self_check(checks: Sequence[SelfCheck], count: int) -> np.ndarray:

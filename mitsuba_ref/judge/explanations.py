@@ -25,7 +25,7 @@ from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.subjects.subject import Answer
 
 QUANTITY_NAMES = {EXACT: "t by exact arithmetic", "mask": "hit or miss", "shape_id": "the shape"}
-COMPARED_AT_HITS = ("depth", "position", "normal", "shading_normal")  # compared where both sides hit
+COMPARED_AT_HITS = ("depth", "position", "normal", "shading_normal", "uv")  # compared where both sides hit
 
 
 def subject_name(judge: Judge) -> str:
@@ -169,6 +169,7 @@ AOVS_SHOWN = (
     "position",
     "normal",
     "shading_normal",
+    "uv",
     "diffuse",
 )  # beside shape and depth, if they are compared
 

@@ -14,7 +14,7 @@ from caster.geometry.packing import Packed
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, row_distance
+from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.judge.diagnosis import Diagnosis
@@ -161,8 +161,7 @@ class Evidence:
         if bound_of is None:
             return LayerBound()
         bound, ratio = bound_of(pixels), self.judgement.ratio(name)
-        sides = (aov.reshape(len(ratio), -1) for aov in pixels.pair(name))
-        alone = pixels.both_hit & (ratio > error_over_bound(row_distance(*sides), bound) * ROUNDING)
+        alone = pixels.both_hit & (ratio > error_over_bound(pixels.distance(name), bound) * ROUNDING)
         return LayerBound(np.where(pixels.both_hit, bound, 0.0), alone)
 
     def ids(self) -> Mapping[str, np.ndarray]:

@@ -19,6 +19,7 @@ from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
     U,
+    UvSpace,
     by_matrix,
     dot,
     mat_vec_rows,
@@ -36,8 +37,10 @@ from mitsuba_ref.shapes.shape_reference import (
     unit_shape_matrix,
 )
 from mitsuba_ref.shapes.surface_errors import (
+    TURN,
     affine_bounds,
     half_chord_error,
+    on_circle,
     ours_through_object_space,
     rays_in_object_space,
     sphere_roots,
@@ -115,8 +118,20 @@ def intersect(
             pull = np.maximum(norm(mat_vec_rows(prims.to_world[k], out)), 1.0)
             away = error + np.abs(dot(out, rays.d)) * t_error + 0.5 * (slide * t_error) ** 2
             p_error = position_error(o, d, t, t_error, ku) + pull * away
-            found.append(Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error))
+            uv = np.column_stack([out[:, :2], q[:, 2]])
+            uv_error = error + slide * t_error + end_error + TURN * ku
+            found.append(
+                Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error)
+            )
     return tuple(found)
+
+
+def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """u is the angle as a fraction of a turn, v the height: the point of the wall of the unit cylinder."""
+    return np.column_stack([on_circle(uv[:, 0]), uv[:, 1]])
+
+
+UV = UvSpace(uv_points, uv_points)
 
 
 def describe_cylinder(part: Cylinders, k: int) -> Fields:
@@ -224,7 +239,7 @@ FAR_FROM_ORIGIN = KnownDefect(
 
 CYLINDERS = PrimitiveReference(
     Cylinders,
-    ErrorModel(intersect, affine_bounds, ours_through_object_space(intersect), exact=EXACT_CYLINDERS),
+    ErrorModel(intersect, affine_bounds, ours_through_object_space(intersect), exact=EXACT_CYLINDERS, uv=UV),
     describe_cylinder,
     on_cylinders,
     rounding_groups=(by_matrix,),

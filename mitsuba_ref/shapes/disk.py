@@ -18,6 +18,7 @@ from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
+    UvSpace,
     by_normal,
     finite_or_zero,
     norm,
@@ -35,8 +36,10 @@ from mitsuba_ref.shapes.shape_reference import (
     unit_shape_matrix,
 )
 from mitsuba_ref.shapes.surface_errors import (
+    TURN,
     UNRESOLVABLE,
     affine_bounds,
+    on_circle,
     ours_through_object_space,
     rays_in_object_space,
     world_normal,
@@ -77,7 +80,19 @@ def intersect(
     n, n_error = world_normal(to_object, up, np.zeros(len(k)), ku)
     t = finite_or_zero(t, t_error)
     p_error = position_error(o, d, t, t_error, ku)
-    return (Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error),)
+    uv = np.where(np.isfinite(q), q, 0.0) * np.array([1.0, 1.0, 0.0])
+    with np.errstate(invalid="ignore"):
+        uv_error = rim_error + TURN * ku * rim
+    return (Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error),)
+
+
+def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """u is the distance from the centre, v the angle as a fraction of a turn: the point of the unit disk."""
+    radius = np.where(uv[:, :1] >= 0.0, uv[:, :1], np.nan)
+    return np.column_stack([radius * on_circle(uv[:, 1]), np.zeros(len(uv))])
+
+
+UV = UvSpace(uv_points, uv_points)
 
 
 def describe_disk(part: Disks, k: int) -> Fields:
@@ -131,6 +146,7 @@ DISKS = PrimitiveReference(
         affine_bounds,
         ours_through_object_space(intersect, used=(1.0, 1.0, 0.0)),
         exact=EXACT_DISKS,
+        uv=UV,
     ),
     describe_disk,
     on_disks,

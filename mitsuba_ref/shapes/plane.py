@@ -17,6 +17,7 @@ from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expec
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
+    UvSpace,
     by_normal,
     dot,
     finite_or_zero,
@@ -155,7 +156,26 @@ def intersect(
     sure = resolved & (within_one | (local.side != 0.0) | (other.side != 0.0))
     t, everywhere = finite_or_zero(t, t_error), np.ones(len(k), bool)
     p_error = local.p_error + position_error(o, d, t, t_error, ku)
-    return (Intersections(t, t_error, n, n_error, n, n_error, everywhere, sure, p_error),)
+    uv, uv_error = np.zeros((len(k), 3)), np.zeros(len(k))  # the patch's are of its triangles
+    return (Intersections(t, t_error, n, n_error, n, n_error, everywhere, sure, p_error, uv, uv_error),)
+
+
+# Two unit vectors in the plane are cross products of lengths of 1/2 and more: of 3 roundings each, divided by a length
+# of 4, in all less than 32 roundings of either; ku is at least 4.
+AXES_ERROR = 8.0
+
+
+def _uv(n: np.ndarray, q: np.ndarray, p_error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates of q, seen from the plane's point, and their bound.
+
+    The first axis is across n and x, or y where |n_x| >= 1/2. Where rounding decides that, either axes may be used,
+    and the two vectors of length |q| are at most 2 |q| apart.
+    """
+    side = np.where(np.abs(n[:, :1]) < 0.5, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    right = unit(np.cross(side, n))
+    uv = np.column_stack([dot(q, right), dot(q, np.cross(n, right)), np.zeros(len(q))])
+    either = np.abs(np.abs(n[:, 0]) - 0.5) <= ku
+    return uv, p_error + (AXES_ERROR * ku + np.where(either, 2.0, 0.0)) * norm(q)
 
 
 def intersect_ours(
@@ -173,7 +193,10 @@ def intersect_ours(
     t_error = np.where(np.isfinite(t), t_error, np.inf)
     t, everywhere, flat = finite_or_zero(t, t_error), np.ones(len(k), bool), np.full(len(k), ku)
     p_error = position_error(o, d, t, t_error, ku)
-    return (Intersections(t, t_error, n, flat, n, flat, everywhere, np.isfinite(t_error), p_error),)
+    certain = np.isfinite(t_error)
+    with np.errstate(invalid="ignore", over="ignore"):
+        uv, uv_error = _uv(n, o + t[:, None] * d - point, p_error + ku * norm(point), ku)
+    return (Intersections(t, t_error, n, flat, n, flat, everywhere, certain, p_error, uv, uv_error),)
 
 
 def _face_of_hit(
@@ -258,7 +281,14 @@ def view_plane(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> De
 
 PLANES = PrimitiveReference(
     Planes,
-    ErrorModel(intersect, bounds, intersect_ours, exact=EXACT_PLANES, unfold={Patches: expand_patches}),
+    ErrorModel(
+        intersect,
+        bounds,
+        intersect_ours,
+        exact=EXACT_PLANES,
+        unfold={Patches: expand_patches},
+        uv=UvSpace(reference=None),
+    ),
     describe_plane,
     on_planes,
     describe_surface=describe_plane_surface,

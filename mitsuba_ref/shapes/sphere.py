@@ -1,5 +1,6 @@
 """Spheres and ellipsoids: Mitsuba's sphere, or an instance of one where it is stretched; error model and targets."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -17,6 +18,7 @@ from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expec
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
+    UvSpace,
     by_approach,
     by_center,
     by_matrix,
@@ -37,11 +39,14 @@ from mitsuba_ref.shapes.shape_reference import (
     unit_shape_matrix,
 )
 from mitsuba_ref.shapes.surface_errors import (
+    SPHERE_UV,
     affine_bounds,
     half_chord_error,
     ours_through_object_space,
     rays_in_object_space,
     sphere_roots,
+    sphere_uv,
+    sphere_uv_points,
     world_normal,
 )
 from mitsuba_ref.shapes.targets import (
@@ -71,12 +76,14 @@ def intersect(
     """Ray i with sphere k[i]: near root, far root."""
     center, r = prims.center[k], prims.radius[k]
     middle, distance, s = sphere_roots(o - center, d, r)
-    return tuple(_meeting(center, r, o, d, (middle, distance, s), side, ku) for side in (-1.0, 1.0))
+    turn = prims.turn[k]
+    return tuple(_meeting(center, r, turn, o, d, (middle, distance, s), side, ku) for side in (-1.0, 1.0))
 
 
 def _meeting(
     center: np.ndarray,
     r: np.ndarray,
+    turn: np.ndarray,
     o: np.ndarray,
     d: np.ndarray,
     root: tuple[np.ndarray, np.ndarray, np.ndarray],
@@ -94,7 +101,17 @@ def _meeting(
     n_error = (ku * norm(reach) + slide * t_error) / r + 0.5 * ku
     possible, certain = distance - r <= error, r - distance > error
     p_error = position_error(o, d, t, t_error, ku)
-    return Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error)
+    uv, uv_error = sphere_uv(mat_vec_rows(turn, n), n_error + TURN_ERROR * ku, ku)
+    return Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error)
+
+
+# A product with a matrix whose entries are rounded moves each coordinate by ku of |row| |n| = 1.
+TURN_ERROR = math.sqrt(3.0)
+
+
+def reference_uv_points(prims: Spheres, k: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Mitsuba's sphere is exported without its turn, so that its uv are those of world axes."""
+    return mat_vec_rows(prims.turn[k], sphere_uv_points(prims, k, uv))
 
 
 def meet_ellipsoid(
@@ -123,7 +140,10 @@ def meet_ellipsoid(
         away = error + np.abs(dot(q, rays.d)) * t_error + 0.5 * (slide * t_error) ** 2
         pulled = norm(mat_vec_rows(prims.to_world[k], q)) * away
         p_error = position_error(o, d, t, t_error, ku) + pulled
-        found.append(Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error))
+        uv, uv_error = sphere_uv(q, error + slide * t_error, ku)
+        found.append(
+            Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error)
+        )
     return tuple(found)
 
 
@@ -141,12 +161,18 @@ def describe_ellipsoid(part: Ellipsoids, k: int) -> Fields:
 
 
 def expected_sphere(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """Centre, and radius or matrix; a similarity stretches every direction as it does the x axis."""
+    """Centre, and radius and turn, or matrix; a similarity stretches volumes by the cube of its scale.
+
+    A matrix that is one up to rounding (SIMILARITY_RTOL) has the same scale by lengths and by volumes, to first order.
+    """
     linear = shape.matrix[:3, :3]
     yield expected_point(shape, "center", part.center[0], np.array(shape.center))
     if hasattr(part, "radius"):
-        radius = shape.radius * np.linalg.norm(linear[:, 0])
+        largest = np.abs(linear).max()
+        scale = largest * np.cbrt(abs(np.linalg.det(linear / largest)))
+        radius = shape.radius * scale
         yield ExpectedNumbers("radius", part.radius[0], radius, radius)
+        yield ExpectedNumbers("turn", part.turn[0], np.swapaxes(linear / scale, 0, 1), np.ones((3, 3)))
     else:
         yield up_to_rounding("to_world", part.to_world[0], shape.radius * linear)
 
@@ -236,7 +262,9 @@ DEFECTS = (STARTS_ON_CURVED, TANGENT, SMALL_AND_FAR, FAR_FROM_ORIGIN)
 
 SPHERES = PrimitiveReference(
     Spheres,
-    ErrorModel(intersect, sphere_bounds, exact=EXACT_SPHERES),
+    ErrorModel(
+        intersect, sphere_bounds, exact=EXACT_SPHERES, uv=UvSpace(sphere_uv_points, reference_uv_points)
+    ),
     describe_sphere,
     on_spheres,
     numbers=numbers_of_sphere,
@@ -247,7 +275,11 @@ SPHERES = PrimitiveReference(
 ELLIPSOIDS = PrimitiveReference(
     Ellipsoids,
     ErrorModel(
-        meet_ellipsoid, affine_bounds, ours_through_object_space(meet_ellipsoid), exact=EXACT_ELLIPSOIDS
+        meet_ellipsoid,
+        affine_bounds,
+        ours_through_object_space(meet_ellipsoid),
+        exact=EXACT_ELLIPSOIDS,
+        uv=SPHERE_UV,
     ),
     describe_ellipsoid,
     on_ellipsoids,

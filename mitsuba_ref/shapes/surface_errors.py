@@ -1,6 +1,7 @@
 """Error models of triangles and quadrics: bounds on t, position and normals of Mitsuba's hits (docs/method.md)."""
 
 import functools
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,11 +11,13 @@ from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     IntersectFunction,
     Intersections,
+    UvSpace,
     cross_permanent,
     dot,
     finite_or_zero,
     mat_vec_rows,
     norm,
+    plain_uv,
     position_error,
     unit,
 )
@@ -49,11 +52,16 @@ def intersect(
         ]
         sh_n, sh_error = _shading(prims, k, n, n_error, weights, weight_errors, ku)
         p_error = _position_error(corners, weights, weight_errors, ku)
+        uv, uv_error = _uv(prims, k, weights, weight_errors, ku)
     edge, side = _doubtful_edge(corners, inside, np.sign(total), sure)
     t_error = np.where(resolvable, t_error, np.inf)
     t = finite_or_zero(t, t_error)
     certain = inside.all(axis=1) & sure
-    return (Intersections(t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, edge, side),)
+    return (
+        Intersections(
+            t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, uv, uv_error, edge, side
+        ),
+    )
 
 
 def intersect_ours(
@@ -177,6 +185,23 @@ def _shading(
     return np.where(smooth[:, None], unit(summed), n), error
 
 
+BARYCENTRIC_UV = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])  # of faces without uv, on both sides
+
+
+def _uv(
+    prims: Any, k: np.ndarray, weights: np.ndarray, weight_errors: np.ndarray, ku: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """uv and their bound: as the corners' mean, so with the errors of `_position_error`."""
+    corners = np.broadcast_to(BARYCENTRIC_UV, (len(k), 3, 2))
+    textured = prims.textured[k]
+    if textured.any():
+        corners = np.where(textured[:, None, None], prims.uv[prims.faces[k]], corners)
+    uv = sum(weights[:, j : j + 1] * corners[:, j] for j in range(3))
+    moved = sum(weight_errors[:, j] * norm(corners[:, j] - uv) for j in range(3))
+    rounded = ku * sum(np.abs(weights[:, j]) * norm(corners[:, j]) for j in range(3))
+    return plain_uv(prims, k, uv), moved + rounded
+
+
 def bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     corners = prims.vertices[prims.faces]
     return corners.min(axis=1), corners.max(axis=1)
@@ -279,3 +304,41 @@ def affine_bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     """Boxes around images of a shape that lies in [-1, 1]^3, under p -> center + to_world p."""
     reach = np.abs(prims.to_world).sum(axis=2)
     return prims.center - reach, prims.center + reach
+
+
+# ---- uv of quadrics ----
+#
+# An angle passes an arc tangent, a sum and a quotient, each rounded by less than u of up to a turn. So as a point at
+# distance r from the axis it is off by no more than ku r TURN, beside what the point of the surface is off.
+TURN = 2.0 * math.pi
+
+
+def on_circle(fraction: np.ndarray) -> np.ndarray:
+    """(m, 2) the point of the unit circle at this fraction of a turn; NaN where that is not in [0, 1]."""
+    angle = TURN * np.where((fraction >= 0.0) & (fraction <= 1.0), fraction, np.nan)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def sphere_uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """u is the azimuth as a fraction of a turn, v the polar angle over pi: the point of the unit sphere."""
+    polar = math.pi * np.where((uv[:, 1] >= 0.0) & (uv[:, 1] <= 1.0), uv[:, 1], np.nan)
+    return np.column_stack([np.sin(polar)[:, None] * on_circle(uv[:, 0]), np.cos(polar)])
+
+
+def sphere_uv(q: np.ndarray, error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
+    """Point of the unit sphere (m, 3) that uv of q are, and its bound, where q is off by `error`.
+
+    q has length 1, but for its rounding: v is the arc cosine of its height z, and s = sqrt(1 - z^2) the distance from
+    the axis. As for a half chord, s is off by far more than z near a pole. The azimuth is off by an angle of
+    asin(error / |q across|), whose chord is at most sqrt(2) times that ratio, and no more than 2.
+    """
+    z, across = np.clip(q[:, 2], -1.0, 1.0), np.hypot(q[:, 0], q[:, 1])
+    s = np.sqrt((1.0 - z) * (1.0 + z))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        away = np.where(across[:, None] > 0.0, q[:, :2] / across[:, None], np.array([1.0, 0.0]))
+        turned = np.fmin(2.0, math.sqrt(2.0) * error / across)
+    risen = half_chord_error(s, np.ones(len(s)), error) + error
+    return np.column_stack([s[:, None] * away, z]), s * turned + risen + TURN * ku
+
+
+SPHERE_UV = UvSpace(sphere_uv_points, sphere_uv_points)

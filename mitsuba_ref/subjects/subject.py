@@ -260,7 +260,7 @@ class Subject(Protocol):
 # ---- our own caster ----
 
 # What is compared, and the mask, which always comes along.
-COMPARED_AOVS = ("depth", "position", "normal", "shading_normal", "shape_id", "diffuse")
+COMPARED_AOVS = ("depth", "position", "normal", "shading_normal", "uv", "shape_id", "diffuse")
 
 # What has to follow from the hits, beside that.
 DERIVED_AOVS = ("hit", "albedo", "prim_id")

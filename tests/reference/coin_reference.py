@@ -113,7 +113,7 @@ def defect_view(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> D
 
 COINS = PrimitiveReference(
     Coins,
-    ErrorModel(intersect, bounds, exact=ExactKind(boxes, prepare, intersect_exactly)),
+    ErrorModel(intersect, bounds, exact=ExactKind(boxes, prepare, intersect_exactly), uv=disk.UV),
     describe,
     surface_points,
     rounding_groups=(by_normal,),

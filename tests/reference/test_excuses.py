@@ -105,7 +105,7 @@ def test_a_doubtful_shadow_counts_whichever_place_its_light_has(judged, first):
     assert found.ok and found.counts["explained"] > 0, found
 
 
-@pytest.mark.parametrize("name", ["depth", "position", "normal", "shading_normal", "diffuse"])
+@pytest.mark.parametrize("name", ["depth", "position", "normal", "shading_normal", "uv", "diffuse"])
 def test_a_scene_may_ask_for_less_than_the_derived_bound(judged, name):
     strict = scene_of(caster.Sphere(), checks={name: {"ratio": 1e-6}})
     found = judged(strict)
@@ -116,8 +116,8 @@ def test_a_scene_may_ask_for_less_than_the_derived_bound(judged, name):
 
 
 def test_a_check_that_nothing_would_heed_is_refused(judged):
-    with pytest.raises(caster.SceneError, match=r"check.uv: is compared exactly or not at all"):
-        judged(scene_of(caster.Sphere(), checks={"uv": {"ratio": 0.1}}))
+    with pytest.raises(caster.SceneError, match=r"check.shape_id: is compared exactly or not at all"):
+        judged(scene_of(caster.Sphere(), checks={"shape_id": {"ratio": 0.1}}))
 
 
 @pytest.mark.parametrize("name", ["$x", "a$", "ball & chain", "<ball>", "a.b", "Kugel, groß"])

@@ -81,6 +81,7 @@ def test_a_foreign_kind_is_fuzzed(coins):
     [
         ("rounded(np.array([self.radius]))", "rounded(np.array([1.001 * self.radius]))", "geometry: "),
         ("return point_at(o, t, d), n, n", "return point_at(o, 1.001 * t, d), n, n", "position: "),
+        ("turn_fraction(y, x) if", "turn_fraction(-y, x) if", "uv: "),
         ("n = (0.0, 0.0, 1.0)", "n = (0.0, 0.6, 0.8)", "normal: "),
     ],
 )

@@ -48,6 +48,7 @@ SPHERE, CYLINDER, DISK, PLANE = (
     f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane")
 )
 PINHOLE, ORTHOGRAPHIC = "caster/cameras/pinhole.py", "caster/cameras/orthographic.py"
+UV = f"{AOVS}/uv.py"
 LIGHTS, TILES = "caster/scene/model.py", "caster/rendering/tiles.py"
 LIGHT = "caster/kernels/surface/lighting.py"
 SCREEN, TREE, PLACING = (
@@ -272,7 +273,7 @@ FAULTS = (
         "return hit.shape_id",
         "return 2 - hit.shape_id",
     ),
-    *(one_nan(aov) for aov in ("depth", "normal", "shading_normal", "position", "diffuse")),
+    *(one_nan(aov) for aov in ("depth", "normal", "shading_normal", "position", "uv", "diffuse")),
     Fault(
         "depth 0 on a miss",
         "one-sphere",
@@ -288,6 +289,104 @@ FAULTS = (
         f"{AOVS}/diffuse.py",
         "np.float64, 0.0",
         "np.float64, 0.1",
+    ),
+    # ---- uv ----
+    Fault("u and v exchanged", "one-sphere", "uv", UV, "return hit.uv", "return hit.uv[1], hit.uv[0]"),
+    Fault("u mirrored", "one-sphere", "uv", UV, "return hit.uv", "return 1.0 - hit.uv[0], hit.uv[1]"),
+    Fault("u off by 1e-6", "flat-shapes", "uv", UV, "return hit.uv", "return hit.uv[0] + 1e-6, hit.uv[1]"),
+    Fault("u off by one turn", "one-sphere", "uv", UV, "return hit.uv", "return hit.uv[0] + 1.0, hit.uv[1]"),
+    Fault("uv on a miss", "one-sphere", "uv", UV, "np.float64, 0.0", "np.float64, 0.5"),
+    Fault(
+        "uv of vertices in the wrong order",
+        "flat-shapes",
+        "uv",
+        TRIANGLES,
+        "s = b0 * prims.uv[i0, 0] + (b1 * prims.uv[i1, 0]",
+        "s = b1 * prims.uv[i0, 0] + (b0 * prims.uv[i1, 0]",
+    ),
+    Fault(
+        "v from the top",
+        "flat-shapes",
+        "uv",
+        TRIANGLES,
+        "        r = b0 * prims.uv[i0, 1]",
+        "        r = 1.0 - b0 * prims.uv[i0, 1]",
+    ),
+    Fault(
+        "barycentrics for the second triangle of a rectangle",
+        "flat-shapes",
+        "uv",
+        TRIANGLES,
+        "if wants_uv and prims.textured[k]:",
+        "if wants_uv and prims.textured[k] and k % 2 == 0:",
+    ),
+    Fault("barycentrics exchanged", "triangles", "uv", TRIANGLES, "s, r = b1, b2", "s, r = b2, b1"),
+    Fault(
+        "a sphere's u off by half a turn",
+        "one-sphere",
+        "uv",
+        SPHERE,
+        "turn_fraction(q[1], q[0])",
+        "turn_fraction(-q[1], -q[0])",
+    ),
+    Fault(
+        "a sphere's v linear in its height",
+        "one-sphere",
+        "uv",
+        SPHERE,
+        "math.acos(min(max(q[2], -1.0), 1.0)) / math.pi",
+        "0.5 - 0.5 * q[2]",
+    ),
+    Fault(
+        "uv of ellipsoids by the normal",
+        "ellipsoids",
+        "uv",
+        SPHERE,
+        "spherical_uv(q) if wants_uv",
+        "spherical_uv(n) if wants_uv",
+    ),
+    Fault(
+        "uv of spheres by world axes",
+        "overlapping",
+        "uv",
+        SPHERE,
+        "spherical_uv(mat_vec(prims.turn, k, n))",
+        "spherical_uv(n)",
+    ),
+    Fault(
+        "a sphere's turn turned round",
+        "overlapping",
+        "geometry",
+        SPHERE,
+        "turn = linear.T / scale",
+        "turn = linear / scale",
+    ),
+    Fault(
+        "a cylinder's v not divided by its length",
+        "cylinders",
+        "uv",
+        CYLINDER,
+        "if wants_uv else 0.0, z\n",
+        "if wants_uv else 0.0, z * math.hypot(*prims.to_world[k, :, 2])\n",
+    ),
+    Fault(
+        "a disk's angle from -1/2 to 1/2",
+        "flat-shapes",
+        "uv",
+        DISK,
+        "turn_fraction(y, x) if",
+        "math.atan2(y, x) / (2.0 * math.pi) if",
+    ),
+    Fault(
+        "a disk's distance squared", "flat-shapes", "uv", DISK, "math.sqrt(x * x + y * y)", "x * x + y * y"
+    ),
+    Fault(
+        "a plane's second axis the other way",
+        "spheres-on-plane",
+        "uv",
+        PLANE,
+        "dot(q, cross(n, right))",
+        "dot(q, cross(right, n))",
     ),
     # ---- where shapes stand ----
     Fault(

@@ -39,7 +39,7 @@ def test_a_record_has_what_the_candidate_gives_and_no_more(judged):
     ids = recorded(judged["inside"]).layers["ids"]
     assert set(ids) == {"shape_reference", "prim_reference", "t_reference", "t_ours"}
     assert set(recorded(judged["inside"]).layers) < set(PIXEL_LAYERS)
-    assert judged["single"].unjudged == ("normal", "position", "shading_normal", "shape_id", "diffuse")
+    assert judged["single"].unjudged == ("normal", "position", "shading_normal", "uv", "shape_id", "diffuse")
 
 
 @pytest.mark.parametrize("name", ["inside", "single"])

@@ -109,7 +109,7 @@ def test_numbers_are_those_that_were_compared_to_the_bit(visit, folder, verdicts
     page = visit(folder, at(planted.OURS_WRONG)).page
     ready(page)
     row, pair = planted.row_of(planted.OURS_WRONG), verdicts["bad"].seen
-    for layer in ("depth", "normal", "shading_normal", "position", "diffuse"):
+    for layer in ("depth", "normal", "shading_normal", "position", "uv", "diffuse"):
         text = section(page, layer.replace("_", " ")).inner_text()
         sides = np.column_stack(
             [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]

@@ -11,7 +11,7 @@ from caster.geometry.world_space import Rounding
 from caster.jit.decorators import implement
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_disk
-from caster.kernels.math.vec import U, add, filter_result, point_at, row, scaled, sub
+from caster.kernels.math.vec import U, add, filter_result, point_at, row, scaled, sub, turn_fraction
 from caster.kernels.protocol import (
     camera_ray,
     exact_intersect,
@@ -104,8 +104,10 @@ def _fast_normal(prims: Any, setup: Any, o: Any, d: Any, t: float) -> Any:
 
 @implement(surface, Coins)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
+    """uv as a disk's: distance from the centre over the radius, and angle as a fraction of a turn."""
     n = (0.0, 0.0, 1.0)
-    return point_at(o, t, d), n, n, 0.0, 0.0
+    x, y, _ = scaled(1.0 / prims.radius[k], sub(point_at(o, t, d), row(prims.center, k)))
+    return point_at(o, t, d), n, n, math.sqrt(x * x + y * y), turn_fraction(y, x) if wants_uv else 0.0
 
 
 @implement(hull_size, Coins)

@@ -14,9 +14,8 @@ from mitsuba_ref.scene_xml.elements import missing_reference
 from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.subject import COMPARED_AOVS
 
-# AOVs that are not compared with the reference, and why; all but uv have to follow from our own hits (coherence.py).
+# AOVs that are not compared with the reference, and why; they have to follow from our own hits (coherence.py).
 NOT_COMPARED = {
-    "uv": "no picture that is compared depends on it",
     "prim_id": "triangles of one edge may both be right, so the shape is compared, and the surface hit",
     "albedo": "diffuse holds it: reflectance times light",
 }

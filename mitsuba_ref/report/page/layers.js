@@ -5,13 +5,14 @@ const LAYERS = [
   { name: "normal", kind: "vector", check: "normal", words: "normal" },
   { name: "shading_normal", kind: "vector", check: "shading_normal", words: "shading normal" },
   { name: "position", kind: "place", check: "position", words: "position" },
+  { name: "uv", kind: "uv", check: "uv", words: "uv" },
   { name: "diffuse", kind: "light", check: "diffuse", words: "diffuse" },
   { name: "shape_id", kind: "id", check: "shape_id", words: "shape" },
   { name: "prim_id", kind: "id", check: "", words: "primitive" },
   { name: "hit", kind: "mask", check: "mask", words: "hit" },
   { name: "all", kind: "none", check: "", words: "all checks" },
 ];
-const CHANNELS = { scalar: [""], vector: ["x", "y", "z"], place: ["x", "y", "z"], light: ["r", "g", "b"] };
+const CHANNELS = { scalar: [""], vector: ["x", "y", "z"], place: ["x", "y", "z"], light: ["r", "g", "b"], uv: ["u", "v"] };
 
 const OTHER_CHECKS = { mask: "hit" }; // check -> layer, where their names differ
 

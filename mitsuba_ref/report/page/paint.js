@@ -65,10 +65,15 @@ function sideColors(data, numbers) {
   if (layer.kind === "scalar") return (i) => mapped(GRAYS, 1 - ((numbers[i] - range.low) / range.span) * gain * 0.85);
   if (layer.kind === "vector") return three((v) => 0.5 + 0.5 * v);
   if (layer.kind === "place") return three((v, c) => ((v - range.each[c].low) / range.each[c].span) * gain);
+  if (layer.kind === "uv")
+    return (i) => [0, 1].map((c) => 255 * fraction(numbers[c * count + i])).concat(0);
   if (layer.kind === "light") return three((v) => ((v / (range.bright || 1)) * gain) ** (1 / 2.2));
   if (layer.kind === "mask") return (i) => mapped(GRAYS, numbers[i]);
   return (i) => idColor(numbers[i]);
 }
+
+/** 1 for the last of a range, whose next begins at 0. */
+const fraction = (value) => (value === 1 ? 1 : value - Math.floor(value));
 
 function sideLegend(data) {
   const { layer, range } = data, gain = 2 ** state.e;
@@ -82,6 +87,7 @@ function sideLegend(data) {
     const [x, y, z] = range.each.map(({ low, span }) => ends(low, low + span / gain).join(" to "));
     return { words: `red x ${x}, green y ${y}, blue z ${z}` };
   }
+  if (layer.kind === "uv") return { words: "fractions of u and v as red and green" };
   if (layer.kind === "light") return { words: `radiance up to ${brief(range.bright / gain)}, gamma 2.2` };
   if (layer.kind === "mask") return { words: "white: hit" };
   return { words: "a colour a number" };
