@@ -55,6 +55,7 @@ class PerHit(NamedTuple):
     """What `per_hit` takes first; each AOV has a class derived from it."""
 
     miss: float
+    misses: tuple[float, ...]  # the same for each channel
 
 
 AOVS: list[Aov] = []
@@ -110,7 +111,8 @@ def _kernel(aov: Any) -> Any:
         return evaluate(hit)
 
     implement(per_hit, tag)(body)
-    return tag(number(aov.MISS))
+    miss = number(aov.MISS)
+    return tag(miss, (miss,) * len(aov.CHANNELS))
 
 
 for each in (hit, depth, normal, shading_normal, position, uv, albedo, diffuse, shape_id, prim_id):

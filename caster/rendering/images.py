@@ -31,7 +31,15 @@ from caster.rendering.rasterization import (
     release_workspace,
 )
 from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
-from caster.rendering.tiles import NO_START, UNUSED_SURFACE, TileShader, TileWorkspace, new_image
+from caster.rendering.tiles import (
+    NO_START,
+    UNUSED_SURFACE,
+    TileShader,
+    TileWorkspace,
+    new_image,
+    spare_workspaces,
+    unwritten_array,
+)
 from caster.scene.model import Scene
 
 __all__ = ["camera_rays", "evaluate", "film_window", "render", "trace_film"]
@@ -124,7 +132,8 @@ class FilmRenderer:
         self.scene, self.packed, self.window, self.plan = scene, packed, window, plan
         self.threads, self.on_progress = threads, on_progress
         self.camera = scene.camera.pack(scene.film.width, scene.film.height)
-        self.hit, self.uncertain = (np.zeros((window.height, window.width), bool) for _ in range(2))
+        self.hit, self.uncertain = (unwritten_array((window.height, window.width), bool) for _ in range(2))
+        self.hit[:], self.uncertain[:] = False, False
         self.images = {name: new_image(name, window, dtype) for name in aovs}
         self.reach = _farthest_origin(self.camera, window)
         # Normals without a branch are for d of length 1, which a camera from elsewhere may not have.
@@ -168,7 +177,7 @@ class FilmRenderer:
         edges = np.linspace(0, count, min(count, workers * CHUNKS_PER_THREAD) + 1).astype(int).tolist()
 
         def begin() -> Callable[[tuple[int, int]], None]:
-            workspace = TileWorkspace()
+            workspace = take()
             buffers = workspace.tile, UNUSED_SURFACE, NO_IDS, NO_START
             return lambda tiles: film(camera, window, kind, self.reach, tiles, buffers, out)
 
@@ -180,7 +189,8 @@ class FilmRenderer:
                 pixels * tiles[1] // count - pixels * tiles[0] // count
             )  # all shares together are all
 
-        parallel_for_pieces(begin, list(pairwise(edges)), workers, done if on_progress else None)
+        with spare_workspaces() as take:
+            parallel_for_pieces(begin, list(pairwise(edges)), workers, done if on_progress else None)
 
     def _kernel_and_image(self, name: str | None, otherwise: str) -> tuple[Any, np.ndarray]:
         """Of an AOV, or, for none, a kernel with an image without size."""
@@ -194,15 +204,17 @@ class FilmRenderer:
         seek = self._seeker(kinds)
 
         def work(number: int, box: Box, workspace: TileWorkspace) -> None:
-            if kinds is not None and not any(it.runs[number] < it.runs[number + 1] for it in kinds):
+            present = None if kinds is None else [it.runs[number] < it.runs[number + 1] for it in kinds]
+            if present is not None and not any(present):
                 self.shader.fill_miss(box)
                 return
             generate_camera_rays(self.camera, self.window, box, workspace.tile)
             seek(number, box, workspace.tile)
-            self.shader(workspace, box)
+            self.shader(workspace, box, present)
             store_hits(workspace.tile, box, self.hit, self.uncertain)  # last: shadows may be uncertain, too
 
-        parallel_for_tiles(work, self.window, self.threads, TileWorkspace, self.on_progress)
+        with spare_workspaces() as take:
+            parallel_for_tiles(work, self.window, self.threads, take, self.on_progress)
 
     def _seeker(self, kinds: list[BinnedKind] | None) -> Callable[[int, Box, np.ndarray], None]:
         """Finds the hits of a tile, given its number, its box and its rays."""

@@ -3,9 +3,14 @@
 One way for all rays: a film is tiles of its camera's rays; an array of rays is a film that is WIDTH pixels wide.
 """
 
-from collections.abc import Callable, Mapping
+import ctypes
+import math
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -72,7 +77,66 @@ class TileWorkspace:
         return new_tile()
 
 
-Step = Callable[[TileWorkspace, Box], None]
+MAX_SPARE_WORKSPACES = 16  # 3 MB each
+
+_SPARE_WORKSPACES: list[TileWorkspace] = []
+
+
+@contextmanager
+def spare_workspaces() -> Iterator[Callable[[], TileWorkspace]]:
+    """Gives a function that returns a workspace, with what an earlier film left in it; they are spare afterwards."""
+    taken: list[TileWorkspace] = []
+
+    def take() -> TileWorkspace:
+        workspace = None
+        with suppress(IndexError):
+            workspace = _SPARE_WORKSPACES.pop()
+        taken.append(workspace or TileWorkspace())
+        return taken[-1]
+
+    yield take
+    _SPARE_WORKSPACES.extend(taken[: max(MAX_SPARE_WORKSPACES - len(_SPARE_WORKSPACES), 0)])
+
+
+# Memory of images that nobody holds any more is written again by later ones: for new memory, the system clears and maps
+# each page when it is first written, which takes longer than most AOVs.
+MAX_SPARE_BYTES = 1 << 27  # five images of 1024 x 1024 vectors in float64
+MIN_SPARE_BYTES = 1 << 17  # of one image; smaller ones come from memory that the process has anyway
+
+_SPARE_BLOCKS: dict[int, np.ndarray] = {}  # by id, oldest first
+
+
+def unwritten_array(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    """Any numbers; once nothing refers to the array or a view of it, its memory may become that of another."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if size < MIN_SPARE_BYTES:
+        return np.empty(shape, dtype)
+    block = _take_block(size)
+    owner = (ctypes.c_char * size).from_address(block.ctypes.data)
+    weakref.finalize(owner, _give_back_block, block).atexit = False
+    return np.frombuffer(owner, dtype).reshape(shape)
+
+
+def _take_block(size: int) -> np.ndarray:
+    for key, block in list(_SPARE_BLOCKS.items()):
+        if block.nbytes == size and _SPARE_BLOCKS.pop(key, None) is not None:  # else another thread took it
+            return block
+    return np.empty(size, np.uint8)
+
+
+def _give_back_block(block: np.ndarray) -> None:
+    """Keep it as long as newer ones leave space. Called by whatever drops an image, in any thread, at any time."""
+    _SPARE_BLOCKS[id(block)] = block
+    spare = list(_SPARE_BLOCKS.items())
+    excess = sum(each.nbytes for _, each in spare) - MAX_SPARE_BYTES
+    for key, each in spare:
+        if excess > 0:
+            excess -= each.nbytes
+            _SPARE_BLOCKS.pop(key, None)
+
+
+Present = Sequence[bool]  # by the place of a kind in Packed.kinds: whether it may be hit in a tile
+Step = Callable[[TileWorkspace, Box, Present], None]
 
 
 def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
@@ -80,7 +144,7 @@ def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray
     aov = BY_NAME[name]
     shape = (window.height, window.width)
     channels = () if len(aov.CHANNELS) == 1 else (len(aov.CHANNELS),)
-    return np.empty(shape + channels, aov.DTYPE if aov.DTYPE is np.int32 else dtype)
+    return unwritten_array(shape + channels, aov.DTYPE if aov.DTYPE is np.int32 else dtype)
 
 
 class TileShader:
@@ -106,45 +170,46 @@ class TileShader:
         self._shadow_rays: list[int] = []  # one a tile and light: threads only append
         self.normals_alone = plan.surfaces == ("normals",) and not start.size
         self.ids = _primitive_ids(packed, plan.needs)
-        self.steps: list[Step] = []
+        self.steps: list[Step] = [partial(_fill_misses, images)]
+        self._anywhere = [True] * len(packed.kinds)
         if packed.kinds:
-            self.steps += self._surface_steps(packed, plan)
+            self.steps = self._surface_steps(packed, plan)
             if plan.needs & {"albedo", "radiance"}:
                 self.steps += self._material_steps(scene, packed)
             if "radiance" in plan.needs:
                 self.steps += self._light_steps(scene, packed, plan, exact_shadows)
-            self.steps += [step for name in images for step in self._writers(name, packed, plan)]
-        else:
-            self.steps.append(lambda workspace, box: self.fill_miss(box))
+            self.steps += [self._writer(name, packed) for name in images]
 
     @property
     def shadow_rays(self) -> int:
         """Shadow rays cast so far."""
         return sum(self._shadow_rays)
 
-    def __call__(self, workspace: TileWorkspace, box: Box) -> None:
+    def __call__(self, workspace: TileWorkspace, box: Box, present: Present | None = None) -> None:
+        """present: None: any kind may be hit."""
         for step in self.steps:
-            step(workspace, box)
+            step(workspace, box, present or self._anywhere)
 
     def fill_miss(self, box: Box) -> None:
         """AOVs of a tile where nothing is hit."""
-        for name, image in self.images.items():
-            fill_miss(kernel_of(name), box, image)
+        _fill_misses(self.images, None, box, ())
 
     def _surface_steps(self, packed: Packed, plan: Plan) -> list[Step]:
         if not plan.surfaces or self.normals_alone:
             return []
         wants_uv = "uv" in plan.surfaces
-        return [_surface_step(prims, numbers, wants_uv) for prims, numbers in kind_ranges(packed)]
+        return [partial(_find_surfaces, kind_ranges(packed), wants_uv)]
 
     def _material_steps(self, scene: Scene, packed: Packed) -> list[Step]:
         shapes, (reflectance, two_sided) = shape_by_primitive(packed), material_tables(scene)
-        return [lambda ws, box: materials_in_tile(ws.tile, box, shapes, reflectance, two_sided, ws.surface)]
+        return [
+            lambda ws, box, _: materials_in_tile(ws.tile, box, shapes, reflectance, two_sided, ws.surface)
+        ]
 
     def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
         cast = tile_caster(packed, any_hit=True) if plan.shadows.runs else None
         steps: list[Step] = [
-            partial(self._add_light, light.pack(), cast, packed if exact else None)
+            partial(_add_light, light.pack(), cast, packed if exact else None, self._shadow_rays)
             for light in scene.lights
             if light.type != "ambient"
         ]
@@ -152,49 +217,75 @@ class TileShader:
             -1, 3
         )
         if len(ambient):
-            steps.append(lambda ws, box: add_ambient(ws.tile, box, ws.surface, ambient))
+            steps.append(lambda ws, box, _: add_ambient(ws.tile, box, ws.surface, ambient))
         return steps
 
-    def _add_light(
-        self, light: Any, cast: Any, exact: Packed | None, workspace: TileWorkspace, box: Box
-    ) -> None:
-        """Radiance of what a light reaches."""
-        tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
-        count = shadow_rays_in_tile(light, tile, box, surface, shadow_tile)
-        if count and cast:
-            self._shadow_rays.append(count)
-            cast((box[3] - box[1]) * WIDTH, shadow_tile)
-            if exact:
-                decide_shadows(exact, shadow_tile, (box[3] - box[1]) * WIDTH)
-        if count:
-            add_light(tile, box, surface, shadow_tile)
-
-    def _writers(self, name: str, packed: Packed, plan: Plan) -> list[Step]:
+    def _writer(self, name: str, packed: Packed) -> Step:
         kernel, image, ids, start = kernel_of(name), self.images[name], self.ids, self.start
         if self.normals_alone and "normal" in BY_NAME[name].NEEDS:
-            return [
-                _normal_step(kernel, prims, numbers, self.reach, image)
-                for prims, numbers in kind_ranges(packed)
-            ]
+            return partial(_write_normals, kernel, kind_ranges(packed), self.reach, image)
         if set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"}:
-            return [lambda ws, box: write_aov(kernel, ws.tile, box, UNUSED_SURFACE, ids, start, image)]
-        return [lambda ws, box: write_aov(kernel, ws.tile, box, ws.surface, ids, start, image)]
+            return lambda ws, box, _: write_aov(kernel, ws.tile, box, UNUSED_SURFACE, ids, start, image)
+        return lambda ws, box, _: write_aov(kernel, ws.tile, box, ws.surface, ids, start, image)
 
 
-def kind_ranges(packed: Packed) -> list[tuple[Any, tuple[int, int]]]:
+def _fill_misses(images: Mapping[str, np.ndarray], workspace: Any, box: Box, present: Present) -> None:
+    for name, image in images.items():
+        fill_miss(kernel_of(name), box, image)
+
+
+KindRange = tuple[Any, tuple[int, int]]
+
+
+def kind_ranges(packed: Packed) -> list[KindRange]:
     """(primitives, their numbers in a tile: first, last + 1) of each kind."""
     offsets = zip(packed.kinds, prim_offsets(packed), strict=True)
     return [(kind.prims, (first, first + len(kind.ids))) for kind, first in offsets]
 
 
-def _surface_step(prims: Any, numbers: tuple[int, int], wants_uv: bool) -> Step:
-    if implements(fast_surface, type(prims)) and not wants_uv:
-        return lambda ws, box: surfaces_in_tile_by_lanes(prims, numbers, ws.tile, box, ws.surface, ws.lanes)
-    return lambda ws, box: surfaces_in_tile(prims, numbers, ws.tile, box, ws.surface, wants_uv)
+def _add_light(
+    light: Any,
+    cast: Any,
+    exact: Packed | None,
+    counts: list[int],
+    workspace: TileWorkspace,
+    box: Box,
+    present: Present,
+) -> None:
+    """Radiance of what a light reaches; `counts` gets the number of shadow rays."""
+    tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
+    count = shadow_rays_in_tile(light, tile, box, surface, shadow_tile)
+    if count and cast:
+        counts.append(count)
+        cast((box[3] - box[1]) * WIDTH, shadow_tile)
+        if exact:
+            decide_shadows(exact, shadow_tile, (box[3] - box[1]) * WIDTH)
+    if count:
+        add_light(tile, box, surface, shadow_tile)
 
 
-def _normal_step(kernel: Any, prims: Any, numbers: tuple[int, int], reach: float, image: np.ndarray) -> Step:
-    return lambda ws, box: normals_in_tile(kernel, prims, numbers, reach, ws.tile, box, image)
+def _find_surfaces(
+    kinds: list[KindRange], wants_uv: bool, workspace: TileWorkspace, box: Box, present: Present
+) -> None:
+    for prims, numbers in compress(kinds, present):
+        if implements(fast_surface, type(prims)) and not wants_uv:
+            surfaces_in_tile_by_lanes(prims, numbers, workspace.tile, box, workspace.surface, workspace.lanes)
+        else:
+            surfaces_in_tile(prims, numbers, workspace.tile, box, workspace.surface, wants_uv)
+
+
+def _write_normals(
+    kernel: Any,
+    kinds: list[KindRange],
+    reach: float,
+    image: np.ndarray,
+    workspace: TileWorkspace,
+    box: Box,
+    present: Present,
+) -> None:
+    """An AOV of normals alone, kind by kind; the first writes the misses."""
+    for n, (prims, numbers) in enumerate(compress(kinds, present)):
+        normals_in_tile(kernel, prims, numbers, reach, workspace.tile, box, n == 0, image)
 
 
 def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:

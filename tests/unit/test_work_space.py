@@ -1,11 +1,13 @@
 """What a picture has worked in is there for the next one, and for no other at the same time."""
 
+import gc
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 
-from caster import Film, Icosphere, Pinhole, Scene
-from caster.rendering import rasterization
+from caster import Film, Icosphere, Pinhole, Point, Scene, Sphere
+from caster.rendering import rasterization, tiles
 from caster.rendering.hits import packed
 from caster.rendering.images import render
 
@@ -41,3 +43,89 @@ def test_what_is_too_large_is_not_kept(monkeypatch):
     monkeypatch.setattr(rasterization, "MAX_KEPT_WORKSPACE", 0)
     render(scene, ("depth",))
     assert packed(scene).kinds[0].spare == []
+
+
+EVERY_IMAGE = ("depth", "normal", "position", "diffuse")
+
+
+@pytest.fixture
+def no_spare_memory(monkeypatch):
+    monkeypatch.setattr(tiles, "_SPARE_BLOCKS", {})
+
+
+def a_large_scene() -> Scene:
+    lit = a_scene().model_copy(
+        update={"lights": (Point(position=(2.0, 3.0, 4.0), intensity=(9.0, 9.0, 9.0)),)}
+    )
+    return lit.with_film(width=256, height=192)
+
+
+def addresses(images) -> list[int]:
+    return sorted(images[name].ctypes.data for name in images)
+
+
+def test_memory_of_images_that_nobody_holds_is_written_again(no_spare_memory):
+    first = render(a_large_scene(), EVERY_IMAGE)
+    expected = {name: first[name].copy() for name in first}
+    where = addresses(first)
+    gc.disable()
+    try:
+        del first  # without a collector's help: no circle of references holds an image
+        assert len(tiles._SPARE_BLOCKS) == len(EVERY_IMAGE)
+        for block in tiles._SPARE_BLOCKS.values():
+            block[:] = 0xA5  # nothing of it is read before it is written
+        again = render(a_large_scene(), EVERY_IMAGE)
+    finally:
+        gc.enable()
+    assert addresses(again) == where
+    assert all(np.array_equal(expected[name], again[name]) for name in EVERY_IMAGE)
+
+
+def test_a_view_keeps_the_memory_of_its_image(no_spare_memory):
+    images = render(a_large_scene(), ("position",))
+    view, expected = images["position"][60:80, ::2, 1], images["position"][60:80, ::2, 1].copy()
+    del images
+    assert not tiles._SPARE_BLOCKS
+    others = [render(a_large_scene(), ("position",)) for _ in range(3)]
+    others[0]["position"][:] = 7.0
+    assert np.array_equal(view, expected)
+
+
+def test_no_more_memory_than_a_limit_is_kept(no_spare_memory, monkeypatch):
+    monkeypatch.setattr(tiles, "MAX_SPARE_BYTES", 2 * 256 * 192 * 24)
+    for height in (192, 191, 190, 189):
+        render(a_large_scene().with_film(width=256, height=height), ("position",))
+    kept = [block.nbytes for block in tiles._SPARE_BLOCKS.values()]
+    assert kept == [256 * 190 * 24, 256 * 189 * 24]  # the newest
+
+
+def test_large_images_at_the_same_time_have_memory_of_their_own(no_spare_memory):
+    expected = render(a_large_scene(), ("position",))["position"].copy()
+    with ThreadPoolExecutor(4) as pool:
+        found = list(
+            pool.map(lambda _: render(a_large_scene(), ("position",), threads=1)["position"], range(24))
+        )
+    assert all(np.array_equal(each, expected) for each in found)
+    assert len({each.ctypes.data for each in found}) == 24
+
+
+def test_a_kind_that_no_tile_has_is_not_looked_for(monkeypatch):
+    """Normals and surfaces of a kind are computed only in tiles where some primitive of it may be seen."""
+    scene = Scene(
+        film=Film(width=512, height=64),
+        camera=Pinhole(eye=(0.0, 0.0, 4.0), look_at=(0.0, 0.0, 0.0)),
+        shapes=[
+            Icosphere(subdivisions=3, to_world=[{"translate": (-1.0, 0.0, 0.0)}, {"scale": 0.2}]),
+            Sphere(),
+        ],
+    )
+    for aovs, name in ((("normal",), "normals_in_tile"), (("shading_normal",), "surfaces_in_tile_by_lanes")):
+        kinds, original = [], getattr(tiles, name)
+
+        def counted(*args, kinds=kinds, original=original):
+            kinds.extend(type(arg).__name__ for arg in args if type(arg).__name__ == "Triangles")
+            return original(*args)
+
+        monkeypatch.setattr(tiles, name, counted)
+        render(scene, aovs, threads=1)
+        assert len(kinds) == 1, aovs  # of four tiles

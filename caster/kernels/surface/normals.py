@@ -27,7 +27,7 @@ from caster.kernels.surface.per_hit import (
     per_hit,
     ray_of,
     store_hits,
-    store_miss,
+    store_misses,
     store_value,
     write_aov,
 )
@@ -42,11 +42,11 @@ UNKNOWN = (0.0, 0.0, 0.0)  # fields that the AOV does not need
 
 @jit
 def normals_in_tile(
-    aov: Any, prims: Any, numbers: Any, reach: float, tile: Any, box: Box, image: Any
+    aov: Any, prims: Any, numbers: Any, reach: float, tile: Any, box: Box, misses: bool, image: Any
 ) -> None:
     """An AOV that needs normals alone, of hits on one kind; its primitives are numbers[0] to numbers[1] in the tile.
 
-    The first kind writes the misses, too; depth counts from the origins. reach: the largest |coordinate| of an origin,
+    misses: whether it writes these, too; depth counts from the origins. reach: the largest |coordinate| of an origin,
     if all d are of length 1, or inf.
     """
     x0, y0, x1, y1 = box
@@ -60,9 +60,8 @@ def normals_in_tile(
                 k = int(prim) - numbers[0]
                 run = y, x0, x, end
                 write_run(aov, prims, k, normal_setup(prims, k, reach), tile, first, image, run)
-            elif prim < 0.0 and numbers[0] == 0:
-                for i in range(x0 + x, x0 + end):
-                    store_miss(image, y, i, aov.miss)
+            elif misses and prim < 0.0:
+                store_misses(image, y, x0 + x, x0 + end, aov.miss)
             x = end
 
 
@@ -176,5 +175,5 @@ def _write(prims: Any, bounds: Any, reach: float, buffers: Any, box: Box, out: A
     if ray_image.size > 0:
         write_aov(of_ray, tile, box, surface, ids, start, ray_image)
     if normal_image.size > 0:
-        normals_in_tile(of_normal, prims, (0, len(bounds.near)), reach, tile, box, normal_image)
+        normals_in_tile(of_normal, prims, (0, len(bounds.near)), reach, tile, box, True, normal_image)
     store_hits(tile, box, hit, uncertain)

@@ -208,7 +208,8 @@ def load_hit(tile: Any, buffer: Any, ids: Any, start: float, i: Any) -> Hit:
 def per_hit(aov: Any, hit: Any) -> Any:
     """The value of an AOV at a hit: a number, or a tuple with one for each channel.
 
-    aov: what `caster.aovs.register` made for it; `aov.miss` is the value where nothing is hit.
+    aov: what `caster.aovs.register` made for it; `aov.miss` is the value where nothing is hit, `aov.misses` that of
+    each channel.
     """
 
 
@@ -216,20 +217,28 @@ def per_hit(aov: Any, hit: Any) -> Any:
 def store_value(image: Any, y: Any, x: Any, value: Any) -> None:
     if image.ndim == 2:
         image[y, x] = value
-    elif len(value) == 3:  # the usual vector: written out, it costs a third less
-        image[y, x, 0], image[y, x, 1], image[y, x, 2] = value[0], value[1], value[2]
+        return
+    numbers, n = image.flat, (lane(y) * lane(image.shape[1]) + lane(x)) * lane(len(value))
+    if len(value) == 3:  # vectors and pairs are written out: several pixels at a time once compiled
+        numbers[n], numbers[n + lane(1)], numbers[n + lane(2)] = value[0], value[1], value[2]
+    elif len(value) == 2:
+        numbers[n], numbers[n + lane(1)] = value[0], value[1]
     else:
         for c in range(len(value)):
-            image[y, x, c] = value[c]
+            numbers[n + lane(c)] = value[c]
 
 
 @inlined
-def store_miss(image: Any, y: Any, x: Any, miss: Any) -> None:
+def store_misses(image: Any, y: Any, start: Any, stop: Any, miss: Any) -> None:
+    """Pixels start..stop of a row: numbers one after the other, whatever the channels, so that several are written."""
     if image.ndim == 2:
-        image[y, x] = miss
+        for x in range(lane(start), lane(stop)):
+            image[y, x] = miss
     else:
-        for c in range(image.shape[2]):
-            image[y, x, c] = miss
+        channels, numbers = lane(image.shape[2]), image.flat
+        row = lane(y) * lane(image.shape[1]) * channels
+        for n in range(row + lane(start) * channels, row + lane(stop) * channels):
+            numbers[n] = miss
 
 
 @inlined
@@ -238,12 +247,11 @@ def store_pixel(
 ) -> None:
     """The AOV of pixel i of the tile, at y, x of the image."""
     inside, hit = tile[PRIM + i] >= 0.0, load_hit(tile, buffer, ids, start, i)
-    if image.ndim == 2:  # without a branch once compiled, so that several pixels are written at once
+    # without a branch once compiled, so that several pixels are written at once
+    if image.ndim == 2:
         image[y, x] = per_hit(aov, hit) if inside else aov.miss
-    elif inside:
-        store_value(image, y, x, per_hit(aov, hit))
     else:
-        store_miss(image, y, x, aov.miss)
+        store_value(image, y, x, per_hit(aov, hit) if inside else aov.misses)
 
 
 @jit
@@ -268,8 +276,7 @@ def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, start: Any, 
 def fill_miss(aov: Any, box: Box, image: Any) -> None:
     """The same where no ray of a box hits anything."""
     for y in range(box[1], box[3]):
-        for x in range(box[0], box[2]):
-            store_miss(image, y, x, aov.miss)
+        store_misses(image, y, box[0], box[2], aov.miss)
 
 
 @jit
