@@ -11,7 +11,8 @@ HERE := $(shell pwd -P | cksum | cut -d' ' -f1)
 LOCKED := .venv/locked-$(HERE)
 INSTALLED := .venv/installed-$(HERE)
 
-unexport PYTHONPATH PYTHONHOME
+# Without bytecode every process would compile every module that it loads: tests start hundreds.
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
 .PHONY: help install validate test lint docs stress bench guard fuzz faults hostile mutants nightly clean
 

@@ -5,6 +5,7 @@ import importlib.util
 import os
 import shutil
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,9 @@ NO_CHROMIUM = "no Chromium: tests/report is skipped where it opens pages (apt in
 
 def pytest_configure(config: pytest.Config) -> None:
     os.environ["MITSUBA_REF_STORE"] = "off"  # answers of other runs are no evidence here
+    # Without bytecode each of some hundred processes that tests start would compile every module that it loads.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False  # what pytest makes of the tests themselves, too
     # Ignored, as in a job that a shell began in the background, it would be ignored by the children of tests, too.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

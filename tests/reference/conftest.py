@@ -1,11 +1,11 @@
 """What many tests start with: Mitsuba in one process a variant, which stays, and a copy of both packages."""
 
-import compileall
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from edited_tree import PACKAGES, copy_tree
+from edited_tree import Forks, copy_tree
 
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import Judge, scene_judge
@@ -42,8 +42,16 @@ def brought(send: SendRequest) -> Callable[[Scene], Judge]:
 
 @pytest.fixture(scope="session")
 def unedited(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of both packages whose modules are compiled to bytecode once, here, and so in every copy of it."""
-    tree = copy_tree(tmp_path_factory.mktemp("unedited"))
-    for package in PACKAGES:
-        assert compileall.compile_dir(tree / package, quiet=1)
-    return tree
+    """A copy of both packages."""
+    return copy_tree(tmp_path_factory.mktemp("unedited"))
+
+
+@pytest.fixture(scope="session")
+def forks(tmp_path_factory: pytest.TempPathFactory, unedited: Path) -> Iterator[Forks]:
+    """Runs commands; the processes of one session share what Mitsuba answered."""
+    base = tmp_path_factory.getbasetemp()
+    memory = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "answers"
+    memory.mkdir(exist_ok=True)
+    forks = Forks(tmp_path_factory.mktemp("words"), memory, home=unedited)
+    yield forks
+    forks.close()

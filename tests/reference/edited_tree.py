@@ -1,5 +1,7 @@
 """A copy of both packages in which a few lines are other than here, and the judge run from it."""
 
+import compileall
+import functools
 import importlib.util
 import json
 import os
@@ -16,8 +18,16 @@ DEADLINE = 120.0  # seconds; plain Python needs one to four for a film of 24 x 2
 SERVER = (sys.executable, "-P", str(Path(__file__).with_name("forked_runs.py")))
 
 
+@functools.cache
+def write_bytecode(tree: Path) -> None:
+    """Compile every module of a tree, so that no process which loads a copy of it has to."""
+    for package in PACKAGES:
+        compileall.compile_dir(tree / package, quiet=2)
+
+
 def copy_tree(folder: Path, source: Path = ROOT) -> Path:
-    """caster/ and mitsuba_ref/ side by side in `folder`."""
+    """caster/ and mitsuba_ref/ side by side in `folder`, with bytecode."""
+    write_bytecode(source)
     for package in PACKAGES:
         shutil.copytree(source / package, folder / package)
     return folder
@@ -53,48 +63,56 @@ def _run(path: str, *argv: str, module: str) -> subprocess.CompletedProcess[str]
 class Forks:
     """`run`, for many commands: in forks of one process; see forked_runs.py."""
 
-    def __init__(self, folder: Path, memory: Path | None = None) -> None:
-        """folder: of this object alone, for what commands say. memory: for Mitsuba's answers, may be shared."""
-        self.folder, self.memory = folder, memory
-        environment = {**os.environ, "CASTER_JIT": "0"}
-        environment.pop("PYTHONPATH", None)
-        self.server = subprocess.Popen(
-            SERVER,
-            cwd=ROOT,
-            env=environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+    def __init__(self, folder: Path, memory: Path | None = None, home: Path | None = None) -> None:
+        """folder: of this object alone, for what commands say. memory: for Mitsuba's answers, may be shared.
+
+        home: a tree that nobody edits; commands of it are run in forks of a process that has loaded it.
+        """
+        self.folder, self.memory, self.home = folder, memory, home
+        self.servers: dict[Path | None, subprocess.Popen[str]] = {}
+
+    def server(self, tree: Path) -> "subprocess.Popen[str]":
+        """The process that forks for this tree."""
+        home = tree if tree == self.home else None
+        if home not in self.servers:
+            environment = {**os.environ, "CASTER_JIT": "0"}
+            environment.pop("PYTHONPATH", None)
+            self.servers[home] = subprocess.Popen(
+                [*SERVER, *([str(home)] if home else [])],
+                cwd=ROOT,
+                env=environment,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+            )
+        return self.servers[home]
 
     def run(self, tree: Path, *argv: str, module: str = "mitsuba_ref") -> subprocess.CompletedProcess[str]:
         """The same as the function `run`, sooner."""
         out, err = self.folder / "out", self.folder / "err"
         order = {"tree": tree, "module": module, "argv": argv, "out": out, "err": err, "memory": self.memory}
-        code = self.obeyed(json.dumps(order, default=str))
+        code = self.obeyed(self.server(tree), json.dumps(order, default=str))
         return subprocess.CompletedProcess(
             argv, code, *(file.read_text(encoding="utf-8") for file in (out, err))
         )
 
-    def obeyed(self, order: str) -> int:
+    def obeyed(self, server: "subprocess.Popen[str]", order: str) -> int:
         """The exit code. Whoever takes longer than DEADLINE is killed, and the process with it: an error here."""
-        assert self.server.stdin and self.server.stdout
-        late = threading.Timer(DEADLINE, self.kill)
+        assert server.stdin and server.stdout
+        late = threading.Timer(DEADLINE, os.killpg, (server.pid, signal.SIGKILL))
         late.start()
         try:
-            self.server.stdin.write(order + "\n")
-            self.server.stdin.flush()
-            answer = self.server.stdout.readline()
+            server.stdin.write(order + "\n")
+            server.stdin.flush()
+            answer = server.stdout.readline()
         finally:
             late.cancel()
         assert answer, f"no answer within {DEADLINE:g} s, or no process any more: {order}"
         return int(answer)
 
-    def kill(self) -> None:
-        os.killpg(self.server.pid, signal.SIGKILL)
-
     def close(self) -> None:
-        """No more orders: the process ends."""
-        with self.server:
-            pass
+        """No more orders: the processes end."""
+        for server in self.servers.values():
+            with server:
+                pass

@@ -1,7 +1,8 @@
 """Commands of a tree, perhaps an edited copy, each in a fork of one process that has the libraries loaded already.
 
 To start Python, to load the libraries and to start Mitsuba takes three times as long as to judge a small film.
-So the process loads the libraries, and no more: what is under test is loaded by each fork, from its own tree. And
+So the process loads the libraries, and no more: what is under test is loaded by each fork, from its own tree. A
+process that is given a tree loads it as well: it forks for commands of this tree alone, which nobody may edit. And
 with a memory, Mitsuba is asked once about the same rays through the same scene; a fault that alters either has it
 asked anew.
 
@@ -27,15 +28,26 @@ LIBRARIES = (
     "pydantic.json_schema",
     "tree_sitter",
 )
+COMMANDS = (  # what they load
+    "mitsuba_ref.runner.validation_run",
+    "mitsuba_ref.probe.pixel",
+    "mitsuba_ref.exr_compare.two_files",
+    "caster.rendering.images",
+    "caster.image.channels",
+)
 STANDARD = ("concurrent.futures.thread", "importlib.metadata", "tomllib", "xml.etree.ElementTree", "zoneinfo")
 
 
-def serve() -> None:
-    """Obey until nobody gives orders any more."""
+def serve(home: str | None = None) -> None:
+    """Obey until nobody gives orders any more; home: a tree to load, whose commands alone are run then."""
     for name in (*LIBRARIES, *STANDARD):
         importlib.import_module(name)
     loaded = [name for name in sys.modules if name.partition(".")[0] in PACKAGES]
     assert not loaded, f"a fork would not take these from its tree: {loaded}"
+    if home:
+        sys.path.insert(0, home)
+        for name in COMMANDS:
+            importlib.import_module(name)
     while order := sys.stdin.readline():
         child = os.fork()
         if child == 0:
@@ -105,4 +117,4 @@ def keep(answer: Any, place: Path) -> None:
 
 
 if __name__ == "__main__":
-    serve()
+    serve(*sys.argv[1:])

@@ -25,9 +25,9 @@ def memory(tmp_path):
     return folder
 
 
-@pytest.fixture
-def forks(tmp_path, memory):
-    forks = Forks(tmp_path, memory)
+@pytest.fixture(params=[False, True], ids=["each loads its tree", "the unedited tree is loaded"])
+def forks(request, tmp_path, memory, unedited):
+    forks = Forks(tmp_path, memory, home=unedited if request.param else None)
     yield forks
     forks.close()
 
@@ -38,10 +38,11 @@ def test_a_fork_says_what_a_process_says_of_a_right_tree_and_of_a_wrong_one(
     wrong = copy_tree(tmp_path / "wrong", unedited)
     edit(wrong, "caster/kernels/surface/lighting.py", "albedo[0] / math.pi * flux[0]", "albedo[0] * flux[0]")
     codes = []
+    alone = {tree: run(tree, *SCENE) for tree in (unedited, wrong)}
     for tree in (unedited, wrong, unedited):  # the third is what a fork of before may not have altered
-        alone = run(tree, *SCENE)
-        assert said(forks.run(tree, *SCENE)) == said(alone)
-        codes.append(alone.returncode)
+        forked = forks.run(tree, *SCENE)
+        assert said(forked) == said(alone[tree])
+        codes.append(forked.returncode)
     assert (
         codes == [0, 1, 0] and len(list(memory.iterdir())) == 1
     )  # the fault alters nothing that Mitsuba is given

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from edited_tree import DEADLINE, ROOT, Forks, copy_tree, edit, run
+from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
 
 from caster.image.exr import read_exr
 from mitsuba_ref.judge.verdict import CLASSES, Failure
@@ -25,16 +25,14 @@ BALL = '\n[[shape]]\ntype = "sphere"\nname = "ball"\ncenter = [0.1, 0.2, {z}]\nr
 ROW = re.compile(r"^(PASS|FAIL)  (\S+) +(\d+)" + r" +(\d+)" * len(CLASSES) + r" +\d+\b", re.MULTILINE)
 
 
-@pytest.fixture(scope="module")
-def ref(tmp_path_factory, unedited):
+@pytest.fixture
+def ref(forks, unedited):
     """`mitsuba-ref` with these words, in a fork that saves the start of Python; whatever comes, it is no traceback."""
-    forks = Forks(tmp_path_factory.mktemp("words"))
 
     def forked(*argv):
         return no_traceback(forks.run(unedited, *map(str, argv)))
 
-    yield forked
-    forks.close()
+    return forked
 
 
 def started(*argv, tree=ROOT, **environment):
