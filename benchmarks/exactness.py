@@ -13,7 +13,7 @@ import statistics
 import tempfile
 from pathlib import Path
 
-from turns import BY_DEFAULT, DEPTH, HERE, SCENES, seconds, worker
+from alternating_runs import BY_DEFAULT, DEPTH, HERE, SCENES, seconds, worker
 
 CAMERAS = ("orthographic", "fisheye")
 TURNS = 15

@@ -20,7 +20,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
-from turns import DEPTH, HERE, SCENES, NoAnswer, seconds, worker
+from alternating_runs import DEPTH, HERE, SCENES, NoAnswer, seconds, worker
 
 TURNS = 9
 LIMIT = 1.25  # medians of 9 ratios on a busy machine stay within some 10 % of each other

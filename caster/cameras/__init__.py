@@ -7,7 +7,7 @@ from caster.cameras.orthographic import Orthographic
 from caster.cameras.panorama import Panorama
 from caster.cameras.parabolic import Parabolic
 from caster.cameras.pinhole import Pinhole
-from caster.cameras.ray import Ray
+from caster.cameras.single_ray import Ray
 from caster.description.registry import Registry
 
 __all__ = [

@@ -54,7 +54,7 @@ class Fisheye(Camera):
 
 
 @implement(camera_ray, FisheyeRays)
-def _ray(camera: Any, x: float, y: float) -> Any:
+def _camera_ray(camera: Any, x: float, y: float) -> Any:
     across, above = to_circle_units(camera.circle, x, y)
     square, half = across * across + above * above, 0.5 * camera.half_angle
     inside = square <= 1.0
@@ -71,7 +71,7 @@ MAX_PROJECTED_ANGLE = 3.1  # radians from the axis
 
 
 @implement(project_bounding_sphere, FisheyeRays)
-def _project_bounds(camera: Any, center: Any, r: float) -> Any:
+def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     """Bounding box of an ellipse around the projected centre, widened by a bound of the distortion.
 
     F is the projection and p a direction; p may be `reach` from the centre c. Along the great circle from c to p,
@@ -136,7 +136,7 @@ MAX_STRETCH = 150.0
 
 
 @implement(distortion_bound, FisheyeRays)
-def _bent(camera: Any, extent: float) -> Any:
+def _distortion_bound(camera: Any, extent: float) -> Any:
     """Angles are at most the distances in the image over pixels per radian; see wide_angle.BULGE_FACTOR."""
     pixels = camera.circle[2] / camera.half_angle
     return hull_distortion_bound(extent / pixels, camera.bend * pixels)

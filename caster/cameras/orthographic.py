@@ -49,7 +49,7 @@ class Orthographic(Camera):
 
 
 @implement(camera_ray, OrthographicRays)
-def _ray(camera: Any, x: float, y: float) -> Any:
+def _camera_ray(camera: Any, x: float, y: float) -> Any:
     across = (2.0 * (x / camera.size[0]) - 1.0) * camera.half[0]
     above = (1.0 - 2.0 * (y / camera.size[1])) * camera.half[1]
     sideways = add(scaled(across, camera.right), scaled(above, camera.up))
@@ -65,7 +65,7 @@ def _project(camera: Any, p: Any) -> Any:
 
 
 @implement(project_bounding_sphere, OrthographicRays)
-def _project_bounds(camera: Any, center: Any, r: float) -> Any:
+def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     x, y, pixels, depth, _ = project(camera, center)
     wide, tall = r * pixels, r * 0.5 * camera.size[1] / camera.half[1]
     return x - wide, y - tall, x + wide, y + tall, depth - r, True

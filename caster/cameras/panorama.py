@@ -44,7 +44,7 @@ class Panorama(Camera):
 
 
 @implement(camera_ray, PanoramaRays)
-def _ray(camera: Any, x: float, y: float) -> Any:
+def _camera_ray(camera: Any, x: float, y: float) -> Any:
     # h is half of the longitude: sin 2h = 2 sin h cos h, cos 2h = 1 - 2 sin^2 h
     half = (x / camera.size[0] - 0.5) * math.pi
     latitude = (0.5 - y / camera.size[1]) * math.pi
@@ -56,7 +56,7 @@ def _ray(camera: Any, x: float, y: float) -> Any:
 
 
 @implement(project_bounding_sphere, PanoramaRays)
-def _project_bounds(camera: Any, center: Any, r: float) -> Any:
+def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     """Rows between the extreme latitudes; all columns if the sphere contains a pole or crosses the seam."""
     place, distance, valid = sphere_in_camera_space(camera, center, r)
     if not valid:
@@ -96,7 +96,7 @@ MAX_STRETCH = 4.0
 
 
 @implement(distortion_bound, PanoramaRays)
-def _bent(camera: Any, extent: float) -> Any:
+def _distortion_bound(camera: Any, extent: float) -> Any:
     """Angles are at most distances in the image; see wide_angle.BULGE_FACTOR.
 
     Along great circles the second derivative of the longitude is at most sin a / cos^2 a at latitude a, and that of the

@@ -46,7 +46,7 @@ class Parabolic(Camera):
 
 
 @implement(camera_ray, ParabolicRays)
-def _ray(camera: Any, x: float, y: float) -> Any:
+def _camera_ray(camera: Any, x: float, y: float) -> Any:
     across, above = to_circle_units(camera.circle, x, y)
     square = across * across + above * above
     inside = square <= 1.0
@@ -55,7 +55,7 @@ def _ray(camera: Any, x: float, y: float) -> Any:
 
 
 @implement(project_bounding_sphere, ParabolicRays)
-def _project_bounds(camera: Any, center: Any, r: float) -> Any:
+def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     """Bounding box of a circle: the stereographic projection maps circles to circles.
 
     At angle a from the axis it is tan(a / 2) from the centre. The tangent of the sum of two angles is
@@ -96,7 +96,7 @@ MIN_AXIS_COSINE, MAX_STRETCH = -0.98, 401.0
 
 
 @implement(distortion_bound, ParabolicRays)
-def _bent(camera: Any, extent: float) -> Any:
+def _distortion_bound(camera: Any, extent: float) -> Any:
     """Angles are at most twice the distances in the image, in radii, since the projection shrinks by at most 2.
 
     Along great circles the second derivative of the projection is r (1 + r^2) / 2 at r radii from the centre, at most

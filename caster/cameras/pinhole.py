@@ -76,7 +76,7 @@ class Pinhole(Camera):
 
 
 @implement(camera_ray, PinholeRays)
-def _ray(camera: Any, x: float, y: float) -> Any:
+def _camera_ray(camera: Any, x: float, y: float) -> Any:
     across = (2.0 * (x / camera.size[0] + camera.shift[0]) - 1.0) * camera.half[0]
     above = (1.0 - 2.0 * (y / camera.size[1] + camera.shift[1])) * camera.half[1]
     # the length of the sum, since right, up and forward are orthonormal
@@ -100,7 +100,7 @@ def _project(camera: Any, p: Any) -> Any:
 
 
 @implement(project_bounding_sphere, PinholeRays)
-def _project_bounds(camera: Any, center: Any, r: float) -> Any:
+def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     q = sub(center, camera.eye)
     x, y, depth = dot(q, camera.right), dot(q, camera.up), dot(q, camera.forward)
     shallow = not depth - r > max(MIN_DEPTH_SHARE * l1_norm(q), MIN_SQUARABLE_LENGTH)

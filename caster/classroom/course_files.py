@@ -30,7 +30,7 @@ from caster.description.errors import (
     join_words,
     suggestion,
 )
-from caster.description.text import format_excerpt, list_errors, read_text
+from caster.description.parsing import format_excerpt, list_errors, read_text
 from caster.scene.files import MeshFolders, resolve_mesh_files
 from caster.scene.model import Scene
 

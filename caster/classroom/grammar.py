@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from caster.description.text import Span
+from caster.description.parsing import Span
 
 
 class ValueFormat(NamedTuple):

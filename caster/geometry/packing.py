@@ -27,7 +27,7 @@ class Kind:
     # Scratch buffers that one image leaves to the next: for many triangles, allocating them takes longer than filling
     # them. Images that are rendered at the same time have their own.
     spare: list[tuple[np.ndarray, ...]] = field(default_factory=list, compare=False, repr=False)
-    # What is computed from these primitives on first use, such as their BVH (caster/rendering/bvh.py).
+    # What is computed from these primitives on first use, such as their BVH (caster/rendering/bvh_construction.py).
     derived: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property

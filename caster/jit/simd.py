@@ -1,4 +1,4 @@
-"""Several numbers handled at once, as processors do it: what LLVM makes no vectors of by itself.
+"""SIMD operations that LLVM does not vectorise by itself: minima of lanes, tests of the child boxes of a BVH node.
 
 Compiled, vectors take the place of these bodies (caster/jit/vector_intrinsics.py).
 """

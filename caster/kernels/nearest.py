@@ -138,12 +138,12 @@ Best = tuple[float, float, int, bool]
 @implement(load_best, NearestMode)
 @implement(load_best, CountCandidates)
 @implement(load_best, ListCandidates)
-def _recall(mode: Any, record: Any, i: int) -> Best:
+def _load_best(mode: Any, record: Any, i: int) -> Best:
     return record.t[i], record.error[i], -1, False
 
 
 @implement(update_best, NearestMode)
-def _nearer(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
+def _update_nearest(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
     t, error = any_hit_result(hit[0], hit[1], mode.any_hit)
     ahead, margin = best[0] - t if t < math.inf else -math.inf, best[1] + error
     uncertain = best[3] | (abs(ahead) <= margin)
@@ -162,14 +162,14 @@ def any_hit_result(t: float, error: float, any_hit: bool) -> tuple[float, float]
 
 
 @implement(update_best, CountCandidates)
-def _count(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
+def _update_count(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
     if may_precede(hit, best):
         mode.counts[i] += 1
     return best
 
 
 @implement(update_best, ListCandidates)
-def _list(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
+def _update_list(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
     if may_precede(hit, best):
         mode.candidates[mode.ends[i]] = k
         mode.ends[i] += 1
@@ -183,7 +183,7 @@ def may_precede(hit: tuple[float, float], best: Best) -> bool:
 
 
 @implement(store_best, NearestMode)
-def _note(mode: Any, record: Any, i: int, best: Best) -> None:
+def _store_nearest(mode: Any, record: Any, i: int, best: Best) -> None:
     record.uncertain[i] |= best[3]
     if best[2] >= 0:
         record.t[i], record.error[i], record.prim[i] = best[0], best[1], mode.ids[best[2]]
@@ -191,7 +191,7 @@ def _note(mode: Any, record: Any, i: int, best: Best) -> None:
 
 @implement(store_best, CountCandidates)
 @implement(store_best, ListCandidates)
-def _note_nothing(mode: Any, record: Any, i: int, best: Best) -> None:
+def _store_nothing(mode: Any, record: Any, i: int, best: Best) -> None:
     pass
 
 

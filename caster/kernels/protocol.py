@@ -46,7 +46,7 @@ def t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> Any:
 
 
 @implement(t_lower_bound, object)
-def _anywhere(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
+def _t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
     return 0.0
 
 

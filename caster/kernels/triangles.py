@@ -78,7 +78,7 @@ MAX_EDGE_ERROR = 2.0**900
 
 
 @implement(load, Triangles)
-def _numbers(prims: Any, k: int) -> Any:
+def _load(prims: Any, k: int) -> Any:
     """(corners, n, Q)."""
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     p, q, r = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
@@ -135,7 +135,7 @@ def _intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> tup
 
 
 @implement(surely_misses, Triangles)
-def _passes(prims: Any, pre: Any, d: Vec3) -> bool:
+def _surely_misses(prims: Any, pre: Any, d: Vec3) -> bool:
     return _sides(pre, d)[1]
 
 
@@ -149,7 +149,7 @@ def _sides(pre: Any, d: Vec3) -> tuple[bool, bool, bool]:
 
 
 @implement(t_lower_bound, Triangles)
-def _nearest_t(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
+def _t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
     """Where t > 0, the edge functions have the sign of n . a, as n . d has.
 
     The bounds of `_intersect` hold for what is added up here, since it is the same for one of the box's corners.
@@ -243,7 +243,7 @@ def barycentrics_edge_on(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
 
 
 @implement(same_geometry, Triangles)
-def _same(prims: Any, k: int, j: int) -> bool:
+def _same_geometry(prims: Any, k: int, j: int) -> bool:
     p, q, r = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     a, b, c = prims.faces[j, 0], prims.faces[j, 1], prims.faces[j, 2]
     v = prims.vertices
@@ -251,7 +251,7 @@ def _same(prims: Any, k: int, j: int) -> bool:
 
 
 @implement(exact_intersect, Triangles)
-def _root(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Root:
+def _exact_intersect(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Root:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     corners = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
     return exact_triangle(corners, o, d, t_min, t_max)
@@ -315,12 +315,12 @@ def _normal_of(prims: Any, k: int) -> Vec3:
 
 
 @implement(normal_setup, Triangles)
-def _facing(prims: Any, k: int, reach: float) -> Any:
+def _normal_setup(prims: Any, k: int, reach: float) -> Any:
     return True, _normal_of(prims, k)
 
 
 @implement(fast_normal, Triangles)
-def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     return face[1]
 
 

@@ -33,7 +33,7 @@ from caster.kernels.raster.tile import (
     store_blocked,
     store_ray_range,
 )
-from caster.rendering.bvh import bvh_of, has_bvh
+from caster.rendering.bvh_construction import bvh_of, has_bvh
 from caster.rendering.threads import parallel_for
 
 __all__ = ["Culling", "find_nearest"]

@@ -19,8 +19,8 @@ from caster.kernels.surface.lighting import shadow_rays_of
 from caster.rendering.casting import find_any, find_nearest, prim_offsets
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
+from caster.rendering.shading import NO_START, TileShader, TileWorkspace, material_tables, new_image
 from caster.rendering.threads import parallel_for
-from caster.rendering.tiles import NO_START, TileShader, TileWorkspace, material_tables, new_image
 from caster.scene.model import Light, Scene
 
 __all__ = ["Hits", "RayHits", "cast", "trace", "trace_rays", "validated_rays"]

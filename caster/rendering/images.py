@@ -30,8 +30,7 @@ from caster.rendering.rasterization import (
     parallel_for_tiles,
     release_workspace,
 )
-from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
-from caster.rendering.tiles import (
+from caster.rendering.shading import (
     NO_START,
     UNUSED_SURFACE,
     TileShader,
@@ -40,6 +39,7 @@ from caster.rendering.tiles import (
     spare_workspaces,
     unwritten_array,
 )
+from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
 from caster.scene.model import Scene
 
 __all__ = ["camera_rays", "evaluate", "film_window", "render", "trace_film"]

@@ -18,8 +18,8 @@ from caster.description.errors import (
     format_value,
     value_diagnostic,
 )
+from caster.description.parsing import SceneFormat, format_diagnostics, parse, read_text
 from caster.description.registry import type_name
-from caster.description.text import SceneFormat, format_diagnostics, parse, read_text
 from caster.scene.model import Film, Scene
 from caster.shapes import SHAPES
 

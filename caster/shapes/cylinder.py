@@ -110,7 +110,7 @@ class Cylinder(Shape):
 
 
 @implement(load, Cylinders)
-def _numbers(prims: Any, k: int) -> Any:
+def _load(prims: Any, k: int) -> Any:
     m = matrix_rows(prims.to_object, k)
     x, y, z = row_max_norms(m)
     return row(prims.center, k), m, TO_OBJECT_SPACE_ERROR * (x + y), TO_OBJECT_SPACE_ERROR * z
@@ -155,7 +155,7 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
 
 
 @implement(surely_misses, Cylinders)
-def _passes(prims: Any, pre: Any, d: Any) -> bool:
+def _surely_misses(prims: Any, pre: Any, d: Any) -> bool:
     e = rows_times_vec(pre.to_object, d)
     return closest_approach(pre.wall, (e[0], e[1], 0.0), pre.across_error * l1_norm(d)).missed
 
@@ -174,12 +174,12 @@ def clip_to_height(hit: tuple[float, float], axis: tuple[float, float, float, fl
 
 
 @implement(same_geometry, Cylinders)
-def _same(prims: Any, k: int, j: int) -> bool:
+def _same_geometry(prims: Any, k: int, j: int) -> bool:
     return False
 
 
 @implement(exact_intersect, Cylinders)
-def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     f, e, h, unit = ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d)
     return exact_unit_cylinder(f, e, h, unit, t_min, t_max)
 
@@ -193,13 +193,13 @@ def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
 
 
 @implement(normal_setup, Cylinders)
-def _facing(prims: Any, k: int, reach: float) -> Any:
+def _normal_setup(prims: Any, k: int, reach: float) -> Any:
     center, m = row(prims.center, k), matrix_rows(prims.to_object, k)
     return is_in_range_through(m, center, reach), center, m
 
 
 @implement(fast_normal, Cylinders)
-def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     _, center, m = face
     f, e = rows_times_vec(m, sub(o, center)), rows_times_vec(m, d)
     x, y, _ = outward_normal_in_range((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)

@@ -76,7 +76,7 @@ class Disk(Shape):
 
 
 @implement(load, Disks)
-def _numbers(prims: Any, k: int) -> Any:
+def _load(prims: Any, k: int) -> Any:
     m = matrix_rows(prims.to_object, k)
     return row(prims.center, k), m, scaled(TO_OBJECT_SPACE_ERROR, row_max_norms(m))
 
@@ -113,17 +113,17 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
 
 
 @implement(surely_misses, Disks)
-def _passes(prims: Any, pre: Any, d: Any) -> bool:
+def _surely_misses(prims: Any, pre: Any, d: Any) -> bool:
     return False  # a cheaper test than `intersect` does not exist
 
 
 @implement(same_geometry, Disks)
-def _same(prims: Any, k: int, j: int) -> bool:
+def _same_geometry(prims: Any, k: int, j: int) -> bool:
     return False
 
 
 @implement(exact_intersect, Disks)
-def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     return exact_disk(row(prims.center, k), prims.to_world[k], o, d, t_min, t_max)
 
 
@@ -133,12 +133,12 @@ def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
 
 
 @implement(normal_setup, Disks)
-def _facing(prims: Any, k: int, reach: float) -> Any:
+def _normal_setup(prims: Any, k: int, reach: float) -> Any:
     return True, normalize(transposed_mat_vec(prims.to_object, k, (0.0, 0.0, 1.0)))
 
 
 @implement(fast_normal, Disks)
-def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     return face[1]
 
 

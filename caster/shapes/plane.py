@@ -81,7 +81,7 @@ PRODUCT_ERROR = 5.0 * U
 
 
 @implement(load, Planes)
-def _numbers(prims: Any, k: int) -> Any:
+def _load(prims: Any, k: int) -> Any:
     return row(prims.normal, k), row(prims.point, k)
 
 
@@ -106,17 +106,17 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
 
 
 @implement(surely_misses, Planes)
-def _passes(prims: Any, pre: Any, d: Any) -> bool:
+def _surely_misses(prims: Any, pre: Any, d: Any) -> bool:
     return False  # nearly all lines intersect a plane
 
 
 @implement(same_geometry, Planes)
-def _same(prims: Any, k: int, j: int) -> bool:
+def _same_geometry(prims: Any, k: int, j: int) -> bool:
     return False
 
 
 @implement(exact_intersect, Planes)
-def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     return exact_plane(row(prims.normal, k), row(prims.point, k), o, d, t_min, t_max)
 
 
@@ -126,12 +126,12 @@ def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
 
 
 @implement(normal_setup, Planes)
-def _facing(prims: Any, k: int, reach: float) -> Any:
+def _normal_setup(prims: Any, k: int, reach: float) -> Any:
     return True, normalize(row(prims.normal, k))
 
 
 @implement(fast_normal, Planes)
-def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     return face[1]
 
 

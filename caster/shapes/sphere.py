@@ -111,7 +111,7 @@ def spherical_uv(q: Any) -> tuple[float, float]:
 
 
 @implement(load, Spheres)
-def _numbers(prims: Any, k: int) -> Any:
+def _load(prims: Any, k: int) -> Any:
     return row(prims.center, k), prims.radius[k]
 
 
@@ -128,17 +128,17 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
 
 
 @implement(surely_misses, Spheres)
-def _passes(prims: Any, pre: Any, d: Any) -> bool:
+def _surely_misses(prims: Any, pre: Any, d: Any) -> bool:
     return closest_approach(pre, d, 0.0).missed
 
 
 @implement(same_geometry, Spheres)
-def _same(prims: Any, k: int, j: int) -> bool:
+def _same_geometry(prims: Any, k: int, j: int) -> bool:
     return row(prims.center, k) == row(prims.center, j) and prims.radius[k] == prims.radius[j]
 
 
 @implement(exact_intersect, Spheres)
-def _root(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     return exact_sphere(row(prims.center, k), prims.radius[k], o, d, t_min, t_max)
 
 
@@ -148,13 +148,13 @@ def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
 
 
 @implement(normal_setup, Spheres)
-def _facing(prims: Any, k: int, reach: float) -> Any:
+def _normal_setup(prims: Any, k: int, reach: float) -> Any:
     center, r = row(prims.center, k), prims.radius[k]
     return is_in_range(center, r, reach), center, r
 
 
 @implement(fast_normal, Spheres)
-def _plain_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     _, center, r = face
     return outward_normal_unit_direction(sub(o, center), d, t, r)
 
@@ -185,7 +185,7 @@ def _tight_sphere(prims: Any, k: int) -> Any:
 
 
 @implement(load, Ellipsoids)
-def _numbers_ellipsoid(prims: Any, k: int) -> Any:
+def _load_ellipsoid(prims: Any, k: int) -> Any:
     m = matrix_rows(prims.to_object, k)
     return row(prims.center, k), m, TO_OBJECT_SPACE_ERROR * l1_norm(row_max_norms(m))
 
@@ -205,18 +205,18 @@ def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: floa
 
 
 @implement(surely_misses, Ellipsoids)
-def _passes_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
+def _surely_misses_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
     m, setup, d_error = pre
     return closest_approach(setup, rows_times_vec(m, d), d_error * l1_norm(d)).missed
 
 
 @implement(same_geometry, Ellipsoids)
-def _same_ellipsoid(prims: Any, k: int, j: int) -> bool:
+def _same_geometry_ellipsoid(prims: Any, k: int, j: int) -> bool:
     return False
 
 
 @implement(exact_intersect, Ellipsoids)
-def _root_ellipsoid(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+def _exact_intersect_ellipsoid(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     f, e, h, unit = ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d)
     return exact_unit_sphere(f, e, h, unit, t_min, t_max)
 
@@ -229,13 +229,13 @@ def _normal_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
 
 
 @implement(normal_setup, Ellipsoids)
-def _facing_ellipsoid(prims: Any, k: int, reach: float) -> Any:
+def _normal_setup_ellipsoid(prims: Any, k: int, reach: float) -> Any:
     center, m = row(prims.center, k), matrix_rows(prims.to_object, k)
     return is_in_range_through(m, center, reach), center, m
 
 
 @implement(fast_normal, Ellipsoids)
-def _plain_normal_ellipsoid(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
+def _fast_normal_ellipsoid(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     _, center, m = face
     return normalize(
         transposed_rows_times_vec(

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from mitsuba_ref.bench.entries import ANY, SHADOW_END, CannotRun, Work, blocked, given_rays
-from mitsuba_ref.reference.mitsuba_process import dr, mi
+from mitsuba_ref.reference.mitsuba_calls import dr, mi
 
 INTEGRATOR_AOVS = "depth:depth,normal:geo_normal"
 LLVM_VARIANT, SCALAR_VARIANT = "llvm_ad_rgb", "scalar_rgb"

@@ -5,7 +5,7 @@ import numpy as np
 from caster.cameras.fisheye import Fisheye
 from caster.cameras.panorama import Panorama
 from caster.cameras.parabolic import Parabolic
-from caster.cameras.ray import Ray
+from caster.cameras.single_ray import Ray
 from caster.scene.model import Film
 from mitsuba_ref.cameras.camera_reference import (
     CameraRays,

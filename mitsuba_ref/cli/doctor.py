@@ -51,7 +51,7 @@ PROBE_TIMEOUT_SECONDS = 60  # an import takes well under a second; a Mitsuba tha
 # describe_installation() -> {"variants": [the variants that work here], "libllvm": the path in use, or None}
 PROBE_SCRIPT = """
 import json
-from mitsuba_ref.reference.mitsuba_process import describe_installation
+from mitsuba_ref.reference.mitsuba_calls import describe_installation
 print(json.dumps(describe_installation()))
 """
 

@@ -117,18 +117,18 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.n
 
     from caster.geometry.packing import pack
     from caster.geometry.world_space import as_float32
-    from mitsuba_ref.judge.independent_checks import aims
+    from mitsuba_ref.judge.independent_checks import adversarial_rays
     from mitsuba_ref.shapes.targets import random_directions
 
-    targets, rng = aims.Targets(pack(scene, as_float32)), np.random.default_rng(args.seed)
+    targets, rng = adversarial_rays.Targets(pack(scene, as_float32)), np.random.default_rng(args.seed)
     if not targets.counts.sum():
         raise SceneError(f"--kind {args.kind}: {args.scene} has no primitive to aim at")
     sort = {"random": "inside", "edges": "edge", "vertices": "corner"}.get(args.kind)
     at = targets.points(rng, targets.pick(rng, args.count), sort)
     size = float(np.ptp(at.p, axis=0).max()) or 1.0
     if args.kind == "silhouettes":
-        o, d = aims.tangents(
-            rng, targets, aims.Setting(center=tuple(at.p.mean(axis=0)), size=size), args.count
+        o, d = adversarial_rays.tangents(
+            rng, targets, adversarial_rays.Setting(center=tuple(at.p.mean(axis=0)), size=size), args.count
         )
     elif args.kind == "surface":
         o, d = at.p, random_directions(rng, args.count)
@@ -204,7 +204,7 @@ def run(args: argparse.Namespace) -> int:
 
 def requested_scene(args: argparse.Namespace) -> Scene:
     """Of --scene, or the mesh of --mesh alone. Raises SceneError, FileMissing."""
-    from caster.cameras.ray import Ray
+    from caster.cameras.single_ray import Ray
     from caster.scene.files import load_scene
     from caster.scene.model import Scene
     from caster.shapes.mesh import MeshFile

@@ -103,7 +103,7 @@ def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence
 def check_can_draw() -> None:
     """Raise SceneError before any work where Matplotlib is missing."""
     from caster.description.errors import SceneError
-    from mitsuba_ref.probe.pixel_picture import MissingPlots, check_available
+    from mitsuba_ref.probe.pixel_plot import MissingPlots, check_available
 
     try:
         check_available()
@@ -114,7 +114,7 @@ def check_can_draw() -> None:
 def draw(args: argparse.Namespace, scene: Scene, probed: Crash | ProbeEvidence) -> None:
     """Write the image of the pixel's surroundings."""
     from caster.system.atomic_files import write_bytes
-    from mitsuba_ref.probe.pixel_picture import picture
+    from mitsuba_ref.probe.pixel_plot import picture
     from mitsuba_ref.reference.messages import Crash
 
     if isinstance(probed, Crash):

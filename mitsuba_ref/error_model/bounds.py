@@ -7,8 +7,9 @@ import numpy as np
 
 from caster.aovs import Aovs
 from caster.geometry.packing import Packed
-from mitsuba_ref.error_model.intersections import KU, KU_OURS, ErrorModel, Intersections
+from mitsuba_ref.error_model.intersections import ErrorModel, Intersections
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 
 
 class Bounds(NamedTuple):
@@ -40,7 +41,7 @@ def intersections_at(
     *,
     ours: bool,
 ) -> Intersections:
-    """The same with the error bounds of one arithmetic. line: o, d (n, 3), (n, 3); ku, ours: as in Model.meet."""
+    """The same with the error bounds of one arithmetic. line: o, d (n, 3); ku, ours: as of SceneModel.intersect."""
     out = missing_intersections(len(prim))
     hits = np.flatnonzero(prim >= 0)
     for start in range(0, len(hits), PIXELS_PER_BATCH):

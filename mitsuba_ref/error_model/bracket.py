@@ -1,7 +1,7 @@
-"""Which primitives a ray may have to do with, without asking any of them twice.
+"""Broad phase of the judge, and brackets: the answers that rounding allows along a ray.
 
-Shares no code with the trees it judges. It may give too many; a primitive that any ray within rounding meets is
-never left out, unless it is a sliver thinner than MARGIN.
+Shares no code with the BVH that it judges. The broad phase may give too many primitives; one that any ray within
+rounding hits is never left out, unless it is a sliver thinner than BOX_MARGIN.
 """
 
 from collections.abc import Iterator
@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.error_model.intersections import KU, Intersections, dot, norm, row_groups
+from mitsuba_ref.error_model.intersections import Intersections, dot, norm, row_groups
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
+from mitsuba_ref.error_model.tolerances import KU
 
 # How much boxes are grown, as a share of |o| + their farthest corner. The bound of an edge function, divided by the
 # length of the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. What
@@ -58,7 +59,7 @@ class BroadPhase:
 
 
 def intersects_box(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Whether rays o + t d, t >= 0, pass a box grown by MARGIN; everything broadcasts over (3, ...)."""
+    """Whether rays o + t d, t >= 0, pass a box grown by BOX_MARGIN; everything broadcasts over (3, ...)."""
     reach = _largest(np.abs(o)) + _largest(np.maximum(np.abs(low), np.abs(high)))
     grown = BOX_MARGIN * reach
     slope = np.where(d == 0.0, np.finfo(np.float64).tiny, d)
@@ -151,7 +152,7 @@ class RaySegments(NamedTuple):
 
 
 class Bracket:
-    """Judges claims about rays through one scene. ku, ours: as in Model.meet."""
+    """Judges claims about rays through one scene. ku, ours: as in SceneModel.intersect."""
 
     def __init__(self, model: SceneModel, ku: float, *, ours: bool):
         self.model, self.ku, self.ours = model, ku, ours
@@ -300,7 +301,7 @@ def _latest_at_edges(found: RayIntersections) -> np.ndarray:
     The reference's robust mode keeps this promise at edges, though not at corners.
     """
     edge, side = found.at.edge, found.at.side
-    assert edge is not None and side is not None  # Model.meet fills them in
+    assert edge is not None and side is not None  # SceneModel.intersect fills them in
     rows = np.flatnonzero(side != 0.0)
     latest = np.full(len(found.ray), np.inf)
     if len(rows):

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.fields import Shape
-from mitsuba_ref.error_model.intersections import K, norm, unit
+from mitsuba_ref.error_model.intersections import norm, unit
+from mitsuba_ref.error_model.tolerances import K
 
 
 def compose_transform(steps: Sequence[Any]) -> np.ndarray:

@@ -7,17 +7,6 @@ import numpy as np
 
 from mitsuba_ref.oracle.interface import ExactKind, ExpandStandIns
 
-# Unit round-off of float32, in which Mitsuba computes.
-U = 2.0**-24
-
-# Mitsuba's answer is accepted where it is the exact answer to numbers perturbed by at most K u each. The largest K
-# that t needed on any measured ray inside the domain is 2.8 (docs/method.md, "Measured"); a typical ray needs 0.1.
-K = 4.0
-KU = K * U
-
-# The same for a caster in float64, as ours is; twice, because what it is compared with is computed in float64 too.
-KU_OURS = 2.0 * K * 2.0**-53
-
 # Embree drops a triangle with a coordinate beyond this, silently.
 LARGEST_COORDINATE = 1.844e18
 

@@ -1,4 +1,4 @@
-"""What a diffuse surface sends back of one light, and how far float32 may be off in it (docs/method.md, "Diffuse").
+"""Lambertian radiance of a light with error bounds of float32, and shadow rays (docs/method.md, "Diffuse").
 
 Written from the lights' definitions a second time: L = reflectance / pi * cosine * irradiance. Below it, shadows.
 """
@@ -11,7 +11,8 @@ import numpy as np
 
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.bracket import Bracket
-from mitsuba_ref.error_model.intersections import KU_OURS, Intersections, U, dot, norm
+from mitsuba_ref.error_model.intersections import Intersections, dot, norm
+from mitsuba_ref.error_model.tolerances import KU_OURS, U32
 
 # Where the direction to a light is known to no better than this, the light's value is not known at all.
 LARGEST_DIRECTION_ERROR = 0.5
@@ -156,7 +157,7 @@ def _share(
 
 # Mitsuba 3.9.1, math.h: how far off the surface a ray starts, in units of 1 + max |p|, and by which share of its
 # length a ray to a light stops short.
-RAY_EPSILON = 1500 * U
+RAY_EPSILON = 1500 * U32
 SHADOW_EPSILON = 10 * RAY_EPSILON
 
 

@@ -16,9 +16,8 @@ from caster.image.exr import UnreadableExr, write_exr
 from caster.rendering.images import film_window
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, reference_bounds
-from mitsuba_ref.error_model.intersections import KU
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
-from mitsuba_ref.error_model.tolerances import COLOR_RTOL, Tolerances
+from mitsuba_ref.error_model.tolerances import COLOR_RTOL, KU, Tolerances
 from mitsuba_ref.exr_compare.approved_reference import (
     AMBIGUOUS_CLASSES,
     AOVS,

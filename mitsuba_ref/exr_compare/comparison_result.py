@@ -4,7 +4,7 @@ import math
 
 from pydantic import BaseModel, ConfigDict, computed_field
 
-from mitsuba_ref.error_model.intersections import K
+from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.judge.verdict import JsonFloat
 from mitsuba_ref.report.results import Column, format_table
 

@@ -13,7 +13,7 @@ from caster.image.exr import NO_ID, Exr
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
-from mitsuba_ref.error_model.intersections import KU
+from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.exr_compare.exr_pair import Array
 from mitsuba_ref.judge.scene_checks import pixel_centers
 

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.image.exr import Exr
-from mitsuba_ref.error_model.intersections import U
 from mitsuba_ref.error_model.tolerances import (
     COLOR_RTOL,
     DEPTH_RTOL,
@@ -14,6 +13,7 @@ from mitsuba_ref.error_model.tolerances import (
     NORMAL_ATOL,
     SMALLEST_HALF,
     TYPICAL_ATOL,
+    U32,
     U_HALF,
     Tolerances,
 )
@@ -32,7 +32,7 @@ def bound_of(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances)
         return np.zeros_like(b), "exact"
     with np.errstate(all="ignore"):  # values that are not finite are judged before any bound
         halves = _half_precision_error(pair.ours, names, a) + _half_precision_error(pair.reference, names, b)
-        stored = U * (np.abs(a) + np.abs(b)) + halves
+        stored = U32 * (np.abs(a) + np.abs(b)) + halves
         if group in ("depth", "position"):
             bound, text = _length_bound(pair, group, tol, stored, b)
         elif group in ("normal", "shading_normal"):

@@ -18,7 +18,7 @@ import numpy as np
 from caster.description.errors import SceneError, suggestion
 from caster.image.exr import Exr
 from caster.image.exr_info import hit_mask
-from mitsuba_ref.error_model.intersections import K, U
+from mitsuba_ref.error_model.tolerances import U32, K
 
 Array = np.ndarray
 
@@ -179,9 +179,9 @@ def conditioning_of(reference: Exr, hit: Array, camera: Mapping[str, Any]) -> Co
             return None
         cos = np.abs((n * d).sum(-1)) / np.linalg.norm(n, axis=-1)
         reach = np.abs(p - t * d).max(-1) + t[..., 0] + np.abs(p).max(-1)
-        depth = np.where(hit, K * U * reach / cos, np.nan)
+        depth = np.where(hit, K * U32 * reach / cos, np.nan)
     shape = reference.channels.get("id.shape", np.zeros(hit.shape)).astype(np.float64)
-    return Conditioning(depth, depth + K * U * reach, p, np.where(hit, shape, np.nan))
+    return Conditioning(depth, depth + K * U32 * reach, p, np.where(hit, shape, np.nan))
 
 
 def _directions(camera: Mapping[str, Any], p: Array) -> Array | None:

@@ -15,7 +15,7 @@ from caster.rendering.plan import culling_for
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import DEPTH_ULPS, UNIT_LENGTH_ATOL, t_bounds
 from mitsuba_ref.fuzz.findings import Finding, Tally
-from mitsuba_ref.judge.independent_checks.aims import RayBatch
+from mitsuba_ref.judge.independent_checks.adversarial_rays import RayBatch
 from mitsuba_ref.judge.independent_checks.knife_edges import (
     NearestHits,
     PreparedScene,

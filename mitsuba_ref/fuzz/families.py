@@ -27,8 +27,8 @@ from mitsuba_ref.fuzz.settings import (
     vector,
     with_options,
 )
-from mitsuba_ref.judge.independent_checks import aims
-from mitsuba_ref.judge.independent_checks.aims import (
+from mitsuba_ref.judge.independent_checks import adversarial_rays
+from mitsuba_ref.judge.independent_checks.adversarial_rays import (
     Aim,
     RayBatch,
     Setting,
@@ -53,7 +53,7 @@ class Family(NamedTuple):
     name: str
     about: str
     draw: RandomScene
-    aims: tuple[Aim, ...] = aims.ALL_AIMS
+    aims: tuple[Aim, ...] = adversarial_rays.ALL_AIMS
     fits_float32: bool = True  # so that Mitsuba can trace it
     cameras: tuple[str, ...] = ()  # types; (): all that are registered
     films: tuple[tuple[int, int], ...] = FILM_SIZES
@@ -279,26 +279,26 @@ FAMILIES: tuple[Family, ...] = (
         "edges",
         "shared edges and corners of meshes",
         in_random_setting(shared_edges),
-        (aims.at_features, aims.along_axes, aims.between_two_points),
+        (adversarial_rays.at_features, adversarial_rays.along_axes, adversarial_rays.between_two_points),
     ),
     Family(
         "tangents",
         "rays that touch spheres, ellipsoids, cylinders and rims",
         shapes_of(random_setting, "quadric", 4),
-        (aims.tangents, aims.at_features),
+        (adversarial_rays.tangents, adversarial_rays.at_features),
     ),
     Family("ties", "surfaces that coincide, or nearly so", in_random_setting(coincident_shapes)),
     Family(
         "surfaces",
         "rays that start on a surface",
         ANY_SHAPES,
-        (aims.from_surface, aims.between_two_points, aims.tangents),
+        (adversarial_rays.from_surface, adversarial_rays.between_two_points, adversarial_rays.tangents),
     ),
     Family(
         "planes",
         "rays in the planes of flat shapes",
         shapes_of(random_setting, "flat", 4),
-        (aims.through_two_points, aims.along_axes, aims.tangents),
+        (adversarial_rays.through_two_points, adversarial_rays.along_axes, adversarial_rays.tangents),
     ),
     Family(
         "lattice",
@@ -321,7 +321,7 @@ FAMILIES: tuple[Family, ...] = (
         "offsets",
         "far from the origin, with rays from near and far",
         shapes_of(far_from_origin, "", 4),
-        (aims.at_features, aims.from_afar, aims.anywhere),
+        (adversarial_rays.at_features, adversarial_rays.from_afar, adversarial_rays.anywhere),
     ),
     Family("clutter", "many primitives through each other", clutter),
     Family(
@@ -340,7 +340,7 @@ FAMILIES: tuple[Family, ...] = (
         "magnitudes",
         "scenes and directions of 2^-300 to 2^300",
         any_magnitude,
-        tuple(aims.of_any_length(aim, MAX_EXPONENT) for aim in aims.ALL_AIMS),
+        tuple(adversarial_rays.of_any_length(aim, MAX_EXPONENT) for aim in adversarial_rays.ALL_AIMS),
         fits_float32=False,
     ),
     Family(

@@ -1,4 +1,4 @@
-"""Import of Mitsuba XML: xml_document (elements, defaults, includes, references) -> scene_builder -> mitsuba_xml.
+"""Import of Mitsuba XML: scene_builder converts elements, mitsuba_xml documents; the text is parsed in scene_xml.
 
-shapes and appearance convert elements. The text files of MIT 6.837 are in caster.classroom.
+The text files of MIT 6.837 are in caster.classroom.
 """

@@ -15,9 +15,9 @@ from caster.geometry.world_space import as_float32
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import nearest_root, reference_bounds, row_distance
 from mitsuba_ref.error_model.bracket import Claims
-from mitsuba_ref.error_model.intersections import KU, Intersections, norm
+from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
+from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 from mitsuba_ref.subjects.subject import Answer

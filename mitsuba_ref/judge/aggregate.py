@@ -12,8 +12,8 @@ from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
-from mitsuba_ref.error_model.intersections import KU, KU_OURS, K, row_groups
-from mitsuba_ref.error_model.tolerances import LARGEST_Z
+from mitsuba_ref.error_model.intersections import row_groups
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS, LARGEST_Z, K
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.comparison import ImagePair
 from mitsuba_ref.judge.diagnosis import Diagnosis, failing_rows

@@ -19,9 +19,9 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Bracket, Claims
-from mitsuba_ref.error_model.intersections import KU, Intersections
+from mitsuba_ref.error_model.intersections import Intersections
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
-from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
+from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.judge.adjudication import (
     Adjudication,
     ExactRatios,

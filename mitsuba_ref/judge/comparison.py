@@ -18,7 +18,7 @@ from caster.geometry.packing import Packed
 from caster.rendering.images import film_window
 from caster.scene.model import Check, Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
-from mitsuba_ref.error_model.intersections import KU_OURS
+from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.subject import COMPARED_AOVS, NOT_FINITE, Answer

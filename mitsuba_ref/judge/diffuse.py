@@ -8,7 +8,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model import lambert
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows
 from mitsuba_ref.error_model.bracket import Bracket
-from mitsuba_ref.error_model.intersections import KU, KU_OURS, Intersections
+from mitsuba_ref.error_model.intersections import Intersections
 from mitsuba_ref.error_model.lambert import (
     LightChoices,
     LightContribution,
@@ -17,6 +17,7 @@ from mitsuba_ref.error_model.lambert import (
     certain_lights,
     smallest_error_ratio,
 )
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.comparison import ImagePair
 
 

@@ -15,8 +15,8 @@ from mitsuba_ref.error_model.defect_conditions import (
     DefectView,
     KnownDefect,
 )
-from mitsuba_ref.error_model.intersections import KU
 from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import KINDS, kind_of
 

@@ -18,9 +18,9 @@ from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
-from mitsuba_ref.error_model.intersections import KU, KU_OURS, norm
+from mitsuba_ref.error_model.intersections import norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
-from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, TRANSFORM_ROUNDINGS
+from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, KU, KU_OURS, TRANSFORM_ROUNDINGS
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.rendering import ReferenceResult

@@ -10,7 +10,7 @@ import numpy as np
 
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.intersections import KU, KU_OURS
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer

@@ -27,7 +27,7 @@ DEFAULT_LIMIT_MB = 1000  # 130 films of 256 x 256
 SUFFIX = ".answer"
 
 # The child's side, whose edits are other answers.
-SOURCES = (Path(__file__).with_name("mitsuba_process.py"), Path(messages.__file__))
+SOURCES = (Path(__file__).with_name("mitsuba_calls.py"), Path(messages.__file__))
 OUTSIDE = re.compile(
     r'="(/|~|[A-Za-z]:|[^"]*\.\.[/\\])'
 )  # a value of XML that may name a file of another folder

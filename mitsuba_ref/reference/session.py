@@ -214,10 +214,10 @@ class ResidentSession:
 def main(folder: Path) -> int:
     """The child's side of one request: read it in `folder`, write the response there. 1 where Mitsuba refuses it."""
     try:
-        from mitsuba_ref.reference import mitsuba_process
+        from mitsuba_ref.reference import mitsuba_calls
 
         pieces = TraceRequest.read(folder).per_scene()
-        response = merge_responses([mitsuba_process.trace_request(piece) for piece in pieces])
+        response = merge_responses([mitsuba_calls.trace_request(piece) for piece in pieces])
     except (RuntimeError, ImportError) as refusal:
         print(refusal, file=sys.stderr, flush=True)
         return 1

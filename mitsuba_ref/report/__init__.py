@@ -1,1 +1,1 @@
-"""Verdicts as a page: what was judged, pixel by pixel, to be opened from a file. It judges nothing itself."""
+"""The validation of a scene, from rays to its verdict, and verdicts as text, files, images and a page."""

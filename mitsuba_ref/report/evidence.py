@@ -19,7 +19,7 @@ from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.judge.diagnosis import Diagnosis
 from mitsuba_ref.judge.explanations import constant_reasons, reason
-from mitsuba_ref.judge.independent_checks.exr_files import WrittenImage, check_exr_files, stored_planes
+from mitsuba_ref.judge.independent_checks.exr_round_trip import WrittenImage, check_exr_files, stored_planes
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, SceneCheck
 
 Channels = Mapping[str, np.ndarray]

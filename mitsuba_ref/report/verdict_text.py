@@ -3,8 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from urllib.parse import quote
 
-from mitsuba_ref.error_model.intersections import K
-from mitsuba_ref.error_model.tolerances import LARGEST_Z
+from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.known_defects import defect_name
 from mitsuba_ref.judge.verdict import (

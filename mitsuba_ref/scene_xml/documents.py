@@ -8,7 +8,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from caster.description.errors import FileMissing, SceneError, suggestion
-from caster.description.text import Span, format_excerpt, list_errors, read_text
+from caster.description.parsing import Span, format_excerpt, list_errors, read_text
 
 
 class SourcePosition(NamedTuple):

@@ -18,7 +18,6 @@ from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expec
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
-    U,
     UvSpace,
     by_matrix,
     dot,
@@ -26,6 +25,7 @@ from mitsuba_ref.error_model.intersections import (
     norm,
     position_error,
 )
+from mitsuba_ref.error_model.tolerances import U32
 from mitsuba_ref.oracle.exact_quadrics import CYLINDERS as EXACT_CYLINDERS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.shape_reference import (
@@ -70,7 +70,7 @@ def to_xml(out: ShapeWriter, shape: Cylinder, part: Any) -> list[XmlElement]:
 # Mitsuba refuses a cylinder whose matrix, as rotation times stretching, shears by more than this many scene units.
 LARGEST_SHEAR = 1e-6
 SHEAR_ROUNDING = (
-    8 * U
+    8 * U32
 )  # of the matrix's own size: by how much float32 shears one that has no shear, here and there
 
 

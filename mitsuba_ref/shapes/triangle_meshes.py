@@ -40,7 +40,8 @@ from mitsuba_ref.error_model.independent_transform import (
     exactly,
     transformed_normals,
 )
-from mitsuba_ref.error_model.intersections import KU, by_corner, by_normal
+from mitsuba_ref.error_model.intersections import by_corner, by_normal
+from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.generated_meshes import (
     expected_heightfield,

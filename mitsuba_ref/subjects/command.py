@@ -16,7 +16,8 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import write_bytes
 from caster.system.terminal import printable
 from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.error_model.intersections import KU, U, dot, norm
+from mitsuba_ref.error_model.intersections import dot, norm
+from mitsuba_ref.error_model.tolerances import KU, U32
 from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import exit_name, run
 from mitsuba_ref.subjects.ray_files import (
@@ -167,7 +168,7 @@ def answer_from_exr(
         t, depth = (np.where(covered, values, np.inf) for values in (t, depth))
     # From the eye to where the shared ray starts, and rounded to float32 as it was stored.
     with np.errstate(invalid="ignore"):
-        stored = np.where(np.isfinite(depth), U * np.abs(depth) / length, 0.0)
+        stored = np.where(np.isfinite(depth), U32 * np.abs(depth) / length, 0.0)
     found = checked_answer(t, n, len(t), precision=precision or FLOAT32, as_exported=as_exported)
     return replace(found, t_rounding=stored, own_camera=True, notes=(OWN_CAMERA_NOTE,))
 
@@ -188,7 +189,7 @@ def answer_from_positions(exr: Exr, request: CastRequest, *, precision: str | No
     with np.errstate(invalid="ignore", over="ignore"):
         t = np.where(covered, dot(p - o, d) / (length * length), np.inf)
         beside = norm(p - o - t[:, None] * d)
-        rounded = PRECISIONS[precision] * (norm(o) + np.abs(t) * length + norm(p)) + U * norm(p)
+        rounded = PRECISIONS[precision] * (norm(o) + np.abs(t) * length + norm(p)) + U32 * norm(p)
         turn, shift = camera_rounding(request.scene)
         aside = covered & (beside > turn * np.abs(t) * length + shift + rounded)
         stored = np.where(np.isfinite(rounded), rounded / length, 0.0)

@@ -11,7 +11,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.lib import format as npy
 
-from caster.cameras.ray import Ray
+from caster.cameras.single_ray import Ray
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import opened_input
 from caster.scene.model import MAX_FILM_SIDE, Film, Scene

@@ -16,8 +16,8 @@ from caster.rendering.images import evaluate, film_window
 from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder, write_bytes
 from caster.system.terminal import printable
-from mitsuba_ref.error_model.intersections import KU, KU_OURS
 from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.scene_xml.elements import ply_bytes, safe_name
 from mitsuba_ref.shapes import kind_of
@@ -27,7 +27,7 @@ from mitsuba_ref.shapes import kind_of
 FLOAT32, FLOAT64 = "float32", "float64"
 NOT_FINITE = "the normal is not finite on a hit"
 LAST_WORDS = 1500  # characters kept of a candidate's output
-PRECISIONS = {FLOAT32: KU, FLOAT64: KU_OURS}  # K times the unit round-off, as Model.meet takes it
+PRECISIONS = {FLOAT32: KU, FLOAT64: KU_OURS}  # K times the unit round-off, as SceneModel.intersect takes it
 DEFAULT_SECONDS = 300.0  # that a command may take for one scene
 
 

@@ -58,7 +58,7 @@ def test_culling_never_changes_a_bit_where_all_kinds_are_mixed(camera):
 
 
 @pytest.mark.parametrize("camera", VIEWS, ids=name)
-def test_a_crop_is_that_part_of_the_whole_picture_in_every_culling(camera):
+def test_a_crop_is_that_part_of_the_whole_image_in_every_culling(camera):
     rng = np.random.default_rng([4, VIEWS.index(camera)])
     scene = random_scene(rng, SHAPES, camera, count=2)
     x0, y0, x1, y1 = crop = (11, 5, 30, 21)

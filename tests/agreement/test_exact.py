@@ -88,7 +88,7 @@ def ball(center, radius: float) -> Packed:
 
 
 @pytest.mark.parametrize("distance", [1e1, 1e3, 1e6, 1e7, 1e8])
-def test_far_small_balls_are_met_where_they_are(distance):
+def test_distant_small_spheres_are_hit_at_the_exact_t(distance):
     """Where the textbook's b^2 - a c has lost all its digits: 1e16 times the squared radius."""
     rng = np.random.default_rng([71, int(np.log10(distance))])
     center, radius = rng.normal(size=3), float(10.0 ** rng.uniform(-3.0, 3.0))
@@ -100,7 +100,7 @@ def test_far_small_balls_are_met_where_they_are(distance):
     assert worst <= T_ULPS
 
 
-def test_the_far_root_is_met_from_inside():
+def test_the_far_root_is_hit_from_inside():
     rng = np.random.default_rng(72)
     center, radius = rng.normal(size=3), 0.7
     outwards = rng.normal(size=(200, 3))
@@ -113,7 +113,7 @@ def test_the_far_root_is_met_from_inside():
     assert worst <= T_ULPS
 
 
-def test_a_tangent_touches_a_ball_and_one_ulp_beyond_it_passes():
+def test_a_tangent_touches_a_sphere_and_one_ulp_beyond_it_passes():
     x = np.array([1.0, np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)])
     o = np.stack([x, np.zeros(3), np.full(3, -5.0)], axis=1)
     ours = find_nearest(
@@ -125,7 +125,7 @@ def test_a_tangent_touches_a_ball_and_one_ulp_beyond_it_passes():
     assert ours.prim[2] == -1
 
 
-def test_a_wrong_t_is_seen():
+def test_a_wrong_t_is_detected():
     """What the comparison measures: t off by a hundredth of a millionth is far beyond 4 ulps."""
     packed = ball((0, 0, 0), 1.0)
     (answer,) = answers(packed.kinds[0].prims, (0.1, 0.2, -5.0), (0.0, 0.0, 1.0))

@@ -155,7 +155,7 @@ def test_two_ellipsoids_whose_inverses_round_alike_are_two():
     assert cast(scene, [[3.0, 0.0, 0.0]], [[-1.0, 0.0, 0.0]]).shape_id.tolist() == [1]
 
 
-def test_t_is_known_where_squares_of_short_directions_and_small_balls_underflow():
+def test_t_is_known_where_squares_of_short_directions_and_small_spheres_underflow():
     ball = Sphere(radius=1.1 * 2.0**-285)
     scene = Scene(camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=[ball])
     o = np.array([[-1.3 * 2.0**-284, 0.3 * 2.0**-285, 0.0]])
@@ -165,7 +165,7 @@ def test_t_is_known_where_squares_of_short_directions_and_small_balls_underflow(
         assert np.isclose(find_nearest(packed(scene), rays, culling).t[0], exact, rtol=1e-14, atol=0)
 
 
-def test_a_corner_nearer_than_the_inverse_of_the_largest_number_is_in_the_picture():
+def test_a_corner_nearer_than_the_inverse_of_the_largest_number_is_in_the_image():
     corners = [(0, 0, 1e-310), (1, 0, 1.1), (1, 0.5, 1)]
     eye = Pinhole(eye=(0, 0, 0), look_at=(0, 0, 1), up=(0, 1, 0), fov=90)
     scene = Scene(camera=eye, film=Film(width=32, height=32), shapes=[Triangle(vertices=corners)])

@@ -151,7 +151,7 @@ def differs(vectors: types.ModuleType, name: str) -> bool:
 
 
 @pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: fault.what.replace(" ", "-"))
-def test_a_fault_of_lanes_is_seen(fault):
+def test_a_fault_of_lanes_is_detected(fault):
     assert differs(edited(fault.old, fault.new), fault.shown_by)
 
 
@@ -365,7 +365,7 @@ def _folds_like_numpy(fold: Callable[..., Any], tile: np.ndarray, rng: np.random
 
 
 @pytest.mark.parametrize("fault", CHOSEN_OF_TILES, ids=lambda fault: fault.what.replace(" ", "-"))
-def test_a_fault_of_tiles_is_seen(fault):
+def test_a_fault_of_tiles_is_detected(fault):
     assert kernel_differs(edited(fault.old, fault.new, fault.module), fault.shown_by)
 
 

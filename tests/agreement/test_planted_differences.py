@@ -15,7 +15,7 @@ from same_bits import assert_same_bits
 from caster.cameras import Panorama, Pinhole
 from caster.description.fields import Camera, Shape
 from caster.rendering import casting, rasterization, threads
-from caster.rendering.bvh import bvh_of
+from caster.rendering.bvh_construction import bvh_of
 from caster.rendering.hits import packed
 from caster.shapes import Sphere, Torus
 
@@ -37,7 +37,7 @@ def image() -> dict[str, np.ndarray]:
     [("t", 0, np.nextafter(1.5, 2.0)), ("t", 1, -0.0), ("t", 2, -np.inf), ("t", 3, 0.0), ("prim", 2, 0)],
     ids=["last bit", "sign of zero", "sign of infinity", "NaN", "id of a miss"],
 )
-def test_one_changed_entry_is_seen(name, at, value):
+def test_one_changed_entry_is_detected(name, at, value):
     assert_same_bits(image(), image(), "untouched")
     changed = image()
     changed[name][at] = value
@@ -45,13 +45,13 @@ def test_one_changed_entry_is_seen(name, at, value):
         assert_same_bits(image(), changed, "planted")
 
 
-def test_an_array_of_another_type_or_shape_or_name_is_seen():
+def test_an_array_of_another_type_or_shape_or_name_is_detected():
     for other in ({"t": np.zeros(4)}, {"t": np.zeros(3, np.float32)}, {"u": np.zeros(3)}):
         with pytest.raises(AssertionError, match="planted"):
             assert_same_bits({"t": np.zeros(3)}, other, "planted")
 
 
-def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
+def test_a_screen_rectangle_cut_short_is_detected(monkeypatch):
     """Without the lower half of their rows hits are lost."""
     bound_hulls = rasterization.bound_hulls
 
@@ -65,7 +65,7 @@ def test_a_screen_rectangle_cut_short_is_seen(monkeypatch):
         test_cullings.count_hits_where_cullings_agree(a_scene())
 
 
-def test_a_ray_lost_by_the_tree_is_seen(monkeypatch):
+def test_a_ray_lost_by_the_tree_is_detected(monkeypatch):
     cast_packets = casting.cast_packets
 
     def forgetful(prims, tree, base, count, tile, room, any_hit):
@@ -80,7 +80,7 @@ def test_a_ray_lost_by_the_tree_is_seen(monkeypatch):
         test_any_rays.count_hits_where_tree_agrees(scene, *some_rays(scene), "a family")
 
 
-def test_boxes_too_small_are_seen():
+def test_boxes_too_small_are_detected():
     """The boxes of the tree drawn in by a thousandth: corners stick out."""
     scene = a_scene()
     rays = at_corners(scene_points(packed(scene)), np.random.default_rng(83), 300)
@@ -92,7 +92,7 @@ def test_boxes_too_small_are_seen():
         test_any_rays.count_hits_where_tree_agrees(scene, *rays, "a family")
 
 
-def test_a_band_that_threads_skip_is_seen(monkeypatch):
+def test_a_band_that_threads_skip_is_detected(monkeypatch):
     parallel_for_pieces = threads.parallel_for_pieces
 
     def skipping(begin, pieces, workers, done=None):
@@ -103,13 +103,13 @@ def test_a_band_that_threads_skip_is_seen(monkeypatch):
         test_threads.count_hits_where_threads_agree(a_scene(Panorama))
 
 
-def test_a_scale_that_is_no_power_of_two_is_seen():
+def test_a_scale_that_is_no_power_of_two_is_detected():
     scene = a_scene()
     with pytest.raises(AssertionError, match=r"scaled by 2\^1\.5: "):
         test_powers_of_two.count_hits_where_scales_agree(scene, 1.5, *some_rays(scene))
 
 
-def test_a_mirror_that_is_a_last_bit_off_is_seen():
+def test_a_mirror_that_is_a_last_bit_off_is_detected():
     scene = a_scene()
     with pytest.raises(AssertionError, match="mirrored by "):
         mirror = np.array([-np.nextafter(1.0, 2.0), 1.0, 1.0])

@@ -50,7 +50,7 @@ def count_leaks(scene: Scene, o: np.ndarray, aim: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize("offset", OFFSETS)
-def test_a_ball_does_not_leak_at_edges_and_vertices(offset):
+def test_a_sphere_does_not_leak_at_edges_and_vertices(offset):
     rng = np.random.default_rng([60, OFFSETS.index(offset)])
     scene = turned(Icosphere, rng, offset, subdivisions=4)
     aim = aims(scene, rng)

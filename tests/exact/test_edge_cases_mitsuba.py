@@ -19,7 +19,7 @@ class MitsubaDiffers(UserWarning):
     """Mitsuba does something else than was measured: another version of it, or another machine."""
 
 
-def test_the_data_tell_of_every_case_that_mitsuba_can_be_asked():
+def test_the_data_reports_of_every_case_that_mitsuba_can_be_requested():
     kept = behaviour.kept()["cases"]
     askable = {str(case.number) for case in CASES if behaviour.questions(case) or case.number in PROBES}
     assert set(kept) == askable and len(askable) > 70
@@ -44,7 +44,7 @@ def test_mitsuba_does_what_it_did():
         warnings.warn(text, MitsubaDiffers, stacklevel=1)
 
 
-def test_what_differs_is_told():
+def test_what_differs_is_reported():
     before = {"4": {"scalar robust": {"rays": 2, "missed": 0}}}
     now = {"4": {"scalar robust": {"rays": 2, "missed": 1}, "llvm robust": {"rays": 2, "missed": 0}}}
     assert [*behaviour.differences(before, before)] == []

@@ -9,7 +9,7 @@ from cases.case import FLOAT32, FLOAT64, Maker, no_questions
 from cases.conditions import T_ULPS, ULP
 from cases.judging import judged, short_of
 from cases.page import page
-from cases.refusals import refused
+from cases.refusal_check import refused
 from cases.shapes import KINDS, rays_at, shape_of
 
 from caster import Hits, SceneError, Sphere
@@ -25,7 +25,7 @@ def test_the_numbers_1_to_77_are_there_once_each():
     assert len({case.name for case in CASES}) == 77
 
 
-def test_every_case_asks_or_checks_something():
+def test_every_case_requests_or_checks_something():
     for case in CASES:
         asked = case.questions is not no_questions
         assert asked or case.checks, case.number
@@ -33,7 +33,7 @@ def test_every_case_asks_or_checks_something():
 
 
 @pytest.mark.parametrize("precision", [FLOAT64, FLOAT32], ids=lambda p: p.name)
-def test_cases_about_every_shape_ask_every_shape(precision):
+def test_cases_about_every_shape_request_every_shape(precision):
     registered = {shape.model_fields["type"].default for shape in SHAPES}
     assert {shape_of(kind, np.random.default_rng(0)).type for kind in KINDS} == registered
     spread = [case for case in CASES if case.every_shape]
@@ -119,7 +119,7 @@ def test_a_t_that_is_within_a_wide_bound_but_not_within_its_ulps_is_found(monkey
     assert any("ulps of its condition" in text for text in wrong)
 
 
-def test_a_bound_that_says_nothing_is_found(monkeypatch):
+def test_a_bound_that_states_nothing_is_found(monkeypatch):
     wrong = planted(monkeypatch, lambda n: n._replace(error=np.where(n.prim < 0, n.error, 1e-3)))
     assert wrong and all("the bound 0.001" in text for text in wrong)
 
@@ -152,7 +152,7 @@ def test_a_normal_a_little_off_is_found(monkeypatch):
     assert any("is off by" in text for text in judged(a_question()).wrong)
 
 
-def test_a_question_that_meets_too_little_is_found():
+def test_a_question_that_hits_too_little_is_found():
     question = a_question()._replace(wants={"hit": 10**6, "tangent": 1}, never=("miss", "hit"))
     short = short_of(question, judged(question).met)
     assert len(short) >= 3 and any("of tangent, expected 1" in text for text in short)
@@ -174,7 +174,7 @@ def test_the_page_is_what_the_tables_and_the_data_say():
     )
 
 
-def test_rays_are_told_to_the_bit():
+def test_rays_are_reported_to_the_bit():
     question = a_question()
     text = judging.ray(question, 3)
     assert all(float(x).hex() in text for x in (*question.o[3], *question.d[3]))

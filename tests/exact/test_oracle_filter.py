@@ -49,7 +49,7 @@ def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_sorted_out_is_not_met(kind):
+def test_what_is_sorted_out_is_not_hit(kind):
     totals = np.zeros(3, int)
     for scale in SCALES:
         found = lost(kind, scale)
@@ -66,7 +66,7 @@ def test_what_is_sorted_out_is_not_met(kind):
         (triangles_module, "EDGE_RTOL", -(2.0**-50)),
     ],
 )
-def test_a_bound_that_is_too_small_is_seen(module, name, value, monkeypatch):
+def test_a_bound_that_is_too_small_is_detected(module, name, value, monkeypatch):
     monkeypatch.setattr(module, name, value)
     if name == "EDGE_RTOL":  # or -2^-1070, by itself, decides on the zeros of whole coordinates
         monkeypatch.setattr(module, "EDGE_ATOL", -math.inf)
@@ -128,7 +128,7 @@ def test_few_faces_are_left_for_whole_numbers():
     assert len(left) == 300 and 1.0 <= np.mean(left) <= 12.0 and max(left) <= 400, (np.mean(left), max(left))
 
 
-def test_rays_that_pass_many_boxes_are_asked_one_by_one(monkeypatch):
+def test_rays_that_pass_many_boxes_are_tested_one_by_one(monkeypatch):
     corners = bumpy(24, 25)
     oracle = Oracle(packed(triangles(corners)))
     o, d = rays_at(corners, np.random.default_rng(2), 90)

@@ -4,11 +4,11 @@ import math
 from collections import Counter
 from fractions import Fraction
 
-import oracle_balls
-import oracle_witness
+import oracle_fractions
+import oracle_interval
 import pytest
 from oracle_aims import KINDS, SCALES, aim, packed
-from oracle_witness import Solution
+from oracle_fractions import Solution
 
 from mitsuba_ref.oracle import exact_numbers, exact_planar, exact_quadrics
 from mitsuba_ref.oracle.exact_quadrics import to_object_space
@@ -46,7 +46,7 @@ def disagreements(kind: str, scale: str, seen: Counter, seed: int = 1, count: in
     prims, o, d = aim(kind, scale, seed, count)
     oracle, wrong = Oracle(packed(prims)), 0
     for i in range(count):
-        found, expected = oracle.roots(i, o[i], d[i]), oracle_witness.roots(prims, i, o[i], d[i])
+        found, expected = oracle.roots(i, o[i], d[i]), oracle_fractions.roots(prims, i, o[i], d[i])
         wrong += not agrees(found, expected)
         seen.update([where for _, where in expected] or ["miss"])
     return wrong
@@ -63,20 +63,22 @@ def test_every_root_is_that_of_textbook_fractions(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_root_lies_in_its_ball(kind):
+def test_every_root_lies_in_its_interval(kind):
     decided = hits = 0
     for scale in SCALES:
         prims, o, d = aim(kind, scale, 2, 60)
         oracle = Oracle(packed(prims))
         for i in range(len(o)):
             try:
-                balls = oracle_balls.roots(prims, i, o[i], d[i])
-            except oracle_balls.Undecided:
+                balls = oracle_interval.roots(prims, i, o[i], d[i])
+            except oracle_interval.Undecided:
                 continue
             found = oracle.roots(i, o[i], d[i])
             assert len(found) == len(balls), (scale, i)
             for hit, ball in zip(found, balls, strict=True):
-                low, high = (oracle_balls.arb(str(x.numerator)) / x.denominator for x in hit.t.bracket(300))
+                low, high = (
+                    oracle_interval.arb(str(x.numerator)) / x.denominator for x in hit.t.bracket(300)
+                )
                 assert low.union(high).overlaps(ball), (scale, i)
             decided, hits = decided + 1, hits + len(found)
     assert decided >= 100 and hits >= 50, (decided, hits)
@@ -135,7 +137,7 @@ def one_sign_off(a, b):
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_planted_fault_is_seen(fault, monkeypatch):
+def test_a_planted_fault_is_detected(fault, monkeypatch):
     kind, module, name, planted = FAULTS[fault]
     monkeypatch.setattr(module, name, planted, raising=False)
     assert sum(disagreements(kind, scale, Counter(), count=40) for scale in ("whole", "rounded", "tiny")) > 0

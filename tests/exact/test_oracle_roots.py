@@ -74,7 +74,7 @@ def disorders(seed: int = 1) -> tuple[int, list[int]]:
     return wrong, counts
 
 
-def test_roots_are_ordered_as_their_balls_and_equal_ones_hash_alike():
+def test_roots_are_ordered_as_their_intervals_and_equal_ones_hash_alike():
     wrong, counts = disorders()
     assert wrong == 0
     assert min(counts) >= 200, counts
@@ -88,7 +88,7 @@ def test_roots_are_ordered_as_their_balls_and_equal_ones_hash_alike():
     }.items(),
     ids=["one root", "two roots"],
 )
-def test_squaring_without_signs_is_seen(name, planted, monkeypatch):
+def test_squaring_without_signs_is_detected(name, planted, monkeypatch):
     monkeypatch.setattr(module, name, planted)
     assert disorders()[0] > 0
 

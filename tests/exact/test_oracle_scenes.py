@@ -6,7 +6,7 @@ from functools import cmp_to_key
 from itertools import product
 
 import numpy as np
-import oracle_witness
+import oracle_fractions
 import pytest
 from oracle_aims import KINDS, SCALES, affine, aim, packed, triangles
 
@@ -36,19 +36,19 @@ def expected(arrays, o, d, t_min, t_max):
     found, first = [], 0
     for prims in arrays:
         for k in range(primitive_count(prims)):
-            met = oracle_witness.roots(prims, k, o, d)
+            met = oracle_fractions.roots(prims, k, o, d)
             ahead = [(t, where) for t, where in met if beyond(t, t_min) and not beyond(t, t_max)]
             found += [(*ahead[0], first + k)] if ahead else []
         first += primitive_count(prims)
     if not found:
         return None, {}
-    best = min(found, key=cmp_to_key(lambda x, y: oracle_witness.order(x[0], y[0])))[0]
-    return best, {prim: where for t, where, prim in found if oracle_witness.order(t, best) == 0}
+    best = min(found, key=cmp_to_key(lambda x, y: oracle_fractions.order(x[0], y[0])))[0]
+    return best, {prim: where for t, where, prim in found if oracle_fractions.order(t, best) == 0}
 
 
 def beyond(t, x):
     """Whether t > x."""
-    return x < 0.0 if math.isinf(x) else t.compare(oracle_witness.F(x)) > 0
+    return x < 0.0 if math.isinf(x) else t.compare(oracle_fractions.F(x)) > 0
 
 
 def mixed(scale: str, seed: int, n: int):
@@ -98,7 +98,7 @@ def test_the_first_hit_of_all_is_that_of_trying_all_in_fractions():
     assert seen["tie"] >= 100
 
 
-def test_a_sphere_that_gives_its_far_root_first_is_seen(monkeypatch):
+def test_a_sphere_that_gives_its_far_root_first_is_detected(monkeypatch):
     proper = exact_quadrics.line_sphere_roots
     monkeypatch.setattr(exact_quadrics, "line_sphere_roots", lambda *ray: proper(*ray)[::-1])
     assert sum(wrong_answers(scale, Counter()) for scale in ("whole", "tiny")) > 0
@@ -216,7 +216,7 @@ def test_spans_are_open_at_t_min_and_closed_at_t_max():
     assert not third.first_hit((0, 0, 0), (1, 1, 1), 0.0, 1 / 3).hit
 
 
-def test_what_is_met_on_the_way_and_is_no_hit_is_flagged():
+def test_what_is_hit_on_the_way_and_is_no_hit_is_flagged():
     square = np.array([[[0, 0, 0], [4, 0, 0], [0, 4, 0]], [[6, 1, -1], [6, 1, 1], [6, -9, 0]]])
     along = Oracle(packed(triangles(square)))
     answer = along.first_hit((-1, 1, 0), (1, 0, 0))
@@ -343,7 +343,7 @@ def test_a_number_that_no_primitive_has_is_refused():
             oracle.roots(prim, (0, 0, 0), (0, 0, 1))
 
 
-def test_a_kind_without_exact_arithmetic_is_told_what_to_write():
+def test_a_kind_without_exact_arithmetic_names_what_to_write():
     class Cones(Spheres):
         pass
 
@@ -355,7 +355,7 @@ def test_an_empty_scene_is_a_miss():
     assert Oracle(packed()).first_hit((0, 0, 0), (0, 0, 1)).prim == -1
 
 
-def test_the_patch_in_place_of_a_plane_is_asked_apart():
+def test_the_patch_in_place_of_a_plane_is_requested_apart():
     """The plane itself is met at the rational point; the patch where its rounded triangles lie, under its number."""
     camera = {"type": "pinhole", "eye": [0, 0, 3], "look_at": [1, 1, 0]}
     shapes = [Sphere(radius=0.5), Plane(normal=(0.1, -0.2, 1.0), point=(0.3, 0.1, 0.7)), Sphere(radius=0.25)]
@@ -375,6 +375,6 @@ def test_the_patch_in_place_of_a_plane_is_asked_apart():
         assert [hit.prim for hit in other.ties] == [1] and theirs.roots(1, o[i], d[i])[0] == other.ties[0]
         assert one.t != other.t and one.t.off(float(other.t)) < 1e-5 * float(one.t)
         if hits <= 5:
-            met = [oracle_witness.roots(faces, k, o[i], d[i]) for k in range(len(PATCH_FACES))]
+            met = [oracle_fractions.roots(faces, k, o[i], d[i]) for k in range(len(PATCH_FACES))]
             assert [float(other.t)] == [float(t.rational()) for roots in met for t, _ in roots]
     assert hits >= 100

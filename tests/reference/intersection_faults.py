@@ -261,6 +261,6 @@ FAULTS = (
         "edges",
         4,
         "surface",
-        (TRIANGLES, "return n[0] / length, n[1] / length, n[2] / length", "return n"),
+        (TRIANGLES, "known, unit = fast_normalize(n)", "known, unit = True, n"),
     ),
 )

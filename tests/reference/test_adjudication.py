@@ -195,7 +195,7 @@ def cube(one_cube) -> Judge:
     return Judge(one_cube.scene, one_cube.model, altered)
 
 
-def test_ours_is_wrong_where_exact_arithmetic_says_so_though_both_agree(cube):
+def test_ours_is_wrong_where_exact_arithmetic_states_it_though_both_agree(cube):
     """Two triangles of one face, and a ray through the edge between them: the same t, normal and shape."""
     before = cube.judge()
     tied = [row for row in before.exact.rows if (a := before.exact.of(row)) is not None and len(a.ties) == 2]
@@ -214,7 +214,7 @@ def test_ours_is_wrong_where_exact_arithmetic_says_so_though_both_agree(cube):
 RIM = caster.Ray(origin=(1, 0, 3), direction=(0, 0, -1))
 
 
-def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_says(monkeypatch):
+def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_states(monkeypatch):
     """Float32 may miss the rim as well as hit it, and the bracket of float64 allows a miss, too."""
     scene = scene_of(caster.Disk(), camera=RIM, film=caster.Film(width=1, height=1), lights=[])
     right = probe(scene, 0, 0)
@@ -246,7 +246,7 @@ def test_a_surface_of_ours_beyond_float64_is_wrong(cube, name):
     assert re.search(rf"{what}.*; beyond .*\b{name} [\d.]+e\+0\dx", told)
 
 
-def test_light_is_told_as_not_judged_where_the_surface_is_wrong_or_another(cube):
+def test_light_is_reported_as_not_judged_where_the_surface_is_wrong_or_another(cube):
     """A share of 0 would pass for agreement."""
     before = cube.judge()
     agree, tie = (int(np.flatnonzero(before.is_class(name))[0]) for name in ("agree", "tie"))
@@ -260,7 +260,7 @@ def test_light_is_told_as_not_judged_where_the_surface_is_wrong_or_another(cube)
     assert not_judged(wrong, after, agree) == {"diffuse": "what is hit, or where, is wrong already"}
 
 
-def test_what_nobody_can_say_is_undecided(cube, monkeypatch):
+def test_what_cannot_be_decided_is_undecided(cube, monkeypatch):
     before = cube.judge()
     asked = before.exact.rows
     refused = set(asked[::7].tolist())
@@ -281,7 +281,7 @@ def test_what_nobody_can_say_is_undecided(cube, monkeypatch):
 # ---- who is asked ----
 
 
-def test_edges_disputes_and_a_sample_are_asked_about(brought):
+def test_edges_disputes_and_a_sample_are_requested(brought):
     scene = scene_of(BALL, LID, film=caster.Film(width=90, height=60))
     judge = brought(scene)
     found = judge.judge()
@@ -352,7 +352,7 @@ def test_the_command_probe_writes_one_that_every_command_takes(tmp_path):
     assert probe(load_scene(saved), 0, 0).case == "28"
 
 
-def test_the_command_validate_stores_a_few_and_says_of_how_many(tmp_path):
+def test_the_command_validate_stores_a_few_and_states_of_how_many(tmp_path):
     scene = tmp_path / "start.toml"
     scene.write_text("# Start.\n" + starting_on_a_disk().to_toml(), encoding="utf-8")
     out = tmp_path / "out"

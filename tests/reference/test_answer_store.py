@@ -64,7 +64,7 @@ def files(folder: Path) -> list[Path]:
     return sorted(folder.iterdir())
 
 
-def test_the_same_request_is_asked_once_and_says_so(folder, request_, asked):
+def test_the_same_request_is_requested_once_and_states_it(folder, request_, asked):
     first, second = session.send_stored(request_), session.send_stored(request_)
     assert len(asked) == 1
     assert not first.stored and first.seconds == 1.5
@@ -113,7 +113,7 @@ def other_library(request, patch):
 
 def other_source(request, patch):
     """An edit of the child's side."""
-    copy = request.xml.parent.parent / "mitsuba_process.py"
+    copy = request.xml.parent.parent / "mitsuba_calls.py"
     copy.write_text(answer_store.SOURCES[0].read_text() + "\n# edited\n")
     patch.setattr(answer_store, "SOURCES", (copy, *answer_store.SOURCES[1:]))
     answer_store.asking_side.cache_clear()
@@ -154,7 +154,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_whatever_changes_is_asked_anew(request_, monkeypatch, change):
+def test_whatever_changes_is_requested_again(request_, monkeypatch, change):
     before = request_key(request_)
     with monkeypatch.context() as patch:
         changed = request_key(CHANGES[change](request_, patch))
@@ -162,7 +162,7 @@ def test_whatever_changes_is_asked_anew(request_, monkeypatch, change):
     assert changed != before and changed
 
 
-def test_scenes_that_are_asked_together_have_keys_of_their_own(request_, tmp_path):
+def test_scenes_that_are_requested_together_have_keys_of_their_own(request_, tmp_path):
     (tmp_path / "more").mkdir()
     second = replace(request_, xml=write(tmp_path / "more", shape("sphere", "egg", 0)), lights=False)
     first = replace(request_, lights=False)
@@ -190,7 +190,7 @@ DAMAGES = {
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_answer_is_asked_anew_and_replaced(folder, request_, asked, damage):
+def test_a_damaged_answer_is_requested_again_and_replaced(folder, request_, asked, damage):
     session.send_stored(request_)
     (file,) = files(folder)
     whole = file.read_bytes()
@@ -199,7 +199,7 @@ def test_a_damaged_answer_is_asked_anew_and_replaced(folder, request_, asked, da
     assert file.read_bytes() == whole and session.send_stored(request_).stored
 
 
-def test_an_answer_under_the_name_of_another_is_asked_anew(folder, request_, asked):
+def test_an_answer_under_the_name_of_another_is_requested_again(folder, request_, asked):
     other = other_rays(request_, None)
     session.send_stored(request_)
     (file,) = files(folder)
@@ -207,7 +207,7 @@ def test_an_answer_under_the_name_of_another_is_asked_anew(folder, request_, ask
     assert not session.send_stored(other).stored and len(asked) == 2
 
 
-def test_an_answer_to_other_rays_or_of_another_shape_is_asked_anew(folder, request_, asked):
+def test_an_answer_to_other_rays_or_of_another_shape_is_requested_again(folder, request_, asked):
     """Whole by its digest, as a faulty store of several machines may hand it over."""
     store, key = local_store(), request_key(request_)
     contents = (
@@ -285,7 +285,7 @@ def judged(tmp_path, capsys, *words: str) -> tuple[dict, str]:
     return record, capsys.readouterr().out
 
 
-def test_validate_says_what_came_from_the_store_and_the_verdict_is_the_same(folder, tmp_path, capsys):
+def test_validate_states_what_came_from_the_store_and_the_verdict_is_the_same(folder, tmp_path, capsys):
     fresh, text = judged(tmp_path, capsys)
     assert fresh["references_stored"] == 0 and "store" not in text
     stored, text = judged(tmp_path, capsys)

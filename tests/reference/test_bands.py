@@ -8,8 +8,7 @@ import pytest
 from candidates import ours
 
 import caster
-from mitsuba_ref.error_model.intersections import K
-from mitsuba_ref.error_model.tolerances import LARGEST_Z
+from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
 from mitsuba_ref.judge.aggregate import merge_windows
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, WRONG, Failure, Finding, SceneCheck, SceneVerdict
 from mitsuba_ref.reference.messages import Crash

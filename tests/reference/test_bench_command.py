@@ -15,7 +15,7 @@ ASKED = ("ours", "scalar-aov", "scalar-loop")
 SIDE = 64
 
 
-def test_a_small_picture_is_timed_and_judged(tmp_path, monkeypatch, capsys):
+def test_a_small_image_is_timed_and_judged(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(run, "contestants_for", lambda asks, peers: [BY_KEY[key] for key in ASKED])
     file = tmp_path / "run.json"
     words = ["bench", "cornell-box", "--size", str(SIDE), "--alternations", "1", "--json", str(file)]
@@ -44,7 +44,7 @@ def test_a_small_picture_is_timed_and_judged(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     "name, keys", [("cornell-box", ("raw-robust", "aov-robust")), ("rays-shadow", ("raw-robust-incoherent",))]
 )
-def test_mitsubas_llvm_variant_is_asked_for_what_is_timed(name, keys):
+def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
     """A flag in the place of another one would be fast, and wrong about most rays."""
     (scene,) = (scene for scene in SCENES if scene.name == name)
     found = time_scene(scene, [BY_KEY[key] for key in keys], Settings(16, 1))

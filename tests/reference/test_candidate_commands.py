@@ -84,7 +84,7 @@ def test_a_program_that_reads_the_xml_passes(judged, tmp_path, name):
 class OwnCamera:
     """Our render, which shoots its own rays, without a program."""
 
-    name, reads_xml = "own camera", False
+    name, reads_xml, takes_rays = "own camera", False, False
 
     def answer(self, question: CastRequest) -> Answer:
         aovs = caster.render(question.traced, aovs=("depth", "normal"))
@@ -107,7 +107,7 @@ def test_what_is_smaller_than_the_cameras_rounding_is_out_of_domain(send, size, 
     assert (found.counts[OUT_OF_DOMAIN] > 0) is lost
 
 
-def test_a_camera_that_the_xml_cannot_have_is_said(judged):
+def test_a_camera_that_the_xml_cannot_have_is_stated(judged):
     found = judged(f"{PYTHON} -c pass {{xml}} {{exr}}", small("fisheye"))
     assert not found.ok and "Mitsuba has no fisheye camera, so the XML has none; read {toml}" in found.problem
 
@@ -161,7 +161,7 @@ FAILING = [
 
 
 @pytest.mark.parametrize(("program", "says"), FAILING, ids=[says for _, says in FAILING])
-def test_no_picture_to_judge_is_a_problem_and_never_a_pass(judged, tmp_path, program, says):
+def test_no_image_to_judge_is_a_problem_and_never_a_pass(judged, tmp_path, program, says):
     (tmp_path / "program.py").write_text(program)
     seconds = 1.0 if "sleep" in program else 60.0
     command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{width}} {{height}} {{toml}}"
@@ -169,7 +169,7 @@ def test_no_picture_to_judge_is_a_problem_and_never_a_pass(judged, tmp_path, pro
     assert not found.ok and says in found.problem and "FAIL" in failure_text(found)
 
 
-def test_a_picture_that_misses_everything_fails(judged, tmp_path):
+def test_an_image_that_misses_everything_fails(judged, tmp_path):
     (tmp_path / "program.py").write_text(WRITE + SAVE)
     command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{width}} {{height}} {{toml}}"
     found = judged(command, small("one-sphere"))
@@ -177,7 +177,7 @@ def test_a_picture_that_misses_everything_fails(judged, tmp_path):
     assert found.findings[0].what == "the candidate misses everything"
 
 
-def test_a_picture_whose_depth_is_off_by_a_hundred_thousandth_fails(judged, tmp_path):
+def test_an_image_whose_depth_is_off_by_a_hundred_thousandth_fails(judged, tmp_path):
     """What its own camera excuses is far less."""
     (tmp_path / "program.py").write_text(
         "import subprocess, sys\nfrom caster.image.exr import read_exr, write_exr\n"
@@ -209,7 +209,7 @@ UNASKABLE = [
 
 
 @pytest.mark.parametrize(("text", "says"), UNASKABLE, ids=[text for text, _ in UNASKABLE])
-def test_what_cannot_be_asked_is_said_before_any_work(text, says):
+def test_what_cannot_be_requested_is_stated_before_any_work(text, says):
     with pytest.raises(SceneError) as caught:
         parse_candidate(text)
     assert says in str(caught.value) and "--candidate" in str(caught.value)

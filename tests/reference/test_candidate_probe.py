@@ -64,7 +64,7 @@ def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys, tmp_
 
 
 @pytest.mark.parametrize("trace", [candidates.ours, candidates.ours_rounded, candidates.without_normals])
-def test_a_right_candidate_is_right_and_how_far_off_it_is_is_told(at, trace):
+def test_a_right_candidate_is_right_and_how_far_off_it_is_is_reported(at, trace):
     found = at(trace)
     assert found.ok and found.verdict == "agree" and found.witness.right and "bounds" in found.why
     assert found.off["t_share"] < 1.0 and abs(found.off["t_ulps"]) < 2.0
@@ -77,7 +77,7 @@ def test_a_right_candidate_is_right_and_how_far_off_it_is_is_told(at, trace):
     assert nothing.ok and nothing.not_judged["depth"] == "nothing is hit" and nothing.says["hit"] is False
 
 
-def test_a_factor_on_t_is_told_in_ulps_and_in_units_of_the_bound(at):
+def test_a_factor_on_t_is_reported_in_ulps_and_in_units_of_the_bound(at):
     found = at(candidates.t_off_by_a_ten_thousandth)
     t = found.says["t"] / (1.0 + 1e-4)
     assert found.off["t"] == pytest.approx(1e-4 * t) and found.off["t_ulps"] == pytest.approx(
@@ -111,7 +111,7 @@ def a_miss_is_a_number(scene, o, d):
     return np.where(np.isfinite(t), t, 1e30), n
 
 
-def test_a_number_in_the_place_of_a_miss_is_told_by_the_other_rays(at):
+def test_a_number_in_the_place_of_a_miss_is_reported_by_the_other_rays(at):
     found = at(a_miss_is_a_number, MISS)
     assert found.verdict == WRONG and found.why == "t is 1e+30 where nothing is hit; a miss has t inf"
     assert at(a_miss_is_a_number).ok
@@ -122,7 +122,7 @@ def wrong_in_a_crowd(scene, o, d):
     return (t * 1.001 if len(t) > 1 else t), n
 
 
-def test_what_it_says_of_the_ray_alone_is_told_where_that_is_something_else(at):
+def test_what_it_states_of_the_ray_alone_is_reported_where_that_is_something_else(at):
     found = at(wrong_in_a_crowd)
     assert found.verdict == WRONG and found.alone.startswith("something else: t ")
     right = at(candidates.ours).says["t"]
@@ -133,7 +133,7 @@ def raising(scene, o, d):
     raise RuntimeError("no such shape")
 
 
-def test_no_answer_is_said_in_the_words_of_validate_and_fails(at, send):
+def test_no_answer_is_stated_in_the_words_of_validate_and_fails(at, send):
     found = at(raising)
     told = validate_scene(small(), "scene", subject=FunctionSubject("raising", raising), send=send)
     assert found.problem == told.problem and "raised RuntimeError: no such shape" in found.problem
@@ -178,7 +178,7 @@ class Closed:
         raise OSError
 
 
-def test_files_are_written_whoever_reads_the_text(tmp_path, monkeypatch):
+def test_files_are_written_though_the_text_has_no_reader(tmp_path, monkeypatch):
     """And the file of the ray says what the candidate makes of it, and how to see that."""
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(pixel, "witness_answers", lambda *given: ())

@@ -25,7 +25,7 @@ from mitsuba_ref.subjects.function import FunctionSubject, import_function
 ROOT = Path(__file__).parents[2]
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
 WORKED = ROOT / "docs" / "candidates"
-TOO_MANY = {"hills-131072-triangles", "two-thousand-spheres"}  # for a loop over all of them
+LARGE_SCENES = {"hills-131072-triangles", "two-thousand-spheres"}  # for a loop over all of them
 
 Judged = Callable[..., SceneVerdict]
 
@@ -72,10 +72,10 @@ def supported(scene: Scene) -> bool:
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
-def test_ours_through_the_candidates_door_and_a_plain_float32_caster_pass(judged, path):
+def test_ours_as_a_candidate_and_a_plain_float32_caster_pass(judged, path):
     scene = small(path.stem, 16, 12)
     tried = [candidates.ours, candidates.ours_rounded]
-    if supported(scene) and path.stem not in TOO_MANY:
+    if supported(scene) and path.stem not in LARGE_SCENES:
         tried.append(worked("plain").trace)
     for trace, precision in zip(tried, ("float64", "float32", "float32"), strict=False):
         found = judged(trace, scene)
@@ -85,7 +85,7 @@ def test_ours_through_the_candidates_door_and_a_plain_float32_caster_pass(judged
 
 
 def test_the_plain_caster_is_tried_on_many_scenes():
-    tried = [path.stem for path in SCENES if supported(load_scene(path)) and path.stem not in TOO_MANY]
+    tried = [path.stem for path in SCENES if supported(load_scene(path)) and path.stem not in LARGE_SCENES]
     assert len(tried) >= 15 and {"far-small-spheres", "shared-edges-cube", "spheres-on-plane"} <= set(tried)
 
 
@@ -93,7 +93,7 @@ def test_normals_are_directions(judged):
     assert judged(candidates.normals_of_any_length, small("cornell-box")).ok
 
 
-def test_what_is_not_given_is_not_judged_and_said_so(judged):
+def test_what_is_not_given_is_not_judged_and_stated_so(judged):
     found = judged(candidates.without_normals, small("one-sphere"))
     assert found.ok and found.unjudged == ("normal", *NEVER_GIVEN) and "normal" not in found.ratios
     told = summary_text(Verdict((found,)), 1.0)
@@ -150,7 +150,7 @@ def test_a_planted_fault_fails_and_is_named(judged, trace, scene, share, says):
     assert f"{wrong} wrong of {found.hit_pixels} hit pixels" in told and "ours" not in told
 
 
-def test_float32_in_a_float64_array_is_told_the_way_out(judged):
+def test_float32_in_a_float64_array_gets_the_way_out(judged):
     scene = small("cornell-box")
     found = judged(candidates.float32_called_float64, scene)
     assert "--candidate-precision float32" in failure_text(found)
@@ -403,7 +403,7 @@ def test_the_command_line_has_exit_codes_files_and_a_precision(tmp_path, monkeyp
 # ---- the worked examples ----
 
 
-def test_the_textbook_caster_is_right_on_a_ball_and_told_what_is_wrong_inside_of_one(judged):
+def test_the_textbook_caster_is_right_on_a_sphere_and_reported_what_is_wrong_inside_of_one(judged):
     trace = worked("textbook").trace
     assert judged(trace, small("one-sphere")).ok
     far = judged(trace, small("far-small-spheres"))  # b^2 - 4 a c cancels

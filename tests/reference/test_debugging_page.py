@@ -32,7 +32,7 @@ def on_the_page(text):
     return [line for line in text.splitlines() if line.strip() and line in PAGE]
 
 
-def test_the_fault_is_seen_and_the_replay_shows_who_is_wrong(story):
+def test_the_fault_is_detected_and_the_replay_shows_which_side_is_wrong(story):
     module, _, failing, probed = story
     assert failing.code == probed.code == 1
     assert module.diff() in PAGE and f"$ {failing.command}" in PAGE

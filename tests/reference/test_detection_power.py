@@ -18,9 +18,8 @@ from caster.rendering.hits import RayHits, trace_rays
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref import validate
-from mitsuba_ref.error_model.intersections import K
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import LARGEST_Z
+from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
 from mitsuba_ref.judge.aggregate import check_bias, error_statistics, pixel_errors
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images

@@ -6,11 +6,11 @@ What is measured is printed (`-s`) and stands in docs/method.md, "Measured".
 import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting, a_tube, decades, scene_of
-from observed import Observed, observe
+from observed_errors import Observed, observe
 
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
-from mitsuba_ref.error_model.intersections import K
+from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rendering import trace_reference
 from mitsuba_ref.reference.session import SendRequest

@@ -60,7 +60,7 @@ scene.sensors()[0].film().bitmap().write(sys.argv[2])
 
 
 @pytest.mark.parametrize("name", ["cornell-box", "near-far-clip", "orthographic"])
-def test_mitsubas_own_picture_of_our_export_passes_with_its_conventions_stated(tmp_path, name):
+def test_mitsubas_own_image_of_our_export_passes_with_its_conventions_stated(tmp_path, name):
     """Its depth counts from the near plane, and a miss is 0."""
     scene = load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=32, height=24)
     xml = export_scene(scene).write(tmp_path)

@@ -32,7 +32,7 @@ def forks(request, tmp_path, memory, unedited):
     forks.close()
 
 
-def test_a_fork_says_what_a_process_says_of_a_right_tree_and_of_a_wrong_one(
+def test_a_fork_states_what_a_process_states_of_a_right_tree_and_of_a_wrong_one(
     forks, memory, unedited, tmp_path
 ):
     wrong = copy_tree(tmp_path / "wrong", unedited)

@@ -145,7 +145,7 @@ def test_the_long_run_counts_rays_and_finds_faults(fuzz, fault):
         (["--json", "no/such/folder/x.json", "--examples", "1"], 4, "cannot write"),
     ],
 )
-def test_bad_input_is_told(argv, code, says, capsys):
+def test_bad_input_is_reported(argv, code, says, capsys):
     assert main(["fuzz", *argv]) == code
     told = capsys.readouterr()
     assert says in told.err and "Traceback" not in told.err and told.out == ""
@@ -156,7 +156,7 @@ def test_an_empty_folder_has_nothing_to_replay(tmp_path, capsys):
     assert f"no scene file in {tmp_path}" in capsys.readouterr().err
 
 
-def test_an_interruption_keeps_and_tells_what_was_done(tmp_path):
+def test_an_interruption_keeps_and_reports_what_was_done(tmp_path):
     told = tmp_path / "told.json"
     words = ["fuzz", "--time", "1h", "--judge-every", "0", "--out", str(tmp_path), "--json", str(told)]
     with subprocess.Popen(
@@ -178,7 +178,7 @@ def test_an_interruption_keeps_and_tells_what_was_done(tmp_path):
     assert "seed 0: " in out
 
 
-def test_what_was_found_before_an_interruption_is_kept_and_told(fuzz, fault, monkeypatch):
+def test_what_was_found_before_an_interruption_is_kept_and_reported(fuzz, fault, monkeypatch):
     def impatient(line, text):
         if " 0 findings" not in text:
             raise KeyboardInterrupt
@@ -191,7 +191,7 @@ def test_what_was_found_before_an_interruption_is_kept_and_told(fuzz, fault, mon
     assert all(read_kept(Path(each["file"])).kind == each["kind"] for each in told["failures"])
 
 
-def test_where_compiled_code_died_is_told_by_the_next_run(fuzz, tmp_path):
+def test_where_compiled_code_died_is_reported_by_the_next_run(fuzz, tmp_path):
     (tmp_path / "kept").mkdir()
     (tmp_path / "kept" / campaign.TRACE_FILE).write_text(
         "mitsuba-ref fuzz --seed 1 --family any --examples 7..7\n"
@@ -213,7 +213,7 @@ def test_mitsuba_stays_for_the_next_scene():
     assert not child.alive and (tally.judged, tally.pixels) == (2, 128)
 
 
-def test_the_judge_asks_the_way_that_it_is_given():
+def test_the_judge_requests_the_way_that_it_is_given():
     asked = []
 
     def refuses(job, timeout):

@@ -213,7 +213,7 @@ ERRORS = [
 
 
 @pytest.mark.parametrize(("old", "new", "says"), ERRORS)
-def test_errors_are_told_with_file_line_and_column(folder, old, new, says):
+def test_errors_are_reported_with_file_line_and_column(folder, old, new, says):
     assert old in SCENE
     (folder / "scene.xml").write_text(SCENE.replace(old, new, 1))
     with pytest.raises(SceneError) as caught:
@@ -312,7 +312,7 @@ def test_a_text_of_the_course_is_imported_too(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(("color", "told"), [("0 0.5 0", True), ("0 0 0", False)])
-def test_a_background_of_the_course_is_told_unless_it_is_black_as_ours(
+def test_a_background_of_the_course_is_reported_unless_it_is_black_as_ours(
     tmp_path, capsys, monkeypatch, color, told
 ):
     monkeypatch.chdir(tmp_path)
@@ -334,7 +334,7 @@ EMITTERS = {
 
 
 @pytest.mark.parametrize("emitter", EMITTERS)
-def test_what_sends_no_light_is_not_told_as_left_out_since_nothing_is(tmp_path, emitter):
+def test_what_sends_no_light_is_not_reported_as_left_out_since_nothing_is(tmp_path, emitter):
     """Mitsuba sees the same without it. One that sends light is told of, unless ours is the same."""
     path, found = tmp_path / "a.xml", {}
     for value in ("0", "1e-3"):
@@ -357,7 +357,7 @@ def test_what_sends_no_light_is_not_told_as_left_out_since_nothing_is(tmp_path, 
         ("gone.txt -o s.toml --size 0 4", 2, "--size 0 4: "),
     ],
 )
-def test_wrong_use_is_told_with_its_exit_code(tmp_path, monkeypatch, capsys, words, code, says):
+def test_wrong_use_is_reported_with_its_exit_code(tmp_path, monkeypatch, capsys, words, code, says):
     monkeypatch.chdir(tmp_path)
     assert main(["import", *words.split()]) == code
     assert says in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import pytest
 from edited_tree import ROOT, copy_tree, edit, run
 
-PINHOLE, TILES = "caster/cameras/pinhole.py", "caster/rendering/tiles.py"
+PINHOLE, TILES = "caster/cameras/pinhole.py", "caster/rendering/shading.py"
 LIGHTING, WORLD = "caster/kernels/surface/lighting.py", "caster/geometry/world_space.py"
 SPHERE = "caster/shapes/sphere.py"
 SIZE = ("--size", "20", "16")

@@ -49,7 +49,7 @@ SPHERE, CYLINDER, DISK, PLANE = (
 )
 PINHOLE, ORTHOGRAPHIC = "caster/cameras/pinhole.py", "caster/cameras/orthographic.py"
 UV = f"{AOVS}/uv.py"
-LIGHTS, TILES = "caster/scene/model.py", "caster/rendering/tiles.py"
+LIGHTS, TILES = "caster/scene/model.py", "caster/rendering/shading.py"
 LIGHT = "caster/kernels/surface/lighting.py"
 SCREEN, TREE, PLACING = (
     "caster/kernels/raster/tile_casting.py",
@@ -181,8 +181,8 @@ FAULTS = (
         "one-sphere",
         "on_surface",
         SPHERE,
-        "def _numbers(prims: Any, k: int) -> Any:\n    return row(prims.center, k), prims.radius[k]",
-        "def _numbers(prims: Any, k: int) -> Any:\n    return row(prims.center, k), prims.radius[k] * 1.000003",
+        "def _load(prims: Any, k: int) -> Any:\n    return row(prims.center, k), prims.radius[k]",
+        "def _load(prims: Any, k: int) -> Any:\n    return row(prims.center, k), prims.radius[k] * 1.000003",
     ),
     Fault(
         "depth as z",
@@ -483,8 +483,8 @@ FAULTS = (
         "one-sphere",
         "camera",
         PINHOLE,
-        "def _ray(camera: Any, x: float, y: float) -> Any:\n",
-        "def _ray(camera: Any, x: float, y: float) -> Any:\n    x, y = x - 0.5, y - 0.5\n",
+        "def _camera_ray(camera: Any, x: float, y: float) -> Any:\n",
+        "def _camera_ray(camera: Any, x: float, y: float) -> Any:\n    x, y = x - 0.5, y - 0.5\n",
     ),
     Fault("swapped aspect", "one-sphere", "camera", PINHOLE, "return x, x / aspect", "return x, x * aspect"),
     Fault(
@@ -905,7 +905,7 @@ def compare(forks, tree, ours, reference):
     return found
 
 
-def test_without_a_fault_the_pictures_pass(forks, unedited, pictures):
+def test_without_a_fault_the_images_pass(forks, unedited, pictures):
     found = compare(forks, unedited, *pictures)
     assert found.returncode == 0 and "PASS" in found.stdout
 
@@ -967,7 +967,7 @@ IN_DATA = {
 
 
 @pytest.mark.parametrize("what", IN_DATA)
-def test_compare_fails_on_a_picture_with_a_fault(forks, tmp_path, pictures, unedited, what):
+def test_compare_fails_on_a_image_with_a_fault(forks, tmp_path, pictures, unedited, what):
     good = read_exr(pictures[0])
     faulty = tmp_path / "faulty.exr"
     with np.errstate(invalid="ignore"):  # inf where an average leaves the silhouette

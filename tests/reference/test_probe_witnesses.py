@@ -8,7 +8,7 @@ import pytest
 
 import caster
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.probe.pixel_picture import RAYS_ACROSS_PIXEL, Patch, beside, draw_inside, outline
+from mitsuba_ref.probe.pixel_plot import RAYS_ACROSS_PIXEL, Patch, beside, draw_inside, outline
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
 
 # Along an edge of the mesh within a rounding, where Embree lets the ray slip through unless it is told to be robust.
@@ -100,7 +100,7 @@ def test_a_pixel_without_a_ray_has_no_witnesses():
     assert list(witness_lines(())) == []
 
 
-def test_a_variant_that_does_not_work_is_a_row_that_says_why(said, monkeypatch):
+def test_a_variant_that_does_not_work_is_a_row_that_states_why(said, monkeypatch):
     from mitsuba_ref.probe import witnesses
     from mitsuba_ref.reference import variants
 
@@ -133,7 +133,7 @@ class _FakeJudge:
         self.pair = type("Pair", (), {"rays": rays})
 
 
-def test_the_picture_and_the_reproducer_are_written(said, probed):
+def test_the_image_and_the_reproducer_are_written(said, probed):
     words = said[2]
     png = (probed / "p.png").read_bytes()
     assert png.startswith(b"\x89PNG\r\n\x1a\n")

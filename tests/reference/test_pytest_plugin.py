@@ -154,7 +154,7 @@ def crashing(monkeypatch, tmp_path_factory):
     return lambda: list(requests.iterdir())
 
 
-def test_a_crash_fails_every_test_and_is_asked_about_once(folder, crashing):
+def test_a_crash_fails_every_test_and_is_requested_once(folder, crashing):
     found = run(folder, "--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6")
     found.assert_outcomes(failed=len(NAMES))
     text = found.stdout.str()
@@ -168,7 +168,7 @@ def test_an_expression_selects_and_one_check_alone_does_not_pass_for_want_of_a_v
     assert len(crashing()) == 1 and "so nothing was checked" in found.stdout.str()
 
 
-def test_a_scene_file_that_is_not_valid_is_told_with_its_place(folder, crashing):
+def test_a_scene_file_that_is_not_valid_is_reported_with_its_place(folder, crashing):
     Path("scenes/bad.toml").write_text(SCENE.format(more="foov = 3"))
     found = run(folder, "--mitsuba-ref", "scenes/bad.toml")
     found.assert_outcomes(failed=len(NAMES))
@@ -203,12 +203,12 @@ def test_a_size_that_is_none_is_a_usage_error(folder, size):
 MADE_UP = """
 import os, sys
 sys.path.insert(0, {tests!r})
-import made_verdicts
+import verdict_factory
 def fake(entries, workers, **options):
     (entry,) = entries
     with open({log!r}, "a") as file:
         file.write(entry.name + chr(10))
-    yield made_verdicts.scene(entry.name, ok=entry.name != "strict")
+    yield verdict_factory.scene(entry.name, ok=entry.name != "strict")
 def pytest_configure():
     import mitsuba_ref.runner.scene_runner
     mitsuba_ref.runner.scene_runner.run = fake

@@ -103,7 +103,7 @@ def test_the_default_is_the_folder_scenes():
         (["{folder}/nowhere"], 4, "nowhere: expected a scene file or a folder of them, found nothing"),
     ],
 )
-def test_bad_usage_is_told_before_any_work(ref, scenes, words, code, says):
+def test_bad_usage_is_reported_before_any_work(ref, scenes, words, code, says):
     found = ref("validate", scenes, *(word.format(folder=scenes) for word in words))
     assert (found.returncode, found.stdout) == (code, "")
     assert says in found.stderr
@@ -157,7 +157,7 @@ def test_a_scene_that_shows_nothing_is_no_evidence_and_no_pass(ref, scenes):
     assert "FAIL  empty-1  no pixel hits anything, so nothing was compared" in found.stdout
 
 
-def test_maxfail_stops_and_says_what_was_left(ref, scenes):
+def test_maxfail_stops_and_states_what_was_left(ref, scenes):
     found = ref("validate", scenes, "-j", "1", "--maxfail", "1", "--json", scenes / "v.out")
     assert (found.returncode, names_in(found)) == (1, ["ball", "empty-1"])
     assert "4 scenes: 1 pass, 1 fail, 2 not judged" in found.stdout
@@ -183,7 +183,7 @@ def test_several_at_a_time_give_the_same_verdict(ref, scenes):
     assert verdicts[0] == verdicts[1]
 
 
-def test_out_holds_the_verdict_and_the_pictures_it_is_about(ref, tmp_path):
+def test_out_holds_the_verdict_and_the_images_it_is_about(ref, tmp_path):
     out = tmp_path / "out"
     found = ref("validate", "scenes/shared-edges-cube.toml", "--size", "15", "15", "--out", out)
     assert found.returncode == 0

@@ -70,7 +70,7 @@ def forget(monkeypatch):
     monkeypatch.setattr(variants, "_usable_by_key", {})
 
 
-def test_what_is_said_to_work_here_works(tmp_path):
+def test_what_is_stated_to_work_here_works(tmp_path):
     found = usable_variants()
     assert found.scalar, found.why
     assert found.llvm == bool(found.libllvm) and (found.llvm or found.why)
@@ -81,8 +81,8 @@ def test_what_is_said_to_work_here_works(tmp_path):
         assert answer.versions["libllvm"] in ("none", found.libllvm)
 
 
-def test_the_door_describes_it():
-    describe = "from mitsuba_ref.reference.mitsuba_process import describe_installation"
+def test_the_child_process_describes_it():
+    describe = "from mitsuba_ref.reference.mitsuba_calls import describe_installation"
     program = f"import json; {describe}; print(json.dumps(describe_installation()))"
     run = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
@@ -162,7 +162,7 @@ def test_a_library_the_user_names_is_the_only_one_tried(libraries, trials, monke
     assert trials.tried == [("scalar_rgb", None), ("llvm_ad_rgb", libraries[3])]
 
 
-def test_no_library_at_all_is_said(libraries, trials, monkeypatch):
+def test_no_library_at_all_is_stated(libraries, trials, monkeypatch):
     monkeypatch.delenv("LD_LIBRARY_PATH")
     assert usable_variants() == variants.Variants(True, False, None, "no libLLVM found")
 
@@ -244,7 +244,7 @@ def test_an_unknown_choice_is_an_error_that_lists_the_known_ones(monkeypatch):
         variant_for(False)
 
 
-def test_a_choice_that_does_not_work_here_is_an_error_that_says_why(libraries, trials, monkeypatch):
+def test_a_choice_that_does_not_work_here_is_an_error_that_states_why(libraries, trials, monkeypatch):
     trials.says.update({("llvm_ad_rgb", library): "abort" for library in libraries})
     monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, "llvm_ad_rgb")
     with pytest.raises(VariantError, match=r"'llvm_ad_rgb': it does not work here: .*libLLVM-14.so.1: abort"):

@@ -81,7 +81,7 @@ def test_the_inspector_has_the_candidates_numbers_to_the_bit(visit, report, judg
     assert t == np.float32(t), "the last one is a float32 number"
 
 
-def test_what_is_not_given_is_said_and_not_drawn(visit, report):
+def test_what_is_not_given_is_stated_and_not_drawn(visit, report):
     page = visit(report, "#s=single&a=normal").page
     page.wait_for_selector("#summary >> text=held to the bounds of float32")
     assert page.locator(".pane.ours .legend").inner_text() == ""

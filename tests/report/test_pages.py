@@ -43,7 +43,7 @@ def report(request):
 # ---- the list ----
 
 
-def test_the_list_says_what_became_of_each_scene(visit, report):
+def test_the_list_states_what_became_of_each_scene(visit, report):
     page = visit(report).page
     assert page.locator(".row .name a").all_inner_texts() == [BAD, "crashed", "good"]  # failing first
     assert page.locator(".row .badge").all_inner_texts() == ["FAIL", "CRASH", "PASS"]
@@ -137,7 +137,7 @@ def test_the_bound_that_counts_is_named(visit, folder, verdicts):
     assert told is not None and float(told[1]) == pytest.approx(judged, rel=0.01)
 
 
-def test_every_number_of_the_pictures_comes_back(visit, folder, verdicts):
+def test_every_number_of_the_images_comes_back(visit, folder, verdicts):
     """What the page unpacks, against the arrays: all pixels of all layers, both sides."""
     page = visit(folder, at(planted.NAN, a="position", v="ours", z=96)).page
     ready(page)
@@ -266,7 +266,7 @@ def test_the_command_to_replay_is_copied(visit, folder, browser):
     assert opened.page.inner_text(".replay code") == words
 
 
-def test_one_file_says_where_it_rounds(visit, one_file, verdicts):
+def test_one_file_states_where_it_rounds(visit, one_file, verdicts):
     """Failing scenes are kept to the bit, passing ones as float32."""
     x, y = planted.OURS_WRONG
     page = visit(one_file, at((x, y), "good", a="depth")).page
@@ -300,6 +300,6 @@ def test_a_file_that_is_gone_is_named(visit, verdicts, tmp_path):
     opened.errors.clear()  # the browser's own words about the file
 
 
-def test_a_verdict_without_pictures_is_a_row(visit, tmp_path):
+def test_a_verdict_without_images_is_a_row(visit, tmp_path):
     page = visit(Validation((SceneVerdict("bare", "b.toml"),)).write_html(tmp_path), "#s=bare").page
     assert "No images of this scene were stored." in page.inner_text("#message")

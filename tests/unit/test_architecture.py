@@ -77,7 +77,7 @@ def rectangles(svg: str) -> list[tuple[float, ...]]:
     return [tuple(map(float, each)) for each in found]
 
 
-def test_no_box_and_no_weight_of_the_picture_covers_another():
+def test_no_box_and_no_weight_of_the_image_covers_another():
     svg = architecture.picture()
     boxes = rectangles(svg)
     assert len(boxes) == len(architecture.FLOW)
@@ -115,7 +115,7 @@ def test_the_tree_stays_within_its_limits():
 PAGE = (ROOT / "docs/ARCHITECTURE.md").read_text(encoding="utf-8")
 
 
-def test_the_committed_picture_is_current():
+def test_the_committed_image_is_current():
     current = (ROOT / "docs/architecture.svg").read_text(encoding="utf-8") == architecture.picture()
     assert current, "run python docs/architecture.py --svg docs/architecture.svg"
 

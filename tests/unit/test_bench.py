@@ -55,7 +55,7 @@ def test_a_ratio_is_of_the_same_moment():
     assert other.ns / ours.ns == 18.0
 
 
-def test_ratios_are_of_rays_and_not_of_pictures():
+def test_ratios_are_of_rays_and_not_of_images():
     """A quarter of the pixels in the same time is four times as long."""
     assert ratio(row("scalar-aov", (1.0,), rays=25), row("ours", (1.0,))) == 4.0
 
@@ -75,7 +75,7 @@ def test_no_slope_goes_through_one_point():
     assert fitted_slope((), ()) is None and fitted_slope((5.0,), (1.0,)) is None
 
 
-def test_a_slow_picture_is_made_smaller_until_it_fits():
+def test_a_slow_image_is_made_smaller_until_it_fits():
     assert measuring.fitting_size(32, measuring.MAX_CAST_S / 1025.0, 1024) == 1024
     assert measuring.fitting_size(32, measuring.MAX_CAST_S / 16.5, 1024) == 128
     assert measuring.fitting_size(32, 60.0, 1024) == 32
@@ -112,14 +112,14 @@ def test_one_unit_in_the_last_place_is_one_unit(truth):
     )  # which float64 has no excuse for
 
 
-def test_whoever_misses_an_edge_is_seen(truth):
+def test_a_missed_edge_is_detected(truth):
     t = truth.t.copy()
     t[truth.film_rays + int(np.argmax(truth.hit[truth.film_rays :]))] = np.inf
     score = truth.score(t, ours=True)
     assert (score.masks, score.edge_masks) == (0, 1)
 
 
-def test_whoever_hits_nothing_is_seen(tmp_path):
+def test_a_caster_that_hits_nothing_is_detected(tmp_path):
     truth = truth_of("one-sphere", tmp_path)
     t = np.where(np.isinf(truth.t) & (np.arange(len(truth.t)) < truth.film_rays), 1.0, truth.t)
     assert truth.score(t, ours=True).masks == int((~truth.hit[: truth.film_rays]).sum()) > 0
@@ -132,7 +132,7 @@ def test_a_nan_is_no_hit_and_no_miss(truth):
     assert (truth.score(t, ours=True).masks, truth.score(t, ours=True).beyond) == (0, 1)
 
 
-def test_another_surface_is_seen(truth):
+def test_another_surface_is_detected(truth):
     t = truth.t.copy()
     t[truth.film_rays + 3] *= 1.5
     assert truth.score(t, ours=False).edge_beyond == 1
@@ -210,7 +210,7 @@ def timed(
     return time_scene(SCENES["cornell-box"], timed, settings, start=start), fakes
 
 
-def test_contestants_take_turns_and_nobody_is_always_first():
+def test_contestants_take_turns_and_none_is_always_first():
     keys = ["ours", "raw-robust", "open3d"]
     found, fakes = timed(keys, {})
     warm = len(keys) * (measuring.WARM_UP_CASTS + 1)
@@ -222,7 +222,7 @@ def test_contestants_take_turns_and_nobody_is_always_first():
     assert all(fake.closed for fake in fakes.values())
 
 
-def test_whoever_dies_takes_nobody_along():
+def test_a_crash_of_one_peer_leaves_the_others_running():
     found, fakes = timed(
         ["ours", "raw-robust", "open3d"], {"raw-robust": measuring.WARM_UP_CASTS + 2, "open3d": 0}
     )
@@ -234,7 +234,7 @@ def test_whoever_dies_takes_nobody_along():
     assert all(fake.closed for fake in fakes.values())
 
 
-def test_who_cannot_run_says_why(monkeypatch):
+def test_who_cannot_run_states_why(monkeypatch):
     absent = Contestant("open3d", "nobody", "peer", "none:None", (FILM,), package="no_such_package_here")
     crowd = replace(BY_KEY["ours-python"], most=3)
     found = time_scene(SCENES["cornell-box"], [absent, crowd], Settings(16, 1), start=None)
@@ -270,7 +270,7 @@ def test_every_end_of_a_process_is_a_reason(name):
     assert not process.process.alive
 
 
-def test_a_worker_says_what_is_missing_and_lives_in_few_bytes():
+def test_a_worker_states_what_is_missing_and_lives_in_few_bytes():
     process = ContestantProcess(replace(WORK, entry="no_such_entry:Nobody"))
     with pytest.raises(ContestantEnded, match=r"No module named .*no_such_entry"):
         process.request(30.0, do="build", size=4)
@@ -288,7 +288,7 @@ def test_no_contestant_pays_for_another():
 # --- registries
 
 
-def test_every_contestant_has_an_entry_that_can_do_all_that_is_asked():
+def test_every_contestant_has_an_entry_that_can_do_all_that_is_requested():
     folder = Path(mitsuba_ref.bench.entries.__file__).parent
     for contestant in CONTESTANTS:
         module, _, name = contestant.entry.partition(":")
@@ -310,7 +310,7 @@ def test_what_the_contract_names_is_there():
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name not in ("mesh-1m", "spheres-10k")])
-def test_everybody_is_given_the_very_same_numbers(name, tmp_path):
+def test_all_peers_are_given_the_very_same_numbers(name, tmp_path):
     made = SCENES[name].make(tmp_path)
     for given, rounded in zip(pack(made, as_given).parts, pack(made, as_float32).parts, strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(given, rounded, strict=True))
@@ -398,7 +398,7 @@ def test_the_worst_scene_counts_and_the_mean_is_geometric():
     assert mean.reached == pytest.approx(math.sqrt(4.0))
 
 
-def test_the_front_is_of_those_nobody_beats_in_both():
+def test_the_pareto_front_is_of_those_that_none_beats_in_both():
     """The third is slower than the second and no more right, the last slower and worse."""
     assert performance_plots.front([(9.0, 1.0), (1.0, 5.0), (3.0, 5.0), (2.0, 3.0), (10.0, 4.0)]) == [
         (1, 5),
@@ -407,7 +407,7 @@ def test_the_front_is_of_those_nobody_beats_in_both():
     ]
 
 
-def test_the_page_says_all_of_it(tmp_path):
+def test_the_page_states_all_of_it(tmp_path):
     (tmp_path / performance_page.NOTES).write_text("## What bounds it\n\nWords by hand.\n")
     performance_page.write_report(FIXED, tmp_path)
     text = (tmp_path / performance_page.PAGE).read_text()
@@ -450,7 +450,7 @@ def test_an_unknown_scene_is_named_with_what_may_be_meant(capsys):
     assert "scene 'mesh-70': unknown, did you mean 'mesh-70k'?" in capsys.readouterr().err
 
 
-def test_nothing_selected_is_said(capsys):
+def test_nothing_selected_is_stated(capsys):
     assert main(["bench", "-k", "no-such"]) == 5
     assert "nothing selected" in capsys.readouterr().err
 

@@ -15,7 +15,6 @@ from caster.shapes import SHAPES
 from caster.shapes.sphere import Spheres
 from mitsuba_ref.error_model.intersections import (
     SAME_NORMAL_TOLERANCE,
-    K,
     by_approach,
     by_center,
     by_corner,
@@ -23,7 +22,7 @@ from mitsuba_ref.error_model.intersections import (
     by_normal,
     single_group,
 )
-from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
+from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS, K
 from mitsuba_ref.judge.aggregate import (
     check_bias,
     extremes,
@@ -101,7 +100,7 @@ def test_chance_does_not_reach_the_limit_however_different_the_groups():
         assert 0 < np.mean(np.abs(found) >= x) <= 2.0 * math.exp(-0.5 * x * x)
 
 
-def test_a_share_of_the_spread_that_nobody_sees_in_a_pixel_is_seen_in_all():
+def test_a_bias_too_small_for_any_pixel_is_detected_over_all():
     rng = np.random.default_rng(3)
     rounding = rng.uniform(-0.1, 0.1, 40_000)
     assert abs(alone(rounding)[1]) < 3.0
@@ -124,7 +123,7 @@ def test_every_kind_of_primitive_has_its_groups():
     assert all(single_group not in kind.rounding_groups for kind in KINDS.values())
 
 
-def test_a_kind_that_nobody_described_is_one_group():
+def test_a_kind_without_rounding_groups_is_one_group():
     assert groups(single_group(None, np.arange(5), NOTHING, NOTHING, NOTHING)) == 1
 
 
@@ -154,7 +153,7 @@ def test_primitives_of_one_matrix_are_one_group():
     assert groups(by_matrix(prims, np.array([0, 0, 1, 2]), NOTHING, NOTHING, NOTHING)) == 2
 
 
-def test_balls_are_grouped_by_where_the_ray_passes_their_centres():
+def test_spheres_are_grouped_by_where_the_ray_passes_their_centres():
     """Parallel rays at balls side by side are all solved from one rounded t; rays that spread are not."""
     prims = SimpleNamespace(center=np.array([[0.0, 0, 0], [3, 0, 0]]))
     k = np.array([0, 0, 1])
@@ -164,7 +163,7 @@ def test_balls_are_grouped_by_where_the_ray_passes_their_centres():
     assert groups(by_approach(prims, k, NOTHING, np.tile([0.0, 0, 7], (3, 1)), spread)) == 3
 
 
-def test_balls_in_float32_are_grouped_by_their_centres():
+def test_spheres_in_float32_are_grouped_by_their_centres():
     prims = SimpleNamespace(center=np.array([[0.0, 0, 0], [3, 0, 0], [3, 0, 0]]))
     assert groups(by_center(prims, np.array([0, 0, 1, 2]), NOTHING, NOTHING, NOTHING)) == 2
     assert KINDS[Spheres].rounding_groups_llvm == (by_center,)
@@ -173,7 +172,7 @@ def test_balls_in_float32_are_grouped_by_their_centres():
 # ---- what is recorded and checked ----
 
 
-def test_the_check_fails_on_a_bias_and_says_of_what():
+def test_the_check_fails_on_a_bias_and_states_of_what():
     for z in (5.1, -15.0):
         found = check_bias(errors_of(KindBias("Spheres", 900, z), KindBias("Disks", 1, 1.0)))
         assert found.name == "bias" and not found.ok and found.ratio == pytest.approx(abs(z) / 5.0)
@@ -198,7 +197,7 @@ def test_sizes_of_errors():
     assert looseness(k) == K / 0.5 and looseness(np.zeros(3)) == looseness(k[:0]) == math.inf
 
 
-def test_the_verdict_tells_of_it():
+def test_the_verdict_reports_it():
     biased = errors_of(KindBias("Spheres", 900, -15.0))
     scene = SceneVerdict("ball", "ball.toml", checks=(check_bias(biased),), statistics=biased)
     verdict = Verdict((scene,))

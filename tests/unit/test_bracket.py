@@ -11,8 +11,8 @@ from caster.scene.model import Scene
 from caster.shapes import Icosphere, Plane, Sphere, Triangle
 from mitsuba_ref.error_model.bracket import Bracket, BracketResult, Claims
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
-from mitsuba_ref.error_model.intersections import KU, KU_OURS, U
 from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -80,7 +80,7 @@ def test_a_miss_is_refused_where_something_is_certainly_hit(ours):
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_at_a_silhouette_both_hit_and_miss_are_allowed(side):
-    o = [1.0 + side * U, 0.0, 5.0]
+    o = [1.0 + side * U32, 0.0, 5.0]
     assert allows([BALL], o, DOWN, *MISS)
     assert allows([BALL], o, DOWN, 5.0, 0, [1, 0, 0])
     beyond = [1.0 + side * 1e-4, 0.0, 5.0]
@@ -91,7 +91,7 @@ def test_at_a_silhouette_both_hit_and_miss_are_allowed(side):
 
 def test_what_is_behind_a_silhouette_is_allowed_just_beside_it_only():
     balls = [BALL, Sphere(center=(0, 0, -4), radius=3)]
-    for away, expected in ((U, True), (-U, True), (-1e-4, False)):
+    for away, expected in ((U32, True), (-U32, True), (-1e-4, False)):
         x = 1.0 + away
         z = -4.0 + np.sqrt(9.0 - x * x)
         n = np.array([x, 0.0, z + 4.0]) / 3.0

@@ -171,17 +171,17 @@ def seen(monkeypatch: pytest.MonkeyPatch, scene: Scene, fault: Fault) -> bool:
 
 @every_camera
 @pytest.mark.parametrize("fault", COMMON, ids=lambda fault: fault.__name__)
-def test_a_fault_of_any_camera_is_seen(monkeypatch, camera, fault):
+def test_a_fault_of_any_camera_is_detected(monkeypatch, camera, fault):
     assert seen(monkeypatch, fixed_scene(camera), fault)
 
 
 @pytest.mark.parametrize("fault", PINHOLE)
-def test_a_fault_of_the_pinhole_is_seen(monkeypatch, fault):
+def test_a_fault_of_the_pinhole_is_detected(monkeypatch, fault):
     assert seen(monkeypatch, fixed_scene("pinhole"), PINHOLE[fault])
 
 
 @pytest.mark.parametrize("fault", [near_off, far_off], ids=lambda fault: fault.__name__)
-def test_a_fault_of_the_orthographic_limits_is_seen(monkeypatch, fault):
+def test_a_fault_of_the_orthographic_limits_is_detected(monkeypatch, fault):
     assert seen(monkeypatch, fixed_scene("orthographic"), fault)
 
 
@@ -199,6 +199,6 @@ OF_A_RAY = (stretched, moved, one_missing, one_not_a_number, limit_off)
 
 
 @pytest.mark.parametrize("fault", OF_A_RAY, ids=lambda fault: fault.__name__)
-def test_a_fault_of_the_ray_is_seen(monkeypatch, fault):
+def test_a_fault_of_the_ray_is_detected(monkeypatch, fault):
     assert check_camera(one_ray()).ratio == 0.0
     assert seen(monkeypatch, one_ray(), fault)

@@ -6,8 +6,9 @@ from aimed_rays import KINDS, Setting, rays_at, scene_of
 
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
-from mitsuba_ref.error_model.intersections import KU_OURS, norm, unit
+from mitsuba_ref.error_model.intersections import norm, unit
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
+from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 TURN, SHIFT = 1e-6, 2e-6  # so much more than float64's rounding that this is nothing beside them

@@ -3,7 +3,7 @@
 from xml.etree import ElementTree
 
 import pytest
-from made_verdicts import scene, verdict
+from verdict_factory import scene, verdict
 
 from mitsuba_ref.report.ci_summaries import junit
 from mitsuba_ref.report.reproducers import replay
@@ -77,7 +77,7 @@ def test_what_is_written_is_what_servers_read(found):
     assert list(problems(ElementTree.fromstring(text))) == []
 
 
-def test_a_run_that_judged_a_candidate_says_so_even_where_no_scene_is_done():
+def test_a_run_that_judged_a_candidate_states_it_even_where_no_scene_is_done():
     (told,) = ElementTree.fromstring(junit(VERDICTS["candidate"])).iter("property")
     assert told.attrib == {"name": "candidate", "value": "mine\\u0007:trace"}
     assert not [*ElementTree.fromstring(junit(VERDICTS["passes"])).iter("property")]
@@ -101,7 +101,7 @@ def test_the_check_finds_what_is_planted():
         assert says in said
 
 
-def test_a_failure_says_in_one_line_and_in_full_and_an_error_is_no_failure():
+def test_a_failure_states_in_one_line_and_in_full_and_an_error_is_no_failure():
     top = parsed(
         verdict(scene("good"), scene("bad", ok=False), scene("gone", ok=False, problem="it crashed\nwords"))
     )
@@ -141,7 +141,7 @@ def test_scenes_are_grouped_by_their_folder(path, name):
     assert next(top.iter("testcase")).get("classname") == name
 
 
-def test_a_replay_repeats_what_was_asked_for():
+def test_a_replay_repeats_what_was_requested():
     typed = ("--mesh-dir", "my meshes", "--candidate", "a {xml} -o {exr}", "--candidate-timeout", "5")
     told = replay(
         scene(candidate="a {xml} -o {exr}", precision="float32", resized=True, options=typed), (3, 4)

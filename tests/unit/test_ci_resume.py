@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
-from made_verdicts import judging
-from made_verdicts import scene as made
+from verdict_factory import judging
+from verdict_factory import scene as made
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.report import output_manifest
@@ -94,7 +94,7 @@ def test_what_has_changed_is_judged_anew(judged, change, anew, tmp_path):
 
 @pytest.mark.parametrize("which", output_manifest.IMAGES)
 @pytest.mark.parametrize("content", [b"", b"m ", b"m anything", b"M reference"], ids=str)
-def test_a_picture_that_is_not_what_was_written_is_judged_anew(judged, which, content):
+def test_an_image_that_is_not_what_was_written_is_judged_anew(judged, which, content):
     """Cut short, replaced, or of the same size and other bytes; a reproducer as well."""
     judged()
     Path(f"out/m.{which}.exr").write_bytes(content)

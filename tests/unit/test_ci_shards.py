@@ -5,7 +5,7 @@ import random
 from dataclasses import replace
 
 import pytest
-from made_verdicts import scene as made
+from verdict_factory import scene as made
 
 import caster
 from mitsuba_ref.__main__ import main
@@ -48,7 +48,7 @@ def test_every_scene_is_in_exactly_one_shard_and_none_is_much_larger(parts):
 
 
 @pytest.mark.parametrize("word", ["0/3", "4/3", "1", "1/", "/2", "a/b", "-1/2", "1/0"])
-def test_a_shard_that_is_none_is_told(word, capsys):
+def test_a_shard_that_is_none_is_reported(word, capsys):
     assert main(["validate", f"--shard={word}"]) == 2
     assert f"expected I/N with 1 <= I <= N, such as 2/4, got '{word}'" in capsys.readouterr().err
 
@@ -187,7 +187,7 @@ LLVM_19 = {"variant": "llvm_ad_rgb", "libllvm": "/usr/lib/x86_64-linux-gnu/libLL
         ),
     ],
 )
-def test_shards_of_other_versions_are_put_together_only_if_asked(folder, capsys, other, says):
+def test_shards_of_other_versions_are_put_together_only_if_requested(folder, capsys, other, says):
     write("1.json", with_versions("1/2", "ac", LLVM_19 | {"drjit": "1.5.0"}))
     write("2.json", other)
     code, _, err = merged(capsys, "1.json", "2.json")
@@ -211,7 +211,7 @@ def test_the_same_libraries_in_other_folders_and_scenes_of_other_variants_are_al
     assert merged(capsys, "1.json", "2.json")[0] == 0
 
 
-def test_a_run_says_what_it_judged_with(monkeypatch):
+def test_a_run_states_what_it_judged_with(monkeypatch):
     found = judged_with()
     assert found["mitsuba"] == "3.9.1" and found["variant of quadrics"] == "scalar_rgb"
     monkeypatch.setenv("MITSUBA_REF_VARIANT", "scalar_rgb")
@@ -220,7 +220,7 @@ def test_a_run_says_what_it_judged_with(monkeypatch):
     assert run_identity([], None)["judged_with"] == judged_with()
 
 
-def test_a_file_that_is_no_verdict_is_told(folder, capsys):
+def test_a_file_that_is_no_verdict_is_reported(folder, capsys):
     good = json.loads((folder / "2.json").read_text())
     for content, says in (
         ("", "expected JSON"),

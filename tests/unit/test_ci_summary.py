@@ -4,7 +4,7 @@ import html
 import re
 
 import pytest
-from made_verdicts import scene, verdict
+from verdict_factory import scene, verdict
 
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.report.ci_summaries import SUMMARY_LIMIT_BYTES, append, markdown

@@ -81,7 +81,7 @@ def test_point_lights_that_fade_as_ours_are_kept_whole(tmp_path, fading, intensi
     assert sum("PointLight" in line or "point lights" in line for line in course.left_out) == left_out
 
 
-def test_textures_of_later_assignments_are_read_over_and_told(tmp_path):
+def test_textures_of_later_assignments_are_read_over_and_reported(tmp_path):
     text = SCENE.format(count=1, objects="Sphere { center 0 0 0 radius 1 }").replace(
         "  Material { diffuseColor 0 1 0 }",
         "  Checkerboard { Matrix { 1 2 } materialIndex 0 materialIndex 1 }",
@@ -109,7 +109,7 @@ Group {
 """
 
 
-def test_all_errors_of_a_file_are_told_at_once(tmp_path):
+def test_all_errors_of_a_file_are_reported_at_once(tmp_path):
     """Errors of spelling, of values and of missing meshes, in the order of their lines."""
     assert errors(tmp_path, BAD) == [
         "1:1: PerspectiveCamera needs 'up'",
@@ -176,7 +176,7 @@ def test_a_mesh_that_is_missing_or_out_of_reach_is_an_error(tmp_path):
     assert "must lie in the scene's folder" in errors(tmp_path, text.replace("gone", "../gone"))[0]
 
 
-def test_a_file_that_is_no_text_or_not_there_is_told(tmp_path):
+def test_a_file_that_is_no_text_or_not_there_is_reported(tmp_path):
     (tmp_path / "s.txt").write_bytes(b"\xff\xfe")
     with pytest.raises(SceneError, match="not a text in UTF-8"):
         load_course_scene(tmp_path / "s.txt", 1, 1)

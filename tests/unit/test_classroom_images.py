@@ -149,7 +149,7 @@ def test_backs_are_black_unless_they_are_shaded(tmp_path):
     assert center(shaded.normal).tolist() == [0, 0, -1]
 
 
-def test_shadows_fall_where_they_are_asked_for(tmp_path):
+def test_shadows_fall_where_they_are_requested(tmp_path):
     objects = "Group { numObjects 2 Plane { normal 0 0 1 offset -1 } Sphere { center 0 0 0 radius 0.5 } }"
     sun = SUN.replace("0 -3 -4", "1 0 -1")
     lit, cast = (drawn(tmp_path, objects, rest=sun, shadows=shadows).color for shadows in (False, True))
@@ -167,7 +167,7 @@ def test_our_own_diffuse_is_the_same_where_our_model_has_the_light(tmp_path):
     assert np.allclose(ours["diffuse"][mine.hit], mine.color[mine.hit], rtol=1e-14, atol=1e-15)
 
 
-def test_the_command_writes_its_pictures_and_lists_what_it_left_out(tmp_path, monkeypatch, capsys):
+def test_the_command_writes_its_images_and_lists_what_it_left_out(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     course_of(tmp_path, SPHERE, rest=LAMP + FAINT)
     words = "-input s.txt -size 30 20 -output o.png -depth -2 12 d.tga -normals n.png"
@@ -198,7 +198,7 @@ def test_the_command_writes_its_pictures_and_lists_what_it_left_out(tmp_path, mo
         ("-input s.txt -output o.png -gui", 2, "unrecognized arguments: -gui"),
     ],
 )
-def test_wrong_use_is_told_with_its_exit_code(tmp_path, monkeypatch, capsys, words, code, says):
+def test_wrong_use_is_reported_with_its_exit_code(tmp_path, monkeypatch, capsys, words, code, says):
     monkeypatch.chdir(tmp_path)
     course_of(tmp_path, SPHERE)
     assert main(["6837", *words.split()]) == code

@@ -46,7 +46,7 @@ def test_the_caster_of_the_page_is_right_and_prints_what_the_page_shows(folder, 
     assert check(capsys) == output_of("python check.py")
 
 
-def test_its_size_is_what_the_page_says():
+def test_its_size_is_what_the_page_states():
     lines = [line for line in as_shown("student.py").splitlines() if line.strip()]
     assert 55 <= len(lines) <= 80
 
@@ -75,7 +75,7 @@ def test_its_check_finds_mistakes(folder, capsys, right, wrong, says):
     assert any(line.startswith(says.strip()) for line in changed), found
 
 
-def test_a_camera_inside_the_ball_needs_the_second_root(folder, capsys):
+def test_a_camera_inside_the_sphere_needs_the_second_root(folder, capsys):
     (folder / "lesson.toml").write_text(
         as_shown("lesson.toml").replace("eye = [0.4, 1.1, 5]", "eye = [0.4, 0.3, 0.1]")
     )
@@ -101,13 +101,13 @@ def test_its_commands_run(folder, capsys):
     assert {"lesson.png", "out.png", "depth.png", "normals.png"} <= {file.name for file in folder.iterdir()}
 
 
-def test_its_error_is_what_is_said(folder, capsys):
+def test_its_error_is_what_is_stated(folder, capsys):
     (folder / "bad.txt").write_text(as_shown("lesson.txt").replace("0.8", "-0.8"))
     assert main(["6837", "-input", "bad.txt", "-output", "out.png"]) == 2
     assert capsys.readouterr().err == output_of("caster 6837 -input bad.txt -output out.png")
 
 
-def test_the_triangle_is_seen(folder):
+def test_the_triangle_is_detected(folder):
     """Each of the three shapes fills a good part of the picture."""
     ids = caster.render(caster.load_scene("lesson.toml"), ("shape_id",))["shape_id"]
     assert (np.bincount(ids[ids >= 0].ravel()) > 1000).all()

@@ -190,7 +190,7 @@ def test_a_missing_mesh_is_4(folder, capsys):
     assert "No such file or directory" in said
 
 
-def test_check_tells_all_errors_of_all_files(folder, capsys):
+def test_check_reports_all_errors_of_all_files(folder, capsys):
     put(folder, CAMERA + "fov = 0\n" + SPHERE + "radius = -1\n")
     (folder / "good.toml").write_text(CAMERA)
     assert main(["check", "s.toml", "good.toml", "no.toml"]) == 2
@@ -249,7 +249,7 @@ def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, mes
     ],
     ids=" ".join,
 )
-def test_wrong_usage_is_2_and_says_how_to_call_it(capsys, argv, message):
+def test_wrong_usage_is_2_and_states_how_to_call_it(capsys, argv, message):
     said = refused(capsys, 2, *argv)
     assert said.startswith("usage: caster") and message in said
 
@@ -278,7 +278,9 @@ def test_an_output_that_is_a_folder_is_4(folder, capsys):
     assert "expected a file to write, this is a folder" in refused(capsys, 4, "render", "s.toml")
 
 
-def test_an_output_that_cannot_be_written_is_told_before_the_scene_is_rendered(folder, capsys, monkeypatch):
+def test_an_output_that_cannot_be_written_is_reported_before_the_scene_is_rendered(
+    folder, capsys, monkeypatch
+):
     put(folder, CAMERA + SPHERE)
     monkeypatch.setattr("caster.rendering.images.trace_film", None)  # calling it would end with 70
     refused(capsys, 4, "render", "s.toml", "-o", "no/s.exr")

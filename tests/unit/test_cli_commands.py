@@ -166,7 +166,7 @@ def test_a_standard_output_that_was_closed_before_is_none_of_our_business():
     assert (process.returncode, process.stderr) == (0, "")
 
 
-def test_a_full_device_is_told(capfd):
+def test_a_full_device_is_reported(capfd):
     with open("/dev/full", "w") as full:
         run = subprocess.run(
             [sys.executable, "-m", "caster", "schema"],

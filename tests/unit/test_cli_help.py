@@ -20,7 +20,7 @@ def test_the_reference_gives_every_aov_there_is():
     assert scene_exchange.KNOWN_AOVS == list(REFERENCE_AOVS) == list(BY_NAME)
 
 
-def test_both_renderers_write_the_same_channels_unless_told():
+def test_both_renderers_write_the_same_channels_by_default():
     assert DEFAULT_AOV_LIST == scene_exchange.DEFAULT_AOV_LIST == ",".join(DEFAULT_AOVS)
 
 
@@ -28,7 +28,7 @@ def test_every_default_exists():
     assert set(re.split(",", DEFAULT_AOV_LIST)) <= set(BY_NAME)
 
 
-def test_the_modes_of_approval_are_those_that_it_knows():
+def test_the_modes_of_approval_are_those_of_its_table():
     assert exr_comparison.MODES == approval.MODES
 
 

@@ -127,14 +127,14 @@ def test_the_text_shows_ray_hit_and_candidates(folder, capsys):
     assert said.index('shapes[0] (sphere "ball"), prim 0') < said.index("shapes[1] (plane), prim 0")
 
 
-def test_a_miss_is_said_and_no_failure(folder, capsys):
+def test_a_miss_is_stated_and_no_failure(folder, capsys):
     write(folder)
     assert main(["probe", "s.toml", "0", "0"]) == 0
     assert "miss   nothing lies on this ray\n" in capsys.readouterr().out
     assert probed(capsys, 0, 0)["hit"] is None
 
 
-def test_a_pixel_without_a_ray_is_said_to_have_none(folder, capsys):
+def test_a_pixel_without_a_ray_is_stated_to_have_none(folder, capsys):
     write(folder, "fisheye")
     assert main(["probe", "s.toml", "0", "0"]) == 0
     assert "no ray: the pixel lies outside the image circle of the fisheye camera" in capsys.readouterr().out

@@ -14,7 +14,7 @@ import caster.rendering.threads
 from caster.__main__ import main
 from caster.aovs import AOVS
 from caster.image.channels import channels_to_aovs
-from caster.rendering.bvh import bvh_of
+from caster.rendering.bvh_construction import bvh_of
 from caster.rendering.hits import packed
 
 pytestmark = pytest.mark.usefixtures("warm")
@@ -95,7 +95,7 @@ def test_two_renders_have_the_same_bytes_on_any_number_of_threads(folder):
     assert len(list(folder.glob("*.exr"))) == 4 and len(images) == 1
 
 
-def test_threads_are_as_many_as_asked_for(folder, monkeypatch):
+def test_threads_are_as_many_as_requested(folder, monkeypatch):
     """The one that asks works, too."""
     others = []
     pool = caster.rendering.threads._pool
@@ -112,7 +112,7 @@ def test_threads_are_as_many_as_asked_for(folder, monkeypatch):
     assert others == []
 
 
-def test_a_crop_is_cut_out_of_the_whole_picture_bit_by_bit(folder):
+def test_a_crop_is_cut_out_of_the_whole_image_bit_by_bit(folder):
     render("--aov", ALL, "-o", "whole.exr")
     render("--aov", ALL, "--crop", "5", "3", "17", "11", "-o", "part.exr")
     whole, part = caster.read_exr("whole.exr"), caster.read_exr("part.exr")
@@ -135,7 +135,7 @@ def test_another_size_is_the_same_view_in_other_pixels(folder):
     assert np.allclose(large["depth.Z"][1::3, 1::3], small["depth.Z"], rtol=4 * 2.0**-24, atol=0)
 
 
-def test_the_file_says_where_it_comes_from(folder):
+def test_the_file_states_where_it_comes_from(folder):
     render("--size", "6", "4")
     scene = caster.load_scene("s.toml").with_film(width=6, height=4)
     assert caster.read_exr("s.exr").provenance == {
@@ -153,7 +153,7 @@ def test_a_scene_path_that_is_no_unicode_is_stored_as_near_as_can_be(folder):
     assert caster.read_exr("x.exr").provenance["caster/scene"] == "s?.toml"
 
 
-def test_explain_tells_the_plan_and_what_was_left_out(folder, capsys):
+def test_explain_reports_the_plan_and_what_was_left_out(folder, capsys):
     render("--explain", "--aov", "depth")
     told = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
     assert told["culling"].startswith("raster: ")
@@ -163,7 +163,7 @@ def test_explain_tells_the_plan_and_what_was_left_out(folder, capsys):
     assert told["skipped"].split(", ") == [aov.NAME for aov in AOVS if aov.NAME != "depth"]
 
 
-def test_explain_tells_of_trees_surfaces_and_shadows_where_there_are_any(folder, capsys):
+def test_explain_reports_trees_surfaces_and_shadows_where_there_are_any(folder, capsys):
     looking = 'type = "pinhole"\neye = [0.3, 0.4, 5]\nlook_at = [0, 0, 0]'
     one_ray = SCENE.replace(looking, 'type = "ray"\norigin = [1.2, 0.5, 5]\ndirection = [0, 0, -1]')
     (folder / "s.toml").write_text(one_ray)
@@ -181,7 +181,7 @@ def test_explain_tells_of_trees_surfaces_and_shadows_where_there_are_any(folder,
     assert "shadow rays  skipped: the scene switches shadows off" in capsys.readouterr().out
 
 
-def test_an_empty_scene_is_a_picture_of_misses(folder, capsys):
+def test_an_empty_scene_is_a_image_of_misses(folder, capsys):
     (folder / "s.toml").write_text(SCENE.partition("[[shape]]")[0])
     render("--aov", ALL, "--explain")
     assert "none: every ray misses" in capsys.readouterr().out
@@ -189,7 +189,7 @@ def test_an_empty_scene_is_a_picture_of_misses(folder, capsys):
     assert not exr.channels["A"].any() and (exr.channels["depth.Z"] == np.inf).all()
 
 
-def test_info_tells_what_was_rendered(folder, capsys):
+def test_info_reports_what_was_rendered(folder, capsys):
     render("--aov", "depth,shape_id")
     hits = int(caster.read_exr("s.exr").channels["A"].sum())
     capsys.readouterr()

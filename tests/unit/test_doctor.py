@@ -50,7 +50,7 @@ def test_matplotlib_is_looked_for_with_the_projects_least_version_and_is_not_nee
     assert "probe --picture" in finding.adds
 
 
-def test_a_judge_without_matplotlib_is_usable_and_says_what_it_would_add(monkeypatch):
+def test_a_judge_without_matplotlib_is_usable_and_states_what_it_would_add(monkeypatch):
     monkeypatch.setattr(
         judge_doctor, "MATPLOTLIB", judge_doctor.MATPLOTLIB._replace(distribution="no-such-matplotlib")
     )
@@ -87,7 +87,7 @@ def test_a_package_that_does_not_import_is_not_found():
     assert not finding.found and "does not import: No module named 'no_such_module'" in finding.detail
 
 
-def test_a_compiler_that_is_switched_off_is_said(monkeypatch):
+def test_a_compiler_that_is_switched_off_is_stated(monkeypatch):
     monkeypatch.setenv("CASTER_JIT", "0")
     (numba,) = (find_package(part) for part in installation.PACKAGES if part.module == "numba")
     assert numba.found and numba.detail.endswith("switched off by CASTER_JIT=0")
@@ -115,7 +115,7 @@ def test_the_judge_looks_for_everything_the_caster_uses_and_for_mitsuba():
     assert {"mitsuba", "drjit", "variants", "libLLVM"} <= set(names)
 
 
-def test_mitsuba_answers_through_the_door():
+def test_mitsuba_answers_requests():
     variants = next(finding for finding in judge_doctor.report() if finding.name == "variants")
     assert variants.found and "scalar_rgb" in variants.detail, variants.detail
 
@@ -160,7 +160,7 @@ def test_a_mitsuba_that_hangs_is_a_finding(monkeypatch):
     assert ask("import time; time.sleep(60)")["variants"].detail == "no answer within 0.5 s"
 
 
-def test_another_mitsuba_is_used_but_said_and_another_drjit_is_refused(monkeypatch):
+def test_another_mitsuba_is_used_but_stated_and_another_drjit_is_refused(monkeypatch):
     monkeypatch.setattr(judge_doctor, "PINNED", {"mitsuba": "3.9.9", "drjit": "1.5.9"})
     found = describe(variants=["scalar_rgb"])
     assert found["mitsuba"].found and found["mitsuba"].detail.endswith("the bounds belong to 3.9.9")

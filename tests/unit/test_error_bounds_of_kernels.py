@@ -20,7 +20,7 @@ from caster.kernels.protocol import intersect, load, normal, prepare
 from caster.kernels.raster.tile import PRIM, T_ERROR, UNCERTAIN, T, lane, new_tile, start_ray
 from caster.kernels.raster.tile_casting import bounds_in_tile, row_bounds
 from caster.kernels.raster.wide_angle import MAX_HULL_ANGLE
-from caster.rendering.bvh import bvh_of
+from caster.rendering.bvh_construction import bvh_of
 from caster.rendering.casting import STACK_SIZE
 from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Plane, Sphere, Torus
@@ -147,7 +147,7 @@ def test_the_wall_of_a_prepared_cylinder_is_off_by_both_coordinates_across(axis)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_plane_is_met_for_every_input_within_its_errors(axis):
+def test_a_plane_is_hit_for_every_input_within_its_errors(axis):
     n = [0.0, 0.0, 0.0]
     n[axis] = 1.0
     prims = prims_of(Plane(normal=tuple(n), offset=2.0))
@@ -171,7 +171,7 @@ def test_a_plane_is_met_for_every_input_within_its_errors(axis):
 
 
 @pytest.mark.parametrize("any_hit", [False, True])
-def test_rays_of_a_packet_that_go_singly_meet_what_brute_force_does(any_hit):
+def test_rays_of_a_packet_that_go_singly_hit_what_brute_force_does(any_hit):
     rng = np.random.default_rng(172)
     camera = Fisheye(eye=(0.0, 0.0, 0.0), look_at=(0.0, 0.0, 1.0))
     balls = [Sphere(center=tuple(rng.uniform(-3.0, 3.0, 3)), radius=rng.uniform(0.1, 0.5)) for _ in range(70)]

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting
-from exact_meetings import DIGITS, Met, exactly, triangle
-from posed_pairs import Pairs, pose, rounding
+from decimal_intersections import DIGITS, Met, exactly, triangle
+from ray_primitive_pairs import Pairs, pose, rounding
 
-from mitsuba_ref.error_model.intersections import KU, KU_OURS, Intersections, U, norm
+from mitsuba_ref.error_model.intersections import Intersections, norm
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.shapes.plane import PATCH_FACES, _face_of_hit, as_triangles
 
 SINGLE = [kind for kind in KINDS if kind != "meshes"]  # kinds with one primitive a shape
@@ -71,9 +72,9 @@ def test_no_rounding_of_the_inputs_leaves_the_bound(kind, setting):
     pairs = pose(kind, SETTINGS[setting], [101, SINGLE.index(kind)])
     ours = pairs.name == "Planes"  # of a patch, the corners are rounded: see below
     for repeat in range(4):
-        off = rounding(np.random.default_rng([102, repeat]), U)
-        models = pairs.intersect(COUNTS[pairs.name] * U, ours=ours)
-        normals = pairs.intersect(NORMAL_COUNTS * U, ours=ours)
+        off = rounding(np.random.default_rng([102, repeat]), U32)
+        models = pairs.intersect(COUNTS[pairs.name] * U32, ours=ours)
+        normals = pairs.intersect(NORMAL_COUNTS * U32, ours=ours)
         for at, twice, met in zip(models, normals, pairs.solve(off), strict=True):
             assert shares(at, met)["t"] <= 1.0
             assert max(shares(twice, met).values()) <= 1.0
@@ -88,8 +89,8 @@ def test_roundings_do_reach_the_bound(kind):
     for number, setting in enumerate(SETTINGS.values()):
         pairs = pose(kind, setting, [103, number])
         ours = pairs.name == "Planes"
-        moved = pairs.solve(rounding(np.random.default_rng([104, number]), U))
-        models = pairs.intersect(COUNTS[pairs.name] * U, ours=ours)
+        moved = pairs.solve(rounding(np.random.default_rng([104, number]), U32))
+        models = pairs.intersect(COUNTS[pairs.name] * U32, ours=ours)
         for at, met, unmoved in zip(models, moved, pairs.solve(), strict=True):
             most = max(most, shares(at, met)["t"])
             flips += int((met.hit != unmoved.hit).sum())

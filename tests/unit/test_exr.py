@@ -160,7 +160,7 @@ def test_without_a_crop_the_window_is_the_image(tmp_path):
         ({"Z": np.zeros((2, 2))}, {"display_window": (0, 0, 0, 2)}, ["display_window"]),
     ],
 )
-def test_what_an_exr_cannot_hold_is_an_error_that_says_so(tmp_path, channels, options, words):
+def test_what_an_exr_cannot_hold_is_an_error_that_states_it(tmp_path, channels, options, words):
     with pytest.raises(SceneError) as caught:
         write_exr(tmp_path / "a.exr", channels, **options)
     assert all(word in str(caught.value) for word in words), str(caught.value)

@@ -115,7 +115,7 @@ def test_two_parts_that_hold_the_same_layers_never_pass(tmp_path, capsys, parts)
         assert "may both be the depth: --map depth=0.good.depth.Z" in capsys.readouterr().out
 
 
-def test_the_picture_itself_passes(tmp_path, capsys):
+def test_the_image_itself_passes(tmp_path, capsys):
     """A canary that dies of something else proves nothing."""
     for name in ("a", "b"):
         write_exr(tmp_path / f"{name}.exr", picture())
@@ -123,6 +123,6 @@ def test_the_picture_itself_passes(tmp_path, capsys):
     assert "PASS" in capsys.readouterr().out and NOT_COMPARABLE in MEANINGS
 
 
-def test_two_pictures_that_are_wrong_alike_fail_too(tmp_path):
+def test_two_images_that_are_wrong_alike_fail_too(tmp_path):
     write_exr(tmp_path / "a.exr", all_nan())
     assert main(["compare", str(tmp_path / "a.exr"), str(tmp_path / "a.exr"), *WIDE_OPEN]) == DIFFERENCES

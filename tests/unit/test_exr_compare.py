@@ -384,7 +384,7 @@ def test_leaving_out_everything_is_not_comparable(tmp_path):
     assert result.exit_code == 3 and "nothing could be compared" in text(result)
 
 
-def test_no_channel_in_common_is_not_comparable(tmp_path):
+def test_without_a_shared_channel_files_are_not_comparable(tmp_path):
     result = compared(tmp_path, {"depth.Z": EXACT["depth.Z"]}, {"A": EXACT["A"]})
     assert result.exit_code == 3 and "no channel in common" in text(result)
 
@@ -439,7 +439,7 @@ def test_two_images_that_hit_nothing_are_nothing_to_compare(tmp_path):
     assert compared(tmp_path, EXACT, {n: np.zeros_like(a) for n, a in EXACT.items()}).exit_code == 1
 
 
-def test_without_any_channel_that_tells_hits_every_pixel_counts(tmp_path):
+def test_without_any_channel_of_hits_every_pixel_counts(tmp_path):
     normals = {f"normal.{axis}": EXACT[f"normal.{axis}"] for axis in "XYZ"}
     result = compared(tmp_path, normals, normals)
     assert result.ok and result.hit_either is None and "hits unknown" in text(result)
@@ -496,7 +496,7 @@ def test_a_tolerance_that_is_no_tolerance_is_an_error(option, value):
         Tolerances(**{option: value})
 
 
-def test_leaving_out_a_channel_nobody_has_is_an_error_with_a_suggestion(tmp_path):
+def test_leaving_out_a_channel_of_neither_file_is_an_error_with_a_suggestion(tmp_path):
     with pytest.raises(SceneError, match=r"--ignore norml: .*did you mean 'normal'\?"):
         compared(tmp_path, EXACT, EXACT, Tolerances(ignore=("norml",)))
 
@@ -515,7 +515,7 @@ def test_unlisted_channels_and_uv_are_compared_too(tmp_path):
 # ---- what is said ----
 
 
-def test_a_failure_says_how_many_how_far_where_and_what_next(tmp_path):
+def test_a_failure_states_how_many_how_far_where_and_what_next(tmp_path):
     ours = with_value("depth.Z", 3.25)
     write_exr(tmp_path / "ours.exr", ours, SCENE | {"caster/scene": "scenes/two balls.toml"})
     write_exr(tmp_path / "reference.exr", EXACT, SCENE)
@@ -554,7 +554,7 @@ def test_files_that_name_different_scenes_are_compared_only_on_demand(tmp_path):
     assert allowed.exit_code == 0 and "note: the files are of different scenes" in text(allowed)
 
 
-def test_two_black_pictures_prove_nothing(tmp_path):
+def test_two_black_images_prove_nothing(tmp_path):
     """No mask, and every number 0: whatever both failed to render agrees."""
     black = {name: np.zeros((4, 4), np.float32) for name in "RGB"}
     for name in ("a.exr", "b.exr"):

@@ -9,7 +9,12 @@ import pytest
 import caster
 from caster.__main__ import main
 from caster.aovs import AOVS, Aovs
-from mitsuba_ref.judge.independent_checks.exr_files import CHANNELS, WrittenImage, difference, stored_planes
+from mitsuba_ref.judge.independent_checks.exr_round_trip import (
+    CHANNELS,
+    WrittenImage,
+    difference,
+    stored_planes,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE, SIZE, CROP = str(ROOT / "scenes/every-shape.toml"), (24, 18), (5, 3, 20, 17)
@@ -43,7 +48,7 @@ def test_the_names_of_channels_are_those_of_the_page_and_of_every_aov():
     assert listed == CHANNELS == {aov.NAME: tuple(aov.CHANNELS) for aov in AOVS}
 
 
-def test_ids_and_numbers_beyond_float32_are_stored_as_the_page_says():
+def test_ids_and_numbers_beyond_float32_are_stored_as_the_page_states():
     hit = np.array([[True, False]])
     planes = stored_planes(Aovs({"shape_id": np.array([[2, -1]]), "depth": np.array([[1e300, np.inf]])}, hit))
     assert planes["id.shape"].tolist() == [[2, 4294967295]] and planes["id.shape"].dtype == np.uint32

@@ -90,7 +90,7 @@ def test_the_names_of_other_programs_are_recognised_and_stated(tmp_path, ours, p
     assert "not compared, since only one file has them: A" in text(result)
 
 
-def test_what_is_not_known_is_left_out_and_said(tmp_path, ours):
+def test_what_is_not_known_is_left_out_and_stated(tmp_path, ours):
     theirs = named(ours, depth="depth.T") | {"Cryptomatte00.R": ours["A"]}
     result = compared(tmp_path, ours, theirs)
     assert result.ok and "not recognised, and left out: Cryptomatte00.R (--map OURS=THEIRS)" in text(result)
@@ -136,7 +136,7 @@ def test_a_map_that_maps_nothing_is_an_error(tmp_path, ours, option, says):
     ("miss", "name"),
     [(0.0, "0"), (np.inf, "inf"), (1e10, "1e10"), (FLT_MAX, "FLT_MAX"), (65504.0, "65504"), (-1.0, "-1")],
 )
-def test_the_value_of_a_miss_is_seen_and_stated(tmp_path, ours, miss, name):
+def test_the_value_of_a_miss_is_detected_and_stated(tmp_path, ours, miss, name):
     result = compared(tmp_path, ours, named(ours, depth="Z", miss=miss))
     misses = int((ours["A"] == 0).sum())
     assert result.ok and f"a miss is depth {name} ({misses} pixels)" in text(result)
@@ -179,7 +179,7 @@ def test_depth_along_z_is_seen_by_the_camera_of_our_file_and_stated(tmp_path, ou
     assert "depth is z along the view axis" in text(result) and "100 % as z" in text(result)
 
 
-def test_depth_from_the_near_plane_is_seen(tmp_path, ours):
+def test_depth_from_the_near_plane_is_detected(tmp_path, ours):
     near = scene_of(near=1.0)
     depth = np.where(ours["A"] == 1, ours["depth.Z"] - ViewRays.of(near).near, 0).astype(np.float32)
     result = compared(tmp_path, ours, {"depth.T": depth}, scene=near)
@@ -193,7 +193,7 @@ def test_a_near_plane_that_the_camera_does_not_have_may_be_given(tmp_path, ours)
     assert compared(tmp_path, ours, {"depth.T": depth}).exit_code == 1
 
 
-def test_parallel_rays_along_the_axis_leave_nothing_to_ask(tmp_path):
+def test_parallel_rays_along_the_axis_leave_nothing_to_request(tmp_path):
     along = caster.Orthographic(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), width=4)
     scene = SCENE.model_copy(update={"camera": along})
     given = {
@@ -210,7 +210,7 @@ def test_a_mask_that_covers_everything_is_left_out(tmp_path, ours):
     assert result.ok and "A covers everything, and is left out" in text(result), text(result)
 
 
-def test_a_picture_is_not_taken_for_our_diffuse(tmp_path, ours):
+def test_an_image_is_not_taken_for_our_diffuse(tmp_path, ours):
     lit = ours | dict.fromkeys("RGB", ours["A"])
     theirs = named(ours, depth="Z") | dict.fromkeys("RGB", 0.5 * ours["A"])
     result = compared(tmp_path, lit, theirs)
@@ -219,7 +219,7 @@ def test_a_picture_is_not_taken_for_our_diffuse(tmp_path, ours):
     assert asked.exit_code == 1 and "FAIL  diffuse" in text(asked)
 
 
-def test_without_a_camera_z_cannot_be_told_and_fails_with_the_way_out(tmp_path, ours):
+def test_without_a_camera_z_cannot_be_recognised_and_fails_with_the_way_out(tmp_path, ours):
     write_exr(tmp_path / "a.exr", ours, {"caster/version": "0"})
     OpenEXR.File({}, along_z(ours)).write(str(tmp_path / "b.exr"))
     result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
@@ -245,7 +245,7 @@ def test_a_file_of_ours_is_never_converted(tmp_path, ours):
     assert result.exit_code == 1 and result.stated == ()
 
 
-def test_a_depth_of_no_convention_fails_and_says_so(tmp_path, ours):
+def test_a_depth_of_no_convention_fails_and_states_it(tmp_path, ours):
     theirs = {"Z": np.where(ours["A"] == 1, ours["depth.Z"] * 1.01, 0).astype(np.float32)}
     result = compared(tmp_path, ours, theirs)
     assert result.exit_code == 1 and "no convention fits (0 % as distance, 0 % as z" in text(result)
@@ -264,7 +264,7 @@ def test_where_two_conventions_fit_it_is_a_question(tmp_path):
     assert result.exit_code == 3 and "the numbers fit both" in text(result) and "--depth" in text(result)
 
 
-def test_two_foreign_files_are_taken_as_they_are_and_that_is_said(tmp_path, ours):
+def test_two_foreign_files_are_taken_as_they_are_and_that_is_stated(tmp_path, ours):
     for name in "ab":
         OpenEXR.File({}, named(ours, depth="ViewLayer.Depth.Z", miss=1e10)).write(
             str(tmp_path / f"{name}.exr")

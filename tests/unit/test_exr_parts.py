@@ -118,7 +118,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("why", REFUSED)
-def test_parts_that_make_no_picture_are_refused_by_every_command(tmp_path, capfd, why):
+def test_parts_that_make_no_image_are_refused_by_every_command(tmp_path, capfd, why):
     parts, headers, says = REFUSED[why]
     path = save(tmp_path / "a.exr", parts, **headers)
     for command in (

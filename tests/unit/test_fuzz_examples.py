@@ -14,7 +14,7 @@ from mitsuba_ref.fuzz.campaign import check_example
 from mitsuba_ref.fuzz.families import BY_NAME, FAMILIES, example, scene_of
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.fuzz.settings import random_camera, random_setting, random_shape
-from mitsuba_ref.judge.independent_checks.aims import Setting, perturbed_by_ulps
+from mitsuba_ref.judge.independent_checks.adversarial_rays import Setting, perturbed_by_ulps
 from mitsuba_ref.shapes import KINDS, kind_of
 
 FEW = 8  # examples of each family
@@ -36,7 +36,7 @@ def test_an_example_is_the_same_whenever_it_is_made(examples):
         assert all(np.array_equal(a, b) for a, b in zip(shots, same, strict=True))
 
 
-def test_an_example_is_the_same_when_its_family_is_asked_for_alone(examples):
+def test_an_example_is_the_same_when_its_family_is_requested_alone(examples):
     """So the options that a failure is reported with make the very scene again."""
     for tried in examples:
         alone = example(tried.seed, tried.number, [tried.family])

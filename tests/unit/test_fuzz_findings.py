@@ -8,7 +8,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.fuzz import checks
 from mitsuba_ref.fuzz.checks import adjudicate, check_rays, check_surfaces
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally, first_of_each_kind
-from mitsuba_ref.judge.independent_checks.aims import RayBatch
+from mitsuba_ref.judge.independent_checks.adversarial_rays import RayBatch
 from mitsuba_ref.judge.independent_checks.knife_edges import NearestHits, cast_by_culling, prepared_scene
 from mitsuba_ref.oracle.oracle import Oracle
 
@@ -95,7 +95,7 @@ def test_a_bit_between_two_cullings_is_found(subject, monkeypatch):
     assert kinds == 4 * ["culling"], "t of a miss counts, too"
 
 
-def test_a_bit_between_two_pictures_is_found(subject, monkeypatch):
+def test_a_bit_between_two_images_is_found(subject, monkeypatch):
     usual = checks.render
 
     def off_by_a_bit(scene, names, *, culling, threads):
@@ -109,7 +109,7 @@ def test_a_bit_between_two_pictures_is_found(subject, monkeypatch):
     assert finding.kind == "culling" and finding.pixel == (2, 1) and "position" in finding.what
 
 
-def test_a_wrong_depth_in_all_pictures_is_found(subject, monkeypatch):
+def test_a_wrong_depth_in_all_images_is_found(subject, monkeypatch):
     usual = checks.render
 
     def too_deep(scene, names, **options):
@@ -154,7 +154,7 @@ def test_subjects_share_what_is_packed(subject):
     assert subject.packed.first[-1] == pack(subject.scene).first[-1] == 3
 
 
-def test_the_largest_error_of_t_is_told_in_units_of_its_bound(subject):
+def test_the_largest_error_of_t_is_reported_in_units_of_its_bound(subject):
     """A t that is a bit off counts by its bound, a miss and another primitive do not; of several the largest."""
     told = []
     for t in (RIGHT[0], [2.0 + 2.0**-51, 2.0, 2.0, np.inf], [2.0, 2.0, 2.0 + 2.0**-30, np.inf]):

@@ -49,7 +49,7 @@ def test_the_scene_casts_the_very_ray(tmp_path):
     assert cast(scene, ray.o, ray.d).shape_id.tolist() == [0]
 
 
-def test_a_picture_keeps_its_camera(tmp_path):
+def test_an_image_keeps_its_camera(tmp_path):
     one = cases.read_kept(written(tmp_path, a_case()))
     assert one.case.ray is None
     assert one.case.camera == a_case().camera and one.case.film == a_case().film
@@ -63,7 +63,7 @@ def test_a_mesh_goes_along(tmp_path):
     assert load_scene(again).shapes[0].load().faces.shape == (8, 3)
 
 
-def test_the_file_says_how_it_was_found_and_how_to_see_it_again(tmp_path):
+def test_the_file_states_how_it_was_found_and_how_to_see_it_again(tmp_path):
     text = written(tmp_path, a_case(one_ray([0.0] * 3, [0.0, 0.0, 1.0], 0.0, np.inf))).read_text()
     assert f"# Found by mitsuba-ref fuzz {FOUND_BY}: there is a hit by exact arithmetic" in text
     assert "# ours misses, exactly it is hit\n" in text
@@ -97,7 +97,7 @@ def changed(**ray):
         (changed(t_max="soon"), "ValueError"),
     ],
 )
-def test_a_damaged_file_is_told_with_its_line(tmp_path, record, says):
+def test_a_damaged_file_is_reported_with_its_line(tmp_path, record, says):
     file = written(tmp_path, a_case(one_ray([0.0] * 3, [0.0, 0.0, 1.0], 0.0, np.inf)))
     lines = file.read_text().splitlines()
     (number,) = (i for i, line in enumerate(lines) if line.startswith(cases.RECORD_PREFIX))
@@ -118,7 +118,7 @@ def test_a_plain_scene_is_no_kept_one(tmp_path):
         cases.read_kept(tmp_path / "plain.toml")
 
 
-def test_a_scene_that_does_not_load_is_told_as_any_other(tmp_path):
+def test_a_scene_that_does_not_load_is_reported_as_any_other(tmp_path):
     file = written(tmp_path, a_case())
     file.write_text(file.read_text().replace('"sphere"', '"spear"'))
     with pytest.raises(SceneError, match=r"name.toml:\d+:\d+: .*spear.*did you mean 'sphere'"):

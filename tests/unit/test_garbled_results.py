@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 import pytest
-from made_verdicts import scene, verdict
+from verdict_factory import scene, verdict
 
 from caster.description.errors import SceneError
 from mitsuba_ref.__main__ import main

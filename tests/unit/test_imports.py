@@ -111,14 +111,14 @@ RULES = (
         "mitsuba_ref",
         "only caster, and what reads its files back, imports OpenEXR; only caster imports numba",
         never=("OpenEXR", "numba"),
-        except_in=("mitsuba_ref.judge.independent_checks.exr_files",),
+        except_in=("mitsuba_ref.judge.independent_checks.exr_round_trip",),
     ),
     Rule("mitsuba_ref.judge", "only caster imports numba", never=("numba",)),
     Rule(
         "mitsuba_ref",
-        "only mitsuba_ref/reference/mitsuba_process.py imports Mitsuba",
+        "only mitsuba_ref/reference/mitsuba_calls.py imports Mitsuba",
         never=("mitsuba", "drjit"),
-        except_in=("mitsuba_ref.reference.mitsuba_process",),
+        except_in=("mitsuba_ref.reference.mitsuba_calls",),
     ),
     Rule(
         "mitsuba_ref",
@@ -316,9 +316,9 @@ def plant(root: Path, path: str, source: str) -> list[str]:
         (
             "mitsuba_ref/judge/verdict.py",
             "import mitsuba as mi",
-            "only mitsuba_ref/reference/mitsuba_process.py",
+            "only mitsuba_ref/reference/mitsuba_calls.py",
         ),
-        ("mitsuba_ref/reference/session.py", "import drjit", "only mitsuba_ref/reference/mitsuba_process.py"),
+        ("mitsuba_ref/reference/session.py", "import drjit", "only mitsuba_ref/reference/mitsuba_calls.py"),
         ("mitsuba_ref/reference/rendering.py", "import OpenEXR", "only caster, and what reads"),
         ("mitsuba_ref/probe/pixel.py", "import open3d", "a peer is imported by its entry alone"),
         ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.triangle_mesh import Mesh", "shares no code"),
@@ -349,7 +349,7 @@ def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, sourc
     ("path", "source"),
     [
         ("caster/image/exr.py", "import OpenEXR"),
-        ("mitsuba_ref/judge/independent_checks/exr_files.py", "import OpenEXR"),
+        ("mitsuba_ref/judge/independent_checks/exr_round_trip.py", "import OpenEXR"),
         ("caster/jit/decorators.py", "import os\nimport numba.extending"),
         ("caster/jit/machine_code.py", "import llvmlite.binding"),
         (
@@ -362,7 +362,7 @@ def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, sourc
             "from caster.description.fields import Shape\nfrom caster.kernels.math.vec import dot",
         ),
         ("caster/cli/viewing.py", f"from {NUMBA_DOOR} import WORK"),
-        ("mitsuba_ref/reference/mitsuba_process.py", "import drjit\nimport mitsuba"),
+        ("mitsuba_ref/reference/mitsuba_calls.py", "import drjit\nimport mitsuba"),
         ("mitsuba_ref/judge/verdict.py", "from caster import render\nfrom caster.scene.model import Scene"),
         ("mitsuba_ref/oracle/oracle.py", "import fractions\nfrom mitsuba_ref.oracle.interface import Root"),
         ("mitsuba_ref/oracle/interface.py", "import math\nimport numpy as np"),

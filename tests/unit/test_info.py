@@ -34,7 +34,7 @@ def image() -> dict[str, np.ndarray]:
     }
 
 
-def test_channels_ranges_hits_and_provenance_are_told(tmp_path):
+def test_channels_ranges_hits_and_provenance_are_reported(tmp_path):
     write_exr(tmp_path / "a.exr", image(), {"version": "1.2"})
     info = describe_exr(tmp_path / "a.exr")
     assert (info["width"], info["height"], info["hit_pixels"], info["hit_channel"]) == (3, 2, 4, "A")
@@ -85,19 +85,19 @@ def test_what_no_image_of_ours_holds_is_a_warning_with_its_pixel(tmp_path):
     assert info["channels"]["normal.Z"]["first_nan"] == [10, 21]
 
 
-def test_a_crop_is_told(tmp_path):
+def test_a_crop_is_reported(tmp_path):
     write_exr(tmp_path / "a.exr", image(), data_window=(1, 2, 4, 4), display_window=(0, 0, 9, 9))
     info = describe_exr(tmp_path / "a.exr")
     assert (info["data_window"], info["display_window"]) == ([1, 2, 4, 4], [0, 0, 9, 9])
     assert "pixels [1, 2, 4, 4] of the film [0, 0, 9, 9]" in format_info(info)
 
 
-def test_halves_are_told_apart(tmp_path):
+def test_half_floats_are_distinguished(tmp_path):
     OpenEXR.File({}, {"Z": np.ones((2, 2), np.float16)}).write(str(tmp_path / "a.exr"))
     assert describe_exr(tmp_path / "a.exr")["channels"]["Z"]["type"] == "half"
 
 
-def test_without_a_channel_that_tells_hits_are_unknown(tmp_path):
+def test_without_a_channel_of_hits_they_are_unknown(tmp_path):
     write_exr(tmp_path / "a.exr", {"normal.X": np.zeros((2, 2))})
     info = describe_exr(tmp_path / "a.exr")
     assert info["hit_pixels"] is None and "hit pixels: unknown" in format_info(info)

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from caster.description import text
+from caster.description import parsing
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import read_input
 from caster.geometry.mesh_files import load_mesh, ply_header
@@ -63,7 +63,7 @@ def test_a_key_of_thousands_of_parts_is_found_before_it_is_parsed(head, part):
     "harmless", ["# " + "a." * 60, 'name = "' + "a." * 60 + '"', "x = [" + "1.5, " * 60 + "]"]
 )
 def test_dots_that_are_no_key_are_harmless(harmless):
-    assert text.LONG_KEY.search(harmless) is None
+    assert parsing.LONG_KEY.search(harmless) is None
 
 
 @pytest.mark.parametrize("nested", ["[" * 60 + "]" * 60, "[" * 90_000, '{"a":' * 60 + "1" + "}" * 60])
@@ -79,7 +79,7 @@ def test_of_thousands_of_errors_fifty_are_listed():
     with pytest.raises(SceneError) as found:
         scene_from_text(CAMERA + wrong)
     lines = str(found.value).splitlines()
-    assert len([line for line in lines if "radius must be" in line]) == text.MAX_ERRORS_LISTED
+    assert len([line for line in lines if "radius must be" in line]) == parsing.MAX_ERRORS_LISTED
     assert lines[-1] == "<string>: and 2950 more errors"
 
 

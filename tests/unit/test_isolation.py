@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from made_verdicts import scene as made
+from verdict_factory import scene as made
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.runner import isolation, scene_runner

@@ -16,8 +16,8 @@ from mitsuba_ref.cameras.camera_reference import ClipRange, clip_planes
 from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import Claims
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
-from mitsuba_ref.error_model.intersections import KU, KU_OURS
 from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge import scene_checks
 from mitsuba_ref.judge.known_defects import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.scene_checks import check_geometry, check_render
@@ -72,12 +72,12 @@ def altered(monkeypatch: pytest.MonkeyPatch, change: Any) -> None:
     ],
     ids=["depth", "position", "normal", "shape_id"],
 )
-def test_a_faulty_picture_behind_a_near_plane_is_still_seen(change, monkeypatch):
+def test_a_faulty_image_behind_a_near_plane_is_still_detected(change, monkeypatch):
     altered(monkeypatch, change)
     assert not check_render(behind_a_near_plane()).ok
 
 
-def test_a_picture_that_forgets_the_near_plane_is_seen(monkeypatch):
+def test_an_image_that_forgets_the_near_plane_is_detected(monkeypatch):
     """It shows the triangle, which ends before a near plane at 0.55; beyond that there is the ball."""
     scene = behind_a_near_plane(near=0.55)
     without = render(behind_a_near_plane(near=0.0), scene_checks.CHECKED_AOVS)
@@ -209,7 +209,7 @@ LOST = (-58622576.0, 28182582.0, 13086081.0)  # a ball's centre
 
 
 @pytest.mark.parametrize("radius", [2.0**-8, 0.026217538863420486])
-def test_a_ball_lost_in_the_rounding_of_its_centre_has_no_normal_there(radius):
+def test_a_sphere_lost_in_the_rounding_of_its_centre_has_no_normal_there(radius):
     """Mitsuba's point on it is the centre, and its normal 0 / 0."""
     o, d = np.add(LOST, [0, 0, 1.0]), np.array([0.0, 0.0, -1.0])
     assert measured(Sphere(center=LOST, radius=radius), o, d, 1.0 - radius, NOTHING, NOTHING) == 9
@@ -220,12 +220,12 @@ def test_a_ball_lost_in_the_rounding_of_its_centre_has_no_normal_there(radius):
     [((0.0, 0.0, 0.0), 0.5, 3.5), (LOST, 200.0, 3.5), (LOST, 0.026, 1e6)],
     ids=["near", "large", "a wrong t"],
 )
-def test_no_other_ball_is_excused_for_a_normal_that_is_no_number(center, radius, t):
+def test_no_other_sphere_is_excused_for_a_normal_that_is_no_number(center, radius, t):
     o, d = np.add(center, [0, 0, radius + 3.5]), np.array([0.0, 0.0, -1.0])
     assert measured(Sphere(center=center, radius=radius), o, d, t, NOTHING, NOTHING) is None
 
 
-def test_a_hit_beside_a_squashed_ball_is_case_8_however_far_its_box_is():
+def test_a_hit_beside_a_squashed_sphere_is_case_8_however_far_its_box_is():
     """The ray passes 5 units beside the box; the ball's unit shape sees a direction of length 1e6."""
     turned = [{"scale": [1e-6, 1.0, 1e-6]}, {"rotate": {"axis": [1, 0, 0], "degrees": 30}}]
     ball = Sphere(to_world=turned)
@@ -258,7 +258,7 @@ def test_denormal_corners_are_rounded_by_the_spacing_of_denormal_numbers(tiny):
     assert found.ok, found
 
 
-def test_corners_that_are_off_by_more_than_that_are_seen():
+def test_corners_that_are_off_by_more_than_that_are_detected():
     float32 = scene_checks.PRECISIONS[1][2:]
     off = 2.0**-140
     right = ExpectedNumbers("vertices", np.zeros(3), np.full(3, 2.0**-149), np.full(3, 2.0**-149))

@@ -146,7 +146,7 @@ def test_no_folder_at_all_means_no_cache(tmp_path):
     assert done.returncode == 0 and done.stdout.endswith("compiled 3 loaded 0 True\n"), done.stderr
 
 
-def test_a_render_says_when_it_compiles_and_loads_no_compiler_when_it_need_not(tmp_path):
+def test_a_render_states_when_it_compiles_and_loads_no_compiler_when_it_need_not(tmp_path):
     """With the cache that all tests share: what is compiled for it is compiled for others, too."""
     scene, out = "scenes/one-sphere.toml", str(tmp_path / "x.exr")
     render = f"""

@@ -77,7 +77,7 @@ def test_a_file_that_others_may_write_or_own_is_not_loaded(tmp_path, monkeypatch
     assert machine_code.read(path) is None
 
 
-def test_that_nothing_is_kept_is_said_once_with_the_way_out(home, capsys):
+def test_that_nothing_is_kept_is_stated_once_with_the_way_out(home, capsys):
     NEW().parent.chmod(0o777)
     NEW()
     for what in ("mesh files", "sphere, pinhole"):
@@ -91,7 +91,7 @@ def test_that_nothing_is_kept_is_said_once_with_the_way_out(home, capsys):
     )
 
 
-def test_a_run_that_keeps_its_kernels_says_no_more_than_before(home, capsys):
+def test_a_run_that_keeps_its_kernels_states_no_more_than_before(home, capsys):
     NEW()
     with announce_compilation("sphere"):
         COMPILATION_LOG.compiling("a kernel")

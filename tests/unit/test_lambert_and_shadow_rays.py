@@ -8,8 +8,9 @@ import pytest
 
 from caster.scene.model import Scene
 from mitsuba_ref.error_model import lambert
-from mitsuba_ref.error_model.intersections import KU, Intersections
+from mitsuba_ref.error_model.intersections import Intersections
 from mitsuba_ref.error_model.lambert import ShadingPoints, ambient_radiance, light_contribution
+from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.judge.diffuse import materials_of
 
 LIGHTS = [

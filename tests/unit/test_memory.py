@@ -42,7 +42,7 @@ def test_a_landscape_is_made_packed_and_looked_through_in_little_memory(scene):
     assert peak_of(lambda: rejected_faces(scene)) < LOOKING
 
 
-def test_one_array_of_all_corners_would_be_seen(scene):
+def test_one_array_of_all_corners_would_be_detected(scene):
     """The check can fail: corners of all faces at once are 72 bytes a triangle more."""
 
     def careless() -> object:

@@ -159,7 +159,7 @@ def test_a_truncated_ply_is_an_error_at_every_byte(load, encoding):
             load(whole[:length])
 
 
-def test_truncation_says_how_much_is_there(load):
+def test_truncation_states_how_much_is_there(load):
     data = square("binary_little_endian")
     with pytest.raises(SceneError, match=r"truncated: expected 2 rows of element 'face', got 1 whole ones"):
         load(data[:-1])

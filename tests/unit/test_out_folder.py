@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from made_verdicts import judging
-from made_verdicts import scene as made
+from verdict_factory import judging
+from verdict_factory import scene as made
 
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.__main__ import main
@@ -80,7 +80,7 @@ def test_files_that_this_tool_did_not_write_or_that_were_altered_stay(judged, ca
     assert {"a.mine.exr", "notes.txt", "a.ours.exr"} < set(names()) and "a.verdict.exr" not in names()
 
 
-def test_a_reproducer_or_picture_that_is_no_longer_true_goes_with_the_verdict_it_came_with(judged, capsys):
+def test_a_reproducer_or_image_that_is_no_longer_true_goes_with_the_verdict_it_came_with(judged, capsys):
     judged(reproducers=("case-1.3-4",))
     assert judged("--resume") == 0 and names(".toml") == [f"{name}.case-1.3-4.toml" for name in "abc"]  # kept
     assert judged() == 0 and names(".toml") == []
@@ -130,7 +130,7 @@ def test_shards_in_one_folder_spare_each_other(judged, capsys):
     assert len(names(".exr")) == 9 and "removed" not in capsys.readouterr().err
 
 
-def test_a_candidates_pictures_are_listed_too():
+def test_a_candidates_images_are_listed_too():
     one = made("a")
     assert files_of(one)[0] == "a.ours.exr"
     assert files_of(replace(one, candidate="x:y"))[0] == "a.candidate.exr"
@@ -199,13 +199,13 @@ write_exr(Path(sys.argv[1]) / "a.ours.exr", {"A": np.ones((4, 4))})
 """
 
 
-def test_a_run_that_is_killed_while_it_writes_leaves_no_half_picture_under_its_name(tmp_path):
+def test_a_run_that_is_killed_while_it_writes_leaves_no_half_image_under_its_name(tmp_path):
     killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True)
     assert killed.returncode == -9, killed.stderr
     assert [path.suffix for path in tmp_path.iterdir()] == [".part"]
 
 
-def test_a_folder_whose_list_cannot_be_written_is_said_before_any_work(judged, capsys):
+def test_a_folder_whose_list_cannot_be_written_is_stated_before_any_work(judged, capsys):
     Path(f"out/{MANIFEST}").mkdir(parents=True)
     assert (
         judged() == OutputError.exit_code
@@ -252,7 +252,7 @@ def test_a_report_keeps_no_scene_that_its_page_does_not_lead_to(tmp_path, report
     assert report(judged_now("d"), spared=["b c"])[1].removed == ()
 
 
-def test_the_page_of_a_kept_scene_is_kept_and_says_so(tmp_path, report):
+def test_the_page_of_a_kept_scene_is_kept_and_states_it(tmp_path, report):
     """Its picture and its data come from the report of the run that judged it."""
     before, _ = report(judged_now("a"))
     kept = replace(made("a", inputs="same"), kept=True)

@@ -108,7 +108,7 @@ def test_no_shadow_ray_is_cast_without_need(a_scene, aovs, reason):
         (("diffuse",), ["position", "normals"]),
     ],
 )
-def test_of_a_surface_only_what_is_asked_for_is_worked_out(aovs, parts):
+def test_of_a_surface_only_what_is_requested_is_worked_out(aovs, parts):
     what = told(scene(lights=[LAMP]), *aovs)
     assert what["surfaces"]["worked_out"] == parts
     assert (what["surfaces"]["hits"] > 0) == bool(parts)
@@ -152,7 +152,7 @@ type = "sphere"
 
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba there are no compiled kernels to count")
-def test_kernels_of_absent_shapes_and_of_what_is_not_asked_for_are_not_loaded(tmp_path):
+def test_kernels_of_absent_shapes_and_of_what_is_not_requested_are_not_loaded(tmp_path):
     (tmp_path / "s.toml").write_text(LONELY)
     command = [sys.executable, "-m", "caster", "render", "s.toml", "--aov", "depth,normal", "--json"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -101,7 +101,7 @@ def test_numbers_have_colours_of_their_own():
     assert label_colors(np.array([2**31 - 1])).shape == (1, 3)
 
 
-def test_every_aov_has_a_picture():
+def test_every_aov_has_a_image():
     assert COLORINGS.keys() == {aov.PREVIEW for aov in AOVS}
 
 
@@ -152,7 +152,7 @@ def one_row(name, *values):
         ((1.0, 100.0, 10000.0), 0.5, "by its logarithm, 1 (light) to 10000 (dark)"),
     ],
 )
-def test_depth_is_light_near_and_dark_far_and_says_its_range(depths, middle, says):
+def test_depth_is_light_near_and_dark_far_and_states_its_range(depths, middle, says):
     shown = one_row("depth", *depths)
     assert shown.legend == says
     colors = colormap()
@@ -189,7 +189,7 @@ def test_labels_that_are_too_long_are_cut():
     assert (label_image("iii", 60, LABEL_PIXELS) != label_image("iij", 60, LABEL_PIXELS)).any()
 
 
-def test_render_writes_a_preview_and_says_what_it_shows(folder, capsys):
+def test_render_writes_a_preview_and_states_what_it_shows(folder, capsys):
     assert main(["render", "s.toml", "--preview", "p.png"]) == 0
     said = capsys.readouterr()
     assert said.err.startswith("p.png: diffuse: 0 to ") and said.out.startswith("s.exr: 24 x 16 pixels")
@@ -243,7 +243,7 @@ def test_classes_have_the_colours_and_names_that_their_file_gives_them(folder, c
         ("sheet s.toml --aov deep", 2, "aov 'deep': unknown"),
     ],
 )
-def test_wrong_use_is_told_with_its_exit_code(folder, capsys, words, code, says):
+def test_wrong_use_is_reported_with_its_exit_code(folder, capsys, words, code, says):
     assert main(words.split()) == code
     assert says in capsys.readouterr().err
     assert not list(folder.glob("*.exr")) and not [p for s in IMAGE_FORMATS for p in folder.glob(f"*{s}")]

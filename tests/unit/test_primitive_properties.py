@@ -125,7 +125,7 @@ def test_near_is_less_than_far(camera):
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda cls: cls.__name__)
-def test_a_ray_projects_to_its_pixel_and_a_step_moves_it_no_further_than_said(camera):
+def test_a_ray_projects_to_its_pixel_and_a_step_moves_it_no_further_than_stated(camera):
     if "look_at" not in camera.model_fields:
         return
     shift = {"principal_point": (0.1, -0.2)} if "principal_point" in camera.model_fields else {}
@@ -149,7 +149,7 @@ def test_a_ray_projects_to_its_pixel_and_a_step_moves_it_no_further_than_said(ca
     assert len(moves) >= 50 and max(moves) <= 1.0 + 1e-2
 
 
-def test_the_bound_of_a_bundle_keeps_a_ray_at_an_edge():
+def test_the_lower_bound_of_a_packet_keeps_a_ray_at_an_edge():
     """A bundle of one ray, at an edge up to rounding: what `intersect` leaves open is not culled."""
     rng, undecided = np.random.default_rng(154), 0
     none = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros(1, bool), np.zeros(1, bool)
@@ -188,7 +188,7 @@ def test_a_point_beyond_an_edge_is_in_no_triangle_with_corners_within_the_bound(
 MISSES = {"hit": 0, "depth": math.inf, "shape_id": -1, "prim_id": -1}  # all others: 0
 
 
-def test_on_a_miss_every_aov_is_what_the_page_on_channels_says():
+def test_on_a_miss_every_aov_is_what_the_page_on_channels_states():
     scene = scene_of(Sphere(center=(0.0, 0.0, -9.0)))
     for name, image in render(scene, tuple(BY_NAME)).items():
         assert (image == MISSES.get(name, 0)).all(), name

@@ -78,7 +78,7 @@ def test_icosphere_normals_are_its_positions():
     assert np.array_equal(mesh.normals, mesh.vertices)
 
 
-def test_icosphere_comes_close_to_the_ball():
+def test_icosphere_comes_close_to_the_sphere():
     """Splitting halves the edges, so a face is four times nearer to the sphere."""
     missing = [4 / 3 * math.pi - signed_volume(tessellate_icosphere(n)) for n in (2, 3, 4)]
     assert missing[0] / missing[1] == pytest.approx(4, rel=0.05)

@@ -118,7 +118,7 @@ def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
     assert read() == ""
 
 
-def test_short_work_says_nothing(terminal):
+def test_short_work_states_nothing(terminal):
     stream, read = terminal
     clock = Clock()
     bar = ProgressBar("rendering", 100, "rays", stream, clock)
@@ -308,7 +308,7 @@ def test_work_of_several_threads_is_counted_once():
     ],
 )
 @pytest.mark.parametrize("threads", [1, 3])
-def test_a_render_tells_of_each_of_its_pixels_once(tmp_path, aovs, camera, threads):
+def test_a_render_reports_each_of_its_pixels_once(tmp_path, aovs, camera, threads):
     """And the picture is the same whether somebody listens or not."""
     (tmp_path / "s.toml").write_text(SCENE.replace("pinhole", camera))
     scene = caster.load_scene(tmp_path / "s.toml").with_film(crop=(3, 5, 149, 68))

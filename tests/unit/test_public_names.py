@@ -61,7 +61,7 @@ def test_no_module_of_the_package_hides_a_public_name():
     assert not modules & set(caster.__all__)
 
 
-def test_mypy_knows_every_name_and_no_other(tmp_path):
+def test_mypy_finds_every_name_and_no_other(tmp_path):
     """Each name gets a line; reveal_type is Any where mypy does not know what it is."""
     user = tmp_path / "user.py"
     user.write_text(

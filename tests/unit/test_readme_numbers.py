@@ -39,14 +39,14 @@ def test_each_number_is_that_of_the_run():
 
 
 @pytest.mark.parametrize("column", range(5))
-def test_a_number_that_is_another_is_seen(column):
+def test_a_number_that_is_another_is_detected(column):
     told, run = table(), measured()
     name, cells = next((name, cells) for name, cells in told.items() if cells[column] != "-")
     cells[column] = f"{float(cells[column]) + 0.1:.1f}"
     assert run[name] != cells
 
 
-def test_pages_and_pictures_are_there():
+def test_pages_and_images_are_there():
     page = (ROOT / "docs/performance.md").read_text(encoding="utf-8")
     pictures = re.findall(r"\]\((performance/[^)]+)\)", page)
     assert len(pictures) >= 4 and all((ROOT / "docs" / name).exists() for name in pictures)

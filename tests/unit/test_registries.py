@@ -63,12 +63,12 @@ def test_types_are_named_once():
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.__name__)
-def test_a_shape_says_how_it_packs(shape):
+def test_a_shape_states_how_it_packs(shape):
     assert shape.pack is not Shape.pack
     assert not issubclass(shape, MeshShape) or shape.mesh is not MeshShape.mesh
 
 
-def test_a_shape_without_a_reference_is_told_what_to_write():
+def test_a_shape_without_a_reference_names_what_to_write():
     class Cone(Shape):
         type: str = "cone"
 

@@ -49,7 +49,7 @@ def test_float32_only_where_nothing_is_lost():
     assert narrowest(np.array([1.5, 0.1])).dtype == np.float64
 
 
-def test_shares_are_never_told_smaller_than_they_are():
+def test_shares_are_never_reported_smaller_than_they_are():
     numbers = 10.0 ** np.random.default_rng(4).uniform(-50.0, 50.0, 5000)
     told = coarse(numbers).astype(np.float64)
     assert np.all(told >= numbers)

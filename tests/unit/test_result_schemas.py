@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import jsonschema
 import pytest
-from made_verdicts import scene, verdict
+from verdict_factory import scene, verdict
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli.doctor import RESULTS, result_schema

@@ -84,7 +84,7 @@ def test_a_caster_that_dies_is_not_a_slower_one(revisions, monkeypatch, capsys, 
     assert "ended without an answer" in capsys.readouterr().err
 
 
-def test_a_planted_delay_is_told_from_none(revisions, monkeypatch, capsys, tmp_path):
+def test_a_planted_delay_is_distinguished_from_none(revisions, monkeypatch, capsys, tmp_path):
     """The whole command between two casters whose times are planted: one takes twice as long as the other."""
     for name, seconds in (("before", 0.01), ("here", 0.02)):
         folder = tmp_path / name / "caster"

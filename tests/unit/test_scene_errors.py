@@ -365,7 +365,7 @@ width = 0
     ]
 
 
-def test_a_default_that_does_not_fit_is_told_beside_another_error():
+def test_a_default_that_does_not_fit_is_reported_beside_another_error():
     said = errors('[camera]\ntype = "pinhole"\neye = [0, 0, "x"]\ndirection = [0, 1, 0]\nnear = -1\n')
     assert "eye[2]" in said and "near" in said
 

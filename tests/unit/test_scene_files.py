@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from caster.description import text
+from caster.description import parsing
 from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import load_mesh
 from caster.scene.files import load_scene, scene_from_text
@@ -51,7 +51,7 @@ def test_a_byte_order_mark_is_no_part_of_the_scene(tmp_path):
     assert load_scene(tmp_path / "a.toml") == scene_from_text(CAMERA)
 
 
-def test_a_missing_scene_file_is_told_and_is_its_own_kind_of_error(tmp_path):
+def test_a_missing_scene_file_is_reported_and_is_its_own_kind_of_error(tmp_path):
     with pytest.raises(
         FileMissing, match=r"^no/such\.toml: cannot read this scene file: No such file or directory$"
     ):
@@ -122,7 +122,7 @@ def test_a_missing_mesh_is_a_missing_file_at_its_line(scenes):
     )
 
 
-def test_a_broken_mesh_is_told_with_both_lines(scenes):
+def test_a_broken_mesh_is_reported_with_both_lines(scenes):
     (scenes / "bad.obj").write_text(TRIANGLE + "f 1 2\n")
     said = refusal(SceneError, scenes, mesh("bad.obj"))
     assert said.startswith(
@@ -165,4 +165,4 @@ def test_a_scene_without_errors_loads_no_grammar():
 
 
 def test_the_shown_part_of_a_line_has_room_for_the_error():
-    assert text.MAX_LINE_CHARACTERS >= 80
+    assert parsing.MAX_LINE_CHARACTERS >= 80

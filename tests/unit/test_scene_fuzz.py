@@ -102,7 +102,7 @@ def damaged_scenes(draw):
 
 @settings(derandomize=True, deadline=None, max_examples=400)
 @given(damaged_scenes())
-def test_a_damaged_scene_is_a_scene_or_is_told_in_the_words_of_the_field(data):
+def test_a_damaged_scene_is_a_scene_or_is_reported_in_the_words_of_the_field(data):
     try:
         scene = scene_from_text(json.dumps(data, indent=1), "json", "x.json")
     except SceneError as error:

@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from caster.description.text import Positions, Span
+from caster.description.parsing import Positions, Span
 
 TOML = """\
 # a comment

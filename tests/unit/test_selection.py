@@ -104,7 +104,7 @@ def test_no_two_scenes_have_the_same_name(files, names):
     assert display_names(files) == names
 
 
-def test_a_file_name_that_is_no_utf_8_is_told(tmp_path):
+def test_a_file_name_that_is_no_utf_8_is_reported(tmp_path):
     file = os.fsdecode(bytes(tmp_path) + b"/\xff.toml")
     Path(file).write_text("")
     for place in (file, str(tmp_path)):

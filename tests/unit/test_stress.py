@@ -100,7 +100,7 @@ def test_ours_is_exact_in_every_setting_and_every_setting_shows_something(name):
         )
 
 
-def test_the_screen_is_asked_where_rays_share_an_eye():
+def test_the_screen_is_requested_where_rays_share_an_eye():
     tested = {name for name in NAMES if run(name, -1).absence("screen") is None}
     assert tested == {"watertight-edges", "watertight-vertices", "field-of-view", "film-size"}
 
@@ -300,7 +300,7 @@ def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
     assert texts[0] == texts[1]
 
 
-def test_what_is_missing_is_said_in_table_picture_and_json():
+def test_what_is_missing_is_stated_in_table_image_and_json():
     sweep = run("tangency", 0, -1)
     assert "Mitsuba LLVM, robust: missing: planted: nothing works" in sweeps.as_text(sweep)
     assert b"Mitsuba LLVM, robust: missing" in stress_plots.as_svg(sweep)
@@ -319,7 +319,7 @@ def test_leaks_are_added_up(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["watertight-edges", "coincident-triangles", "scale-mesh"])
-def test_a_picture_is_well_formed_small_and_the_same_again(name):
+def test_an_image_is_well_formed_small_and_the_same_again(name):
     sweep = run(name, 0, 1, -1)
     picture = stress_plots.as_svg(sweep)
     words = " ".join(ElementTree.fromstring(picture).itertext())

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SEARCHED = ("*.py", "*.md", "*.toml", "Makefile")
+SEARCHED = ("*.py", "*.md", "*.toml", "*.js", "Makefile")
 HISTORY = {"CHANGELOG.md", "tests/unit/test_terms.py"}  # what was called so, and this list
 
 # pattern -> the term of the field
@@ -47,6 +47,19 @@ REPLACED_IN_PRODUCT = {
     r"bundles?": "ray packet",
     r"[Dd]rawers?|[Oo]utlook|[Pp]ainting": "depth buckets, ray bounds, rendering",
 }
+# the same for names of tests and of files
+REPLACED_IN_NAMES = {
+    r"told|tells|knows": "reported, states",
+    r"balls?": "sphere",
+    r"tubes?(?!_of)": "cylinder",
+    r"pictures?": "image, plot",
+    r"bundles?": "packet",
+    r"asks|asked": "requests, requested",
+    r"meets?|met": "hits, hit",
+    r"door|worker_of": "the interface that is meant",
+    r"nobody|everybody|whoever": "none, all",
+    r"bent": "distortion",
+}
 PRODUCT = ("caster/", "mitsuba_ref/", "docs/", "README.md", "Makefile")
 
 
@@ -58,8 +71,8 @@ def files() -> list[str]:
 
 
 def found(pattern: str, text: str) -> list[int]:
-    """Numbers of the lines with a whole word or phrase."""
-    word = re.compile(rf"(?<!\w)(?:{pattern})(?!\w)")
+    """Numbers of the lines with a whole word or phrase; names are words joined by underscores."""
+    word = re.compile(rf"(?<![^\W_])(?:{pattern})(?![^\W_])")
     return [number for number, line in enumerate(text.split("\n"), 1) if word.search(line)]
 
 
@@ -81,6 +94,21 @@ def test_a_replaced_word_is_gone_from_what_users_read(texts, pattern):
     assert len(read) > 250 and not places, f"write '{REPLACED_IN_PRODUCT[pattern]}' at {', '.join(places)}"
 
 
+@pytest.mark.parametrize("pattern", REPLACED_IN_NAMES)
+def test_a_replaced_word_is_gone_from_names_of_files_and_tests(texts, pattern):
+    tests = {
+        f"{file}: {name}": name
+        for file, text in texts.items()
+        if file.startswith("tests/")
+        for name in re.findall(r"^def (test_\w+)", text, re.MULTILINE)
+    }
+    names = tests | {name: Path(name).stem for name in texts if name.endswith(".py")}
+    assert len(tests) > 1500
+    places = [place for place, name in names.items() if found(pattern, name)]
+    assert not places, f"write '{REPLACED_IN_NAMES[pattern]}' in {', '.join(places)}"
+
+
 def test_a_word_that_comes_back_is_found():
     assert found(r"drawers?", "one\nsorted into drawers\nwithdrawers") == [2]
     assert found(r"Told", "told: Told | None") == [1] and len(files()) > 300
+    assert found("ball", "def test_of_a_ball_the_far_root_is_found") == [1] and not found("ball", "ballistic")

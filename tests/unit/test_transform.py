@@ -64,7 +64,7 @@ def test_quarter_turns_are_exact(axis, quarters):
     assert np.array_equal(np.linalg.matrix_power(rotate(axis, 90), quarters % 4), matrix)
 
 
-def test_a_turn_is_counter_clockwise_seen_from_the_tip_of_its_axis():
+def test_a_rotation_is_counter_clockwise_seen_from_the_tip_of_its_axis():
     assert at(rotate([0, 0, 1], 90), [1, 0, 0]).tolist() == [0, 1, 0]
     assert at(rotate([1, 0, 0], 90), [0, 1, 0]).tolist() == [0, 0, 1]
     assert at(rotate([0, 1, 0], 90), [0, 0, 1]).tolist() == [1, 0, 0]

@@ -1,4 +1,4 @@
-"""A tree of boxes over primitives, split where the surface area heuristic costs least (binned; Wald 2007)."""
+"""Kernels of BVH construction: bounding boxes and splits by the binned surface area heuristic (Wald 2007)."""
 
 import math
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ from caster.kernels.protocol import Vec3, hull_point, hull_size
 
 LEAF_SIZE = 4
 BINS = 16
-# Below this depth runs are halved. A large tree grows in two goes (caster/rendering/bvh.py), so that
+# Below this depth runs are halved. A large tree grows in two goes (caster/rendering/bvh_construction.py), so that
 # with 2^31 primitives it is less than 2 (40 + 31) deep; a traversal holds all but one of a node's boxes a level.
 MAX_SAH_DEPTH = 40
 BUILD_STACK_SIZE = 160  # nodes in two that wait for their turn

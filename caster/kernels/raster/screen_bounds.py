@@ -181,7 +181,7 @@ def surely_beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, 
     """Whether a point is sure to lie on the other side of the line through a and b than c.
 
     Sure of it for all corners that lie within `wide` of these along x and y, which covers the rounding here many times
-    (MARGIN). False where a point is not projected: a `wide` of inf.
+    (PROJECTION_MARGIN). False where a point is not projected: a `wide` of inf.
     """
     across, down = b[0] - a[0], b[1] - a[1]
     third = across * (c[1] - a[1]) - down * (c[0] - a[0])

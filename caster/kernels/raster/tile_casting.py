@@ -1,4 +1,4 @@
-"""What is known of all rays of a tile at once: how far they see, and which way they look."""
+"""Casting of the rays of a tile: bounds of their directions and of visible t, primitives in order of depth."""
 
 import math
 from typing import Any

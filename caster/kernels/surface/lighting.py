@@ -43,12 +43,12 @@ def incident_irradiance(light: Any, p: Vec3) -> Any:
 
 
 @implement(light_direction, PointLight)
-def _way_to_point(light: Any, p: Vec3) -> tuple[Vec3, float]:
+def _direction_to_point_light(light: Any, p: Vec3) -> tuple[Vec3, float]:
     return sub(light.position, p), 1.0
 
 
 @implement(incident_irradiance, PointLight)
-def _incoming_from_point(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
+def _irradiance_of_point_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
     """Intensity over squared distance; nothing in the light itself."""
     d = sub(light.position, p)
     square = dot(d, d)
@@ -60,12 +60,12 @@ def _incoming_from_point(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
 
 
 @implement(light_direction, DirectionalLight)
-def _way_to_sun(light: Any, p: Vec3) -> tuple[Vec3, float]:
+def _direction_to_directional_light(light: Any, p: Vec3) -> tuple[Vec3, float]:
     return light.back, math.inf
 
 
 @implement(incident_irradiance, DirectionalLight)
-def _incoming_from_sun(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
+def _irradiance_of_directional_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
     return light.back, light.irradiance
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from caster.cameras.ray import Ray
+from caster.cameras.single_ray import Ray
 from caster.geometry.packing import Packed, packed
 from caster.rendering.casting import Culling, find_nearest
 from caster.rendering.hits import Hits, validated_rays
@@ -17,7 +17,14 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import ErrorModels, t_bounds
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
-from mitsuba_ref.judge.independent_checks.aims import ALL_AIMS, Aim, RayBatch, Setting, Targets, aimed_rays
+from mitsuba_ref.judge.independent_checks.adversarial_rays import (
+    ALL_AIMS,
+    Aim,
+    RayBatch,
+    Setting,
+    Targets,
+    aimed_rays,
+)
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import reference_of
@@ -140,7 +147,7 @@ def t_text(t: float) -> str:
 
 # Rays of one scene: one for every so many pixels of its film, within limits, so that a small film stays quick.
 PIXELS_PER_AIMED_RAY = 4
-FEWEST_AIMED_RAYS, MOST_AIMED_RAYS = 32, 320
+MIN_AIMED_RAYS, MAX_AIMED_RAYS = 32, 320
 SHARE_OF_OTHERS = (
     0.1  # more rays of the scene's own camera, and as many cast again with t_min or t_max at the hit
 )
@@ -184,7 +191,7 @@ def rays_at_edges(subject: PreparedScene) -> RayBatch:
     targets = Targets(subject.packed)
     aims = (*ALL_AIMS, _from_eye(np.array(subject.scene.camera.eye, np.float64)))
     film = camera_rays(subject.scene, threads=1)
-    count = int(np.clip(len(film.o) // PIXELS_PER_AIMED_RAY, FEWEST_AIMED_RAYS, MOST_AIMED_RAYS))
+    count = int(np.clip(len(film.o) // PIXELS_PER_AIMED_RAY, MIN_AIMED_RAYS, MAX_AIMED_RAYS))
     others = int(SHARE_OF_OTHERS * count)
     there = np.flatnonzero(film.t_max > 0.0)
     rows = np.sort(rng.choice(there, min(others, len(there)), replace=False))

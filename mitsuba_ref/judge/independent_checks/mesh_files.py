@@ -18,8 +18,7 @@ import numpy as np
 from caster.scene.model import Scene
 from caster.shapes.mesh import MeshFile
 from mitsuba_ref.error_model.bounds import error_over_bound
-from mitsuba_ref.error_model.intersections import U
-from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS
+from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.messages import LoadedMesh
 
@@ -93,10 +92,10 @@ def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, end
     if whole and mesh.normals is not None and shares["corners"] == 0.0:
         with np.errstate(invalid="ignore", divide="ignore"):
             normals = theirs.normals / np.linalg.norm(theirs.normals, axis=2, keepdims=True)
-        shares["normals"] = _share(mesh.normals[mesh.faces], normals, FILE_NORMAL_ROUNDINGS * U)
+        shares["normals"] = _share(mesh.normals[mesh.faces], normals, FILE_NORMAL_ROUNDINGS * U32)
     if whole and mesh.uv is not None and shares["corners"] == 0.0:
         uv = mesh.uv[mesh.faces]
-        shares["uv"] = _share(uv, theirs.uv, FILE_UV_ROUNDINGS * U * (1.0 + np.abs(uv)))
+        shares["uv"] = _share(uv, theirs.uv, FILE_UV_ROUNDINGS * U32 * (1.0 + np.abs(uv)))
     return shares
 
 

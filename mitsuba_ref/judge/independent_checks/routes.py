@@ -39,7 +39,7 @@ SMALL_FILM, FILM_SIZES = (
     (1, 3),
 )  # pixels; films of other sizes for a film smaller than that, and for others
 TILE_WIDTHS = (1, 2)  # of 128 pixels, that a film is as wide as, or one narrower or wider
-MOST_ROWS = 7  # pixels of the other side of such a film
+MAX_ROWS = 7  # pixels of the other side of such a film
 BRUTE_FORCE_TESTS = 1 << 17  # rays times primitives that are tried without any culling
 SAMPLE_SHARE, SAMPLED_PIXELS = (
     4,
@@ -239,7 +239,7 @@ def _other_films(scene: Scene, rng: Rng) -> Found:
     """Films as wide as tiles, or one pixel off, and portraits: `render` is the camera's rays, cast by any culling."""
     numbers = pack(scene, as_given)
     x0, y0, x1, y1 = scene.film.window
-    rows = int(np.clip((x1 - x0) * (y1 - y0) // (FILM_SHARE * 128), 1, MOST_ROWS))
+    rows = int(np.clip((x1 - x0) * (y1 - y0) // (FILM_SHARE * 128), 1, MAX_ROWS))
     small = (x1 - x0) * (y1 - y0) < SMALL_FILM
     for i in range(FILM_SIZES[not small]):
         long = 128 * int(rng.choice(TILE_WIDTHS[: 2 - small])) + int(rng.integers(-1, 2) if small else i - 1)

@@ -1,6 +1,6 @@
 // Panes: images side by side that zoom and pan together.
 
-const MOST_ZOOM = 128; // screen pixels a pixel
+const MAX_ZOOM = 128; // screen pixels a pixel
 const GRID_FROM = 12, NUMBERS_FROM = 72; // from which zoom on there are lines between pixels, and numbers in them
 const BLINK_MS = 600;
 

@@ -12,7 +12,7 @@ const pinnedRow = () => (looking.record ? looking.record.row(state.x, state.y) :
 function zoomBy(factor, pane = looking.panes[0], point = null) {
   if (!pane || !looking.record) return;
   const [cx, cy] = center(), least = Math.min(pane.width / looking.record.width, pane.height / looking.record.height);
-  const before = pane.scale, after = Math.min(MOST_ZOOM, before * factor);
+  const before = pane.scale, after = Math.min(MAX_ZOOM, before * factor);
   if (after <= least) return fitAll();
   const pinned = pinnedRow();
   const [x, y] = point ?? (pinned < 0 ? [cx, cy] : [state.x + 0.5, state.y + 0.5]);

@@ -1,6 +1,6 @@
 """77 edge cases of ray casting, as tables: what each is, and how its scenes and rays are made."""
 
-from cases import boxes, cameras, cylinders, flat, garbage, meshes, refused, spheres, triangles
+from cases import boxes, cameras, cylinders, flat, invalid_cameras, invalid_meshes, meshes, spheres, triangles
 from cases.case import Case
 
 ALL = (
@@ -11,7 +11,7 @@ ALL = (
     *cylinders.CASES,
     *boxes.CASES,
     *cameras.CASES,
-    *refused.CASES,
-    *garbage.CASES,
+    *invalid_cameras.CASES,
+    *invalid_meshes.CASES,
 )
 CASES: tuple[Case, ...] = tuple(sorted(ALL, key=lambda case: case.number))

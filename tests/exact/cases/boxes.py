@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from aimed_rays import direction
 
-from cases import whole
+from cases import integer_shapes
 from cases.case import PRECISIONS, Case, Maker, Question
 from cases.shapes import mesh_of, rays_at, shape_of
 from caster import Cube, Icosphere, MeshFile
@@ -92,8 +92,8 @@ def on_a_slab_plane(make: Maker, zero: float) -> Iterator[Question]:
 
 
 def scaled_ball(make: Maker) -> tuple[np.ndarray, np.ndarray]:
-    vertices, faces = whole.coarse_ball(make.rng, 1)
-    return vertices * whole.UNIT, faces
+    vertices, faces = integer_shapes.coarse_ball(make.rng, 1)
+    return vertices * integer_shapes.UNIT, faces
 
 
 def plus_zero(make: Maker) -> Iterator[Question]:
@@ -139,7 +139,7 @@ def hardly_moving(make: Maker) -> Iterator[Question]:
             yield make.ask(
                 f"beside a cube's side at {along!r}", [Cube()], o, [[0, 0, -1.0], [0, -1.0, 0]], **wants
             )
-    for each in whole.each(make.rng, (whole.cube,), 2):
+    for each in integer_shapes.each(make.rng, (integer_shapes.cube,), 2):
         m = each.shape.matrix[:3, :3]
         rows = np.flatnonzero(~each.inside)
         axis = make.rng.integers(0, 3, len(rows))

@@ -7,7 +7,7 @@ from aimed_rays import direction
 
 from cases.camera_truth import U, exact_frame, in_the_picture, right_directions, turned_camera
 from cases.case import FLOAT64, Case, Maker
-from cases.refusals import refused
+from cases.refusal_check import refused
 from cases.shapes import shape_of
 from caster import Film, Pinhole, Plane, Scene, Sphere
 from caster.rendering.images import camera_rays

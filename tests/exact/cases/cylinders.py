@@ -5,13 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 from aimed_rays import direction
 
-from cases import whole
+from cases import integer_shapes
 from cases.case import FLOAT64, Case, Maker, Question
 from cases.shapes import Aim, place, rays_at, shape_of, turn
 from cases.spheres import tangents
 from caster import Cylinder, cast
 
-TUBES = (whole.cylinder, whole.elliptic)
+TUBES = (integer_shapes.cylinder, integer_shapes.elliptic)
 
 
 def tube(make: Maker, steps: list, radius: float = 1.0, **more: object) -> Cylinder:
@@ -36,11 +36,11 @@ def along_the_axis(make: Maker) -> Iterator[Question]:
 
 def parallel(make: Maker) -> Iterator[Question]:
     """Exactly: inside, outside, and within the wall. By the convention, all of them miss."""
-    for each in whole.each(make.rng, TUBES, 3):
+    for each in integer_shapes.each(make.rng, TUBES, 3):
         m = each.shape.matrix[:3, :3]
         axis = m[:, 2] / 8.0
         rows = make.rng.integers(0, len(each.p), make.count(40))
-        outward = each.n[rows] * whole.UNIT * make.rng.choice([0.0, 0.0, -0.25, 0.5], (len(rows), 1))
+        outward = each.n[rows] * integer_shapes.UNIT * make.rng.choice([0.0, 0.0, -0.25, 0.5], (len(rows), 1))
         d = axis * make.rng.choice([-1.0, 1.0, 3.0], (len(rows), 1))
         o = each.p[rows] + outward - 2.0 * d
         yield make.ask(f"{each.kind}, turned", [each.shape], o, d, edge_on=10, never=("hit",))
@@ -79,9 +79,9 @@ def ends(make: Maker) -> Iterator[Question]:
                 (1.0, 0.0, 0.0),
                 **{"hit" if inside else "miss": 1},
             )
-    for each in whole.each(make.rng, TUBES, 3):
+    for each in integer_shapes.each(make.rng, TUBES, 3):
         rows = np.flatnonzero(~each.inside)
-        d = -(each.n[rows] + 0.0) * whole.UNIT
+        d = -(each.n[rows] + 0.0) * integer_shapes.UNIT
         yield make.ask(
             f"{each.kind}, turned", [each.shape], each.p[rows] - 2.0 * d, d, rim=12, exact=12, never=("miss",)
         )
@@ -150,7 +150,11 @@ def outward_inside() -> int:
 
 def far_wall(make: Maker) -> Iterator[Question]:
     """From the middle to a point of the wall at t = 1 exactly, with t_max there and beside."""
-    for each in whole.each(make.rng, (whole.cylinder, whole.elliptic, whole.sphere, whole.ellipsoid), 2):
+    for each in integer_shapes.each(
+        make.rng,
+        (integer_shapes.cylinder, integer_shapes.elliptic, integer_shapes.sphere, integer_shapes.ellipsoid),
+        2,
+    ):
         center = each.shape.matrix[:3, 3] + (np.array(each.shape.center) if each.kind == "sphere" else 0.0)
         if "cylinder" in each.kind:
             center = center + each.shape.matrix[:3, 2] * 3.0 / 8.0

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 from aimed_rays import direction
 
-from cases import whole
+from cases import integer_shapes
 from cases.case import FLOAT64, Case, Maker, Question
-from cases.refusals import refused
+from cases.refusal_check import refused
 from cases.shapes import KINDS, Aim, every_kind, rays_at, shape_of, turn
 from cases.spheres import scales
 from cases.triangles import grazing, in_the_plane
@@ -17,14 +17,17 @@ from caster.description.transform import scale as scale_matrix
 
 def in_or_above(make: Maker) -> Iterator[Question]:
     """In the plane, and parallel to it at a distance: never a hit."""
-    yield from in_the_plane(make, (whole.rectangle, whole.disk, whole.plane))
-    for each in whole.each(make.rng, (whole.rectangle, whole.disk, whole.plane, whole.triangle)):
+    yield from in_the_plane(make, (integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane))
+    for each in integer_shapes.each(
+        make.rng,
+        (integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane, integer_shapes.triangle),
+    ):
         rows = make.rng.integers(0, len(each.p), make.count(25))
-        d = each.tangent[rows] * whole.UNIT
+        d = each.tangent[rows] * integer_shapes.UNIT
         above = (
             each.p[rows]
             - d
-            + each.n[rows] * whole.UNIT * 2.0**-6 * make.rng.choice([-1.0, 1.0], (len(rows), 1))
+            + each.n[rows] * integer_shapes.UNIT * 2.0**-6 * make.rng.choice([-1.0, 1.0], (len(rows), 1))
         )
         yield make.ask(f"above a {each.kind}", [each.shape], above, d, never=("hit",))
 
@@ -49,9 +52,11 @@ def borders(make: Maker) -> Iterator[Question]:
         (0.0, 0.0, -1.0),
         tie=20,
     )
-    for each in whole.each(make.rng, (whole.rectangle, whole.triangle, whole.cube), 2):
+    for each in integer_shapes.each(
+        make.rng, (integer_shapes.rectangle, integer_shapes.triangle, integer_shapes.cube), 2
+    ):
         rows = np.flatnonzero(~each.inside)
-        d = make.rounded(np.rint(each.n[rows]) + each.tangent[rows]) * whole.UNIT
+        d = make.rounded(np.rint(each.n[rows]) + each.tangent[rows]) * integer_shapes.UNIT
         o = each.p[rows] - d
         least = max(len(rows) // 3, 1)
         yield make.ask(f"{each.kind}, turned", [each.shape], o, d, hit=least, exact=least)
@@ -71,9 +76,9 @@ def rims(make: Maker) -> Iterator[Question]:
         for step in (-1, 0, 1):
             o = [[float(make.beside(make.rounded(x), step)), float(make.rounded(y)), 2.0]]
             yield make.ask(f"upright, ({x}, {y}), step {step}", [Disk()], o, (0.0, 0.0, -1.0))
-    for each in whole.each(make.rng, (whole.disk,), 4):
+    for each in integer_shapes.each(make.rng, (integer_shapes.disk,), 4):
         rows = np.flatnonzero(~each.inside)
-        d = (each.n[rows] + each.tangent[rows]) * whole.UNIT
+        d = (each.n[rows] + each.tangent[rows]) * integer_shapes.UNIT
         yield make.ask("turned", [each.shape], each.p[rows] - d, d, rim=12, exact=12, never=("miss",))
         for step in (-1, 1):
             yield make.ask(
@@ -141,13 +146,13 @@ def coplanar(make: Maker) -> Iterator[Question]:
     spin = np.array([[3.0, -4.0, 0.0], [4.0, 3.0, 0.0], [0.0, 0.0, 5.0]])
     assert c * c + s * s == 1.0
     for kind in (Rectangle, Disk):
-        m, _ = whole.whole_turn(make.rng)
-        center = whole.whole(make.rng, 3)
-        first = kind(to_world=whole.matrix_steps(20.0 * m, center))
-        second = kind(to_world=whole.matrix_steps(4.0 * m @ spin, center))
+        m, _ = integer_shapes.whole_turn(make.rng)
+        center = integer_shapes.whole(make.rng, 3)
+        first = kind(to_world=integer_shapes.matrix_steps(20.0 * m, center))
+        second = kind(to_world=integer_shapes.matrix_steps(4.0 * m @ spin, center))
         count = make.count(60)
         p = center + 2.0 * np.column_stack([make.rng.integers(-12, 13, (count, 2)), np.zeros(count)]) @ m.T
-        o = center + whole.whole(make.rng, count, 3) + 40.0 * m[:, 2]
+        o = center + integer_shapes.whole(make.rng, count, 3) + 40.0 * m[:, 2]
         for name, pair in {
             "the same": [first, first],
             "turned": [first, second],
@@ -157,8 +162,8 @@ def coplanar(make: Maker) -> Iterator[Question]:
             yield make.ask(
                 f"{kind.__name__.lower()}s, {name}",
                 named,
-                o * whole.UNIT,
-                (p - o) * whole.UNIT,
+                o * integer_shapes.UNIT,
+                (p - o) * integer_shapes.UNIT,
                 tie=20,
                 exact=20,
             )

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 from aimed_rays import decades, direction
 
-from cases import whole
+from cases import integer_shapes
 from cases.case import FLOAT64, Case, Maker, Question
-from cases.refusals import refused
+from cases.refusal_check import refused
 from cases.shapes import Aim, every_kind, folder, mesh_of, ply_of, rays_at, shape_of
 from caster import MeshFile, Triangle, cast
 
@@ -15,10 +15,10 @@ from caster import MeshFile, Triangle, cast
 def at_t_max(make: Maker) -> Iterator[Question]:
     """t = 2 exactly, with t_max there and one unit in the last place around it: the end belongs to the ray."""
     two = [float(make.beside(2.0, step)) for step in (-1, 0, 1)]
-    for each in whole.each(make.rng, whole.ALL):
+    for each in integer_shapes.each(make.rng, integer_shapes.ALL):
         rows = np.flatnonzero(each.inside)[make.rng.integers(0, int(each.inside.sum()), make.count(20))]
         # straight at the surface: nothing of it comes before
-        d = -each.n[rows] * 2.0 * whole.UNIT if each.kind != "mesh" else -each.p[rows] * 0.25
+        d = -each.n[rows] * 2.0 * integer_shapes.UNIT if each.kind != "mesh" else -each.p[rows] * 0.25
         for t_max, meets in zip(two, ("miss", "hit", "hit"), strict=True):
             other = {"hit": "miss", "miss": "hit"}[meets]
             o = each.p[rows] - 2.0 * d
@@ -36,11 +36,11 @@ def at_t_max(make: Maker) -> Iterator[Question]:
 
 def at_t_min(make: Maker) -> Iterator[Question]:
     """From a point of the surface, exactly: t = 0 is no hit, whatever the direction."""
-    for each in whole.each(make.rng, whole.FLAT):
+    for each in integer_shapes.each(make.rng, integer_shapes.FLAT):
         rows = make.rng.integers(0, len(each.p), make.count(25))
         d = (
-            make.rng.choice([-1.0, 1.0], (len(rows), 1)) * each.n[rows] * whole.UNIT
-            + each.tangent[rows] * whole.UNIT
+            make.rng.choice([-1.0, 1.0], (len(rows), 1)) * each.n[rows] * integer_shapes.UNIT
+            + each.tangent[rows] * integer_shapes.UNIT
         )
         never = ("hit",) if each.kind != "cube" else ()
         yield make.ask(each.kind, [each.shape], each.p[rows], d, miss=5, exact=20, never=never)
@@ -116,10 +116,10 @@ def coincident(make: Maker) -> Iterator[Question]:
 
 
 def corner_rays(make: Maker) -> Iterator[Question]:
-    for each in whole.each(make.rng, (whole.ball,), 2):
+    for each in integer_shapes.each(make.rng, (integer_shapes.ball,), 2):
         corners = np.flatnonzero(~each.inside)
         rows = corners[make.rng.integers(0, len(corners), make.count(150))]
-        o = whole.whole(make.rng, len(rows), 3) * 100.0 * whole.UNIT
+        o = integer_shapes.whole(make.rng, len(rows), 3) * 100.0 * integer_shapes.UNIT
         yield make.ask("from anywhere", [each.shape], o, each.p[rows] - o, tie=30, vertex=20, edge=10)
 
 

@@ -10,7 +10,7 @@ HEAD = f"""# 77 edge cases
 Cases in which ray casters are known to fail, with measurements. Each case is made of random shapes under random
 rotations and translations, so that no coordinate is round unless the case is about that. Where a ray has to hit an
 edge, a rim or a tangent exactly, shapes with integer coordinates are rotated by integer quaternions
-(`tests/exact/cases/whole.py`), which keeps points of their surfaces exact in float64 and in float32.
+(`tests/exact/cases/integer_shapes.py`), which keeps points of their surfaces exact in float64 and in float32.
 
 `tests/exact/test_edge_cases.py` casts every ray twice, through float64 and through float32 numbers, and compares the
 caster with the exact oracle (`mitsuba_ref/oracle/oracle.py`):

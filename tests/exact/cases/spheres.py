@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from aimed_rays import decades, direction
 
-from cases import whole
+from cases import integer_shapes
 from cases.case import FLOAT64, Case, Maker, Question
-from cases.refusals import refused
+from cases.refusal_check import refused
 from cases.shapes import CLOSED, KINDS, ROUND, Aim, across, every_kind, rays_at, shape_of, turn
 from caster import Cube, Cylinder, Disk, Ray, Scene, Sphere, cast, occluded, render
 from caster.aovs import Aovs
@@ -73,14 +73,14 @@ def huge(make: Maker) -> Iterator[Question]:
 
 
 def tangents(
-    make: Maker, makers: tuple = whole.ROUND
-) -> Iterator[tuple[whole.Whole, np.ndarray, np.ndarray]]:
+    make: Maker, makers: tuple = integer_shapes.ROUND
+) -> Iterator[tuple[integer_shapes.Whole, np.ndarray, np.ndarray]]:
     """Rays that touch in one point, exactly: from some whole steps before it, at any slope."""
-    for each in whole.each(make.rng, makers, 3):
+    for each in integer_shapes.each(make.rng, makers, 3):
         rows = make.rng.integers(0, len(each.p), make.count(24))
         if "cylinder" in each.kind:  # along its wall, there is nothing to touch
             rows = rows[np.cross(each.tangent[rows], each.shape.matrix[:3, 2]).any(axis=1)]
-        d = each.tangent[rows] * whole.UNIT
+        d = each.tangent[rows] * integer_shapes.UNIT
         steps = make.rng.integers(1, 4, (len(rows), 1))
         yield each, each.p[rows] - steps * d, d
 
@@ -139,11 +139,13 @@ def on_the_surface(make: Maker) -> Iterator[Question]:
         part = scene.derived["packed"].parts[0]
         o, _ = rays_at(make, part, make.count(45), aim=Aim(distances=(1e-30, 2e-30)))
         yield make.ask(f"{kind}, rounded", scene, o, direction(make.rng, len(o)), miss=5)
-    for each in whole.each(make.rng, whole.ALL):
+    for each in integer_shapes.each(make.rng, integer_shapes.ALL):
         rows = make.rng.integers(0, len(each.p), make.count(30))
         sort = make.rng.integers(0, 3, len(rows))[:, None]
         d = np.where(sort == 0, each.n[rows], np.where(sort == 1, -each.n[rows], each.tangent[rows]))
-        yield make.ask(f"{each.kind}, exact", [each.shape], each.p[rows], d * whole.UNIT, exact=5, miss=5)
+        yield make.ask(
+            f"{each.kind}, exact", [each.shape], each.p[rows], d * integer_shapes.UNIT, exact=5, miss=5
+        )
 
 
 def lengths(make: Maker) -> Iterator[Question]:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from aimed_rays import direction
 
-from cases import whole
+from cases import integer_shapes
 from cases.case import Case, Maker, Question
 from cases.shapes import Aim, mesh_of, rays_at, shape_of, turn
 from caster import Heightfield, Icosphere, Triangle
@@ -23,7 +23,7 @@ def grid_ball(make: Maker, middle: Any) -> tuple[Any, np.ndarray, np.ndarray]:
 
     Its step leaves room for sums of a few corners, so that points of edges are exact.
     """
-    (m, n), ball = whole.whole_turn(make.rng), tessellate_icosphere(SUBDIVISIONS)
+    (m, n), ball = integer_shapes.whole_turn(make.rng), tessellate_icosphere(SUBDIVISIONS)
     digits, room = (22, 18) if make.single else (50, 44)
     step = max(2.0 ** (np.ceil(np.log2(np.abs(middle).max() + 1.0)) - digits), 2.0**-room)
     radius = max(1.0, STEPS * step)
@@ -59,7 +59,7 @@ def closed_edges(make: Maker) -> Iterator[Question]:
             f"rounded, at {middle[0]:g}", scene, o, first + share * (second - first), never=("miss",)
         )
     ring = tessellate_torus(1.0, 0.3, 24, 12)
-    m, n = whole.whole_turn(make.rng)
+    m, n = integer_shapes.whole_turn(make.rng)
     vertices = np.rint(ring.vertices @ m.T / n * 2.0**18) / 2.0**18
     pairs = edges_of(ring.faces)[make.rng.integers(0, 3 * 24 * 12, make.count(60))]
     o = make.rounded(vertices[pairs[:, 0]] + direction(make.rng, len(pairs)))
@@ -148,29 +148,36 @@ def upright_slivers(make: Maker) -> Iterator[Question]:
 def without_area(make: Maker) -> Iterator[Question]:
     """Corners in a line, in one point, or the same corner twice, exactly; between faces that are there."""
     for _ in range(4):
-        a, v = whole.whole(make.rng, 2, 3)
+        a, v = integer_shapes.whole(make.rng, 2, 3)
         count = make.count(20)
         aim = a + v * make.rng.integers(0, 9, (count, 1)) / 4.0
-        o = whole.whole(make.rng, count, 3)
+        o = integer_shapes.whole(make.rng, count, 3)
         for name, vertices, faces in (
             ("in a line", [a, a + v, a + 2 * v], [[0, 1, 2]]),
             ("one corner twice", [a, a + 2 * v], [[0, 1, 1]]),
             ("one point", [a], [[0, 0, 0]]),
         ):
             near = a if name == "one point" else aim
-            corners = np.array(vertices) * whole.UNIT
+            corners = np.array(vertices) * integer_shapes.UNIT
             yield make.ask(
                 name,
                 [mesh_of(corners, faces)],
-                o * whole.UNIT,
-                (near - o) * whole.UNIT,
+                o * integer_shapes.UNIT,
+                (near - o) * integer_shapes.UNIT,
                 degenerate=10,
                 never=("hit",),
             )
-        w = whole.whole(make.rng, 2, 3)
-        corners = np.array([a, a + v, a + 2 * v, a + w[0], a + w[1]]) * whole.UNIT
+        w = integer_shapes.whole(make.rng, 2, 3)
+        corners = np.array([a, a + v, a + 2 * v, a + w[0], a + w[1]]) * integer_shapes.UNIT
         mesh = mesh_of(corners, [[0, 1, 2], [0, 2, 3], [0, 4, 2]])
-        yield make.ask("between two faces", [mesh], o * whole.UNIT, (aim - o) * whole.UNIT, hit=8, edge=5)
+        yield make.ask(
+            "between two faces",
+            [mesh],
+            o * integer_shapes.UNIT,
+            (aim - o) * integer_shapes.UNIT,
+            hit=8,
+            edge=5,
+        )
 
 
 def nearly_in_a_line(make: Maker) -> Iterator[Question]:
@@ -207,19 +214,25 @@ def in_an_axis_line(make: Maker) -> Iterator[Question]:
 
 
 def in_the_plane(
-    make: Maker, makers: tuple = (whole.triangle, whole.rectangle, whole.disk, whole.plane)
+    make: Maker,
+    makers: tuple = (
+        integer_shapes.triangle,
+        integer_shapes.rectangle,
+        integer_shapes.disk,
+        integer_shapes.plane,
+    ),
 ) -> Iterator[Question]:
     """Along the surface, from a point of its plane: no hit, by the convention that edge-on is a miss."""
-    for each in whole.each(make.rng, makers, 2):
+    for each in integer_shapes.each(make.rng, makers, 2):
         rows = make.rng.integers(0, len(each.p), make.count(25))
-        d = each.tangent[rows] * whole.UNIT
+        d = each.tangent[rows] * integer_shapes.UNIT
         o = each.p[rows] - d * make.rng.integers(0, 3, (len(rows), 1))
         exact = (
             0 if each.kind in ("disk", "plane") else 12
         )  # a product with 0 is seen to be 0 without integers
         yield make.ask(f"{each.kind}, turned", [each.shape], o, d, edge_on=12, exact=exact, never=("hit",))
-    cube = whole.cube(make.rng)
-    d = cube.tangent * whole.UNIT
+    cube = integer_shapes.cube(make.rng)
+    d = cube.tangent * integer_shapes.UNIT
     yield make.ask("along a cube's sides", [cube.shape], cube.p - 3.0 * d, d, edge_on=20, exact=20)
 
 

@@ -40,7 +40,7 @@ def little(monkeypatch):
 
 
 @pytest.mark.skipif(not decorators.COMPILED, reason="without Numba nothing is compiled")
-def test_what_was_done_is_told(little, capsys):
+def test_what_was_done_is_reported(little, capsys):
     assert main(["doctor", "--warm", SCENE]) == 0
     told = capsys.readouterr()
     assert told.out.startswith("kernels: ") and told.err.splitlines()[-1] == f"kernels for {SCENE}"
@@ -48,12 +48,12 @@ def test_what_was_done_is_told(little, capsys):
     assert json.loads(capsys.readouterr().out) == {"compiled": 0, "loaded": 0}  # this process has them by now
 
 
-def test_a_scene_that_is_not_there_is_told_before_anything_is_compiled(capsys):
+def test_a_scene_that_is_not_there_is_reported_before_anything_is_compiled(capsys):
     assert main(["doctor", "--warm", "nowhere.toml"]) == 4
     assert "nowhere.toml" in capsys.readouterr().err
 
 
-def test_one_line_is_said_before_the_first_kernel_is_compiled(capsys, monkeypatch):
+def test_one_line_is_stated_before_the_first_kernel_is_compiled(capsys, monkeypatch):
     monkeypatch.setattr(decorators.COMPILATION_LOG, "compiling", decorators.COMPILATION_LOG.compiling)
     with announce_compilation("sphere, pinhole"):
         decorators.COMPILATION_LOG.compiling("one")

@@ -106,7 +106,7 @@ def test_a_doubtful_shadow_counts_whichever_place_its_light_has(judged, first):
 
 
 @pytest.mark.parametrize("name", ["depth", "position", "normal", "shading_normal", "uv", "diffuse"])
-def test_a_scene_may_ask_for_less_than_the_derived_bound(judged, name):
+def test_a_scene_may_request_less_than_the_derived_bound(judged, name):
     strict = scene_of(caster.Sphere(), checks={name: {"ratio": 1e-6}})
     found = judged(strict)
     assert not found.ok and found.counts["undecided"] > 100

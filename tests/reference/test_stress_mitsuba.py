@@ -33,7 +33,7 @@ def easiest() -> dict[str, SettingResult]:
     return {family.name: found for family, found in zip(FAMILIES, outcomes, strict=True)}
 
 
-def test_everybody_agrees_where_a_family_is_easiest():
+def test_all_casters_agree_where_a_family_is_easiest():
     """So what breaks down later breaks down by what is stressed, and not by how it is asked."""
     asked = ["scalar", *(["llvm", "llvm-robust"] if usable_variants().llvm else [])]
     found = easiest()
@@ -55,14 +55,14 @@ def leaks(witness: Witness, setting: Setting) -> int:
     return int(np.sum(~sight.hit))
 
 
-def test_the_robust_mode_is_switched_off_where_that_is_asked_for():
+def test_the_robust_mode_is_switched_off_where_that_is_requested():
     """Without it, some 6 of 100 rays slip through edges."""
     setting = next(iter(WATERTIGHT_EDGES.settings(0, 2000)))
     assert leaks(ROBUST, setting) == 0
     assert 40 <= leaks(PLAIN, setting) <= 400
 
 
-def test_a_scene_is_exported_for_the_robust_mode_unless_told():
+def test_a_scene_is_exported_for_the_robust_mode_by_default():
     ready = score.prepare_setting(next(iter(WATERTIGHT_EDGES.settings(0, RAYS))))
     robust, plain = (
         export(ready.setting.scene, ready.model, **options).xml for options in ({}, {"robust": False})
@@ -97,7 +97,7 @@ def assert_same(found: TraceResponse, expected: TraceResponse) -> None:
         assert np.array_equal(getattr(found, name), getattr(expected, name)), name
 
 
-def test_scenes_asked_together_answer_as_they_do_alone(scenes, monkeypatch):
+def test_scenes_requested_together_answer_as_they_do_alone(scenes, monkeypatch):
     alone = {i: session.send_request(scenes[i]) for i in (0, 2)}
     requests = []
     honest = ResidentSession.send
@@ -128,7 +128,7 @@ def test_a_job_of_several_scenes_survives_the_disk_and_takes_no_lights(scenes, t
         TraceRequest(together.xml, SCALAR, together.o, together.d, together.t_max, more=together.more)
 
 
-def test_a_large_sphere_which_mitsuba_warns_of_is_asked_about_all_the_same(tmp_path):
+def test_a_large_sphere_which_mitsuba_warns_of_is_requested_all_the_same(tmp_path):
     xml = write(tmp_path, shape("sphere", "ball", 0, stretch="1e12 1e12 1e12"))
     question = job(xml, SCALAR, [[0.0, 0.0, 5e12]], [[0.0, 0.0, -1.0]], lights=False)
     assert isinstance(session.send_request(question), Crash)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from aimed_rays import direction
 
-from cases import whole
+from cases import integer_shapes
 from cases.case import FLOAT64, Case, Maker, Question
 from cases.shapes import mesh_of
 from caster import cast
@@ -24,8 +24,8 @@ def spoilt_balls(make: Maker) -> Iterator[tuple[str, np.ndarray, np.ndarray, int
     """(name, vertices, faces, the bad corner): a closed mesh with one bad coordinate."""
     for bad in BAD:
         for axis in range(3):
-            vertices, faces = whole.coarse_ball(make.rng, 1)
-            vertices = vertices * whole.UNIT / 64.0
+            vertices, faces = integer_shapes.coarse_ball(make.rng, 1)
+            vertices = vertices * integer_shapes.UNIT / 64.0
             corner = int(make.rng.integers(len(vertices)))
             vertices[corner, axis] = bad
             yield f"{bad:g} in a corner, axis {axis}", vertices, faces, corner

@@ -1,4 +1,4 @@
-"""Make the pictures of docs/report.md: python docs/report/pictures.py [FOLDER | INDEX.html | --candidate]
+"""Make the pictures of docs/report.md: python docs/report/screenshots.py [FOLDER | INDEX.html | --candidate]
 
 All scenes are judged, one with a fault that is planted, into FOLDER; an INDEX.html of an earlier run is opened as is.
 --candidate makes the picture of docs/candidates.md: the textbook caster inside a sphere.

@@ -8,7 +8,7 @@ from aimed_rays import direction
 
 from cases.camera_truth import U
 from cases.case import FLOAT64, Case, Maker, Question
-from cases.refusals import refused
+from cases.refusal_check import refused
 from cases.shapes import Aim, rays_at, shape_of
 from caster import Film, Pinhole, Rectangle, Scene, Sphere, cast
 

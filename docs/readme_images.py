@@ -1,4 +1,4 @@
-"""Make docs/every-shape.png, the picture of the README: python docs/picture.py"""
+"""Make docs/every-shape.png, the picture of the README: python docs/readme_images.py"""
 
 import tempfile
 from pathlib import Path

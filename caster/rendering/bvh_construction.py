@@ -1,4 +1,4 @@
-"""Growing trees of boxes, on as many threads as there are cores: nodes of two, and then nodes of many out of them."""
+"""BVH construction on several threads: binary nodes by the surface area heuristic, collapsed into wide ones."""
 
 import math
 from concurrent.futures import ThreadPoolExecutor

@@ -101,7 +101,7 @@ def test_what_the_reference_does_hit_is_no_case_of_a_miss(number):
     assert defect_of(replace(example, theirs=example.ours)) is None
 
 
-def test_an_area_is_told_exactly():
+def test_an_area_is_reported_exactly():
     corners = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.7], [0.9, 0.1, 0.2]])
     assert has_area(corners)
     assert not has_area(corners[[0, 1, 1]]) and not has_area(np.tile(corners[0], (3, 1)))

@@ -16,7 +16,7 @@ def test_every_piece_is_done_once(workers, count):
 
 
 @pytest.mark.parametrize("workers", [1, 3])
-def test_every_piece_that_is_done_is_told_of_once_after_it(workers):
+def test_every_piece_that_is_done_is_reported_of_once_after_it(workers):
     done: list[int] = []
     told: list[tuple[int, bool]] = []
     parallel_for_pieces(
@@ -77,5 +77,5 @@ def test_work_within_work_ends():
     assert len(done) == 80
 
 
-def test_as_many_as_asked_for():
+def test_as_many_as_requested():
     assert thread_count(3) == 3 and thread_count() >= 1

@@ -143,7 +143,7 @@ def test_a_hang_ends_in_time_and_leaves_no_process(ball, in_place_of_mitsuba, tm
     wait_for(lambda: gone(int(found.output.removeprefix("grandchild "))))
 
 
-def test_whoever_waits_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsuba, tmp_path):
+def test_a_waiting_request_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsuba, tmp_path):
     in_place_of_mitsuba(HANG.format(pids=str(tmp_path / "pid")))
     found: list[TraceResponse | Crash] = []
     threads = [threading.Thread(target=lambda: found.append(session.send_alone(ball, 60))) for _ in range(2)]
@@ -171,7 +171,7 @@ session.send_alone(TraceRequest.read(Path(sys.argv[1])), 60)
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_the_child_goes_with_the_one_that_asked(ball, in_place_of_mitsuba, tmp_path, how):
+def test_the_child_goes_with_the_one_that_requested(ball, in_place_of_mitsuba, tmp_path, how):
     in_place_of_mitsuba(HANG.format(pids=str(tmp_path / "pid")))
     ball.write(tmp_path)
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ['PYTHONPATH']}"}
@@ -304,7 +304,7 @@ def test_asking_imports_no_mitsuba_and_the_child_nothing_slow():
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert not {"mitsuba", "drjit", "numba", "pydantic"} & set(asking.stdout.split())
-    program = "import sys; from mitsuba_ref.reference import mitsuba_process, session; print(*sys.modules)"
+    program = "import sys; from mitsuba_ref.reference import mitsuba_calls, session; print(*sys.modules)"
     child_side = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )

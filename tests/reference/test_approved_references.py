@@ -86,7 +86,7 @@ def replaced(here, name, **planes):
 # ---- approve ----
 
 
-def test_a_reference_says_where_it_comes_from_and_names_no_folder(here):
+def test_a_reference_states_where_it_comes_from_and_names_no_folder(here):
     found = load_reference(here / "refs/ball.exr")
     assert {
         "A",

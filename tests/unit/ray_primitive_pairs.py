@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import exact_meetings as exact
+import decimal_intersections as exact
 import numpy as np
 from aimed_rays import Rng, Setting, rays_at, scene_of
-from exact_meetings import Met, exactly
+from decimal_intersections import Met, exactly
 
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32

@@ -80,7 +80,7 @@ def test_without_area_is_decided_exactly(tmp_path):
     assert got == RejectedFaces(0, 0, 1)
 
 
-def test_the_count_is_told(tmp_path, capsys, monkeypatch):
+def test_the_count_is_reported(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "m.obj").write_text(QUAD + "v nan 0 0\nf 1 3 5\nf 1 1 1\n" + GOOD)
     (tmp_path / "s.toml").write_text(

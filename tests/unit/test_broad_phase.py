@@ -9,8 +9,9 @@ from caster.geometry.world_space import as_float32
 from caster.shapes import Plane
 from mitsuba_ref.error_model import bracket
 from mitsuba_ref.error_model.bracket import BRANCHING_FACTOR, BroadPhase, morton_order, spread_bits
-from mitsuba_ref.error_model.intersections import KU_OURS, row_groups
+from mitsuba_ref.error_model.intersections import row_groups
 from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 SETTINGS = (

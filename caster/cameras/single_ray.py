@@ -86,5 +86,5 @@ def _is_negative(written: Any) -> bool:
 
 
 @implement(camera_ray, SingleRay)
-def _ray(camera: Any, x: float, y: float) -> Any:
+def _camera_ray(camera: Any, x: float, y: float) -> Any:
     return camera.o, camera.d, 0.0, camera.t_max

@@ -4,8 +4,8 @@ from dataclasses import replace
 from unittest.mock import Mock
 
 import pytest
-from made_verdicts import scene as made
-from made_verdicts import verdict
+from verdict_factory import scene as made
+from verdict_factory import verdict
 
 import caster
 from mitsuba_ref.judge.verdict import SceneCheck, SceneStatistics
@@ -55,7 +55,7 @@ A, B = scene("a", ("sphere", "mesh"), checks=("depth", "exact")), scene("b", che
         ),  # not told
     ],
 )
-def test_only_what_is_so_in_all_that_fail_and_not_in_all_that_pass_is_said(scenes, told):
+def test_only_what_is_so_in_all_that_fail_and_not_in_all_that_pass_is_stated(scenes, told):
     assert common_traits(scenes) == told
 
 
@@ -89,7 +89,7 @@ def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_n
         assert "in common" not in summary_text(few, 1.0) and "look first" not in summary_text(few, 1.0)
 
 
-def test_a_verdict_says_what_its_scene_is_made_of_also_after_json_and_where_there_is_no_comparison(
+def test_a_verdict_has_the_composition_of_its_scene_also_without_comparison(
     monkeypatch,
 ):
     ball = caster.Scene(

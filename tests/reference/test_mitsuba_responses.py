@@ -94,7 +94,7 @@ def test_both_variants_hit_the_same_shapes_and_primitives(asked, many):
 
 
 @pytest.mark.skipif(len(HERE) == 1, reason="one variant has nothing to agree with")
-def test_triangles_are_met_at_the_same_bits_of_t_in_both_variants(asked, tmp_path):
+def test_triangles_are_hit_at_the_same_bits_of_t_in_both_variants(asked, tmp_path):
     random_mesh(tmp_path / "strewn.ply", np.random.default_rng(3), 2000)
     o, d = rays_at(np.random.default_rng(4), 20000, 1.2)
     scalar, llvm = (asked(write(tmp_path, SHAPES_APART["strewn"]), variant, o, d) for variant in VARIANTS)
@@ -228,7 +228,7 @@ def test_the_sensors_rays_are_those_of_the_formula(asked, tmp_path, variant, cro
 
 
 @pytest.mark.parametrize("variant", HERE)
-def test_the_answer_says_who_gave_it(asked, many, variant):
+def test_the_answer_states_who_gave_it(asked, many, variant):
     answer = asked(many[0], variant, [[0, 2, 9]], [[0, 0, -1]])
     assert answer.versions["variant"] == variant
     assert re.fullmatch(r"\d+\.\d+\.\d+", answer.versions["mitsuba"]) and answer.versions["drjit"]
@@ -240,11 +240,11 @@ PRINTS = """
 import sys
 from pathlib import Path
 import numpy as np
-from mitsuba_ref.reference import mitsuba_process
+from mitsuba_ref.reference import mitsuba_calls
 from mitsuba_ref.reference.messages import TraceRequest
 o = np.zeros((1, 3), np.float32)
 try:
-    mitsuba_process.trace_request(TraceRequest(Path(sys.argv[1]), sys.argv[2], o, o + 1, o[:, 0] + 9, sensor=True))
+    mitsuba_calls.trace_request(TraceRequest(Path(sys.argv[1]), sys.argv[2], o, o + 1, o[:, 0] + 9, sensor=True))
 except RuntimeError as refusal:
     assert "non-uniform" in str(refusal)
 """
@@ -252,7 +252,7 @@ except RuntimeError as refusal:
 
 @pytest.mark.parametrize("stretch", ["1 1 1", "2 1 1"], ids=["answered", "refused"])
 @pytest.mark.parametrize("variant", HERE)
-def test_the_door_prints_nothing(tmp_path, variant, stretch):
+def test_the_child_process_prints_nothing(tmp_path, variant, stretch):
     """Its words would be taken for a command's result."""
     xml = write(tmp_path, shape("sphere", "ball", 0, stretch=stretch))
     command = [sys.executable, "-c", PRINTS, xml, variant]

@@ -25,14 +25,14 @@ def assert_cullings_agree(camera: Any, shapes: list[dict[str, Any]], film: dict[
 @pytest.mark.parametrize(
     "at", [(0.0, 0.0, 0.0), (0.0, 0.0, 1e-130)], ids=["in the middle", "too near for squares"]
 )
-def test_of_balls_around_the_eye_the_inner_one_is_seen(camera, at):
+def test_of_spheres_around_the_eye_the_inner_one_is_detected(camera, at):
     """Their distance has no square, or none at all: nothing may be said of how near they are."""
     balls = [{"type": "sphere", "center": at, "radius": radius} for radius in (0.5, 0.1)]
     assert_cullings_agree(camera(**AHEAD), balls)
 
 
 @pytest.mark.parametrize("camera", BENDING)
-def test_of_tiny_balls_the_nearer_one_is_seen(camera):
+def test_of_tiny_spheres_the_nearer_one_is_detected(camera):
     far, near = (
         {"type": "sphere", "center": (0.0, 0.0, z), "radius": r}
         for z, r in ((3e-130, 1e-130), (1e-130, 7e-131))
@@ -41,7 +41,7 @@ def test_of_tiny_balls_the_nearer_one_is_seen(camera):
 
 
 @pytest.mark.parametrize("camera", BENDING)
-def test_a_corner_straight_behind_has_no_picture(camera):
+def test_a_corner_straight_behind_has_no_image(camera):
     """To either side of it, or where it rounds to, the picture would be anywhere."""
     corners = [(0.0, 0.0, -1.0), (0.9, 0.3, 0.1), (0.9, 0.32, 0.12)]
     assert_cullings_agree(
@@ -50,7 +50,7 @@ def test_a_corner_straight_behind_has_no_picture(camera):
 
 
 @pytest.mark.parametrize("aside", [1.6e-162, 1e-170, 5e-324])
-def test_a_ball_hardly_off_the_axis_of_a_fisheye_is_seen_whole(aside):
+def test_a_sphere_hardly_off_the_axis_of_a_fisheye_is_seen_whole(aside):
     """The square of so short a way has lost bits, or all of them, to underflow."""
     ball = {"type": "sphere", "center": (aside, 0.0, 1.0), "radius": 0.05}
     assert_cullings_agree(Fisheye(**AHEAD), [ball], {"width": 512, "height": 512})

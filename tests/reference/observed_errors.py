@@ -9,8 +9,9 @@ from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from mitsuba_ref.error_model.bounds import error_over_bound, nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims
-from mitsuba_ref.error_model.intersections import KU, KU_OURS, K, norm
+from mitsuba_ref.error_model.intersections import norm
 from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS, K
 from mitsuba_ref.reference import session
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference

@@ -71,20 +71,20 @@ def overlap(camera: Any, rng: np.random.Generator, reach: float) -> list[float]:
 
 @pytest.mark.parametrize("reach", [0.001, 0.03, 0.3])
 @pytest.mark.parametrize("name", CAMERAS)
-def test_the_box_of_a_ball_holds_every_ray_that_meets_it_and_touches_some(name, reach):
+def test_the_box_of_a_sphere_holds_every_ray_that_hits_it_and_touches_some(name, reach):
     rng = np.random.default_rng([140, list(CAMERAS).index(name)])
     found = overlap(CAMERAS[name].pack(WIDTH, HEIGHT), rng, reach)
     assert len(found) > COUNT // 4 and min(found) >= 0.0
     assert np.quantile(found, 0.1) < 0.05  # a rim's nearest point is in the middle of a side for some
 
 
-def test_a_box_that_forgets_how_a_fisheye_bends_lines_is_seen(monkeypatch):
+def test_a_box_that_forgets_how_a_fisheye_bends_lines_is_detected(monkeypatch):
     monkeypatch.setattr(fisheye, "curvature_bound", lambda angle: 0.0)
     assert min(overlap(CAMERAS["fisheye"].pack(WIDTH, HEIGHT), np.random.default_rng(141), 0.3)) < 0.0
 
 
 @pytest.mark.parametrize("name", ["fisheye", "narrow fisheye", "parabolic"])
-def test_balls_that_no_ray_meets_are_nowhere(name):
+def test_spheres_that_no_ray_hits_are_nowhere(name):
     camera = CAMERAS[name].pack(WIDTH, HEIGHT)
     behind = np.array(camera.eye) - 5.0 * np.array(camera.forward)
     left, top, right, bottom, _, valid = project_bounding_sphere(camera, tuple(behind), 0.5)
@@ -93,7 +93,7 @@ def test_balls_that_no_ray_meets_are_nowhere(name):
 
 @pytest.mark.parametrize("name", ["fisheye", "panorama", "parabolic"])
 @pytest.mark.parametrize("size", [1e-200, 1e-130, 1e130, 1e200, math.inf])
-def test_where_nothing_is_known_nothing_is_said(name, size):
+def test_where_nothing_is_known_nothing_is_stated(name, size):
     """Sizes without squares, an eye in the ball, a ball without an end."""
     camera = CAMERAS[name].model_copy(update={"eye": (0.0, 0.0, 0.0)}).pack(WIDTH, HEIGHT)
     for r in (0.1 * size, 10.0 * size, math.inf):
@@ -135,14 +135,14 @@ BENDING = ("fisheye", "wider fisheye", "narrow fisheye", "panorama", "parabolic"
 
 
 @pytest.mark.parametrize("name", BENDING)
-def test_an_edge_is_bent_no_further_than_bent_says(name):
+def test_the_distortion_bound_holds_for_edges(name):
     found = off_the_line(CAMERAS[name].pack(FINE * WIDTH, FINE * HEIGHT), np.random.default_rng(143))
     assert len(found) > COUNT // 4 and max(found) <= 1.0
     assert max(found) > 0.06  # 5 / 8 for a line, less since angles are taken from pictures that stretch them
 
 
 @pytest.mark.parametrize("name", BENDING)
-def test_a_bend_that_is_taken_for_a_twentieth_of_it_is_seen(name, monkeypatch):
+def test_a_bend_that_is_taken_for_a_twentieth_of_it_is_detected(name, monkeypatch):
     for camera in (fisheye, panorama, parabolic):
         monkeypatch.setattr(
             camera,
@@ -159,7 +159,7 @@ def random_triangle(rng: np.random.Generator) -> Triangles:
     return Triangles(corners, np.array([[0, 1, 2]], np.int32), *none)
 
 
-def test_no_ray_of_a_bundle_meets_a_triangle_before_nearest_t():
+def test_no_ray_of_a_packet_hits_a_triangle_before_its_lower_bound_of_t():
     rng, hits, never, near = np.random.default_rng(142), 0, 0, []
     for _ in range(600):
         prims, o = random_triangle(rng), tuple(rng.normal(size=3))

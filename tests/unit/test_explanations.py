@@ -30,7 +30,7 @@ from mitsuba_ref.judge.scene_checks import bits_differ
         ({"exact": 4.0, "t": 3.0}, "beyond their bounds: {exact} 4x, {t} 3x"),
     ],
 )
-def test_what_exceeds_its_bound_is_told_with_its_factor(ratios, told):
+def test_what_exceeds_its_bound_is_reported_with_its_factor(ratios, told):
     names = {name: QUANTITY_NAMES.get(name, name) for name in ("t", "normal", "exact")}
     assert exceeded_bounds(ratios) == told.format(**names)
 
@@ -44,7 +44,7 @@ def test_why_quantities_are_not_compared(subject, reference, why):
     assert not_compared(True, True, "ours", ("t",)) == {}
 
 
-def test_a_defect_is_told_with_its_number_and_an_unlisted_one_as_such():
+def test_a_defect_is_reported_with_its_number_and_an_unlisted_one_as_such():
     assert "none of the cases that are known" in format_defect(None)
     assert format_defect(16).startswith("case 16: ")
 
@@ -95,7 +95,7 @@ def test_a_primitive_of_mitsuba_is_counted_in_its_shape_and_of_a_stand_in_is_the
         ([5.0, 9.0, 9.0, 3.0], True, None),  # who answers hits alone marks no miss
     ],
 )
-def test_a_number_in_place_of_inf_is_told_where_mitsuba_misses(t, hits_only, told):
+def test_a_number_in_place_of_inf_is_reported_where_mitsuba_misses(t, hits_only, told):
     """Rays 1 and 2 miss; the last one is none."""
     judge = SimpleNamespace(
         result=SimpleNamespace(hit=np.array([True, False, False, False])),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from caster import Film, Icosphere, Pinhole, Point, Scene, Sphere
-from caster.rendering import rasterization, tiles
+from caster.rendering import rasterization, shading
 from caster.rendering.hits import packed
 from caster.rendering.images import render
 
@@ -17,7 +17,7 @@ def a_scene() -> Scene:
     return Scene(film=Film(width=150, height=70), camera=camera, shapes=[Icosphere(subdivisions=4)])
 
 
-def test_the_next_picture_uses_it_and_has_the_same_bits():
+def test_the_next_image_uses_it_and_has_the_same_bits():
     scene = a_scene()
     first = render(scene, ("depth", "normal"))
     (kind,) = packed(scene).kinds
@@ -29,7 +29,7 @@ def test_the_next_picture_uses_it_and_has_the_same_bits():
     assert all(np.array_equal(first[name], again[name]) for name in ("depth", "normal"))
 
 
-def test_pictures_at_the_same_time_have_their_own():
+def test_images_at_the_same_time_have_their_own():
     scene = a_scene()
     expected = render(scene, ("depth",))["depth"]
     with ThreadPoolExecutor(4) as pool:
@@ -50,7 +50,7 @@ EVERY_IMAGE = ("depth", "normal", "position", "diffuse")
 
 @pytest.fixture
 def no_spare_memory(monkeypatch):
-    monkeypatch.setattr(tiles, "_SPARE_BLOCKS", {})
+    monkeypatch.setattr(shading, "_SPARE_BLOCKS", {})
 
 
 def a_large_scene() -> Scene:
@@ -64,15 +64,15 @@ def addresses(images) -> list[int]:
     return sorted(images[name].ctypes.data for name in images)
 
 
-def test_memory_of_images_that_nobody_holds_is_written_again(no_spare_memory):
+def test_memory_of_released_images_is_written_again(no_spare_memory):
     first = render(a_large_scene(), EVERY_IMAGE)
     expected = {name: first[name].copy() for name in first}
     where = addresses(first)
     gc.disable()
     try:
         del first  # without a collector's help: no circle of references holds an image
-        assert len(tiles._SPARE_BLOCKS) == len(EVERY_IMAGE)
-        for block in tiles._SPARE_BLOCKS.values():
+        assert len(shading._SPARE_BLOCKS) == len(EVERY_IMAGE)
+        for block in shading._SPARE_BLOCKS.values():
             block[:] = 0xA5  # nothing of it is read before it is written
         again = render(a_large_scene(), EVERY_IMAGE)
     finally:
@@ -85,17 +85,17 @@ def test_a_view_keeps_the_memory_of_its_image(no_spare_memory):
     images = render(a_large_scene(), ("position",))
     view, expected = images["position"][60:80, ::2, 1], images["position"][60:80, ::2, 1].copy()
     del images
-    assert not tiles._SPARE_BLOCKS
+    assert not shading._SPARE_BLOCKS
     others = [render(a_large_scene(), ("position",)) for _ in range(3)]
     others[0]["position"][:] = 7.0
     assert np.array_equal(view, expected)
 
 
 def test_no_more_memory_than_a_limit_is_kept(no_spare_memory, monkeypatch):
-    monkeypatch.setattr(tiles, "MAX_SPARE_BYTES", 2 * 256 * 192 * 24)
+    monkeypatch.setattr(shading, "MAX_SPARE_BYTES", 2 * 256 * 192 * 24)
     for height in (192, 191, 190, 189):
         render(a_large_scene().with_film(width=256, height=height), ("position",))
-    kept = [block.nbytes for block in tiles._SPARE_BLOCKS.values()]
+    kept = [block.nbytes for block in shading._SPARE_BLOCKS.values()]
     assert kept == [256 * 190 * 24, 256 * 189 * 24]  # the newest
 
 
@@ -120,12 +120,12 @@ def test_a_kind_that_no_tile_has_is_not_looked_for(monkeypatch):
         ],
     )
     for aovs, name in ((("normal",), "normals_in_tile"), (("shading_normal",), "surfaces_in_tile_by_lanes")):
-        kinds, original = [], getattr(tiles, name)
+        kinds, original = [], getattr(shading, name)
 
         def counted(*args, kinds=kinds, original=original):
             kinds.extend(type(arg).__name__ for arg in args if type(arg).__name__ == "Triangles")
             return original(*args)
 
-        monkeypatch.setattr(tiles, name, counted)
+        monkeypatch.setattr(shading, name, counted)
         render(scene, aovs, threads=1)
         assert len(kinds) == 1, aovs  # of four tiles
