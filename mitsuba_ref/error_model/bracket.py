@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mitsuba_ref.error_model.intersections import Intersections, dot, norm, row_groups
-from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
+from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel, no_intersections
 from mitsuba_ref.error_model.tolerances import KU
 
 # How much boxes are grown, as a share of |o| + their farthest corner. The bound of an edge function, divided by the
@@ -225,6 +225,8 @@ class Bracket:
         """Every possible intersection of some rays, few enough to be held at once."""
         line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
         found = [self._meet(ray, prim, line) for ray, prim in self.nearby.pairs(o, d)]
+        if not found:
+            return RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections())
         at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
         return RayIntersections(
             np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at

@@ -30,6 +30,23 @@ MATCH_RTOL = 1e-4
 DISTINCT_RTOL = 10 * MATCH_RTOL  # two numbers that are so far apart are not alike
 MAJORITY = 0.5  # what is reported of all wrong t at once has to be true of more of them than this
 
+# A wrong pixel becomes right under a hypothesis within twice its bound: what a hypothesis predicts carries the rounding
+# of one more pixel (a fitted constant) or of one more operation of d (a length), which K roundings of each number
+# cover. Or where a hundredth of the error is left, of a caster that has lost digits beside. No pixel passes or fails by
+# these.
+FIT_FACTOR, LARGEST_RESIDUAL = 2.0, 0.01
+NEARLY_ALL = (
+    0.9  # of the wrong pixels: a hypothesis that explains so many is the cause, and no other is looked for
+)
+MIN_FITTED_PIXELS = 3  # from which a constant is fitted: one is always fitted, a second may be alike
+
+# A separator is reported where one threshold has so many of the wrong pixels on one side, and of the right ones on the
+# other. k of the j pixels on one side are wrong by chance, of m wrong among n, with a probability below
+# exp(-j KL(k / j || m / n)) (Hoeffding 1963, which holds for draws without replacement, too); times the number of
+# thresholds and features tried, that has to stay below this.
+SEPARATES = 0.95
+SEPARATOR_CHANCE = 1e-6
+
 # Scene check `camera`: a direction goes through an orthobasis (three unit vectors of 4 roundings each), a position on
 # the film (4), a sine or tangent (2) of an angle of up to pi, and a length (3): 32 roundings on either side, in steps
 # of KU_OURS, which is K roundings on either side.

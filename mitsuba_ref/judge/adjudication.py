@@ -73,13 +73,14 @@ def needs_adjudication(
     plain, hit, certain: (n,) bool; hit by ours, certain to be hit for the reference; shape: of the image.
     """
     chosen = ~plain | (hit & ~certain) | (~hit & has_hit_neighbor(hit.reshape(shape)).ravel())
-    rest = np.flatnonzero(~chosen)
-    chosen[
-        np.random.default_rng(ADJUDICATION_SEED).choice(
-            rest, min(AGREEING_PIXELS_ADJUDICATED, len(rest)), replace=False
-        )
-    ] = True
+    chosen[sample_rows(np.flatnonzero(~chosen), AGREEING_PIXELS_ADJUDICATED)] = True
     return np.flatnonzero(chosen)
+
+
+def sample_rows(rows: np.ndarray, count: int) -> np.ndarray:
+    """At most so many of these rows, by a fixed seed, ascending."""
+    chosen = np.random.default_rng(ADJUDICATION_SEED).choice(rows, min(count, len(rows)), replace=False)
+    return np.sort(chosen)
 
 
 def has_hit_neighbor(hit: np.ndarray) -> np.ndarray:

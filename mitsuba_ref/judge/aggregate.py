@@ -16,7 +16,7 @@ from mitsuba_ref.error_model.intersections import row_groups
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, LARGEST_Z, K
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.comparison import ImagePair
-from mitsuba_ref.judge.diagnosis import Diagnosis, failing_rows
+from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED, Diagnosis, failing_rows
 from mitsuba_ref.judge.explanations import full_reason, pixel_answers, reason
 from mitsuba_ref.judge.verdict import (
     AGREE,
@@ -81,12 +81,21 @@ def scene_statistics(scene: Scene) -> SceneStatistics:
 
 
 def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Each diagnosis once, with the pixels it is true of, most first."""
-    found = [
-        Finding(len(rows), what, *pixel_of(judge.scene, int(rows[0])))
-        for what, rows in diagnosis.rows_of.items()
-    ]
-    return tuple(sorted(found, key=lambda finding: -finding.pixels))
+    """Each cause once, with its pixels, most first; second causes of the same pixels, and what has none, at the end."""
+    ordered = sorted(
+        diagnosis.causes, key=lambda each: (each.what == NOT_ADJUDICATED, each.second, -len(each.rows))
+    )
+    return tuple(
+        Finding(
+            len(cause.rows),
+            cause.what,
+            *pixel_of(judge.scene, int(cause.rows[0])),
+            cause.of,
+            cause.remedy,
+            cause.where,
+        )
+        for cause in ordered
+    )
 
 
 def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) -> tuple[Failure, ...]:
@@ -96,8 +105,12 @@ def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) ->
     """
     by_row, rows = diagnosis.by_row(), worst_first(judgement, failing_rows(judgement))
     order = rows if judge.names_prims else sorted(rows)
-    leading = {by_row[row]: row for row in reversed(order)}
-    most_first = sorted(leading.values(), key=lambda row: -len(diagnosis.rows_of[by_row[row]]))
+    cause_of = {int(row): what for what, rows in diagnosis.rows_of.items() for row in rows}
+    leading = {cause_of[row]: row for row in reversed(order)}
+    most_first = sorted(
+        leading.values(),
+        key=lambda row: (cause_of[row] == NOT_ADJUDICATED, -len(diagnosis.rows_of[cause_of[row]])),
+    )
     chosen = list(dict.fromkeys([*most_first, *rows]))[:MAX_LISTED_FAILURES]
     return tuple(failure_at(judge, judgement, by_row, row) for row in chosen)
 
@@ -303,6 +316,7 @@ def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
         reference_stored=all(window.reference_stored for window in windows),
         problem=problems[0] if problems else "",
         adjudicated=sum(window.adjudicated for window in windows),
+        not_adjudicated=sum(window.not_adjudicated for window in windows),
         exact_seconds=sum(window.exact_seconds for window in windows),
         cases=_added([window.cases for window in windows]),
         reproducers=tuple(file for window in windows for file in window.reproducers),
@@ -360,8 +374,7 @@ def _worst_failures(windows: Sequence[SceneVerdict]) -> dict[str, Failure]:
 def _merged_findings(windows: Sequence[SceneVerdict]) -> tuple[Finding, ...]:
     """Each diagnosis once, most pixels first."""
     every = [finding for window in windows for finding in window.findings]
-    pixels = _added([{finding.what: finding.pixels} for finding in every])
+    pixels, of = (_added([{each.what: getattr(each, name)} for each in every]) for name in ("pixels", "of"))
     first = {finding.what: finding for finding in reversed(every)}
-    return tuple(
-        sorted((replace(first[what], pixels=n) for what, n in pixels.items()), key=lambda f: -f.pixels)
-    )
+    merged = [replace(first[what], pixels=n, of=of.get(what, 0)) for what, n in pixels.items()]
+    return tuple(sorted(merged, key=lambda each: (each.what == NOT_ADJUDICATED, -each.pixels)))

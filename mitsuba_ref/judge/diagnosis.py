@@ -1,39 +1,74 @@
-"""Diagnosis of a subject's failing pixels: sentences, each with the pixels it is true of, by testing common mistakes.
+"""Diagnosis of a subject's failing pixels: causes, each with its pixels and what separates them from right ones.
 
 Nothing here decides whether a pixel passes; it only describes the numbers of those that fail.
 """
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.cameras.camera_reference import camera_axes
-from mitsuba_ref.error_model.bounds import row_distance
-from mitsuba_ref.error_model.intersections import Intersections, dot, norm, unit
+from caster.geometry.packing import Triangles
+from mitsuba_ref.error_model.intersections import dot, norm, unit
 from mitsuba_ref.error_model.tolerances import (
-    DISTINCT_RTOL,
-    LARGEST_USEFUL_NORMAL_ERROR,
     MAJORITY,
-    MATCH_RTOL,
+    MIN_FITTED_PIXELS,
+    NEARLY_ALL,
+    SEPARATES,
+    SEPARATOR_CHANCE,
 )
+from mitsuba_ref.judge.adjudication import sample_rows
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.explanations import open_reason, subject_name
-from mitsuba_ref.judge.scene_checks import pixel_centers
+from mitsuba_ref.judge.hypotheses import (
+    DESCRIPTIONS,
+    HYPOTHESES,
+    RIGHT_PIXELS,
+    Explained,
+    WrongPixels,
+    explain_normals,
+    float32_inside,
+    other_quantity,
+    range_text,
+)
 from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
+from mitsuba_ref.shapes import kind_of
 
-MAX_DIAGNOSED_PIXELS = 4096  # pixels at which costly hypotheses are tested
+NOT_ADJUDICATED = "not adjudicated: like others, of which exact arithmetic found nearly all to be wrong"
+MAX_DIAGNOSED_PIXELS = 4096  # wrong pixels at which hypotheses are tested
 
 
-class Diagnosis(NamedTuple):
-    """Each sentence and the rows of the image, ascending, that it is true of; each failing row has one."""
+@dataclass(frozen=True)
+class Cause:
+    """What is wrong with some failing rows of the image."""
 
-    rows_of: Mapping[str, np.ndarray]
+    what: str
+    rows: np.ndarray  # ascending
+    of: int = 0  # wrong pixels among which it was looked for; 0: no hypothesis
+    remedy: str = ""  # of a hypothesis under which the rows become right
+    where: str = ""  # what separates these pixels from right ones
+    second: bool = False  # beside another cause of the same rows, and independent of it
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Causes; each failing row has one that is not a second one."""
+
+    causes: tuple[Cause, ...]
+
+    @cached_property
+    def rows_of(self) -> Mapping[str, np.ndarray]:
+        """The rows of each first cause."""
+        return {cause.what: cause.rows for cause in self.causes if not cause.second}
 
     def by_row(self) -> dict[int, str]:
         """The sentence of each failing row."""
-        return {int(row): what for what, rows in self.rows_of.items() for row in rows}
+        found: dict[int, str] = {}
+        for cause in sorted(self.causes, key=lambda cause: cause.second):
+            for row in map(int, cause.rows):
+                found[row] = f"{found[row]}; and {cause.what}" if cause.second else cause.what
+        return found
 
 
 def failing_rows(judgement: Judgement) -> np.ndarray:
@@ -42,39 +77,59 @@ def failing_rows(judgement: Judgement) -> np.ndarray:
     return np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
 
 
+class _Causes:
+    """Causes as they are found; a row belongs to the first that takes it."""
+
+    def __init__(self, judge: Judge, judgement: Judgement):
+        self.judge, self.judgement = judge, judgement
+        self.found: dict[str, Cause] = {}
+        self.seconds: list[Cause] = []
+        self.left = np.zeros(len(judge.t_max), bool)
+        self.left[failing_rows(judgement)] = True
+
+    def take(
+        self, what: str, rows: np.ndarray, of: int = 0, remedy: str = "", *, where: bool = False
+    ) -> None:
+        """Of these rows those that are left. where: look for a separator."""
+        mine = rows[self.left[rows]]
+        if not len(mine):
+            return
+        before = self.found.get(what, Cause(what, np.zeros(0, np.int64)))
+        separator = separator_text(self.judge, self.judgement, mine) if where else ""
+        self.found[what] = Cause(what, np.union1d(before.rows, mine), of, remedy, separator or before.where)
+        self.left[mine] = False
+
+    def diagnosis(self) -> Diagnosis:
+        return Diagnosis((*self.found.values(), *self.seconds))
+
+
 def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
-    """The first sentence that is true of each pixel that fails, in the order of `hypotheses`."""
-    rows_of: dict[str, np.ndarray] = {}
-    left = np.zeros(len(judge.t_max), bool)
-    left[failing_rows(judgement)] = True
-    if not left.any():
-        return Diagnosis(rows_of)
-
-    def say(what: str, rows: np.ndarray) -> None:
-        mine = rows[left[rows]]
-        if len(mine):
-            rows_of[what] = np.union1d(rows_of.get(what, np.zeros(0, np.int64)), mine)
-            left[mine] = False
-
+    """The causes of all pixels that fail: what is no answer, then hypotheses in their order, then descriptions."""
+    causes = _Causes(judge, judgement)
+    if not causes.left.any():
+        return causes.diagnosis()
     for what, rows in _marked_misses(judge):
-        say(what, rows)
+        causes.take(what, rows, len(rows), "a miss is t = inf")
     for why, broken in judge.answer.broken.items():
-        say(f"no answer: {why}", np.flatnonzero(broken))
-    say("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.hit))
+        causes.take(f"no answer: {why}", np.flatnonzero(broken))
+    causes.take("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.hit))
     of_mitsuba = np.flatnonzero(judgement.classes == CLASS_CODE[REFERENCE_WRONG])
-    say(f"{subject_name(judge)} is right, and Mitsuba wrong in no known way", of_mitsuba)
-    for row in np.flatnonzero(left & (judgement.classes == CLASS_CODE[UNDECIDED])):
-        say(open_reason(judge, judgement, int(row)), np.array([row]))
-    wrong = np.flatnonzero(left & (judgement.classes == CLASS_CODE[WRONG]))
+    causes.take(f"{subject_name(judge)} is right, and Mitsuba wrong in no known way", of_mitsuba)
+    wrong = np.flatnonzero(causes.left & (judgement.classes == CLASS_CODE[WRONG]))
     exact = judgement.exact
     inexact = np.intersect1d(wrong, exact.rows[exact.wrong])
     if len(inexact):
-        for what, rows in hypotheses(judge, wrong_pixels(judge, judgement, inexact)):
-            say(what, rows)
-    for what, rows in _wrong_surface(judge, judgement, wrong[left[wrong]]):
-        say(what, rows)
-    say("not what is there, in no way that is recognised", np.flatnonzero(left))
-    return Diagnosis(rows_of)
+        _explain(causes, _pixels(judge, judgement, sample_rows(inexact, MAX_DIAGNOSED_PIXELS)))
+        if len(inexact) > MAX_DIAGNOSED_PIXELS:
+            causes.take("wrong, as the others are; the cause was looked for at some of them", inexact)
+    causes.take(NOT_ADJUDICATED, judgement.not_adjudicated)
+    for row in np.flatnonzero(causes.left & (judgement.classes == CLASS_CODE[UNDECIDED])):
+        causes.take(open_reason(judge, judgement, int(row)), np.array([row]))
+    wrong = wrong[causes.left[wrong]]
+    for explained, rows in _wrong_surface(judge, judgement, wrong):
+        causes.take(explained.what, rows, len(wrong) if explained.remedy else 0, explained.remedy)
+    causes.take("not what is there, in no way that is recognised", np.flatnonzero(causes.left))
+    return causes.diagnosis()
 
 
 def _marked_misses(judge: Judge) -> Iterator[tuple[str, np.ndarray]]:
@@ -90,280 +145,334 @@ def marked_miss(t: float) -> str:
     return f"t is {t:.7g} where nothing is hit; a miss has t inf"
 
 
-class WrongPixels(NamedTuple):
-    """Rows of the image where the subject is wrong, and what would be right there."""
-
-    rows: np.ndarray  # (m,)
-    hit: np.ndarray  # (m,) bool, exactly
-    t: np.ndarray  # (m,) exact, inf on a miss
-    prim: np.ndarray  # (m,) -1 on a miss
-    at: Intersections  # (m,) there, as the subject may see it
-
-    def take(self, some: np.ndarray) -> "WrongPixels":
-        """Some of them, by mask."""
-        return WrongPixels(self.rows[some], self.hit[some], self.t[some], self.prim[some], self.at.take(some))
-
-
-def wrong_pixels(judge: Judge, judgement: Judgement, rows: np.ndarray) -> WrongPixels:
+def _pixels(judge: Judge, judgement: Judgement, rows: np.ndarray) -> WrongPixels:
     """These adjudicated rows of the image with the exact answers there."""
     answers = [judgement.exact.of(row) for row in rows]
     t = np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
-    prim = np.array([-1 if a is None else a.prim for a in answers])
-    return WrongPixels(rows, prim >= 0, t, prim, judge.near(rows, prim, t))
+    prim = np.array([-1 if a is None else a.prim for a in answers], np.int64)
+    return WrongPixels(judge, rows, prim >= 0, t, prim, judge.near(rows, prim, t))
 
 
-def hypotheses(judge: Judge, wrong: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    """(sentence, rows it is true of) where the exact answer is another one, the most comprehensive first."""
-    shift = None if judge.pair.rays.is_list else find_pixel_shift(judge, wrong)
-    if shift is not None:
-        where = f"({shift.x:+.2f}, {shift.y:+.2f}) of a pixel to the right and down"
-        yield f"rays beside the pixel centres, by {where}", wrong.rows
-    if judge.pair.rays.is_list:
-        yield from _wrong_range(judge, wrong)
-    yield from _wrong_hits(judge, wrong)
-    there = wrong.take(judge.hit[wrong.rows] & wrong.hit)
-    if len(there.rows):
-        if not judge.answer.hits_only:
-            yield from _wrong_t(judge, there)
-        yield from _wrong_prim(judge, there)
-        yield from _wrong_normal(judge, there)
+# ---- hypotheses, the simplest that explains nearly all first
+
+# They move no ray and choose no other surface: normals are those of the surface that is hit exactly.
+OF_THE_SAME_SURFACE = (other_quantity, float32_inside)
 
 
-def _wrong_hits(judge: Judge, wrong: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    rows, hit = wrong.rows, judge.hit[wrong.rows]
-    missed = rows[~hit & wrong.hit]
-    everything = len(judge.answer.t) > 1 and not judge.hit.any()  # of one pixel, that means nothing
-    if len(missed) and not everything:
-        at = np.flatnonzero(~hit & wrong.hit)
-        lines = judge.o[missed], judge.d[missed]
-        met = judge.model.intersect(wrong.prim[at], *lines, judge.answer.ku, ours=True)
-        begins_inside = np.unique(met.pair[(met.at.t < 0.0) & met.at.possible])
-        what = "missed: the surface's first root is behind the ray's origin, and the second one was not tried"
-        yield what, missed[begins_inside]
-    if len(missed):
-        all_missed = f"{subject_name(judge)} misses everything"
-        yield all_missed if everything else "missed; exact arithmetic hits", missed
-    yield "a hit; exact arithmetic misses", rows[hit & ~wrong.hit]
+def _explain(causes: _Causes, wrong: WrongPixels) -> None:
+    """First what is hit and t, then normals and numbers of primitives at the same surfaces."""
+    judge, judgement = causes.judge, causes.judgement
+    exact = judgement.exact
+    right = _pixels(judge, judgement, sample_rows(exact.rows[exact.right], RIGHT_PIXELS))
+    f = wrong.take(wrong.off)
+    kept = ~wrong.off  # rows whose surface and t are right, or another quantity of the same surface
+    if len(f.rows):
+        left = np.ones(len(f.rows), bool)
+        on_surface = np.zeros(len(f.rows), bool)
+        single = _simplest(f, right)
+        if single is not None:
+            winner, of_surface = single
+            causes.take(winner.what, f.rows[winner.fits], len(f.rows), winner.remedy)
+            left &= ~winner.fits
+            on_surface |= winner.fits & of_surface
+            if not of_surface:  # another ray has other normals, too
+                causes.take(winner.what, wrong.rows[kept], len(wrong.rows), winner.remedy)
+        for hypothesis in (*HYPOTHESES, *DESCRIPTIONS) if left.any() else ():
+            for each in hypothesis(f, right):
+                fits = each.fits & left
+                enough = each.single or fits.sum() >= max(MAJORITY * left.sum(), MIN_FITTED_PIXELS)
+                if fits.any() and (enough or hypothesis in DESCRIPTIONS):
+                    causes.take(each.what, f.rows[fits], len(f.rows), each.remedy, where=not each.remedy)
+                    left &= ~fits
+                    on_surface |= fits & (hypothesis in OF_THE_SAME_SURFACE)
+        for what, fits in _plain_descriptions(f):
+            causes.take(what, f.rows[fits & left], where=True)
+        kept[np.flatnonzero(wrong.off)[on_surface]] = True
+    there = wrong.take(kept & wrong.hit & wrong.given_hit)
+    for explained in _wrong_ids(there):
+        _take_or_add(causes, explained, there)
+    if judge.n is not None and len(there.rows):
+        for explained in explain_normals(there, judge.n[there.rows]):
+            _take_or_add(causes, explained, there)
 
 
-def _wrong_range(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    """Rows where what is answered lies outside of the ray."""
-    if judge.answer.hits_only:
-        return
-    t, t_min, t_max = judge.answer.t[f.rows], judge.t_min[f.rows], judge.t_max[f.rows]
-    yield "a hit before t_min, where the ray begins", f.rows[t < t_min]
-    yield "a hit beyond t_max, where the ray ends", f.rows[(t > t_max) & np.isfinite(t)]
+def _take_or_add(causes: _Causes, explained: Explained, f: WrongPixels) -> None:
+    """As the first cause of rows that have none, and as a second one of those that have."""
+    rows = f.rows[explained.fits]
+    same = causes.found.get(explained.what)
+    second = np.setdiff1d(rows[~causes.left[rows]], same.rows if same else [])
+    causes.take(explained.what, rows, len(f.rows), explained.remedy, where=not explained.remedy)
+    if len(second):
+        of = len(f.rows)
+        causes.seconds.append(Cause(explained.what, second, of, explained.remedy, second=True))
 
 
-def _wrong_t(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    """Rows where t is not what it should be."""
-    t, d = judge.answer.t[f.rows], judge.d[f.rows]
-    t_rounding = np.broadcast_to(judge.answer.t_rounding, judge.answer.t.shape)[f.rows]
-    off = ~(np.abs(t - f.t) <= f.at.t_error + t_rounding)
-    root = off & _other_root(judge, f, t)
-    yield "another root of the surface that is hit first, such as the far one", f.rows[root]
-    if judge.scene.camera.type != "ray":
-        cosine = unit(d) @ camera_axes(judge.scene.camera)[2]
-        what = "depth along z, the view axis, in place of t along the ray"
-        yield what, f.rows[_matches_factor(t, f.t, cosine, off)]
-    what = "distance in place of t, which counts in lengths of d"
-    yield what, f.rows[_matches_factor(t, f.t, norm(d), off)]
+def _simplest(f: WrongPixels, right: WrongPixels) -> tuple[Explained, bool] | None:
+    """The first hypothesis that explains nearly all, and whether it leaves the surface as it is."""
+    for hypothesis in HYPOTHESES:
+        for each in hypothesis(f, right):
+            enough = each.single or each.fits.sum() >= MIN_FITTED_PIXELS
+            if enough and each.fits.any() and each.fits.sum() >= NEARLY_ALL * len(f.rows):
+                return each, hypothesis in OF_THE_SAME_SURFACE
+    return None
+
+
+def _plain_descriptions(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
+    """What is wrong where no hypothesis explains it."""
+    yield "missed; exact arithmetic hits", ~f.given_hit & f.hit
+    beside = f.given_hit & ~f.hit
+    if beside.any():
+        yield f"a hit; exact arithmetic misses{_outline_text(f.take(beside))}", beside
+    both = f.given_hit & f.hit
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        share = np.where(off, t / f.t - 1.0, 0.0)
-    if not off.any():
-        return
-    middle = float(np.median(share[off]))
-    same = off & (np.abs(share - middle) <= 0.01 * abs(middle))
-    if same.sum() > MAJORITY * off.sum() and same.sum() > 1:
-        yield f"t is {1.0 + middle:.7g} times what it should be", f.rows[same]
-    behind = off & (share > DISTINCT_RTOL) & _hits_other_surface(judge, f, t)
-    yield "a surface that lies behind the first one", f.rows[behind]
-    for some, word in ((off & (share < 0.0), "before"), (off & (share > 0.0), "behind")):
+        share = np.where(both, f.given_t / f.t - 1.0, 0.0)
+    for some, word in ((both & (share < 0.0), "before"), (both & (share > 0.0), "behind")):
         if some.any():
-            what = f"t is off: {word} what is hit, by {_range_text(np.abs(share[some]))} of itself"
-            yield what, f.rows[some]
+            yield f"t is off: {word} what is hit, by {range_text(np.abs(share[some]))} of itself", some
+    yield "t is off", both
 
 
-def _wrong_prim(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    """Rows where t is right, and another primitive is named."""
-    what, answer, packed = (
-        "another primitive than the first one, at the same t",
-        judge.answer,
-        judge.model.packed,
-    )
+def _wrong_ids(f: WrongPixels) -> Iterator[Explained]:
+    """Rows where t is right, and another shape or primitive is named."""
+    answer, packed = f.judge.answer, f.judge.model.packed
     if answer.prim is not None:
-        yield what, f.rows[answer.prim[f.rows] != f.prim]
-    for ids, right in ((answer.shape_id, packed.shape_of), (answer.prim_id, packed.index_in_shape)):
-        if ids is not None:
-            yield what, f.rows[ids[f.rows] != right(f.prim)]
+        other = answer.prim[f.rows] != f.prim
+        yield Explained("another primitive than the first one, at the same t", "", other)
+    for name, ids, right in (
+        ("shape", answer.shape_id, packed.shape_of),
+        ("primitive", answer.prim_id, packed.index_in_shape),
+    ):
+        if ids is None or not len(f.rows):
+            continue
+        off = ids[f.rows].astype(np.int64) - right(f.prim)
+        wrong = off != 0
+        steps, counts = np.unique(off[wrong], return_counts=True)
+        enough = max(NEARLY_ALL * wrong.sum(), MIN_FITTED_PIXELS)
+        if len(steps) and counts.max() >= enough and abs(steps[counts.argmax()]) == 1:
+            step = int(steps[counts.argmax()])
+            remedy = f"numbers count from 0: {'subtract' if step > 0 else 'add'} 1"
+            yield Explained(f"the {name}'s number is off by one ({step:+d})", remedy, off == step)
+            wrong &= off != step
+        yield Explained("another primitive than the first one, at the same t", "", wrong)
 
 
-def _matches_factor(t: np.ndarray, right: np.ndarray, factor: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """(m,) bool: t is like `factor` times what is right; where the factor is nearly 1, only if others show it."""
-    fits = off & _close(t, right * factor)
-    telling = fits & (np.abs(factor - 1.0) > DISTINCT_RTOL)
-    return fits if telling.sum() > MAJORITY * off.sum() else telling
-
-
-def _wrong_normal(judge: Judge, f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    """Rows where t is right and the normal is not."""
-    n = judge.n
-    if n is None:
-        return
-    n = n[f.rows]
-    error = row_distance(n, f.at.n)
-    off = ~(error <= np.minimum(f.at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
-    towards = dot(f.at.n, judge.d[f.rows]) > 0.0
-    opposite = off & (row_distance(n, -f.at.n) <= MATCH_RTOL)
-    yield (
-        "the normal is turned towards the ray; geometric normals point outside, whoever looks",
-        f.rows[opposite & towards],
-    )
-    yield "the normal is turned round", f.rows[opposite]
-    shading = off & (row_distance(n, f.at.sh_n) <= MATCH_RTOL)
-    shading &= row_distance(f.at.sh_n, f.at.n) > DISTINCT_RTOL
-    yield "the interpolated normal in place of the geometric one", f.rows[shading]
-    finite = error[off & np.isfinite(error)]
-    if len(finite):
-        yield f"the normal is off by {_range_text(finite)} of its length", f.rows[off]
-
-
-def _wrong_surface(judge: Judge, judgement: Judgement, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+def _wrong_surface(
+    judge: Judge, judgement: Judgement, rows: np.ndarray
+) -> Iterator[tuple[Explained, np.ndarray]]:
     """Rows where the primitive and t are right: what else of the subject is beyond float64's bounds there."""
     if not judge.names_prims or not len(rows):
         return
     at = judge.bounds.own.take(rows)
-    yield from _wrong_normal(
-        judge, WrongPixels(rows, at.possible, judge.answer.t[rows], judge.prim[rows], at)
-    )
+    f = WrongPixels(judge, rows, at.possible, judge.answer.t[rows], judge.prim[rows].astype(np.int64), at)
+    if judge.n is not None:
+        for explained in explain_normals(f, judge.n[rows]):
+            yield explained, rows[explained.fits]
     failing = {check.name: check.fails[rows] for check in judge.self_checks}
     if "diffuse" in judgement.ratios:
         failing["diffuse"] = ~(judgement.ratios["diffuse"][rows] <= 1.0)
-    what = "beyond what float64 rounding allows at the primitive that is hit, in {}"
-    yield from ((what.format(name), rows[where]) for name, where in failing.items())
+    for name, where in failing.items():
+        what = f"beyond what float64 rounding allows at the primitive that is hit, in {name}"
+        yield Explained(what, "", where), rows[where]
 
 
-def _range_text(sizes: np.ndarray) -> str:
-    """From the smallest to the largest."""
-    low, high = f"{sizes.min():.2g}", f"{sizes.max():.2g}"
-    return low if low == high else f"{low} to {high}"
+# ---- hits beyond the outline of a triangle
+
+OUTLINE_PIXELS = 64  # at which the nearest triangle is looked for
+NEAR_BOXES = 16  # triangles whose boxes are nearest to the point
 
 
-def _close(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        near: np.ndarray = np.abs(a - b) <= MATCH_RTOL * np.abs(b)
-    return near
+def _outline_text(f: WrongPixels) -> str:
+    """How far hits on planes of triangles are beyond their outlines; "" where they are on none."""
+    judge = f.judge
+    if judge.answer.hits_only:
+        return ""
+    low, high = judge.model.boxes
+    found = []
+    few = f.take(sample_rows(np.arange(len(f.rows)), OUTLINE_PIXELS))
+    for o, d, t in zip(few.o, few.d, few.given_t, strict=True):
+        p = o + t * d
+        with np.errstate(invalid="ignore"):
+            away = norm(np.maximum(np.maximum(low - p, p - high), 0.0))
+        prims = np.argsort(away, kind="stable")[:NEAR_BOXES]
+        corners = triangle_corners(judge, prims)
+        height = np.abs(dot(p - corners[:, 0], _face_normals(corners)))
+        on_plane = height <= 1e-3 * norm(corners[:, 1] - corners[:, 0])
+        if not on_plane.any():
+            return ""
+        beyond = np.where(on_plane, _outline_distances(p, corners), np.inf)
+        found.append((float(beyond.min()), int(prims[beyond.argmin()])))
+    distances = np.array([distance for distance, _ in found])
+    prim = np.array([found[0][1]])
+    number = int(judge.model.packed.index_in_shape(prim)[0])
+    name = judge.scene.shape_names()[int(judge.model.packed.shape_of(prim)[0])]
+    where = f"by {range_text(distances)} (first: {name}, prim {number})"
+    return f", beyond the outline of a triangle, on its plane, {where}"
 
 
-def _other_root(judge: Judge, f: WrongPixels, t: np.ndarray) -> np.ndarray:
-    """(m,) bool: t is a root of the same primitive, though not the first."""
-    met = judge.model.intersect(f.prim, judge.o[f.rows], judge.d[f.rows], judge.answer.ku, ours=True)
-    found = np.zeros(len(t), bool)
-    with np.errstate(invalid="ignore"):
-        matches = _close(t[met.pair], met.at.t) & ~_close(met.at.t, f.t[met.pair]) & met.at.possible
-    found[met.pair[matches]] = True
-    return found
+def _face_normals(corners: np.ndarray) -> np.ndarray:
+    return unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
 
 
-def _hits_other_surface(judge: Judge, f: WrongPixels, t: np.ndarray) -> np.ndarray:
-    """(m,) bool: some other surface on the ray is at t."""
-    rows = f.rows[:MAX_DIAGNOSED_PIXELS]
-    possible = judge.bracket.possible_hits(judge.o[rows], judge.d[rows], judge.t_max[rows], judge.t_min[rows])
-    found = np.zeros(len(t), bool)
-    found[possible.ray[_close(t[possible.ray], possible.at.t)]] = True
-    return found
+def _outline_distances(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """(m,) distance of p (3,) or (m, 3) from the nearest edge of each triangle (m, 3, 3)."""
+    found = []
+    for i in range(3):
+        a, ab = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = np.clip(np.nan_to_num(dot(p - a, ab) / dot(ab, ab)), 0.0, 1.0)
+        found.append(norm(p - a - along[:, None] * ab))
+    nearest: np.ndarray = np.min(found, axis=0)
+    return nearest
 
 
-# ---- a shift of the image that would explain the wrong pixels ----
-
-SLOPE_STEP_PIXELS = 0.125  # of a pixel, over which the slopes of t are taken
-NEWTON_STEPS = 3  # of Newton's method
-LARGEST_RESIDUAL_RATIO = 0.1  # a shift has to leave less than this of what there is to explain
-MIN_EXPLAINED_FRACTION = 0.5  # of the pixels that fail: a shift explains more of them than this
-MIN_DIFFERING_PIXELS = 16  # pixels from which a shift is computed
-MAX_SHIFT_PIXELS = 4.0  # pixels
-
-
-class PixelShift(NamedTuple):
-    """In pixels, to the right and down."""
-
-    x: float
-    y: float
-
-    @property
-    def size(self) -> float:
-        return max(abs(self.x), abs(self.y))
+def triangle_corners(judge: Judge, prim: np.ndarray) -> np.ndarray:
+    """(m, 3, 3) corners of primitives; NaN of those that are no triangles."""
+    packed = judge.model.packed
+    corners = np.full((len(prim), 3, 3), np.nan)
+    shape = packed.shape_of(prim)
+    for place, kind in enumerate(packed.kinds):
+        if isinstance(kind.prims, Triangles):
+            rows = np.flatnonzero((packed.kind_of[shape] == place) & (prim >= 0))
+            k = prim[rows] - packed.first[shape[rows]] + packed.start[shape[rows]]
+            corners[rows] = kind.prims.vertices[kind.prims.faces[k]]
+    return corners
 
 
-class ShiftSamples(NamedTuple):
-    """Pixels where something is hit, by the subject and exactly."""
+# ---- separators: the simplest quantity that is different at wrong and at right pixels
 
-    judge: Judge
-    rows: np.ndarray  # (m,) of the image
-    prim: np.ndarray  # (m,) that is hit
-    right: np.ndarray  # (m,) exact t
-    t: np.ndarray  # (m,) the subject's
-    differs: np.ndarray  # (m,) bool: it is another
-
-    def t_at(self, shift: PixelShift) -> np.ndarray:
-        """(m,) t of the same primitives along rays through another place of their pixels, the root nearest to t."""
-        scene = self.judge.scene
-        x, y = (centers[self.rows] for centers in pixel_centers(scene))
-        rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x + shift.x, y + shift.y)
-        o = rays.o + rays.t_min[:, None] * rays.d
-        met = self.judge.model.intersect(self.prim, o, rays.d, self.judge.answer.ku, ours=True)
-        found = np.full(len(self.rows), np.nan)
-        away = np.abs(met.at.t - self.right[met.pair])
-        order = np.argsort(-away, kind="stable")  # the nearest comes last, and stays
-        found[met.pair[order]] = met.at.t[order]
-        return found
+MIN_SEPARATED_PIXELS = 8  # wrong ones; of fewer, too many quantities are extreme
 
 
-def find_pixel_shift(judge: Judge, failing: WrongPixels) -> PixelShift | None:
-    """The shift that explains most of t, if one does."""
-    seen = _samples(judge, failing)
-    if seen.differs.sum() < MIN_DIFFERING_PIXELS:
+def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str:
+    """Where these rows are wrong and others right, by one threshold; "" where no quantity separates nearly all."""
+    if len(wrong) < MIN_SEPARATED_PIXELS:
+        return ""
+    exact = judgement.exact
+    prim = np.where(judge.result.hit, judge.reference_prim, -1).astype(np.int64)
+    for row, answer in zip(exact.rows, exact.answers, strict=True):
+        prim[row] = -1 if answer is None else answer.prim
+    failing = judgement.is_class(*FAILING)
+    wrong = sample_rows(wrong[prim[wrong] >= 0], MAX_DIAGNOSED_PIXELS)
+    right = sample_rows(np.flatnonzero(~failing & (prim >= 0)), MAX_DIAGNOSED_PIXELS)
+    if len(wrong) < MIN_SEPARATED_PIXELS or len(right) < MIN_SEPARATED_PIXELS:
+        return ""
+    rows = np.concatenate([wrong, right])
+    is_wrong = np.arange(len(rows)) < len(wrong)
+    features = tuple(_features(judge, rows, prim[rows]))
+    for name, values in features:
+        found = best_split(values, is_wrong, tried=len(features))
+        if found is not None:
+            k, m = found.wrong, int(is_wrong.sum())
+            shares = f"{k} of {m} wrong pixels, {found.right} of {len(right)} right ones"
+            return f"where {name.format(found.words)}: {shares}"
+    return ""
+
+
+@dataclass(frozen=True)
+class Split:
+    """A threshold, and what lies on its side."""
+
+    words: str  # such as "below 1e-06"
+    wrong: int
+    right: int
+
+
+def best_split(values: np.ndarray, wrong: np.ndarray, tried: int) -> Split | None:
+    """The threshold of values (n,) that has nearly all of the wrong (n,) bool on one side, and few others.
+
+    None where SEPARATES is not reached on both sides, or chance would do as well. tried: features, as a union bound.
+    """
+    some = np.isfinite(values)
+    m, n = int(wrong.sum()), len(values)
+    if (some & wrong).sum() < SEPARATES * m:
         return None
-    shift = PixelShift(0.0, 0.0)
-    for _ in range(NEWTON_STEPS):
-        step = _newton_step(seen, shift)
-        if step is None:
-            return None
-        shift = PixelShift(shift.x + step.x, shift.y + step.y)
-        if not shift.size < MAX_SHIFT_PIXELS:
-            return None
-    return shift if shift.size > SLOPE_STEP_PIXELS / 4 and _explains(seen, shift) else None
-
-
-def _samples(judge: Judge, failing: WrongPixels) -> ShiftSamples:
-    there = np.flatnonzero(failing.hit & judge.answer.hit[failing.rows])
-    there = there[:: max(1, len(there) // MAX_DIAGNOSED_PIXELS)]
-    rows, right = failing.rows[there], failing.t[there]
-    t = judge.answer.t[rows]
-    with np.errstate(invalid="ignore"):
-        differs = np.abs(t - right) > 0.0
-    return ShiftSamples(judge, rows, failing.prim[there], right, t, differs)
-
-
-def _newton_step(seen: ShiftSamples, at: PixelShift) -> PixelShift | None:
-    """One of Newton's method, by the slopes at where the last one led; the fifth that fits least does not count."""
-    here = seen.t_at(at)
-    across = [
-        seen.t_at(PixelShift(at.x + SLOPE_STEP_PIXELS, at.y)) - here,
-        seen.t_at(PixelShift(at.x, at.y + SLOPE_STEP_PIXELS)) - here,
-    ]
-    slopes = np.column_stack(across) / SLOPE_STEP_PIXELS
-    fine = seen.differs & np.isfinite(slopes).all(axis=1) & np.isfinite(here)
-    off = seen.t - here
-    fine &= np.abs(off) <= np.quantile(np.abs(off)[fine], 0.8) if fine.any() else fine
-    if fine.sum() < MIN_DIFFERING_PIXELS:
+    order = np.argsort(values[some], kind="stable")
+    v, w = values[some][order], wrong[some][order]
+    last = np.flatnonzero(np.r_[v[1:] > v[:-1], False])  # thresholds lie between different values
+    if not len(last):
         return None
-    x, y = np.linalg.lstsq(slopes[fine], off[fine], rcond=None)[0]
-    return PixelShift(float(x), float(y))
+    below_wrong, below = np.cumsum(w)[last], last + 1
+    found: list[tuple[float, Split]] = []
+    for k, j, side in ((below_wrong, below, "below"), (w.sum() - below_wrong, len(v) - below, "above")):
+        share = np.minimum(k / m, 1.0 - (j - k) / (n - m))
+        i = int(share.argmax())
+        words = f"{side} {_simplest_between(float(v[last[i]]), float(v[last[i] + 1])):.7g}"
+        found.append((float(share[i]), Split(words, int(k[i]), int(j[i] - k[i]))))
+    share_best, split = max(found, key=lambda each: each[0])
+    count = split.wrong + split.right
+    p, q = split.wrong / max(count, 1), m / n
+    unlikely = count * (_log_ratio(p, q) + _log_ratio(1.0 - p, 1.0 - q))
+    by_chance = np.log(2.0 * tried * len(last)) - unlikely < np.log(SEPARATOR_CHANCE)
+    return split if share_best >= SEPARATES and by_chance else None
 
 
-def _explains(seen: ShiftSamples, shift: PixelShift) -> bool:
-    with np.errstate(invalid="ignore"):
-        left = np.abs(seen.t - seen.t_at(shift))
-        explained = seen.differs & (left <= LARGEST_RESIDUAL_RATIO * np.abs(seen.t - seen.right))
-    return bool(explained.sum() > MIN_EXPLAINED_FRACTION * seen.differs.sum())
+def _log_ratio(p: float, q: float) -> float:
+    return float(p * np.log(p / q)) if p > 0.0 else 0.0
+
+
+def _simplest_between(low: float, high: float) -> float:
+    """The number with the fewest digits from low (beyond it) to high."""
+    if low < 0.0 < high:
+        return 0.0
+    for digits in range(1, 18):
+        for number in (high, low, 0.5 * (low + high)):
+            text = float(f"{number:.{digits - 1}e}")
+            if low < text < high:
+                return text
+    return high
+
+
+def _features(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """(sentence with a place for "below x", (n,) values) of rays and the primitives they hit, the simplest first."""
+    packed, o, d = judge.model.packed, judge.o[rows], judge.d[rows]
+    shape = packed.shape_of(prim)
+    names = judge.scene.shape_names()
+    kinds = np.array([kind_of(kind.prims).name for kind in packed.kinds])[packed.kind_of[shape]]
+    for kind in np.unique(kinds) if len(packed.kinds) > 1 else ():
+        yield f"a {kind} is hit", _flag(kinds == kind)
+    for number in np.unique(shape) if len(names) > 1 else ():
+        yield f"{names[number]} is hit", _flag(shape == number)
+    at = judge.near(rows, prim, judge.result.t[rows].astype(np.float64))
+    corners = triangle_corners(judge, prim)
+    low, high = (corner[prim] for corner in judge.model.boxes)
+    cosine = dot(at.n, unit(d))
+    with np.errstate(all="ignore"):
+        edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        extent = high - low
+        size = np.where(np.isfinite(extent).all(axis=1), norm(extent), np.nan)
+        starts, ends = packed.first[:-1], packed.first[1:]
+        of_shape = np.array(
+            [
+                np.ptp([judge.model.boxes[0][a:b].min(0), judge.model.boxes[1][a:b].max(0)], axis=0).min()
+                for a, b in zip(starts, ends, strict=True)
+            ]
+        )
+        outline = _outline_distances(o + at.t[:, None] * d, corners)
+        yield "the box of the shape has no thickness", _flag(of_shape[shape] == 0.0)
+        yield "the box of the primitive has no thickness", _flag(extent.min(axis=1) == 0.0)
+        yield "a component of d is 0", _flag((d == 0.0).any(axis=1))
+        yield "the surface is seen from behind", _flag(cosine > 0.0)
+        yield "the determinant |d . (e1 x e2)| is {}", np.abs(dot(d, edges))
+        yield "t is {}", at.t
+        yield "the cosine of ray and normal is {}", np.abs(cosine)
+        yield "twice the area of the triangle is {}", norm(edges)
+        yield "the size of the primitive is {}", size
+        yield "the smallest extent of the primitive's box is {}", extent.min(axis=1)
+        yield "the distance to the triangle's outline is {}", outline
+        yield "the distance to the triangle's outline is {} bounds of the position", outline / at.p_error
+        yield (
+            "the distance to the triangle's nearest corner is {}",
+            np.min([norm(o + at.t[:, None] * d - corners[:, i]) for i in range(3)], axis=0),
+        )
+    yield "the number of the primitive in its shape is {}", packed.index_in_shape(prim).astype(np.float64)
+    yield "|d| is {}", norm(d)
+    yield "|o| is {}", norm(o)
+    width = judge.pair.shape[1]
+    if not judge.pair.rays.is_list:
+        yield "the pixel's x is {}", (rows % width).astype(np.float64)
+        yield "the pixel's y is {}", (rows // width).astype(np.float64)
+
+
+def _flag(values: np.ndarray) -> np.ndarray:
+    """1 where true: a threshold lies between."""
+    return np.where(values, 1.0, 0.0)

@@ -131,6 +131,16 @@ class Finding:
     what: str
     x: int  # of the first pixel
     y: int
+    of: int = 0  # wrong pixels among which a hypothesis was tested; 0: it is a description
+    remedy: str = ""  # of a hypothesis under which the pixels become right
+    where: str = ""  # what separates these pixels from right ones
+
+    @property
+    def text(self) -> str:
+        """Cause, evidence and remedy."""
+        if not self.remedy:
+            return f"{self.what}; {self.where}" if self.where else self.what
+        return f"{self.what}: {self.pixels} of {self.of} wrong pixels become right under it; {self.remedy}"
 
 
 @dataclass(frozen=True, config=RESULT)
@@ -163,6 +173,7 @@ class SceneVerdict:
     composition: SceneStatistics = field(default_factory=SceneStatistics)
     allowed: dict[str, float] = field(default_factory=dict)  # the scene's own [check.AOV]: shares of bounds
     adjudicated: int = 0  # pixels compared with exact arithmetic
+    not_adjudicated: int = 0  # undecided pixels like those that exact arithmetic found wrong
     exact_seconds: Seconds = 0.0  # what that took, of `seconds`
     cases: dict[str, int] = field(default_factory=dict)  # pixels where the reference is wrong, by known case
     reproducers: tuple[str, ...] = ()  # files, one ray each

@@ -261,6 +261,7 @@ def _judge_window(
         size=(scene.film.width, scene.film.height),
         allowed={name: check.ratio for name, check in scene.checks.items()} if ours else {},
         adjudicated=len(judgement.exact.rows),
+        not_adjudicated=len(judgement.not_adjudicated),
         exact_seconds=judgement.exact_seconds,
         cases=defect_counts(judgement),
         reproducers=stored.files,

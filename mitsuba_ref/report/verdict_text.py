@@ -83,12 +83,19 @@ def _failure_lines(scene: SceneVerdict, report: str) -> Iterator[str]:
     if scene.failures:
         first = scene.failures[0]
         worst = "" if scene.candidate else "worst "
-        yield (
-            f"FAIL  {scene.name}  {first.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
+        counts = (
+            f"{first.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
             f"{worst}{first.ratio:.3g}x its bound at {scene.place(first.x, first.y)}"
         )
-        for finding in scene.findings:
+        if scene.findings:
+            yield f"FAIL  {scene.name}  {scene.findings[0].text}"
+            yield f"      {counts}"
+        else:
+            yield f"FAIL  {scene.name}  {counts}"
+        for place, finding in enumerate(scene.findings):
             yield f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}: {finding.what}"
+            more = (finding.where, finding.remedy) if place else ()  # the first line has those of the first
+            yield from (f"        {each}" for each in more if each)
         yield from _witness_lines(scene, first, report)
         yield from (f"      note:      {note}" for note in scene.notes)
 
@@ -127,7 +134,8 @@ def _failing(scene: SceneVerdict) -> str:
     """Failing pixels by class, as text."""
     counts = {
         WRONG: scene.counts[WRONG],
-        "undecided": scene.counts[UNDECIDED],
+        "not adjudicated": scene.not_adjudicated,
+        "undecided": scene.counts[UNDECIDED] - scene.not_adjudicated,
         "reference wrong in no known way": scene.cases.get(UNLISTED, 0),
     }
     return ", ".join(f"{count} {what}" for what, count in counts.items() if count)

@@ -9,6 +9,7 @@ from candidates import ours
 
 import caster
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
+from mitsuba_ref.judge import classification
 from mitsuba_ref.judge.aggregate import merge_windows
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, WRONG, Failure, Finding, SceneCheck, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
@@ -98,8 +99,11 @@ def with_wrong_normals_below(scene, o, d):
 
 
 def test_a_fault_in_some_bands_fails_with_all_its_pixels_and_the_evidence_of_one_band(
-    small_bands, send, tmp_path
+    small_bands, send, tmp_path, monkeypatch
 ):
+    monkeypatch.setattr(
+        classification, "WRONG_PIXELS_ADJUDICATED", 60 * 42
+    )  # of each band as of the whole: all
     subject = function_subject(with_wrong_normals_below)
     found = {}
     for on in (False, True):

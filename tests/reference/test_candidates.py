@@ -118,7 +118,7 @@ FAULTS = [
     (candidates.one_hit_beside_the_edge, "one-sphere", 1, "a hit; exact arithmetic misses"),
     (candidates.t_off_by_a_ten_thousandth, "cornell-box", EVERYWHERE, "t is 1.0001 times what it should be"),
     (candidates.t_off_by_a_ten_thousandth_in_float32, "cornell-box", EVERYWHERE, "t is 1.0001 times"),
-    (candidates.float32_called_float64, "cornell-box", EVERYWHERE, "t is off"),
+    (candidates.float32_called_float64, "cornell-box", EVERYWHERE, "computed in float32"),
     (candidates.all_misses, "one-sphere", EVERYWHERE, "the candidate misses everything"),
     (candidates.depth_along_z, "one-sphere", EVERYWHERE, "depth along z, the view axis"),
     (candidates.depth_along_z, "triangles", EVERYWHERE, "depth along z, the view axis"),
@@ -181,7 +181,7 @@ def test_a_leak_at_an_edge_that_faces_share_is_no_rounding(judged, name):
     assert right.ok and right.counts[EXPLAINED] + right.counts[TIE] > 5
     found = judged(all_misses_in_float32, scene)
     assert found.counts[EXPLAINED] <= 0.01 * found.hit_pixels  # where corners meet, nothing is promised
-    assert found.counts[WRONG] >= 0.99 * found.hit_pixels
+    assert found.counts[WRONG] + found.not_adjudicated >= 0.99 * found.hit_pixels
 
 
 # ---- no answer at all ----

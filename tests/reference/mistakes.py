@@ -1,0 +1,348 @@
+"""A small correct caster of spheres, planes and triangles in float64, and beginners' mistakes: one edit of it each."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
+
+
+class Caster:
+    """trace(scene, o, d) -> (t, n); every method is a place for a mistake."""
+
+    both_roots, culled, front_only = True, False, 0.0
+    determinant_epsilon, t_min = 0.0, 0.0
+
+    def __call__(self, scene: Any, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        self.scene = scene
+        o, d = self.rays(scene, o, d)
+        t, n = np.full(len(o), np.inf), np.zeros((len(o), 3))
+        for shape in scene.shapes:
+            for found, normal in self.hits(shape, o, d):
+                nearer = self.nearer(found, t)
+                t[nearer], n[nearer] = found[nearer], np.broadcast_to(normal, n.shape)[nearer]
+        return self.answer(scene, o, d, t, n)
+
+    def rays(self, scene, o, d):
+        return o, d
+
+    def nearer(self, found, t):
+        return found < t
+
+    def answer(self, scene, o, d, t, n):
+        return t, n
+
+    def vertices(self, shape, vertices):
+        return vertices
+
+    def faces(self, shape, faces):
+        return faces
+
+    def hits(self, shape, o, d):
+        if shape.type == "sphere":
+            yield self.sphere(np.array(shape.center), shape.radius, o, d)
+        elif shape.type == "plane":
+            yield self.plane(np.array(shape.point), np.array(shape.normal), o, d)
+        else:
+            mesh = shape.mesh()
+            vertices = self.vertices(shape, mesh.vertices)
+            for face in self.faces(shape, mesh.faces):
+                yield self.triangle(*vertices[face], o, d)
+
+    def sphere(self, center, radius, o, d):
+        away = center - o
+        dd = (d * d).sum(axis=1)
+        middle = (away * d).sum(axis=1) / dd
+        closest = middle[:, None] * d - away
+        left = radius * radius - (closest * closest).sum(axis=1)
+        half = np.sqrt(np.maximum(left, 0) / dd)
+        t = self.root(middle - half, middle + half)
+        t = np.where((left >= 0) & (t > self.t_min), t, np.inf)
+        return t, (o + np.where(np.isfinite(t), t, 0.0)[:, None] * d - center) / radius
+
+    def root(self, near, far):
+        return np.where(near > self.t_min, near, far) if self.both_roots else near
+
+    def plane(self, point, normal, o, d):
+        with np.errstate(all="ignore"):
+            t = ((point - o) @ normal) / (d @ normal)
+        return np.where(t > self.t_min, t, np.inf), normal
+
+    def triangle(self, a, b, c, o, d):
+        n = np.cross(b - a, c - a)
+        pairs = (((c - o), (b - o)), ((a - o), (c - o)), ((b - o), (a - o)))
+        edges = np.stack([(d * np.cross(p - q, p + q)).sum(axis=1) for p, q in pairs])
+        with np.errstate(all="ignore"):
+            t = ((a - o) @ n) / (d @ n)
+        inside = self.inside(edges) & (t > self.t_min) & self.seen(d @ n) & self.thick(a, b, c)
+        return np.where(inside, t, np.inf), n
+
+    def inside(self, edges):
+        return (edges >= 0).all(axis=0) | (edges <= 0).all(axis=0)
+
+    def seen(self, determinant):
+        return np.abs(determinant) > self.determinant_epsilon
+
+    def thick(self, a, b, c):
+        return True
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A caster with one mistake, the scene that shows it, and words of the cause."""
+
+    name: str
+    trace: Any
+    scene: str
+    says: str
+
+
+def edited(**methods: Any) -> Caster:
+    """The caster with some methods, or constants, replaced."""
+    return type("Edited", (Caster,), methods)()
+
+
+def answering(change: Any) -> Caster:
+    """change(scene, o, d, t, n) -> (t, n) of a right answer."""
+    return edited(answer=lambda self, *given: change(*given))
+
+
+def casting(change: Any) -> Caster:
+    """change(scene, o, d) -> the rays that are cast in their place."""
+    return edited(rays=lambda self, *given: change(*given))
+
+
+def in_order(change: Any) -> Caster:
+    """change of an image (height, width, ...)."""
+
+    def answer(scene, o, d, t, n):
+        h, w = scene.film.height, scene.film.width
+        return change(t.reshape(h, w)).reshape(-1).copy(), change(n.reshape(h, w, 3)).reshape(-1, 3).copy()
+
+    return answering(answer)
+
+
+def length(v: np.ndarray) -> np.ndarray:
+    return np.sqrt((v * v).sum(axis=1))
+
+
+def camera_z(scene, o, d, t, n):
+    from mitsuba_ref.cameras.camera_reference import camera_axes
+
+    return t * (d @ camera_axes(scene.camera)[2]) / length(d), n
+
+
+def camera_normals(scene, o, d, t, n):
+    from mitsuba_ref.cameras.camera_reference import camera_axes
+
+    return t, n @ np.asarray(camera_axes(scene.camera)).T
+
+
+def interpolated(scene, o, d, t, n):
+    import caster
+
+    return t, caster.cast(scene, o, d).surface.sh_n
+
+
+def through_corners(scene, o, d, share=0.5):
+    from mitsuba_ref.cameras.camera_reference import to_world_directions
+    from mitsuba_ref.cameras.with_sensor import half_extents
+
+    film, across = scene.film, half_extents(scene.camera, scene.film)
+    y, x = (axis.ravel() + 0.5 + share for axis in np.indices((film.height, film.width)))
+    right, up = (2 * x / film.width - 1) * across[0], (1 - 2 * y / film.height) * across[1]
+    return o, to_world_directions(scene.camera, np.column_stack([right, up, np.ones(len(x))]))
+
+
+def in_float32(scene, o, d, t, n):
+    return t.astype(np.float32).astype(np.float64), n
+
+
+def facing(scene, o, d, t, n):
+    return t, np.where(((n * d).sum(axis=1) > 0)[:, None], -n, n)
+
+
+def mirrored(v, axis):
+    return v * np.where(np.arange(3) == axis, -1.0, 1.0)
+
+
+def scene_of(name: str, folder: Path, width: int = 24, height: int = 18) -> Scene:
+    """A shipped scene, or one of these, with a small film. folder: for files of meshes."""
+    if name not in MADE:
+        return load_scene(Path(__file__).parents[2] / "scenes" / f"{name}.toml").with_film(
+            width=width, height=height
+        )
+    camera = {"type": "pinhole", "eye": (0.3, 0.2, 5.0), "look_at": (0, 0, 0), "fov": 40}
+    files = (folder / f"{name}-{i}.obj" for i in range(9))
+    shapes = [mesh_file(next(files), *s) if isinstance(s, tuple) else s for s in MADE[name]]
+    return Scene(film={"width": width, "height": height}, camera=camera, shapes=shapes)
+
+
+def mesh_file(path: Path, vertices: Any, faces: Any) -> dict[str, Any]:
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    path.write_text("\n".join(lines) + "\n")
+    return {"type": "mesh", "file": str(path)}
+
+
+def grid(z: Any, size: int = 8) -> tuple[Any, Any]:
+    """A mesh of squares over [-1.5, 1.5]^2 with heights z(x, y)."""
+    at = np.linspace(-1.5, 1.5, size + 1)
+    vertices = [(float(x), float(y), float(z(x, y))) for y in at for x in at]
+    faces = []
+    for j in range(size):
+        for i in range(size):
+            a = j * (size + 1) + i
+            faces += [(a, a + 1, a + size + 2), (a, a + size + 2, a + size + 1)]
+    return vertices, faces
+
+
+MADE = {
+    "layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in range(3)],
+    "one-triangle": [([(-1, -1, 0), (1, -1, 0.2), (0, 1, 0.1)], [(0, 1, 2)])],
+    "mixed": [grid(lambda x, y: max(0.0, 0.3 * x)), grid(lambda x, y: 0.1 * x * y - 0.7)],
+}
+
+FACES, SPHERE = "cornell-box", "one-sphere"
+MISTAKES = [
+    Mistake(
+        "t is a distance",
+        answering(lambda s, o, d, t, n: (t * length(d), n)),
+        FACES,
+        "distance in place of t",
+    ),
+    Mistake(
+        "d normalised", casting(lambda s, o, d: (o, d / length(d)[:, None])), SPHERE, "distance in place of t"
+    ),
+    Mistake(
+        "constant epsilon", answering(lambda s, o, d, t, n: (t - 1e-4, n)), SPHERE, "t is 0.0001 too small"
+    ),
+    Mistake("z depth", answering(camera_z), SPHERE, "depth along z, the view axis"),
+    Mistake(
+        "t scaled", answering(lambda s, o, d, t, n: (t * 100.0, n)), FACES, "t is 100 times what it should be"
+    ),
+    Mistake("1 / t", answering(lambda s, o, d, t, n: (1.0 / t, n)), FACES, "1 / t in place of t"),
+    Mistake("t squared", answering(lambda s, o, d, t, n: (t * t, n)), FACES, "the square of t"),
+    Mistake("float32 inside", answering(in_float32), FACES, "computed in float32"),
+    Mistake(
+        "misses are 0",
+        answering(lambda s, o, d, t, n: (np.where(np.isinf(t), 0.0, t), n)),
+        SPHERE,
+        "t is 0 where nothing",
+    ),
+    Mistake(
+        "misses are 1e10",
+        answering(lambda s, o, d, t, n: (np.where(np.isinf(t), 1e10, t), n + np.isinf(t)[:, None])),
+        SPHERE,
+        "t is 1e+10 where nothing is hit",
+    ),
+    Mistake("mirrored", in_order(lambda a: a[:, ::-1]), FACES, "the image is mirrored"),
+    Mistake("upside down", in_order(lambda a: a[::-1]), FACES, "the image is upside down"),
+    Mistake("turned by half", in_order(lambda a: a[::-1, ::-1]), FACES, "the image is turned by half a turn"),
+    Mistake("columns first", in_order(lambda a: np.swapaxes(a, 0, 1)), FACES, "the image is transposed"),
+    Mistake("rolled", in_order(lambda a: np.roll(a, 1, axis=1)), FACES, "pixel"),
+    Mistake("half a pixel", casting(through_corners), SPHERE, "by (+0.50, +0.50) of a pixel"),
+    Mistake(
+        "a quarter of a pixel",
+        casting(lambda s, o, d: through_corners(s, o, d, -0.25)),
+        SPHERE,
+        "by (-0.25, -0.25) of a pixel",
+    ),
+    Mistake("d reversed", casting(lambda s, o, d: (o, -d)), "inside-sphere", "the directions are reversed"),
+    Mistake(
+        "x of d turned",
+        casting(lambda s, o, d: (o, mirrored(d, 0))),
+        "inside-sphere",
+        "the x axis of directions",
+    ),
+    Mistake(
+        "left handed",
+        casting(lambda s, o, d: (mirrored(o, 2), mirrored(d, 2))),
+        "inside-sphere",
+        "another handedness",
+    ),
+    Mistake(
+        "z up",
+        casting(lambda s, o, d: (o, d[:, [0, 2, 1]])),
+        "inside-sphere",
+        "(x, z, y) in place of (x, y, z)",
+    ),
+    Mistake("origin forgotten", casting(lambda s, o, d: (0 * o, d)), "inside-sphere", "taken for (0, 0, 0)"),
+    Mistake(
+        "vertices in other units",
+        edited(vertices=lambda self, s, v: v * 10.0),
+        "torus-smooth",
+        "10 times as large",
+    ),
+    Mistake("far root", edited(root=lambda self, near, far: far), SPHERE, "another root of the surface"),
+    Mistake("inside missed", edited(both_roots=False), "inside-sphere", "the surface's first root is behind"),
+    Mistake(
+        "last one wins",
+        edited(nearer=lambda self, f, t: np.isfinite(f) & ~(f < np.where(np.isinf(t), 0, t))),
+        "layers",
+        "the last surface in the order of the scene",
+    ),
+    Mistake(
+        "back faces culled", edited(seen=lambda self, det: det < 0), "triangles", "back faces are culled"
+    ),
+    Mistake("front faces culled", edited(seen=lambda self, det: det > 0), FACES, "front faces are culled"),
+    Mistake("normal turned", answering(lambda s, o, d, t, n: (t, -n)), FACES, "the normal is turned round"),
+    Mistake("normal to the ray", answering(facing), "inside-sphere", "turned towards the ray"),
+    Mistake("normals interpolated", answering(interpolated), "torus-smooth", "the interpolated normal"),
+    Mistake(
+        "normal's x", answering(lambda s, o, d, t, n: (t, mirrored(n, 0))), SPHERE, "(-x, y, z) in place of"
+    ),
+    Mistake(
+        "normal's axes",
+        answering(lambda s, o, d, t, n: (t, n[:, [0, 2, 1]])),
+        SPHERE,
+        "(x, z, y) in place of",
+    ),
+    Mistake("camera's normals", answering(camera_normals), SPHERE, "in the camera's axes"),
+    Mistake(
+        "normals as colours",
+        answering(lambda s, o, d, t, n: (t, 0.5 * n / np.maximum(length(n), 1e-9)[:, None] + 0.5)),
+        SPHERE,
+        "stored as a colour",
+    ),
+    Mistake(
+        "position for normal",
+        answering(lambda s, o, d, t, n: (t, o + np.where(np.isinf(t), 0, t)[:, None] * d)),
+        SPHERE,
+        "the position in place of the normal",
+    ),
+    Mistake(
+        "everything missed", answering(lambda s, o, d, t, n: (t + np.inf, n)), SPHERE, "misses everything"
+    ),
+]
+
+# Defects of some pixels: one quantity separates wrong from right ones.
+DEFECTS = [
+    Mistake(
+        "determinant epsilon",
+        edited(determinant_epsilon=2e-3),
+        "torus-smooth",
+        "the determinant |d . (e1 x e2)| is below",
+    ),
+    Mistake(
+        "flat boxes",
+        edited(thick=lambda self, *abc: (np.ptp(abc, axis=0) > 0).all()),
+        "mixed",
+        "has no thickness",
+    ),
+    Mistake("absolute t_min", edited(t_min=3.2), SPHERE, "t is below 3.2"),
+    Mistake(
+        "last triangles left out",
+        edited(faces=lambda self, s, f: f[:2000]),
+        "torus-smooth",
+        "number of the primitive",
+    ),
+    Mistake(
+        "no third edge",
+        edited(inside=lambda self, e: (e[:2] >= 0).all(axis=0) | (e[:2] <= 0).all(axis=0)),
+        "one-triangle",
+        "beyond the outline of a triangle",
+    ),
+]

@@ -1,0 +1,88 @@
+"""Beginners' mistakes, each one edit of a right caster, are named as the cause in the first line of the failure."""
+
+import time
+from pathlib import Path
+
+import mistakes
+import numpy as np
+import pytest
+
+from mitsuba_ref.judge.diagnosis import best_split
+from mitsuba_ref.report.validation import validate_scene
+from mitsuba_ref.report.verdict_text import failure_text
+from mitsuba_ref.subjects.function import FunctionSubject
+
+ALL_MISTAKES = [*mistakes.MISTAKES, *mistakes.DEFECTS]
+LARGEST_CPU_SECONDS = 10.0
+
+
+def judged(name, trace, scene):
+    return validate_scene(scene, "scene", "", subject=FunctionSubject(name, trace))
+
+
+def test_there_are_many_mistakes():
+    assert len({mistake.name for mistake in ALL_MISTAKES}) == len(ALL_MISTAKES) >= 25
+
+
+@pytest.mark.parametrize("mistake", ALL_MISTAKES, ids=lambda mistake: mistake.name)
+def test_a_mistake_is_named_in_the_first_line(mistake, tmp_path):
+    start = time.process_time()
+    found = judged(mistake.name, mistake.trace, mistakes.scene_of(mistake.scene, tmp_path))
+    first = failure_text(found).splitlines()[0]
+    assert not found.ok and not found.problem
+    assert mistake.says in first, first
+    assert time.process_time() - start < LARGEST_CPU_SECONDS
+
+
+@pytest.mark.parametrize("name", sorted({mistake.scene for mistake in ALL_MISTAKES}))
+def test_without_a_mistake_the_caster_passes_and_no_hypothesis_is_reported(name, tmp_path):
+    found = judged("right", mistakes.Caster(), mistakes.scene_of(name, tmp_path))
+    assert found.ok and not found.findings, failure_text(found)
+
+
+def test_two_independent_mistakes_are_two_causes():
+    both = mistakes.answering(lambda s, o, d, t, n: (t + 0.25, -n))
+    found = judged("both", both, mistakes.scene_of("cornell-box", Path()))
+    assert [finding.what for finding in found.findings] == [
+        "t is 0.25 too large everywhere, a constant",
+        "the normal is turned round",
+    ]
+    assert all(finding.pixels == finding.of == found.failing for finding in found.findings)
+    assert "; and the normal is turned round" in found.failures[0].reason
+
+
+def test_ours_is_diagnosed_by_the_same_engine(monkeypatch):
+    import caster.rendering.hits as hits
+    from mitsuba_ref.subjects import subject
+
+    real = subject.cast_ours
+
+    def moved(scene, rays):
+        view = real(scene, rays)
+        view.nearest.t[:] *= 1.001
+        return view
+
+    monkeypatch.setattr(subject, "cast_ours", moved)
+    found = validate_scene(mistakes.scene_of("one-sphere", Path()), "scene")
+    assert hits and "t is 1.001 times what it should be" in found.findings[0].what
+
+
+# ---- separators
+
+
+def test_a_threshold_separates_and_is_the_simplest_number_in_the_gap():
+    values = np.r_[np.linspace(1e-8, 9e-7, 40), np.linspace(1.2e-6, 1.0, 100)]
+    found = best_split(values, np.arange(140) < 40, tried=20)
+    assert found is not None and (found.words, found.wrong, found.right) == ("below 1e-06", 40, 0)
+
+
+def test_no_threshold_is_reported_where_chance_would_do_as_well():
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        assert best_split(rng.normal(size=60), np.arange(60) < 10, tried=20) is None
+    assert best_split(np.array([1.0, 2.0, 3.0, 4.0]), np.array([1, 1, 0, 0], bool), tried=20) is None
+
+
+def test_no_threshold_is_reported_where_it_separates_some_alone():
+    values = np.r_[np.zeros(80), np.ones(20), np.ones(100)]
+    assert best_split(values, np.arange(200) < 100, tried=20) is None
