@@ -45,7 +45,7 @@ __all__ = [
 if TYPE_CHECKING:
     from caster.scene.model import Scene
 
-SCENE_FILE = "a scene file, .toml or .json"
+SCENE_FILE = "a scene file, .toml or .json; or a mesh file: OBJ, PLY, STL, OFF, glTF"
 SUFFIXES = (".toml", ".json")  # of scene files, when a folder is given
 
 # Copies of the registry and of caster.rendering's default, as loading AOVs loads the kernels
@@ -71,7 +71,7 @@ def add_mesh_dirs(parser: argparse.ArgumentParser) -> None:
         default=[],
         type=InputPath,
         metavar="DIR",
-        help="a folder beyond the scene's own whose meshes it may use; may be given several times",
+        help="a folder beyond the scene's own in which its meshes are looked for; may be given several times",
     )
 
 

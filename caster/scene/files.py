@@ -1,13 +1,16 @@
-"""Scene files: loading and validation, resolution of mesh paths, and the JSON Schema."""
+"""Scene files: loading and validation, resolution of mesh paths, a mesh file as a scene, and the JSON Schema."""
 
+import math
 import os
 from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from pydantic import ValidationError
 
+from caster.cameras.pinhole import Pinhole
 from caster.description.errors import (
     Diagnostic,
     FileMissing,
@@ -20,10 +23,13 @@ from caster.description.errors import (
 )
 from caster.description.parsing import SceneFormat, format_diagnostics, parse, read_text
 from caster.description.registry import type_name
-from caster.scene.model import Film, Scene
-from caster.shapes import SHAPES
+from caster.geometry.mesh_files import MESH_SUFFIXES
+from caster.geometry.world_space import MeshShape
+from caster.scene.model import Ambient, Diffuse, Directional, Film, Scene
+from caster.shapes import SHAPES, Cube, Rectangle, Triangle
+from caster.shapes.mesh import MeshFile
 
-__all__ = ["MeshFolders", "film_pixels", "load_scene", "resolve_mesh_files"]
+__all__ = ["MeshFolders", "film_pixels", "load_scene", "mesh_scene", "resolve_mesh_files", "types_in_file"]
 
 
 def _mesh_shape(kind: Any) -> Any:
@@ -38,16 +44,31 @@ class MeshFolders(NamedTuple):
     mesh_dirs: tuple[Path, ...]
 
     def resolve(self, file: str) -> Path | None:
-        """The absolute path, or None if it is in none of the folders. Symbolic links are resolved first."""
-        path = Path(os.path.realpath(self.folder / file))  # of a link to itself as well
-        allowed = (os.path.realpath(folder) for folder in (self.folder, *self.mesh_dirs))
-        return path if any(path.is_relative_to(folder) for folder in allowed) else None
+        """The absolute path of the first that exists, else that in the scene's folder; None if it is in none.
+
+        Symbolic links are resolved first.
+        """
+        tried = self.candidates(file)
+        return next((path for path in tried if path.exists()), tried[0] if tried else None)
+
+    def candidates(self, file: str) -> list[Path]:
+        """Absolute paths that `file` may stand for: relative to the scene's folder, then to each of the others."""
+        folders = (self.folder, *self.mesh_dirs)
+        allowed = [os.path.realpath(folder) for folder in folders]
+        paths = (Path(os.path.realpath(folder / file)) for folder in folders)  # of a link to itself as well
+        within = (path for path in paths if any(path.is_relative_to(folder) for folder in allowed))
+        return list(dict.fromkeys(within))
 
     def refusal(self, file: str) -> str:
         """Message for a file in none of the folders."""
         mesh_dir = os.path.dirname(os.path.normpath(self.folder / file)) or "."
         allowed = "in the scene's folder, below it, or below a folder given by --mesh-dir"
         return f"must lie {allowed}, got {format_value(file)}: add --mesh-dir {mesh_dir}"
+
+    def paths_tried(self, file: str) -> str:
+        """For the message about a file that is nowhere: "; tried A, B" where there are several places."""
+        tried = self.candidates(file)
+        return f"; tried {', '.join(map(str, tried))}" if len(tried) > 1 else ""
 
 
 def resolve_mesh_files(
@@ -87,6 +108,7 @@ def _resolve_mesh_file(
         mesh_shape.model_construct(file=str(where)).load()
     except (SceneError, ValueError, OSError) as error:
         text = str(error).removeprefix(f"{where}: ").replace(str(where), file)
+        text += reach.paths_tried(file) if isinstance(error, FileMissing) else ""
         return (
             shape,
             [value_diagnostic(path, f"cannot be used: {text}", data, model)],
@@ -99,16 +121,20 @@ SCENE_FORMATS: dict[str, SceneFormat] = {".toml": "toml", ".json": "json"}
 
 
 def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str]] = ()) -> Scene:
-    """Read a scene file, .toml or .json, and its meshes.
+    """Read a scene file, .toml or .json, and its meshes; or a mesh file as a scene, by `mesh_scene`.
 
-    Meshes are found relative to the scene file, in its folder, below it, or below one of mesh_dirs.
+    Meshes are found relative to the scene file, or to one of mesh_dirs; each lies in or below one of these folders.
     Raises FileMissing for a file that cannot be read, SceneError with every error and its line for the rest.
     """
     where = os.fspath(path)
-    kind = SCENE_FORMATS.get(Path(where).suffix.lower())
+    suffix = Path(where).suffix.lower()
+    if suffix in MESH_SUFFIXES:
+        return mesh_scene(where)
+    kind = SCENE_FORMATS.get(suffix)
     if kind is None:
         raise SceneError(
-            f"{where}: unknown scene format: expected a file ending in {' or '.join(SCENE_FORMATS)}"
+            f"{where}: unknown scene format: expected a file ending in {' or '.join(SCENE_FORMATS)}, "
+            f"or a mesh: {', '.join(MESH_SUFFIXES)}"
         )
     return scene_from_text(read_text(where), kind, where, folder=Path(where).parent, mesh_dirs=mesh_dirs)
 
@@ -119,12 +145,74 @@ def film_pixels(path: str | PathLike[str], size: Sequence[int] | None = None) ->
     size: width and height of the film instead of the scene's own.
     """
     try:
-        data, _ = parse(read_text(path), SCENE_FORMATS[Path(path).suffix.lower()], "")
+        data: Any = {}
+        if Path(path).suffix.lower() not in MESH_SUFFIXES:
+            data, _ = parse(read_text(path), SCENE_FORMATS[Path(path).suffix.lower()], "")
         film = Film.model_validate(child_of(data, "film") or {})
         x0, y0, x1, y1 = (film.resized(*size) if size else film).window
     except (SceneError, ValidationError, MemoryError, KeyError):
         return 1
     return (x1 - x0) * (y1 - y0)
+
+
+def types_in_file(path: str | PathLike[str]) -> frozenset[str]:
+    """Types of shapes and camera in a scene file, and "triangles" for shapes made of them; empty if it is not valid."""
+    try:
+        suffix = Path(path).suffix.lower()
+        if suffix in MESH_SUFFIXES:
+            return frozenset(("mesh", "triangles", "pinhole"))
+        data, _ = parse(read_text(path), SCENE_FORMATS[suffix], "")
+        named = [data.get("camera"), *(data.get("shape") or data.get("shapes") or ())]
+        types = {each["type"] for each in named if isinstance(each.get("type"), str)}
+    except (SceneError, MemoryError, KeyError, AttributeError, TypeError):
+        return frozenset()
+    meshes = {
+        type_name(shape) for shape in SHAPES if issubclass(shape, (MeshShape, Triangle, Rectangle, Cube))
+    }
+    return frozenset(types | {"triangles"} if types & meshes else types)
+
+
+# A mesh file as a scene: where the camera stands as seen from the mesh, y up; and the field of view, in which its
+# bounding sphere fills all but a twentieth.
+MESH_VIEW, MESH_FOV, MESH_MARGIN = (0.4417, 0.3571, 0.8231), 41.3, 1.05
+MESH_LIGHT = (-0.2713, -0.6889, -0.6719)  # its direction
+
+
+def mesh_scene(path: str | PathLike[str]) -> Scene:
+    """A mesh file as a scene: a pinhole camera that sees all of it, a directional and an ambient light.
+
+    Raises FileMissing, SceneError for a file that is no usable mesh, and for a mesh without an extent.
+    """
+    where = os.path.abspath(path)
+    shape = MeshFile(file=where, name="mesh", material="mesh")
+    try:
+        mesh = shape.load()
+    except SceneError as error:
+        raise type(error)(str(error).replace(where, os.fspath(path))) from None
+    corners = mesh.vertices[np.unique(mesh.faces)]
+    corners = corners[np.isfinite(corners).all(axis=1)]
+    low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else (np.zeros(3), np.zeros(3))
+    center, radius = low / 2.0 + high / 2.0, float(np.linalg.norm(high / 2.0 - low / 2.0))
+    if not 0.0 < radius < math.inf:
+        raise SceneError(
+            f"{os.fspath(path)}: expected a mesh with an extent, got bounds {low.tolist()} to {high.tolist()}"
+        )
+    distance = MESH_MARGIN * radius / math.sin(math.radians(MESH_FOV) / 2.0)
+    scene = Scene(
+        camera=Pinhole(
+            eye=tuple(center + distance * np.array(MESH_VIEW) / np.linalg.norm(MESH_VIEW)),
+            look_at=tuple(center),
+            fov=MESH_FOV,
+        ),
+        lights=[
+            Directional(direction=MESH_LIGHT, irradiance=(2.5, 2.5, 2.5)),
+            Ambient(radiance=(0.1, 0.1, 0.1)),
+        ],
+        materials={"mesh": Diffuse(reflectance=(0.6, 0.6, 0.6), two_sided=True)},
+        shapes=[shape],
+    )
+    scene._folder = Path(where).resolve().parent
+    return scene
 
 
 def scene_from_text(

@@ -1,4 +1,4 @@
-"""A mesh from an OBJ or PLY file."""
+"""A mesh from a file: OBJ, PLY, STL, OFF or glTF."""
 
 import functools
 import os

@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TextIO, TypeVar
 
 from caster.cli.shared_arguments import (
@@ -30,6 +29,13 @@ if TYPE_CHECKING:
 CANDIDATE_SECONDS = REFERENCE_SECONDS = 300.0
 PRECISIONS = ("float32", "float64")
 MAX_SECONDS = 100_000.0  # a day; the system's waits take milliseconds in 31 bits, of some times as long
+BUILTIN_SETS = (
+    "triangles",
+    "spheres",
+    "others",
+    "all",
+)  # folders of mitsuba_ref/runner/builtin, and all of them
+DEFAULT_SCENES = [InputPath("scenes")]
 HTML_SUFFIX = ".html"  # of --html: one file, and else a folder
 
 
@@ -61,18 +67,27 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add(
         "scenes",
-        metavar="SCENE|DIR",
+        metavar="SCENE|MESH|DIR",
         type=InputPath,
         nargs="*",
-        default=[InputPath("scenes")],
-        help="default: the folder scenes",
+        default=DEFAULT_SCENES,
+        help="scene files, mesh files (OBJ, PLY, STL, OFF, glTF), folders of scenes; default: the folder scenes",
+    )
+    add(
+        "--builtin",
+        metavar="SET",
+        nargs="?",
+        const="all",
+        choices=BUILTIN_SETS,
+        help=f"scenes that are installed with the program: {', '.join(BUILTIN_SETS)}; without a word, all",
     )
     add(
         "-k",
         type=str,
         metavar="EXPR",
         dest="expression",
-        help="scenes whose name fits, such as 'mesh and not teapot'",
+        help="scenes whose name fits, such as 'mesh and not teapot'; type:mesh is true of those with such a shape or "
+        "camera, type:triangles of those with any made of triangles",
     )
     add("-j", metavar="N", dest="workers", type=positive_int, help="scenes at a time; default: one a core")
     add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scenes' own")
@@ -81,11 +96,14 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
 
 def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
     """The selected scenes, not loaded yet; where there is none, this is printed. Raises SceneError."""
+    from caster.scene.files import types_in_file
     from caster.scene.model import Film
     from mitsuba_ref.runner.scene_runner import matching, source_of
 
-    fits = matching(args.expression)
-    files = [file for file in scene_files(args.scenes) if fits(Path(file).stem)]
+    fits = matching(args.expression, types_in_file)
+    named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
+    places = [*builtin_folders(args.builtin), *named]
+    files = [file for file in scene_files(places) if fits(file)]
     if args.size:
         with error_prefix("--size", *args.size):
             Film(width=args.size[0], height=args.size[1])
@@ -96,8 +114,19 @@ def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
     ]
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
-        print(f"nothing selected: no scene file{fitting} in {', '.join(args.scenes)}", file=sys.stderr)
+        print(f"nothing selected: no scene file{fitting} in {', '.join(places)}", file=sys.stderr)
     return entries
+
+
+def builtin_folders(name: str | None) -> list[str]:
+    """Folders of a set of the scenes that are installed with the package; none for None."""
+    if name is None:
+        return []
+    from importlib.resources import files
+
+    sets = files("mitsuba_ref.runner") / "builtin"
+    chosen = BUILTIN_SETS[:-1] if name == BUILTIN_SETS[-1] else (name,)
+    return [str(sets / each) for each in chosen]
 
 
 def add_timeout(parser: argparse.ArgumentParser) -> None:

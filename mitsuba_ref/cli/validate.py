@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.shared_arguments import InputPath, OutputFolder, positive_int
+from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, positive_int
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.options import (
@@ -27,6 +27,10 @@ from mitsuba_ref.cli.options import (
     selected_entries,
     verdict_json,
     write_verdict_files,
+)
+
+UNSUPPORTED_SCENE = (
+    "unsupported"  # of the judge, which takes long to load (tests/unit/test_cli_help.py compares)
 )
 
 if TYPE_CHECKING:
@@ -47,6 +51,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verdict_files(parser)
     html_help = f"write a report for the browser: a folder, or one file if PATH ends in {HTML_SUFFIX}"
     add("--html", metavar="PATH", type=html_output, help=html_help)
+    add(
+        "--expected",
+        metavar="FILE",
+        type=InputPath,
+        help="known failures, as --write-expected writes them: the run fails by others alone, and names those mended",
+    )
+    help_ = "write the failures of this run as a file for --expected"
+    add("--write-expected", metavar="FILE", type=OutputFile, help=help_)
+    add(
+        "--skip-unsupported",
+        action="store_true",
+        help="do not fail by scenes that the candidate declines (NotImplementedError, exit code 77); they are counted",
+    )
+    help_ = "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported"
+    add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
     add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
     add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by pixels")
     add(
@@ -100,6 +119,8 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
 
     if verdict.ok:
         return OK
+    if verdict.scenes and all(scene.waived == UNSUPPORTED_SCENE for scene in verdict.scenes):
+        return NOTHING_SELECTED
     for error in errors:
         if not isinstance(error, (SceneError, MemoryError, OSError)):
             traceback.print_exception(error)
@@ -107,25 +128,30 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     if any(isinstance(error, OutputError) for error in errors):
         return FILE
     codes = [error.exit_code if isinstance(error, SceneError) else USAGE for error in errors]
-    alone = sum(not scene.ok for scene in verdict.scenes) + len(verdict.not_judged) == len(codes)
+    alone = sum(not (scene.ok or scene.waived) for scene in verdict.scenes) + len(verdict.not_judged) == len(
+        codes
+    )
     return min(codes) if codes and alone else DIFFERENCES
 
 
 def check_outputs(args: argparse.Namespace) -> None:
     """Raise OutputError before any work where a file cannot be written."""
-    from caster.system.atomic_files import check_folder
+    from caster.system.atomic_files import check_folder, check_writable
 
     if args.out:
         check_folder(args.out)
     check_verdict_files(args)
+    if getattr(args, "write_expected", None):
+        check_writable(args.write_expected)
     if args.resume and not args.out:
         raise SceneError("--resume: expected --out DIR beside it, the folder of the run that is to go on")
 
 
 def run_options(args: argparse.Namespace) -> RunOptions:
-    from mitsuba_ref.runner.validation_run import RunOptions
+    from mitsuba_ref.runner.validation_run import RunOptions, read_expected
 
-    whole_folders = not args.expression and all(Path(place).is_dir() for place in args.scenes)
+    chosen = args.expression or args.builtin
+    whole_folders = not chosen and all(Path(place).is_dir() for place in args.scenes)
     out = Path(args.out) if args.out else None
     return RunOptions(
         args.workers,
@@ -136,6 +162,9 @@ def run_options(args: argparse.Namespace) -> RunOptions:
         args.shard,
         args.timeout,
         args.store,
+        read_expected(args.expected) if args.expected else None,
+        args.skip_unsupported,
+        args.min_scenes,
         whole_folders,
     )
 
@@ -166,10 +195,23 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
         if not verdict.not_judged:
             running.out.remove_journal()
     write_verdict_files(verdict, args, seconds)
+    write_expected(verdict, args)
     for scene in verdict.scenes:
-        if not scene.ok:
+        if not scene.ok and not scene.waived:
             print_lines(f"\n{failure_text(scene, report_page(args))}")
     print(f"\n{summary_text(verdict, seconds)}")
+
+
+def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
+    """Write --write-expected, unless scenes are left that were not judged. Raises OutputError."""
+    from caster.system.atomic_files import write_text
+    from mitsuba_ref.runner.validation_run import expected_toml
+
+    path = getattr(args, "write_expected", None)
+    if path and verdict.not_judged:
+        print(f"{path}: not written: {len(verdict.not_judged)} scenes were not judged", file=sys.stderr)
+    elif path:
+        write_text(path, expected_toml(verdict.scenes))
 
 
 def report_page(args: argparse.Namespace) -> str:
@@ -214,7 +256,7 @@ def run_merge(args: argparse.Namespace) -> int:
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)
     write_verdict_files(verdict, args, seconds)
     for scene in verdict.scenes:
-        if not scene.ok:
+        if not scene.ok and not scene.waived:
             print_lines(f"{failure_text(scene)}\n")
     for name in verdict.not_judged:
         print_lines(f"FAIL  {name}  not judged")

@@ -26,6 +26,7 @@ FAILING = (WRONG, UNDECIDED)
 UNLISTED = (
     "unlisted"  # the case of a pixel where the reference is wrong in no way that known_defects.py lists
 )
+UNSUPPORTED, EXPECTED = "unsupported", "expected"  # a scene that is waived: declined, or a known failure
 VERDICT_FORMAT = 3  # of verdict.json: raised when a name in it changes its meaning or goes away
 MAX_LISTED_FAILURES = 10  # of one scene; all are counted
 
@@ -189,6 +190,8 @@ class SceneVerdict:
     unjudged: tuple[str, ...] = ()  # quantities that the judge compares and this subject does not give
     findings: tuple[Finding, ...] = ()  # what is wrong with the subject, by number of pixels
     notes: tuple[str, ...] = ()  # what else the verdict rests on
+    unsupported: bool = False  # the candidate declined the scene, as `problem` states
+    waived: str = ""  # why the run does not fail by it though it is not ok: UNSUPPORTED or EXPECTED
     options: tuple[str, ...] = ()  # of the command line, beside --size, that a replay has to repeat
     replay: str = ""  # the command that shows the scene again
     command: str = "validate"  # that judged it: validate or judge
@@ -263,15 +266,39 @@ class Verdict:
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
     code: str = ""  # a hash of the sources that judged; of one of several runs, of all their scenes, too
     judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine
+    min_scenes: int = 0  # scenes that have to be judged, and not declined, for the run to pass
+    mended: tuple[str, ...] = ()  # scenes that --expected lists as failing, and that pass
     requested_candidate: str = ""  # the candidate that was requested, also if no scene is judged; "" for ours
     format: int = VERDICT_FORMAT
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def ok(self) -> bool:
-        """Every requested scene is there and passes; no scene at all is no pass, but for an empty shard."""
+        """Every requested scene is there and passes or is waived, and enough of them are judged.
+
+        No scene at all is no pass, but for an empty shard; of shards, `merge` counts the scenes.
+        """
         some = self.scene_count > 0 or bool(self.shard and self.selected)
-        return some and len(self.scenes) == self.scene_count and all(scene.ok for scene in self.scenes)
+        enough = bool(self.shard) or not self.too_few
+        return (
+            some
+            and enough
+            and len(self.scenes) == self.scene_count
+            and all(scene.ok or scene.waived for scene in self.scenes)
+        )
+
+    @property
+    def too_few(self) -> bool:
+        """Whether fewer scenes were judged than `min_scenes`; one at least where some were declined."""
+        declined = sum(scene.waived == UNSUPPORTED for scene in self.scenes)
+        return len(self.scenes) - declined < max(self.min_scenes, min(declined, 1))
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def waived(self) -> dict[str, int]:
+        """Scenes that are not ok, and by which the run does not fail: why -> how many."""
+        reasons = [scene.waived for scene in self.scenes if scene.waived]
+        return {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
 
     @computed_field  # type: ignore[prop-decorator]
     @property

@@ -14,9 +14,12 @@ from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.verdict_text import (
     CLASS_TITLES,
+    WAIVER_WORDS,
     candidate_lines,
+    count_text,
     failure_text,
     group_lines,
+    waiver_lines,
     worst_words,
 )
 from mitsuba_ref.scene_xml.elements import XmlElement
@@ -44,7 +47,7 @@ def append(
 
 def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES) -> str:
     """The verdict, failing scenes with their worst pixel and replay first; no longer than limit bytes of UTF-8."""
-    failing = [scene for scene in verdict.scenes if not scene.ok]
+    failing = [scene for scene in verdict.scenes if not (scene.ok or scene.waived)]
     passing = [scene for scene in verdict.scenes if scene.ok]
     head = "\n".join(_head(verdict, seconds)) + "\n"
     room = _ByteBudget(limit - RESERVED_BYTES - utf8_size(head))
@@ -99,7 +102,7 @@ def utf8_size(text: str) -> int:
 
 def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
     passed = sum(scene.ok for scene in verdict.scenes)
-    words = f"{verdict.scene_count} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
+    words = f"{verdict.scene_count} scenes: {passed} pass, {count_text(verdict)}"
     missing = verdict.scene_count - len(verdict.scenes)
     words += f", {missing} not judged" if missing else ""
     kept = sum(scene.kept for scene in verdict.scenes)
@@ -112,6 +115,7 @@ def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
         lines += [*(f"- {escaped(line)}" for line in candidate_lines(verdict)), ""]
     if kept:
         lines += [f"Kept from an earlier run, not judged anew: {kept} scenes.", ""]
+    lines += [f"- {escaped(' '.join(line.split()))}" for line in waiver_lines(verdict)]
     lines += [f"- {escaped(' '.join(line.split()))}" for line in group_lines(verdict.scenes)]
     lines += [f"- {escaped(versions)}" for versions in verdict.versions]
     return [*lines, ""]
@@ -187,13 +191,13 @@ def junit(verdict: Verdict) -> str:
     """A test case for each scene; a failing one holds its text of the terminal. A missing answer is an error, and so
     is a scene that was requested and not judged.
     """
-    failed = [scene for scene in verdict.scenes if not scene.ok]
+    failed = [scene for scene in verdict.scenes if not (scene.ok or scene.waived)]
     errors = sum(bool(scene.problem) for scene in failed) + len(verdict.not_judged)
     counts = {
         "tests": str(len(verdict.scenes) + len(verdict.not_judged)),
         "failures": str(sum(not scene.problem for scene in failed)),
         "errors": str(errors),
-        "skipped": "0",
+        "skipped": str(sum(bool(scene.waived) for scene in verdict.scenes)),
         "time": f"{sum(spent(scene) for scene in verdict.scenes):.3f}",
     }
     top = Element("testsuites", {"name": NAME, **counts})
@@ -220,7 +224,11 @@ def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
     if scene.path:
         about["file"] = printable(scene.path)
     case = SubElement(suite, "testcase", about)
-    if not scene.ok:
+    if scene.waived:
+        text = failure_text(scene)
+        words = printable(f"{WAIVER_WORDS[scene.waived]}: {text.splitlines()[0]}")
+        SubElement(case, "skipped", message=words).text = printable(text)
+    elif not scene.ok:
         text = failure_text(scene)
         kind = "error" if scene.problem else "failure"
         found = SubElement(case, kind, message=printable(text.splitlines()[0]), type=what_fails(scene))

@@ -55,7 +55,7 @@ from mitsuba_ref.report.reproducers import (
 )
 from mitsuba_ref.subjects.function import function_subject
 from mitsuba_ref.subjects.requests import parse_candidate, request_answer
-from mitsuba_ref.subjects.subject import OURS, NoAnswer, Subject
+from mitsuba_ref.subjects.subject import OURS, NoAnswer, Subject, Unsupported
 
 
 class Validation(Verdict):
@@ -207,7 +207,7 @@ def _judge_window(
     if ours:
         checks = (*checks, check_routes(scene, path))
 
-    def without_comparison(problem: str) -> tuple[SceneVerdict, None]:
+    def without_comparison(problem: str, unsupported: bool = False) -> tuple[SceneVerdict, None]:
         x0, y0, x1, y1 = scene.film.window
         verdict = SceneVerdict(
             name,
@@ -215,6 +215,7 @@ def _judge_window(
             (x1 - x0) * (y1 - y0),
             checks=checks,
             problem=problem,
+            unsupported=unsupported,
             size=(scene.film.width, scene.film.height),
             candidate=subject.name,
             unjudged=() if ours else NEVER_GIVEN,
@@ -225,7 +226,7 @@ def _judge_window(
     try:
         response = request_answer(subject, scene, rays=rays)
     except NoAnswer as error:
-        return without_comparison(str(error))
+        return without_comparison(str(error), isinstance(error, Unsupported))
     judge = judge_of(response, timeout=timeout, send=send, with_files=whole_scene)
     if isinstance(judge, Crash):
         return without_comparison(judge.message)

@@ -9,12 +9,14 @@ from mitsuba_ref.judge.known_defects import defect_name
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,
+    EXPECTED,
     EXPLAINED,
     OUT_OF_DOMAIN,
     REFERENCE_WRONG,
     TIE,
     UNDECIDED,
     UNLISTED,
+    UNSUPPORTED,
     WRONG,
     Failure,
     SceneCheck,
@@ -57,8 +59,15 @@ def table_row(scene: SceneVerdict, width: int) -> str:
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
     counts = (scene.hit_pixels, *(scene.counts[name] for name in CLASSES), scene.adjudicated)
     seconds = "kept" if scene.kept else f"{scene.seconds:.1f}"
-    cells = "PASS" if scene.ok else "FAIL", scene.name, *map(str, counts), worst, seconds
+    cells = mark_of(scene), scene.name, *map(str, counts), worst, seconds
     return format_table(table_columns(width), [cells], header=False, gap=1)
+
+
+def mark_of(scene: SceneVerdict) -> str:
+    """PASS, FAIL, or for a scene that is waived: SKIP where the candidate declines it, KNOWN for a known failure."""
+    if scene.waived:
+        return "SKIP" if scene.waived == UNSUPPORTED else "KNOWN"
+    return "PASS" if scene.ok else "FAIL"
 
 
 def worst_words(scene: SceneVerdict) -> str:
@@ -175,8 +184,9 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         f"{counts[name]} {name.replace('_', ' ')} ({percent_text(counts[name], total)})" for name in CLASSES
     ]
     lines = [
-        f"{verdict.scene_count} scenes: {passed} pass, {len(verdict.scenes) - passed} fail"
+        f"{verdict.scene_count} scenes: {passed} pass, {count_text(verdict)}"
         f"{_not_run(verdict)}, in {seconds:.1f} s",
+        *waiver_lines(verdict),
         *_first_look(verdict),
         f"hit pixels: {', '.join(shares[:3])},",
         f"            {', '.join(shares[3:5])},",
@@ -193,6 +203,34 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed
     ]
     return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
+
+
+WAIVER_WORDS = {UNSUPPORTED: "declined by the candidate", EXPECTED: "known failures"}
+
+
+def count_text(verdict: Verdict) -> str:
+    """How many scenes fail, and how many are waived, in words."""
+    fails = sum(not (scene.ok or scene.waived) for scene in verdict.scenes)
+    waived = (f", {count} {WAIVER_WORDS[why]}" for why, count in verdict.waived.items())
+    return f"{fails} fail{''.join(waived)}"
+
+
+def waiver_lines(verdict: Verdict) -> Iterator[str]:
+    """Scenes that the run does not fail by, known failures that are mended, and whether enough scenes were judged."""
+    for scene in verdict.scenes:
+        if scene.waived:
+            words = (
+                scene.problem.partition("\n")[0]
+                if scene.problem
+                else f"{', '.join(sorted(checks_of(scene)))}"
+            )
+            yield f"{mark_of(scene).lower() + ':':<11} {scene.name}: {words}"
+    if verdict.mended:
+        names = ", ".join(verdict.mended)
+        yield f"mended:     {names}: listed by --expected as failing, and now right: take them out of the list"
+    if verdict.too_few:
+        judged = len(verdict.scenes) - verdict.waived.get(UNSUPPORTED, 0)
+        yield f"FAIL        {judged} scenes judged, expected at least {max(verdict.min_scenes, 1)} (--min-scenes)"
 
 
 def _first_look(verdict: Verdict) -> Iterator[str]:
@@ -288,7 +326,7 @@ def common_traits(scenes: Sequence[SceneVerdict]) -> list[str]:
 
     A type of shape or camera counts only if some scene that passes is without.
     """
-    failing = [scene for scene in scenes if not scene.ok]
+    failing = [scene for scene in scenes if not (scene.ok or scene.waived)]
     passing = [scene for scene in scenes if scene.ok]
     if len(failing) < MIN_FAILING_SCENES:
         return []
@@ -327,7 +365,7 @@ def cameras_of(scene: SceneVerdict) -> frozenset[str]:
 
 def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
     """The failing scene with the fewest primitives, then shapes, then pixels; None below MIN_FAILING_SCENES."""
-    failing = [scene for scene in scenes if not scene.ok]
+    failing = [scene for scene in scenes if not (scene.ok or scene.waived)]
     known = [scene for scene in failing if scene.composition.primitives]
     if len(failing) < MIN_FAILING_SCENES or not known:
         return None
@@ -338,7 +376,7 @@ def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
 
 def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     """Lines on what failing scenes have in common, and the simplest of them; none below MIN_FAILING_SCENES."""
-    failing = sum(not scene.ok for scene in scenes)
+    failing = sum(not (scene.ok or scene.waived) for scene in scenes)
     traits, first = common_traits(scenes), simplest_failing(scenes)
     if traits:
         yield f"in common:  of all {failing} that fail: {'; '.join(traits)}"

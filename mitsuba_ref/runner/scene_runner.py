@@ -10,9 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from caster.description.errors import SceneError, error_prefix
+from caster.cameras import CAMERAS
+from caster.description.errors import SceneError, error_prefix, suggestion
+from caster.description.registry import type_name
 from caster.scene.files import film_pixels, load_scene
 from caster.scene.model import Scene
+from caster.shapes import SHAPES
 from caster.system import process
 from caster.system.atomic_files import OutputError
 from caster.system.terminal import ProgressBar
@@ -177,7 +180,7 @@ def run(
     with ISOLATED.kept(), closing(map_in_order(work, entries, workers)) as verdicts:
         for verdict in verdicts:
             yield verdict
-            failed += not verdict.ok
+            failed += not (verdict.ok or verdict.waived)
             if maxfail is not None and failed >= maxfail:
                 return
 
@@ -265,6 +268,7 @@ def count_scene(bar: ProgressBar, entries: Sequence[Entry], done: int) -> None:
 # ---- selection by an expression over the names of scenes ----
 
 TOKENS = re.compile(r"\s*([()]|[^\s()]+)")
+TYPE_PREFIX = "type:"  # of a word about the shapes and the camera of a scene, not about its name
 
 MAX_DEPTH = 50  # nested parentheses
 MAX_SHOWN = 200  # characters of an expression in its error
@@ -272,21 +276,28 @@ MAX_SHOWN = 200  # characters of an expression in its error
 Predicate = Callable[[str], bool]
 
 
-def matching(expression: str | None) -> Predicate:
+def matching(expression: str | None, types_of: Callable[[str], frozenset[str]] | None = None) -> Predicate:
     """A predicate on names by an expression of parts of names, `and`, `or`, `not` and parentheses.
 
-    Raises SceneError for a malformed expression.
+    types_of: of scene files; then the predicate takes their paths, the stem is the name, and `type:mesh` is true of
+    a scene with such a shape or camera. Raises SceneError for a malformed expression.
     """
     if expression is None:
         return lambda name: True
-    return _Reader(expression).read()
+    return _Reader(expression, types_of).read()
+
+
+def known_types() -> tuple[str, ...]:
+    """What `type:` may be followed by."""
+    kinds = [type_name(each) for registry in (SHAPES, CAMERAS) for each in registry]
+    return (*kinds, "triangles")
 
 
 class _Reader:
     """Recursive descent: or of ands of nots of words."""
 
-    def __init__(self, expression: str):
-        self.expression = expression
+    def __init__(self, expression: str, types_of: Callable[[str], frozenset[str]] | None = None):
+        self.expression, self.types_of = expression, types_of
         self.tokens: Sequence[str] = TOKENS.findall(expression)
         self.place, self.depth = 0, 0
 
@@ -329,7 +340,17 @@ class _Reader:
             raise self._error("a part of a name is missing")
         word = self.tokens[self.place]
         self.place += 1
-        return lambda name: word in name
+        types_of = self.types_of
+        if types_of is None:
+            return lambda name: word in name
+        if not word.startswith(TYPE_PREFIX):
+            return lambda path: word in Path(path).stem
+        wanted, known = word.removeprefix(TYPE_PREFIX), known_types()
+        if wanted not in known:
+            raise SceneError(
+                f"-k {word}: unknown type{suggestion(wanted, known)} (known: {', '.join(known)})"
+            )
+        return lambda path: wanted in types_of(path)
 
     def _take(self, token: str) -> bool:
         taken = self.place < len(self.tokens) and self.tokens[self.place] == token

@@ -168,7 +168,8 @@ def merge_verdicts(
     whole = replace(
         first, shard="", selected=(), scene_count=len(names), names=names, judged_with=judged_with
     )
-    whole = replace(whole, scenes=tuple(scenes[name] for name in names if name in scenes))
+    mended = tuple(name for _, part in parts for name in part.mended)
+    whole = replace(whole, mended=mended, scenes=tuple(scenes[name] for name in names if name in scenes))
     return whole, missing_shards(count, files)
 
 

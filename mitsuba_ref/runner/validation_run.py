@@ -1,6 +1,8 @@
-"""One run of `mitsuba-ref validate`: scenes of a shard, judged or resumed, with the files and pages that they leave."""
+"""One run of `mitsuba-ref validate`: scenes of a shard, judged or resumed, what is waived, the files it leaves."""
 
 import hashlib
+import json
+import tomllib
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -8,11 +10,15 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
+
 from caster.description.errors import SceneError
-from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from caster.description.input_files import MAX_TEXT_BYTES, read_input
+from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict, Verdict
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
 from mitsuba_ref.report.html_report import HtmlReport, page_record
 from mitsuba_ref.report.output_manifest import OutFolder, RemovedFiles
+from mitsuba_ref.report.verdict_text import checks_of
 from mitsuba_ref.runner import scene_runner
 from mitsuba_ref.runner.isolation import CALL_TIMEOUTS, Isolated, WorkerEnded
 from mitsuba_ref.runner.resume import ResumableResults, code_hash, recorded
@@ -33,6 +39,9 @@ class RunOptions:
     shard: Shard | None = None
     timeout: float = DEFAULT_TIMEOUT  # seconds that Mitsuba may take for one scene
     store: bool = True  # take what Mitsuba answered in earlier runs to the very same request
+    expected: "ExpectedFailures | None" = None  # known failures, by which the run does not fail
+    skip_unsupported: bool = False  # nor by scenes that the candidate declines
+    min_scenes: int = 0  # that have to be judged for the run to pass
     whole_folders: bool = False  # every scene of the folders was selected: files of other scenes are obsolete
 
 
@@ -85,6 +94,8 @@ class ValidationRun:
             scene_count=len(names),
             names=names,
             requested_candidate=self.candidate_name,
+            min_scenes=self.options.min_scenes,
+            mended=self.options.expected.mended(self.done) if self.options.expected else (),
             **identity,
         )
 
@@ -108,6 +119,19 @@ class ValidationRun:
             self.html.close()
 
     def _judge(self) -> JudgeScene:
+        judge = self._judge_unwaived()
+        if self.options.expected is None and not self.options.skip_unsupported:
+            return judge
+        return lambda entry, folder: self._waived(judge(entry, folder))
+
+    def _waived(self, found: SceneVerdict) -> SceneVerdict:
+        """The verdict of a scene, with the reason why the run does not fail by it, if there is one."""
+        if found.unsupported and self.options.skip_unsupported:
+            return replace(found, waived=UNSUPPORTED)
+        expected = self.options.expected
+        return replace(found, waived=EXPECTED) if expected and expected.covers(found) else found
+
+    def _judge_unwaived(self) -> JudgeScene:
         page_of = partial(page_record, one_file=self.html.one_file) if self.html else None
         options: dict[str, Any] = {
             "timeout": self.options.timeout,
@@ -125,6 +149,72 @@ class ValidationRun:
         if self.html is None:
             return ResumableResults(self.out, judge, resume=self.options.resume).judge
         return ResumableResults(self.out, judge, resume=self.options.resume, has_page=self.html.holds).judge
+
+
+# ---- known failures ----
+
+EXPECTED_HEAD = """\
+# Known failures: `mitsuba-ref validate --expected FILE` passes with these and no others.
+# A scene may fail these checks, at so many pixels at most. Add a line `why = "..."` where the cause is known.
+"""
+
+
+class ExpectedFailure(BaseModel):
+    """A scene that is known to fail."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    scene: str
+    checks: list[str]  # names of the checks that may fail
+    pixels: NonNegativeInt  # at most so many may
+    why: str = ""
+
+
+class ExpectedFailures(BaseModel):
+    """The contents of the file of --expected."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    failure: list[ExpectedFailure] = []
+
+    def covers(self, found: SceneVerdict) -> bool:
+        """Whether a scene fails in a known way, and in no other."""
+        listed = [each for each in self.failure if each.scene == found.name]
+        checks = checks_of(found)
+        return not found.ok and any(
+            checks <= set(each.checks) and found.failing <= each.pixels for each in listed
+        )
+
+    def mended(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
+        """Names of scenes that are listed, and pass."""
+        named = {each.scene for each in self.failure}
+        return tuple(found.name for found in done if found.ok and found.name in named)
+
+
+def read_expected(path: str) -> ExpectedFailures:
+    """The known failures of a file. Raises FileMissing, SceneError with every error in it."""
+    data = read_input(path, "file of known failures", MAX_TEXT_BYTES)
+    try:
+        return ExpectedFailures.model_validate(tomllib.loads(data.decode("utf-8")))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SceneError(f"{path}: expected TOML, as --write-expected writes it: {error}") from error
+    except ValidationError as error:
+        problems = [
+            f"{path}: {'.'.join(map(str, each['loc']))}: {each['msg'][:1].lower()}{each['msg'][1:]}"
+            for each in error.errors()
+        ]
+        raise SceneError("\n".join(problems)) from error
+
+
+def expected_toml(done: Sequence[SceneVerdict]) -> str:
+    """The failures of a run as text for --expected; scenes that the candidate declines are none."""
+    parts = [EXPECTED_HEAD]
+    for found in (each for each in done if not each.ok and not each.unsupported):
+        checks = ", ".join(json.dumps(name) for name in sorted(checks_of(found)))
+        parts.append(
+            f"\n[[failure]]\nscene = {json.dumps(found.name)}\nchecks = [{checks}]\npixels = {found.failing}\n"
+        )
+    return "".join(parts)
 
 
 def candidate_judge(candidate: Subject, **options: Any) -> JudgeScene:

@@ -35,6 +35,7 @@ from mitsuba_ref.subjects.subject import (
     Answer,
     CastRequest,
     NoAnswer,
+    Unsupported,
     checked_answer,
 )
 
@@ -45,6 +46,8 @@ OWN_CAMERA_NOTE = (
     "its rays are its own camera's, and it is allowed what rounding to float32 may do to those, too"
 )
 ESCAPE_BRACES_HINT = "a brace that is meant is written twice"
+
+UNSUPPORTED_CODE = 77  # exit code of a program that declines a scene, as of a skipped test in Automake
 
 BESIDE_RAY = "the position is not on the ray of its pixel"
 POSITION = ("position.X", "position.Y", "position.Z")
@@ -114,7 +117,7 @@ class CommandSubject:
         camera = request.scene.camera
         exported = export(request.scene, request.model)
         if "<sensor" not in exported.xml:
-            raise NoAnswer(
+            raise Unsupported(
                 f"Mitsuba has no {camera.type} camera, so the XML has none; read {{toml}} for this scene"
             )
         return exported.write(request.folder)
@@ -138,6 +141,8 @@ def run_program(words: list[str], seconds: float) -> None:
         raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
     if end.code is None:
         raise NoAnswer(f"killed after {seconds:g} s{_output_tail(end.output)}")
+    if end.code == UNSUPPORTED_CODE:
+        raise Unsupported(f"the program declined the scene, exit {end.code}{_output_tail(end.output)}")
     if end.code:
         how = "ended with" if end.code > 0 else "was ended by"
         raise NoAnswer(f"the program {how} {exit_name(end.code)}{_output_tail(end.output)}")
@@ -332,7 +337,7 @@ def write_mesh(path: Path, packed: Packed) -> ArrayPath:
     Raises NoAnswer for a scene with other primitives.
     """
     if others := {type(part).__name__ for part in packed.parts if not hasattr(part, "faces")}:
-        raise NoAnswer(
+        raise Unsupported(
             f"{{mesh}}: the scene has {', '.join(sorted(others))} beside triangles; read {{scene}}"
         )
     first = np.cumsum([0, *(len(part.vertices) for part in packed.parts)])

@@ -21,6 +21,7 @@ from mitsuba_ref.subjects.subject import (
     Answer,
     CastRequest,
     NoAnswer,
+    Unsupported,
     checked_answer,
     exception_text,
 )
@@ -104,6 +105,8 @@ class FunctionSubject:
             return self.call(request.traced, o, d)
         except KeyboardInterrupt:
             raise
+        except NotImplementedError as error:
+            raise Unsupported(f"{self.name} raised {_exception_with_calls(error)}") from error
         except BaseException as error:
             raise NoAnswer(f"{self.name} raised {_exception_with_calls(error)}") from error
 

@@ -62,7 +62,7 @@ def request_answer(
         try:
             answer = subject.answer(request)
         except NoAnswer as error:
-            raise NoAnswer(f"the candidate gave no answer to judge: {error}") from error
+            raise type(error)(f"the candidate gave no answer to judge: {error}") from error
         again = None if alone is None else _answer_to_one_ray(subject, request, alone)
     return SubjectResponse(scene, model, rays, answer, subject_view(answer, scene, model), ends, again)
 

@@ -35,6 +35,10 @@ class NoAnswer(Exception):  # noqa: N818 - an outcome, not a mistake of the prog
     """A candidate gave nothing that could be judged; the text is what it did, and the way out."""
 
 
+class Unsupported(NoAnswer):
+    """A candidate declined the scene: it lacks a shape or camera, as it stated itself."""
+
+
 @dataclass(frozen=True)
 class Answer:
     """One row a ray. t is inf and n is 0 on a miss; broken rows have neither."""

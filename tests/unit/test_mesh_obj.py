@@ -168,9 +168,11 @@ def test_a_path_that_cannot_exist_is_missing():
         load_mesh("a\0b.obj")
 
 
-@pytest.mark.parametrize(("name", "ending"), [("ball.stl", ".stl"), ("ball", "")])
+@pytest.mark.parametrize(("name", "ending"), [("ball.3ds", ".3ds"), ("ball", "")])
 def test_an_unknown_format_is_an_error_that_names_the_known_ones(tmp_path, name, ending):
-    with pytest.raises(SceneError, match=f"unknown mesh format '{ending}': expected .obj or .ply"):
+    with pytest.raises(
+        SceneError, match=f"unknown mesh format '{ending}': expected .obj, .ply, .stl, .off, .glb or .gltf"
+    ):
         load_mesh(tmp_path / name)
 
 

@@ -67,7 +67,8 @@ def test_a_folder_is_no_scene_file(tmp_path):
 
 def test_an_unknown_ending_is_an_error():
     with pytest.raises(
-        SceneError, match=r"^a\.yaml: unknown scene format: expected a file ending in \.toml or \.json$"
+        SceneError,
+        match=r"^a\.yaml: unknown scene format: expected a file ending in \.toml or \.json, or a mesh: ",
     ):
         load_scene("a.yaml")
 

@@ -1,8 +1,11 @@
-"""Readers of mesh files, OBJ and PLY. Strict: a face lost silently is a wrong image."""
+"""Readers of mesh files: OBJ and PLY, strict, since a face lost silently is a wrong image; others by trimesh."""
 
+import io
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
+
+import numpy as np
 
 from caster.description.errors import SceneError
 from caster.description.input_files import MAX_MESH_BYTES, read_input
@@ -10,14 +13,19 @@ from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_ply
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 
+__all__ = ["MESH_SUFFIXES", "load_mesh"]
+
 FORMATS: dict[str, Callable[[bytes, str], Mesh]] = {".obj": parse_obj, ".ply": parse_ply}
+TRIMESH_SUFFIXES = (".stl", ".off", ".glb", ".gltf")
+MESH_SUFFIXES = (*FORMATS, *TRIMESH_SUFFIXES)
 
 
 def load_mesh(path: str | PathLike[str]) -> Mesh:
-    """Read a mesh file: Wavefront OBJ or PLY (ascii, binary of either byte order), selected by its suffix.
+    """Read a mesh file: Wavefront OBJ or PLY (ascii, binary of either byte order), STL, OFF, glTF, by its suffix.
 
     Polygons become fans of triangles around their first corner. Normals come out with unit length, None where
-    the file has none; the v of an OBJ's uv is turned over (1 - v), as Mitsuba does it.
+    the file has none; the v of an OBJ's uv is turned over (1 - v), as Mitsuba does it. Of STL, OFF and glTF the
+    triangles are read, without normals and uv; all meshes of a glTF scene are one, in its world.
     Raises FileMissing for a file that cannot be read, SceneError for one that is not a usable mesh.
     """
     where = str(path)
@@ -31,9 +39,51 @@ def load_mesh(path: str | PathLike[str]) -> Mesh:
 
 
 def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:
-    ending = Path(where).suffix
-    parse = FORMATS.get(ending.lower())
+    ending = Path(where).suffix.lower()
+    parse = _parse_by_trimesh if ending in TRIMESH_SUFFIXES else FORMATS.get(ending)
     if parse is None:
-        expected = " or ".join(FORMATS)
-        raise SceneError(f"{where}: unknown mesh format '{ending}': expected {expected}; convert it first")
+        expected = f"{', '.join(MESH_SUFFIXES[:-1])} or {MESH_SUFFIXES[-1]}"
+        raise SceneError(
+            f"{where}: unknown mesh format '{Path(where).suffix}': expected {expected}; convert it first"
+        )
     return parse
+
+
+def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
+    """Triangles as they stand in the file: nothing is merged, reordered or repaired. Raises SceneError."""
+    try:
+        import trimesh
+    except ImportError:
+        raise SceneError(
+            f"{where}: trimesh, which reads {Path(where).suffix}, is not installed: pip install trimesh; "
+            "or convert the file to PLY or OBJ"
+        ) from None
+    kind = Path(where).suffix[1:].lower()
+    if kind == "stl":
+        _check_stl_size(data, where)
+    beside = trimesh.resolvers.FilePathResolver(where) if kind == "gltf" else None
+    try:
+        scene = trimesh.load_scene(
+            io.BytesIO(data), file_type=kind, resolver=beside, process=False, maintain_order=True
+        )
+        found = scene.to_mesh()
+        vertices, faces = np.asarray(found.vertices, np.float64), np.asarray(found.faces)
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever a foreign parser raises
+        raise SceneError(
+            f"{where}: not a usable {kind.upper()} file: {type(error).__name__}: {error}; export it again"
+        ) from error
+    if faces.size == 0:
+        raise SceneError(f"{where}: the mesh has no faces: expected at least one triangle")
+    return Mesh(np.ascontiguousarray(vertices), np.ascontiguousarray(faces.reshape(-1, 3), np.int32))
+
+
+def _check_stl_size(data: bytes, where: str) -> None:
+    """Raise SceneError for a binary STL file of another size than that of its facets."""
+    facets = int.from_bytes(data[80:84], "little")
+    if len(data) != 84 + 50 * facets and b"facet" not in data[:1024]:
+        raise SceneError(
+            f"{where}: binary STL: expected {84 + 50 * facets} bytes, 84 and 50 for each of {facets} facets, "
+            f"got {len(data)}; copy or export it again"
+        )

@@ -8,7 +8,7 @@ same faces by Python's `float` and `struct` show what float32 does not: they are
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +24,7 @@ from mitsuba_ref.reference.messages import LoadedMesh
 
 MAX_PLAIN_BYTES = 2_000_000  # of files that plain Python reads, too: a second
 REFUSED = "not compared: Mitsuba's loader says"
+READ_ONCE = "not compared, read by trimesh alone: triangles"
 
 
 class PlainMesh(NamedTuple):
@@ -40,17 +41,15 @@ def files_of(scene: Scene) -> dict[Path, Any]:
 
 
 def read_plainly(file: Path) -> PlainMesh | None:
-    """The faces of a file by plain Python; None for a large one."""
-    if file.stat().st_size > MAX_PLAIN_BYTES:
-        return None
-    data = file.read_bytes()
-    return plain_obj(data) if file.suffix.lower() == ".obj" else plain_ply(data)
+    """The faces of a file by plain Python; None for a large one, or a glTF."""
+    read = PLAIN_READERS.get(file.suffix.lower())
+    return None if read is None or file.stat().st_size > MAX_PLAIN_BYTES else read(file.read_bytes())
 
 
 def for_mitsuba(file: Path, folder: Path, number: int) -> Path:
     """The file itself; where Mitsuba's loader does not support all that is in it, the same faces in a file of its kind.
 
-    Its OBJ has neither negative indices nor continued lines, its PLY no polygons.
+    Its OBJ has neither negative indices nor continued lines, its PLY no polygons, and it has no STL or OFF.
     """
     found = read_plainly(file)
     if found is None or found.plain:
@@ -83,6 +82,8 @@ def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck
 
 def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, ending: str) -> dict[str, float]:
     """Errors over their bounds of positions, normals and uv at the corners of all faces."""
+    if theirs.problem and found is None and ending not in (".obj", ".ply"):
+        return {READ_ONCE: 0.0}
     if theirs.problem:
         return {f"{REFUSED} {theirs.problem!r}": 0.0 if found is not None else np.inf}
     given = mesh.vertices[mesh.faces]
@@ -204,6 +205,43 @@ def plain_ply(data: bytes) -> PlainMesh:
                 polygons.append([int(i) for i in row.get("vertex_indices", row.get("vertex_index", []))])
     triangles = [triangle for polygon in polygons for triangle in _fan(polygon)]
     return PlainMesh(np.array(points)[np.array(triangles)], all(len(polygon) == 3 for polygon in polygons))
+
+
+def plain_stl(data: bytes) -> PlainMesh:
+    """Facets of an STL file, binary where its size is that of so many facets."""
+    size = STL_HEAD + STL_FACET * (int.from_bytes(data[80:84], "little") if len(data) >= STL_HEAD else 0)
+    if len(data) == size:
+        facets = struct.iter_unpack("<12fH", data[STL_HEAD:])
+        return PlainMesh(np.array([facet[3:12] for facet in facets]).reshape(-1, 3, 3), False)
+    words = data.split()
+    rows = [
+        [float(number) for number in words[i + 1 : i + 4]]
+        for i, word in enumerate(words)
+        if word == b"vertex"
+    ]
+    return PlainMesh(np.array(rows).reshape(-1, 3, 3), False)
+
+
+STL_HEAD, STL_FACET = 84, 50  # bytes
+
+
+def plain_off(data: bytes) -> PlainMesh:
+    """Faces of an OFF file in text; polygons as fans around their first corner."""
+    lines = [line.split(b"#")[0].split() for line in data.splitlines()]
+    numbers = iter([word for line in lines for word in line][1:])  # behind OFF
+    vertices, faces, _ = (int(next(numbers)) for _ in range(3))
+    points = [[float(next(numbers)) for _ in range(3)] for _ in range(vertices)]
+    rows = [line for line in lines if line][-faces:]
+    triangles = [each for row in rows for each in _fan([int(i) for i in row[1 : 1 + int(row[0])]])]
+    return PlainMesh(np.array(points)[np.array(triangles)], False)
+
+
+PLAIN_READERS: dict[str, Callable[[bytes], PlainMesh]] = {
+    ".obj": plain_obj,
+    ".ply": plain_ply,
+    ".stl": plain_stl,
+    ".off": plain_off,
+}
 
 
 def _ascii_numbers(body: bytes) -> Any:

@@ -1,0 +1,245 @@
+"""Scenes that are installed with the judge, mesh files as scenes, and runs that fail by new failures alone."""
+
+import importlib.util
+import struct
+import sys
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from verdict_factory import scene
+
+from caster.description.errors import FileMissing, SceneError
+from caster.geometry.mesh_files import load_mesh
+from caster.rendering.images import render
+from caster.scene.files import film_pixels, load_scene, types_in_file
+from mitsuba_ref.cli import options
+from mitsuba_ref.cli.validate import UNSUPPORTED_SCENE, exit_code
+from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, Verdict
+from mitsuba_ref.runner.scene_runner import matching
+from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
+
+ROOT = Path(__file__).resolve().parents[2]
+BUILTIN = ROOT / "mitsuba_ref" / "runner" / "builtin"
+SCENES = sorted(BUILTIN.glob("*/*.toml"))
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+FACES = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
+
+
+def generator():
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    import builtin_meshes
+
+    return builtin_meshes
+
+
+# ---- the set in the wheel
+
+
+def test_every_set_has_scenes_and_all_is_all_of_them():
+    sets = {name: options.builtin_folders(name) for name in options.BUILTIN_SETS}
+    assert all(any(Path(folder).glob("*.toml")) for folders in sets.values() for folder in folders)
+    assert {path.parent for path in SCENES} == set(map(Path, sets["all"])) and len(SCENES) >= 20
+    assert options.builtin_folders(None) == []
+
+
+def test_every_file_of_the_set_is_in_the_wheel():
+    data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    packed = {path for pattern in data["mitsuba_ref.runner"] for path in BUILTIN.parent.glob(pattern)}
+    assert packed == {path for path in BUILTIN.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_a_builtin_scene_has_its_purpose_first_and_hits_something(path):
+    assert path.read_text().startswith("# ") and len(path.read_text().partition("\n")[0]) <= 120
+    depth = render(load_scene(path).with_film(width=24, height=24), ("depth",))["depth"]
+    assert np.isfinite(depth).any()
+
+
+@pytest.mark.parametrize("name", ["scan", "needles", "grid", "pile"])
+def test_a_builtin_mesh_is_what_its_generator_makes(name):
+    made = generator().ply(*generator().MESHES[name]())
+    assert (BUILTIN / "triangles" / f"{name}.ply").read_bytes() == made
+
+
+def test_the_builtin_meshes_are_small_and_the_scan_has_what_scans_have():
+    assert sum(path.stat().st_size for path in BUILTIN.rglob("*.ply")) < 300_000
+    mesh = load_mesh(BUILTIN / "triangles" / "scan.ply")
+    corners = mesh.vertices[mesh.faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    area = (
+        np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2.0
+    )
+    typical = np.median(area)
+    assert (area == 0.0).any() and ((area > 0.0) & (area < 1e-6 * typical)).any()
+    heights = 2.0 * area / np.maximum(edges.max(axis=1), 1e-30)
+    assert ((area > 0.0) & (edges.min(axis=1) > 0.5) & (heights < 1e-2)).any(), "no slivers"
+
+
+# ---- a mesh file as a scene
+
+
+def written(folder: Path, ending: str) -> Path:
+    path = folder / f"tetrahedron{ending}"
+    lines = [" ".join(map(str, corner)) for corner in CORNERS]
+    if ending == ".obj":
+        faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
+        path.write_text("\n".join([*(f"v {line}" for line in lines), *faces]))
+    elif ending == ".off":
+        path.write_text("\n".join(["OFF", "4 4 6", *lines, *(f"3 {a} {b} {c}" for a, b, c in FACES)]) + "\n")
+    elif ending == ".stl":
+        facets = [struct.pack("<12fH", 0, 0, 0, *CORNERS[list(face)].ravel(), 0) for face in FACES]
+        path.write_bytes(bytes(80) + struct.pack("<I", len(FACES)) + b"".join(facets))
+    else:
+        path.write_bytes(generator().ply(CORNERS, np.array(FACES)))
+    return path
+
+
+@pytest.mark.parametrize("ending", [".obj", ".ply", ".stl", ".off"])
+def test_a_mesh_file_is_a_scene_whose_camera_sees_all_of_it(tmp_path, ending):
+    path = written(tmp_path, ending)
+    if ending in (".stl", ".off") and importlib.util.find_spec("trimesh") is None:
+        with pytest.raises(SceneError, match="pip install trimesh"):
+            load_scene(path)
+        return
+    loaded = load_scene(path)
+    mesh = loaded.shapes[0].mesh()
+    assert np.array_equal(mesh.vertices[mesh.faces], CORNERS[np.array(FACES)])
+    hit = render(loaded, ("hit",))["hit"]
+    assert hit.any() and not (hit[0].any() or hit[-1].any() or hit[:, 0].any() or hit[:, -1].any())
+    assert film_pixels(path) == hit.size and {"mesh", "triangles"} <= types_in_file(path)
+
+
+@pytest.mark.parametrize(("scale", "place"), [(1e-20, 0.0), (1e12, 0.0), (1.0, 1e6)])
+def test_the_camera_of_a_mesh_fits_its_size_and_place(tmp_path, scale, place):
+    rows = [f"v {' '.join(str(float(c) * scale + place) for c in corner)}" for corner in CORNERS]
+    (tmp_path / "a.obj").write_text("\n".join([*rows, *(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES)]))
+    hit = render(load_scene(tmp_path / "a.obj"), ("hit",))["hit"]
+    assert 0.05 < hit.mean() < 0.9
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.ply", b"", "the file is empty"),
+        ("a.obj", b"v 0 0 0\n", "no faces"),
+        ("a.obj", b"v 1 2 3\nv 1 2 3\nv 1 2 3\nf 1 2 3\n", "expected a mesh with an extent"),
+        ("a.xyz", b"0 0 0\n", "unknown scene format"),
+    ],
+)
+def test_a_mesh_that_cannot_be_seen_is_an_error_with_its_name(tmp_path, monkeypatch, name, data, message):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_bytes(data)
+    with pytest.raises(SceneError, match=f"^{name}: .*{message}"):
+        load_scene(name)
+
+
+def test_mesh_dir_is_a_search_path_and_a_missing_mesh_names_the_paths_tried(tmp_path):
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir(), there.mkdir()
+    written(there, ".ply")
+    text = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "mesh"\nfile = "{}"\n'
+    (here / "a.toml").write_text(text.format("tetrahedron.ply"))
+    with pytest.raises(FileMissing):
+        load_scene(here / "a.toml")
+    found = load_scene(here / "a.toml", [there])
+    assert Path(found.shapes[0].file) == there / "tetrahedron.ply"
+    (here / "b.toml").write_text(text.format("nowhere.ply"))
+    with pytest.raises(FileMissing, match=rf"tried {here}/nowhere.ply, {there}/nowhere.ply"):
+        load_scene(here / "b.toml", [there])
+
+
+# ---- -k type:
+
+
+def test_a_type_in_an_expression_is_about_shapes_and_cameras():
+    fits = matching("type:triangles and not type:sphere and not scan", types_in_file)
+    names = {path.stem for path in SCENES if fits(str(path))}
+    assert "pile" in names and "flat-boxes" in names and "scan" not in names and "cylinders" not in names
+    assert matching("type:orthographic", types_in_file)(str(BUILTIN / "triangles" / "shared-edges.toml"))
+
+
+def test_an_unknown_type_is_an_error_with_the_known_ones():
+    with pytest.raises(SceneError, match=r"unknown type, did you mean 'sphere'\? \(known: sphere, "):
+        matching("type:spere", types_in_file)
+
+
+# ---- scenes that are waived
+
+
+def judged(*scenes, **settings):
+    """The verdict of a run over these, as it waives them."""
+    run = ValidationRun([], RunOptions(**settings))
+    run.done = [run._waived(each) for each in scenes]
+    return replace(run.verdict(), scene_count=len(scenes), names=tuple(each.name for each in scenes))
+
+
+def declined(name):
+    return scene(name, ok=False, problem="declined", unsupported=True)
+
+
+def listed(tmp_path, *scenes):
+    (tmp_path / "expected.toml").write_text(expected_toml(scenes))
+    return read_expected(str(tmp_path / "expected.toml"))
+
+
+def test_the_copy_of_the_word_is_the_judges():
+    assert UNSUPPORTED_SCENE == UNSUPPORTED
+
+
+def test_a_declined_scene_fails_unless_such_scenes_are_skipped():
+    some = scene("a"), declined("b")
+    assert not judged(*some).ok
+    found = judged(*some, skip_unsupported=True)
+    assert found.ok and found.waived == {UNSUPPORTED: 1} and exit_code(found, []) == 0
+
+
+def test_a_run_in_which_all_is_declined_or_too_little_judged_fails():
+    nothing = judged(declined("a"), skip_unsupported=True)
+    assert not nothing.ok and exit_code(nothing, []) == 5
+    few = judged(scene("a"), declined("b"), skip_unsupported=True, min_scenes=2)
+    assert not few.ok and exit_code(few, []) == 1
+
+
+def test_a_crash_is_not_taken_for_a_declined_scene():
+    assert not judged(scene("a"), scene("b", ok=False, problem="killed"), skip_unsupported=True).ok
+
+
+def test_known_failures_pass_and_no_others(tmp_path):
+    known = listed(tmp_path, scene("a"), scene("b", ok=False))
+    found = judged(scene("a"), scene("b", ok=False), expected=known)
+    assert found.ok and found.scenes[1].waived == EXPECTED and not found.scenes[1].ok
+    assert not judged(scene("a", ok=False), scene("b", ok=False), expected=known).ok
+    more = replace(scene("b", ok=False), counts=scene("b", ok=False).counts | {"wrong": 2})
+    assert not judged(scene("a"), more, expected=known).ok, "more pixels than are known"
+    broken = scene("b", ok=False, problem="killed")
+    assert not judged(scene("a"), broken, expected=known).ok, "another failure than the known one"
+
+
+def test_a_mended_failure_is_named(tmp_path):
+    found = judged(scene("a"), expected=listed(tmp_path, scene("a", ok=False)))
+    assert found.ok and found.mended == ("a",)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("failure = 3", "failure: input should be a valid list"),
+        ('[[failure]]\nscene = "a"\nchecks = []\npixels = -1', "failure.0.pixels: input should be greater"),
+        ('[[failure]]\nscene = "a"\nchecks = []\npixels = 1\nwhi = "x"', "failure.0.whi: extra inputs"),
+        ("nonsense", "expected TOML"),
+    ],
+)
+def test_a_damaged_list_of_known_failures_is_an_error(tmp_path, text, message):
+    (tmp_path / "expected.toml").write_text(text)
+    with pytest.raises(SceneError, match=message):
+        read_expected(str(tmp_path / "expected.toml"))
+
+
+def test_a_verdict_with_waivers_is_read_back():
+    from mitsuba_ref.runner.resume import verdict_of
+
+    found = judged(scene("a"), declined("b"), skip_unsupported=True)
+    assert isinstance(found, Verdict) and verdict_of(found.to_dict()) == found
