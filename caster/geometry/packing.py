@@ -10,7 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.errors import SceneError, value_diagnostic
-from caster.geometry.world_space import Rounding, ShapeCollection, as_given, is_usable, world_vertices
+from caster.geometry.world_space import (
+    Rounding,
+    ShapeCollection,
+    as_float32,
+    as_given,
+    is_usable,
+    world_vertices,
+)
 from caster.kernels.bvh.build import bounding_boxes
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
@@ -93,11 +100,21 @@ def pack(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
     return Packed(tuple(kinds), parts, first, kind_of, start)
 
 
-def packed(scene: ShapeCollection) -> Packed:
-    """The unrounded packing of a scene, cached with it."""
-    if "packed" not in scene.derived:
-        scene.derived["packed"] = pack(scene)
-    return scene.derived["packed"]
+CACHED_AS: dict[Rounding, str] = {
+    as_given: "packed",
+    as_float32: "packed float32",
+}  # keys of ShapeCollection.derived
+
+
+def packed(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
+    """The packing of a scene, cached with it and so with its bounding boxes and BVHs; see `pack`."""
+    key = CACHED_AS.get(rounded)
+    if key is None:
+        return pack(scene, rounded)
+    if key not in scene.derived:
+        scene.derived[key] = pack(scene, rounded)
+    found: Packed = scene.derived[key]
+    return found
 
 
 def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:

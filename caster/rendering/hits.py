@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from caster.description.errors import SceneError
-from caster.geometry.packing import Packed, pack
-from caster.geometry.packing import packed as packed
+from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import Rounding, as_given
 from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray, new_rays
 from caster.kernels.raster.screen_bounds import Window
@@ -214,7 +213,7 @@ def trace(
     sees them.
     """
     rays = validated_rays(o, d, 0.0, np.inf)._replace(t_max=np.ascontiguousarray(t_max, np.float64))
-    return trace_rays(scene, pack(scene, rounded), rays, np.asarray(start, np.float64))
+    return trace_rays(scene, packed(scene, rounded), rays, np.asarray(start, np.float64))
 
 
 def validated_rays(o: ArrayLike, d: ArrayLike, t_min: float, t_max: float) -> Rays:

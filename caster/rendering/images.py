@@ -11,7 +11,7 @@ import numpy as np
 from caster.aovs import BY_NAME, Aovs, kernel_of
 from caster.description.errors import SceneError, suggestion
 from caster.description.fields import Camera
-from caster.geometry.packing import Packed, pack, packed
+from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import Rounding, as_given
 from caster.kernels.nearest import Rays, generate_rays, generate_rays_at, new_rays
 from caster.kernels.raster.screen_bounds import Window
@@ -275,16 +275,16 @@ def trace_film(
     scene: Scene, *, rounded: Rounding = as_given, threads: int | None = None, culling: Culling | None = None
 ) -> RayHits:
     """Cast the camera's rays."""
-    packed, rays = pack(scene, rounded), camera_rays(scene, threads)
+    prims, rays = packed(scene, rounded), camera_rays(scene, threads)
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     culling = culling or culling_for(camera)[0]
     if culling == "raster":
         nearest = find_nearest_on_film(
-            packed, rays, camera, film_window(scene), scene.camera.shares_origin, threads
+            prims, rays, camera, film_window(scene), scene.camera.shares_origin, threads
         )
     else:
-        nearest = find_nearest(packed, rays, culling, threads)
-    return RayHits(scene, packed, rays, nearest, np.zeros(len(rays.t_min)), threads)
+        nearest = find_nearest(prims, rays, culling, threads)
+    return RayHits(scene, prims, rays, nearest, np.zeros(len(rays.t_min)), threads)
 
 
 def evaluate(

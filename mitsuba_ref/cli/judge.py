@@ -115,12 +115,11 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.n
     """Rays at what the kind says, from around the scene. Raises SceneError for a scene without primitives."""
     import numpy as np
 
-    from caster.geometry.packing import pack
-    from caster.geometry.world_space import as_float32
     from mitsuba_ref.judge.independent_checks import adversarial_rays
+    from mitsuba_ref.reference.shared_input import packed_float32
     from mitsuba_ref.shapes.targets import random_directions
 
-    targets, rng = adversarial_rays.Targets(pack(scene, as_float32)), np.random.default_rng(args.seed)
+    targets, rng = adversarial_rays.Targets(packed_float32(scene)), np.random.default_rng(args.seed)
     if not targets.counts.sum():
         raise SceneError(f"--kind {args.kind}: {args.scene} has no primitive to aim at")
     sort = {"random": "inside", "edges": "edge", "vertices": "corner"}.get(args.kind)

@@ -204,14 +204,12 @@ def view_of(files: Sequence[Exr], reading: Reading, shape: tuple[int, ...]) -> V
 
 def near_in_xml(scene: Scene) -> float | None:
     """Of the scene as it is exported: Mitsuba's sensors have a near plane, and its depth counts from there."""
-    from caster.geometry.packing import pack
-    from caster.geometry.world_space import as_float32
     from mitsuba_ref.cameras.camera_reference import clip_planes
-    from mitsuba_ref.reference.shared_input import clip_range, model_of, shared_rays
+    from mitsuba_ref.reference.shared_input import clip_range, model_of, packed_float32, shared_rays
 
     if not hasattr(scene.camera, "near"):
         return None
-    model = model_of(scene, pack(scene, as_float32), shared_rays(scene))
+    model = model_of(scene, packed_float32(scene), shared_rays(scene))
     return float(clip_planes(scene.camera, clip_range(scene, model))["near_clip"])
 
 

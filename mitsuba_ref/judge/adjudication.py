@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from caster.geometry.packing import Packed, pack
-from caster.geometry.world_space import as_float32
+from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import nearest_root, reference_bounds, row_distance
 from mitsuba_ref.error_model.bracket import Claims
@@ -19,7 +18,7 @@ from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
-from mitsuba_ref.reference.shared_input import SharedRays, model_of
+from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
 
 # Agreeing pixels of a scene, away from edges, that are held to exact arithmetic all the same: a tenth of a second.
@@ -247,7 +246,7 @@ class PreparedScene:
 
 
 def prepare_scene(scene: Scene, o: np.ndarray, d: np.ndarray) -> PreparedScene:
-    packed = pack(scene, as_float32)
+    packed = packed_float32(scene)
     rays = SharedRays(o, d, np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
     return PreparedScene(scene, packed, model_of(scene, packed, rays), o, d)
 

@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from caster.aovs import AOVS, Aovs
-from caster.geometry.packing import pack
-from caster.geometry.world_space import as_float32
 from caster.rendering.images import film_window
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
@@ -16,7 +14,14 @@ from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
-from mitsuba_ref.reference.shared_input import SharedRays, export, model_of, shape_ids, shared_rays
+from mitsuba_ref.reference.shared_input import (
+    SharedRays,
+    export,
+    model_of,
+    packed_float32,
+    shape_ids,
+    shared_rays,
+)
 from mitsuba_ref.reference.variants import variant_for
 from mitsuba_ref.shapes import reference_of
 
@@ -151,7 +156,7 @@ def render_reference(
 ) -> tuple[Aovs, dict[str, str]] | Crash:
     """Render a scene by Mitsuba: (images as `caster.render` gives them, versions), or how Mitsuba ended."""
     rays = shared_rays(scene)
-    model = model_of(scene, pack(scene, as_float32), rays)
+    model = model_of(scene, packed_float32(scene), rays)
     witness = trace_reference(scene, model, rays, variant=variant, lights=needs_lights(aovs), timeout=timeout)
     if isinstance(witness, Crash):
         return witness

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 
-from caster.geometry.packing import Packed, concatenate_parts, pack
+from caster.geometry.packing import Packed, concatenate_parts, packed
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import camera_rays
 from caster.scene.model import Diffuse, Scene
@@ -102,10 +102,7 @@ NEAR_PER_REACH, FAR_PER_REACH = 2.0**-20, 2.0**10
 
 def packed_float32(scene: Scene) -> Packed:
     """The packing that is judged against the reference, cached with the scene."""
-    if "packed float32" not in scene.derived:
-        scene.derived["packed float32"] = pack(scene, as_float32)
-    found: Packed = scene.derived["packed float32"]
-    return found
+    return packed(scene, as_float32)
 
 
 def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:

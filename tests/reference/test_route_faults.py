@@ -87,8 +87,8 @@ ROUTE_FAULTS = (
         "one-sphere",
         r"routes: .*(caster probe|crop=)",
         IMAGES,
-        "    packed, rays = pack(scene, rounded), camera_rays(scene, threads)\n",
-        "    packed, rays = pack(scene, rounded), camera_rays(scene, threads)\n"
+        "    prims, rays = packed(scene, rounded), camera_rays(scene, threads)\n",
+        "    prims, rays = packed(scene, rounded), camera_rays(scene, threads)\n"
         "    if len(rays.o) == 1 and scene.film.crop[2] < scene.film.width:\n"
         "        x, y, _, _ = scene.film.crop\n"
         "        rays = camera_rays(scene.with_film(crop=(x + 1, y, x + 2, y + 1)), threads)\n",

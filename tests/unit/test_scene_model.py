@@ -10,8 +10,13 @@ from pydantic import ValidationError
 from caster.cameras import Orthographic, Pinhole
 from caster.description.errors import SceneError
 from caster.description.fields import Description
+from caster.geometry.packing import packed
+from caster.geometry.world_space import as_float32, as_given
+from caster.rendering import bvh_construction
+from caster.rendering.hits import trace
+from caster.rendering.images import camera_rays, trace_film
 from caster.scene.model import Ambient, Check, Diffuse, Film, Point, Scene, Shading, one_of
-from caster.shapes import SHAPES, Cube, Disk, Sphere
+from caster.shapes import SHAPES, Cube, Disk, Icosphere, Sphere
 
 CAMERA = Pinhole(eye=[0, 0, 5], look_at=[0, 0, 0])
 
@@ -112,6 +117,24 @@ def test_what_was_computed_from_a_scene_stays_with_it_alone():
     assert not scene.model_copy(update={"shapes": scene.shapes[:1]}).derived
     assert not pickle.loads(pickle.dumps(scene)).derived
     assert pickle.loads(pickle.dumps(scene)) == scene
+
+
+def test_a_scene_is_packed_and_its_bvhs_are_built_once_for_each_rounding(monkeypatch):
+    built_trees, build = [], bvh_construction.build_tree
+    monkeypatch.setattr(
+        bvh_construction, "build_tree", lambda *args: built_trees.append(args) or build(*args)
+    )
+    camera = Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
+    scene = Scene(camera=camera, film=Film(width=8, height=6), shapes=[Icosphere(subdivisions=3)])
+    rays = camera_rays(scene)
+    for rounded in (as_given, as_float32, as_given):
+        for each in (scene, scene.with_film(width=5)):
+            trace(each, rays.o, rays.d, rays.t_max, np.zeros(len(rays.o)), rounded=rounded)
+            trace_film(each, rounded=rounded, culling="bvh")
+    assert len(built_trees) == 2
+    single, double = (packed(scene, rounded).parts[0].vertices for rounded in (as_float32, as_given))
+    assert not np.array_equal(single, double) and np.array_equal(single, double.astype(np.float32))
+    assert packed(scene, lambda numbers: 2.0 * numbers).parts[0].vertices.max() == 2.0 * double.max()
 
 
 def test_a_copy_of_a_shape_elsewhere_has_its_own_matrix():

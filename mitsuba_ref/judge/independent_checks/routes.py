@@ -13,8 +13,7 @@ import numpy as np
 
 from caster import cast, occluded
 from caster.aovs import AOVS, Aovs
-from caster.geometry.packing import pack, packed
-from caster.geometry.world_space import as_given
+from caster.geometry.packing import packed
 from caster.rendering.casting import Culling
 from caster.rendering.hits import trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
@@ -237,7 +236,7 @@ def _around(rng: Rng, at: int, length: int, most: int) -> tuple[int, int]:
 
 def _other_films(scene: Scene, rng: Rng) -> Found:
     """Films as wide as tiles, or one pixel off, and portraits: `render` is the camera's rays, cast by any culling."""
-    numbers = pack(scene, as_given)
+    numbers = packed(scene)
     x0, y0, x1, y1 = scene.film.window
     rows = int(np.clip((x1 - x0) * (y1 - y0) // (FILM_SHARE * 128), 1, MAX_ROWS))
     small = (x1 - x0) * (y1 - y0) < SMALL_FILM
