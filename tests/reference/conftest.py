@@ -1,11 +1,12 @@
 """What many tests start with: Mitsuba in one process a variant, which stays, and a copy of both packages."""
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from edited_tree import Forks, copy_tree
+from edited_tree import ROOT, Forks, copy_tree
 
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import Judge, scene_judge
@@ -55,3 +56,20 @@ def forks(tmp_path_factory: pytest.TempPathFactory, unedited: Path) -> Iterator[
     forks = Forks(tmp_path_factory.mktemp("words"), memory, home=unedited)
     yield forks
     forks.close()
+
+
+# Some thousand triangles each, which plain Python takes seconds to sort; and what each has instead.
+COARSE = {"torus": "segments = 9\nsides = 5", "heightfield": "resolution = 5", "teapot": "subdivisions = 2"}
+
+
+@pytest.fixture(scope="session")
+def coarse_scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the shipped scenes, where shapes of a default resolution are coarser."""
+    folder = shutil.copytree(ROOT / "scenes", tmp_path_factory.mktemp("coarse") / "scenes")
+    for file in folder.glob("*.toml"):
+        text = file.read_text(encoding="utf-8")
+        for kind, options in COARSE.items():
+            if options.split()[0] not in text:
+                text = text.replace(f'type = "{kind}"\n', f'type = "{kind}"\n{options}\n')
+        file.write_text(text, encoding="utf-8")
+    return folder

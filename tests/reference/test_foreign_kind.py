@@ -13,8 +13,8 @@ from edited_tree import ROOT, edit, run_with
 
 COINS = """
 [film]
-width = 24
-height = 17
+width = 12
+height = 9
 
 [camera]
 type = "pinhole"
@@ -63,7 +63,7 @@ def test_a_foreign_kind_is_rendered_judged_reported_and_probed(coins):
     assert "PASS  coins" in found.stdout and (coins / "report/index.html").stat().st_size > 10_000
     (scene,) = json.loads((coins / "verdict.json").read_text())["scenes"]
     assert scene["statistics"]["biases"][0]["kind"] == "Coins"
-    probed = run_with(coins, "probe", str(coins / "coins.toml"), "12", "8")
+    probed = run_with(coins, "probe", str(coins / "coins.toml"), "6", "4")
     assert (probed.returncode, probed.stderr) == (0, "")
     assert "coins.toml: agree" in probed.stdout and "hit             shape-1" in probed.stdout
 
@@ -92,7 +92,7 @@ def test_a_mistake_in_a_foreign_kind_is_found(coins, old, new, says):
 
 
 def test_a_foreign_camera_is_judged_and_a_mistake_in_it_is_found(coins):
-    scanned = COINS.replace('"pinhole"', '"scanner"\nspacing = 0.17')
+    scanned = COINS.replace('"pinhole"', '"scanner"\nspacing = 0.34')
     (coins / "scanned.toml").write_text(scanned, encoding="utf-8")
     found = run_with(coins, "validate", str(coins / "scanned.toml"))
     assert (found.returncode, found.stderr) == (0, "") and "PASS  scanned" in found.stdout, found.stdout

@@ -5,12 +5,11 @@ Each scene passes in an unedited copy, so it is the fault that fails it.
 
 import re
 import shlex
-import shutil
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-from edited_tree import ROOT, copy_tree, edit
+from edited_tree import copy_tree, edit
 from intersection_faults import LEAF_OF_PACKET
 
 from caster.image.exr import read_exr, write_exr
@@ -813,18 +812,6 @@ def tree(unedited, tmp_path):
     return copy_tree(tmp_path, unedited)
 
 
-@pytest.fixture(scope="session")
-def scenes(tmp_path_factory):
-    """The shipped ones with coarse tori: one of 4,096 triangles takes plain Python seconds, and shows no more."""
-    folder = shutil.copytree(ROOT / "scenes", tmp_path_factory.mktemp("scenes") / "scenes")
-    torus = 'type = "torus"\n'
-    for file in folder.glob("*.toml"):
-        text = file.read_text(encoding="utf-8")
-        if torus in text and "segments" not in text:
-            file.write_text(text.replace(torus, torus + "segments = 9\nsides = 5\n"), encoding="utf-8")
-    return folder
-
-
 def validate(forks, tree, scene, size):
     """What `validate` says, with its exit code; an internal error is no verdict."""
     found = forks.run(tree, "validate", str(scene), "--size", *size, "-j", "1")
@@ -833,16 +820,16 @@ def validate(forks, tree, scene, size):
 
 
 @pytest.mark.parametrize(("scene", "width", "height"), CASES)
-def test_without_a_fault_the_scene_passes(forks, unedited, scenes, scene, width, height):
-    found = validate(forks, unedited, scenes / f"{scene}.toml", (width, height))
+def test_without_a_fault_the_scene_passes(forks, unedited, coarse_scenes, scene, width, height):
+    found = validate(forks, unedited, coarse_scenes / f"{scene}.toml", (width, height))
     assert (found.returncode, found.stderr) == (0, ""), found.stdout
     assert f"PASS  {scene} " in found.stdout and "FAIL" not in found.stdout
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.what)
-def test_a_planted_fault_fails_by_the_check_it_offends(forks, tree, scenes, fault):
+def test_a_planted_fault_fails_by_the_check_it_offends(forks, tree, coarse_scenes, fault):
     edit(tree, fault.file, fault.old, fault.new)
-    found = validate(forks, tree, scenes / f"{fault.scene}.toml", fault.size)
+    found = validate(forks, tree, coarse_scenes / f"{fault.scene}.toml", fault.size)
     assert found.returncode == 1, f"this passes: {fault.what}\n{found.stdout}"
     assert re.search(rf"^FAIL  {fault.scene}  {fault.check}: ", found.stdout, re.MULTILINE), found.stdout
     again = re.findall(r"^      replay:    mitsuba-ref (.*)", found.stdout, re.MULTILINE)
@@ -858,10 +845,10 @@ CLASS_OF = {
 
 
 @pytest.mark.parametrize("what", CLASS_OF)
-def test_the_replay_of_a_pixel_shows_its_failure_again(forks, tree, scenes, what):
+def test_the_replay_of_a_pixel_shows_its_failure_again(forks, tree, coarse_scenes, what):
     (fault,) = (fault for fault in FAULTS if fault.what == what)
     edit(tree, fault.file, fault.old, fault.new)
-    found = validate(forks, tree, scenes / f"{fault.scene}.toml", fault.size)
+    found = validate(forks, tree, coarse_scenes / f"{fault.scene}.toml", fault.size)
     (again,) = re.findall(r"^      replay:    mitsuba-ref (probe .*)", found.stdout, re.MULTILINE)
     shown = forks.run(tree, *shlex.split(again))
     assert (shown.returncode, shown.stderr) == (1, "")

@@ -232,10 +232,17 @@ def verdicts(tmp_path: Path) -> list[dict]:
     return [{name: value for name, value in scene.items() if name not in times} for scene in found]
 
 
-@pytest.mark.parametrize("at", [1, 2, 3])
-def test_verdicts_are_equal_when_the_resident_dies_at_any_scene(tmp_path, plant, monkeypatch, at):
-    with monkeypatch.context() as residents_fail:
+@pytest.fixture(scope="module")
+def verdicts_without_residents(tmp_path_factory) -> list[dict]:
+    """Each scene with a process of its own."""
+    with pytest.MonkeyPatch.context() as residents_fail:
         residents_fail.setattr(messages, "CHILD_COMMAND", (sys.executable, "-c", "raise SystemExit(1)"))
-        expected = verdicts(tmp_path)
+        return verdicts(tmp_path_factory.mktemp("alone"))
+
+
+@pytest.mark.parametrize("at", [1, 2, 3])
+def test_verdicts_are_equal_when_the_resident_dies_at_any_scene(
+    tmp_path, plant, verdicts_without_residents, at
+):
     plant("os.kill(os.getpid(), signal.SIGKILL)", at)
-    assert verdicts(tmp_path) == expected
+    assert verdicts(tmp_path) == verdicts_without_residents

@@ -246,8 +246,8 @@ def test_a_failure_is_in_json_and_junit_with_where_and_why(tmp_path):
     assert "1 of 2 scenes pass" in (tmp_path / "html/index.html").read_text(encoding="utf-8")
 
 
-def test_the_evidence_of_every_kind_of_shape_crosses_processes(ref, tmp_path):
-    found = ref("validate", ROOT / "scenes/every-shape.toml", *SIZE, "--html", tmp_path)
+def test_the_evidence_of_every_kind_of_shape_crosses_processes(ref, coarse_scenes, tmp_path):
+    found = ref("validate", coarse_scenes / "every-shape.toml", *SIZE, "--html", tmp_path)
     assert found.returncode == 0, found.stdout
     assert (tmp_path / "data/every-shape.js").stat().st_size > 10_000
 
