@@ -7,13 +7,14 @@ import json
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, mesh_dir_options
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
-from mitsuba_ref.cli.options import add_selection, selected_entries
+from mitsuba_ref.cli.options import add_selection, add_timeout, selected_entries
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.approval import Proposal, ReferenceCheck
@@ -120,6 +121,7 @@ MAX_NAMES_IN_COMMAND = 4  # more are not listed in the command that approves the
 
 def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
     add_references(parser, OutputFolder)
+    add_timeout(parser)
     parser.add_argument(
         "--update",
         choices=MODES,
@@ -171,13 +173,15 @@ def run_approve(args: argparse.Namespace) -> int:
     folder = Path(args.references)
     from caster.system.atomic_files import check_folder
     from mitsuba_ref.exr_compare.approval import Proposal, propose, unused_references
+    from mitsuba_ref.exr_compare.approved_reference import render_fresh
     from mitsuba_ref.runner.scene_runner import map_in_order, problem_of
 
     def proposal_of(entry: Entry) -> Proposal:
         command = approve_command(args, entry.path)
         try:
             scene = entry.load().scene
-            return propose(scene, entry.name, entry.path, folder, args.update, args.variant, command)
+            render = partial(render_fresh, variant=args.variant, command=command, timeout=args.timeout)
+            return propose(scene, entry.name, entry.path, folder, args.update, render)
         except (SceneError, MemoryError) as error:
             return Proposal(
                 entry.name,

@@ -14,7 +14,7 @@ from caster.cli.shared_arguments import OutputFile, add_pixel, add_scene, load
 from caster.description.errors import error_prefix
 from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import printable
-from mitsuba_ref.cli.options import add_candidate, candidate_words, requested_candidate
+from mitsuba_ref.cli.options import add_candidate, add_timeout, candidate_words, requested_candidate
 
 if TYPE_CHECKING:
     from caster.scene.model import Scene
@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=OutputFile,
         help="draw the pixel's surroundings: classes, edges in it, and beside its ray",
     )
+    add_timeout(parser)
     add_candidate(parser, "one more witness: another ray caster (docs/candidates.md)")
 
 
@@ -54,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     from mitsuba_ref.probe.pixel import as_text, probe_with_evidence
 
     with error_prefix(args.scene):
-        found, probed = probe_with_evidence(scene, args.x, args.y, candidate)
+        found, probed = probe_with_evidence(scene, args.x, args.y, candidate, args.timeout)
     try:
         write_files(args, scene, found, probed)
     finally:  # last, since a reader of the pipe may close it early

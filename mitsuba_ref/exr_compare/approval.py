@@ -1,6 +1,6 @@
 """Comparison of a scene with its approved reference, and proposals of new references."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -219,16 +219,18 @@ class Proposal(NamedTuple):
 
 
 def propose(
-    scene: Scene, name: str, source: str, folder: Path, mode: str, variant: str | None, command: str
+    scene: Scene,
+    name: str,
+    source: str,
+    folder: Path,
+    mode: str,
+    render: Callable[[Scene, str], Reference | Crash],
 ) -> Proposal:
-    """Render the scene unless nothing would be written, and compare with the stored reference.
-
-    source: the scene's file; command: the one that renders this reference again, recorded in it.
-    """
+    """Render the scene unless nothing would be written, and compare with the stored reference. source: its file."""
     path = folder / f"{name}.exr"
     if mode == MISSING and path.exists():
         return Proposal(name, path, "kept", False, ("it exists; --update missing compares nothing",))
-    fresh = render_fresh(scene, source, variant=variant, command=command)
+    fresh = render(scene, source)
     if isinstance(fresh, Crash):
         why = f"Mitsuba ended without an answer ({fresh.exit}): {fresh.headline}"
         return Proposal(name, path, "failed", False, (why,))

@@ -19,6 +19,7 @@ from mitsuba_ref.judge.comparison import pair_images
 from mitsuba_ref.judge.verdict import EXCUSED, TIE
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rendering import aovs_of, trace_reference
+from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.shared_input import model_of, shared_rays
 from mitsuba_ref.report import evidence
 from mitsuba_ref.subjects.subject import answer_of_view, cast_ours
@@ -70,12 +71,15 @@ class Reference:
         write_exr(path, self.channels, about, data_window=self.window, display_window=self.film)
 
 
-def render_fresh(scene: Scene, path: str, *, variant: str | None, command: str) -> Reference | Crash:
-    """A fresh one. path, command: recorded without folders, so that every machine writes the same bytes."""
+def render_fresh(
+    scene: Scene, path: str, *, variant: str | None, command: str, timeout: float = DEFAULT_TIMEOUT
+) -> Reference | Crash:
+    """A fresh one. path, command: recorded without folders, so that every machine writes the same bytes; command: the
+    one that renders it again. timeout: seconds for Mitsuba's answer."""
     rays = shared_rays(scene)
     view = cast_ours(scene, rays)
     model = model_of(scene, view.packed, rays)
-    witness = trace_reference(scene, model, rays, variant=variant)
+    witness = trace_reference(scene, model, rays, variant=variant, timeout=timeout)
     if isinstance(witness, Crash):
         return witness
     shape = film_window(scene).height, film_window(scene).width

@@ -20,6 +20,7 @@ from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.probe.candidate_pixel import CANDIDATE_QUANTITIES, CandidatePixel, probe_candidate
 from mitsuba_ref.probe.witnesses import WitnessAnswer, witness_answers, witness_lines, witness_record
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
 from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.subject import COMPARED_AOVS, Subject
@@ -83,24 +84,37 @@ class ProbeEvidence(NamedTuple):
     judgement: Judgement
 
 
+# Stand-ins are cut to the rays of the whole film; of a larger film, to those of a smaller one with the same view, so
+# that one pixel does not cost what the film does.
+STAND_IN_PIXELS = 1 << 20
+
+
+def stand_in_rays(scene: Scene) -> SharedRays | None:
+    """The rays that stand-ins of a scene are cut to; None where it has none."""
+    if not any(reference_of(shape).stand_in_note for shape in scene.shapes):
+        return None
+    width, height = scene.film.width, scene.film.height
+    shrink = min(1.0, (STAND_IN_PIXELS / (width * height)) ** 0.5)
+    width, height = (max(1, int(side * shrink)) for side in (width, height))
+    return shared_rays(scene.with_film(width=width, height=height, crop=(0, 0, width, height)))
+
+
 def probe(scene: Scene, x: int, y: int, candidate: Subject | None = None) -> PixelVerdict:
     """Judge one pixel, of a candidate as well if there is one. Raises SceneError for one outside the film."""
     return probe_with_evidence(scene, x, y, candidate)[0]
 
 
 def probe_with_evidence(
-    scene: Scene, x: int, y: int, candidate: Subject | None = None
+    scene: Scene, x: int, y: int, candidate: Subject | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> tuple[PixelVerdict, ProbeEvidence | Crash]:
-    """The same, with what it rests on."""
+    """The same, with what it rests on. timeout: seconds for Mitsuba's answer."""
     film = scene.film
     if not (0 <= x < film.width and 0 <= y < film.height):
         inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
         raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
-    whole = None
-    if any(reference_of(shape).stand_in_note for shape in scene.shapes):  # stand-ins are cut to all rays
-        whole = shared_rays(scene.with_film(crop=(0, 0, film.width, film.height)))
+    whole = stand_in_rays(scene)
     asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
-    judge = scene_judge(scene, whole=whole)
+    judge = scene_judge(scene, whole=whole, timeout=timeout)
     if isinstance(judge, Crash):
         problem = judge.message
         return PixelVerdict(

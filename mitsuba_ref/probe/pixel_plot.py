@@ -16,6 +16,7 @@ from caster.rendering.images import trace_film
 from caster.scene.model import MAX_FILM_SIDE, Scene
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, scene_judge
 from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED
+from mitsuba_ref.probe.pixel import stand_in_rays
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
@@ -76,8 +77,7 @@ def draw_classes(ax: Any, scene: Scene, x: int, y: int) -> dict[str, str]:
     film = scene.film
     x0, y0 = max(0, x - NEIGHBOR_PIXELS), max(0, y - NEIGHBOR_PIXELS)
     x1, y1 = min(film.width, x + NEIGHBOR_PIXELS + 1), min(film.height, y + NEIGHBOR_PIXELS + 1)
-    whole = shared_rays(scene.with_film(crop=(0, 0, film.width, film.height)))  # as `probe` does
-    judge = scene_judge(scene.with_film(crop=(x0, y0, x1, y1)), whole=whole)
+    judge = scene_judge(scene.with_film(crop=(x0, y0, x1, y1)), whole=stand_in_rays(scene))
     if isinstance(judge, Crash):
         classes, hit = np.full((y1 - y0, x1 - x0), CLASS_CODE[UNDECIDED]), np.ones((y1 - y0, x1 - x0), bool)
     else:

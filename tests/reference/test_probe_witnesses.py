@@ -8,6 +8,7 @@ import pytest
 
 import caster
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.probe.pixel import STAND_IN_PIXELS, stand_in_rays
 from mitsuba_ref.probe.pixel_plot import RAYS_ACROSS_PIXEL, Patch, beside, draw_inside, outline
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
 
@@ -26,6 +27,32 @@ type = "icosphere"
 name = "ball"
 subdivisions = 1
 """
+
+
+@pytest.mark.parametrize(("width", "height"), [(40, 30), (20000, 20000), (60000, 7)])
+def test_one_pixel_does_not_cost_what_the_film_does(width, height):
+    """A plane's patch is cut to the film's rays, of a larger film to as many with the same view."""
+    view = {
+        "camera": caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)),
+        "film": {"width": width, "height": height},
+    }
+    assert stand_in_rays(caster.Scene(shapes=[caster.Sphere()], **view)) is None
+    rays = stand_in_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view))
+    assert len(rays.d) <= STAND_IN_PIXELS
+    small = width * height == 40 * 30
+    whole = shared_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view)) if small else rays
+    assert np.array_equal(rays.d, whole.d) and (not small or len(rays.d) == width * height)
+
+
+@pytest.mark.parametrize("words", [("probe", "0", "0"), ("approve", "--yes", "--references", "refs")])
+def test_mitsuba_may_be_given_less_time(tmp_path, monkeypatch, capsys, words):
+    """A row that says so, exit code 1, and no folder."""
+    (tmp_path / "edge.toml").write_text(EDGE)
+    monkeypatch.chdir(tmp_path)
+    command, *rest = words
+    assert main([command, "edge.toml", *rest, "--timeout", "0.001"]) == 1
+    assert "Mitsuba ended without an answer (killed after 0.001 s)" in capsys.readouterr().out
+    assert not (tmp_path / "refs").exists()
 
 
 @pytest.fixture(scope="module")
