@@ -1,4 +1,5 @@
-/* A ray caster: every triangle, in double. cc -O2 -std=c99 -o caster caster.c -lm; caster MESH.raw RAYS.raw HITS.raw */
+/* A ray caster: every triangle, in double. cc -O2 -std=c99 -o caster caster.c -lm; caster MESH.raw RAYS.raw HITS.raw,
+   or caster alone, for --candidate-serve */
 #include "rays_and_hits.h"
 #include <math.h>
 
@@ -8,12 +9,7 @@ static void cross(const double *a, const double *b, double *c) {
 
 static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-int main(int count, char **words) {
-    if (count != 4) return fprintf(stderr, "expected MESH.raw RAYS.raw HITS.raw\n"), 2;
-    Mesh mesh = rh_mesh(words[1]);
-    size_t n;
-    Ray *rays = rh_rays(words[2], &n);
-    Hit *hits = calloc(n ? n : 1, sizeof(Hit));
+static void cast(Mesh mesh, const Ray *rays, Hit *hits, size_t n) {
     for (size_t i = 0; i < n; i++) {
         double best = INFINITY, o[3], d[3];
         for (int k = 0; k < 3; k++) o[k] = rays[i].o[k], d[k] = rays[i].d[k];
@@ -35,6 +31,27 @@ int main(int count, char **words) {
         }
         hits[i].t = (float)best;
     }
-    rh_write(words[3], hits, n);
+}
+
+int main(int count, char **words) {
+    size_t n, size;
+    if (count == 4) {
+        Mesh mesh = rh_mesh(words[1]);
+        Ray *rays = rh_rays(words[2], &n);
+        Hit *hits = calloc(n ? n : 1, sizeof(Hit));
+        cast(mesh, rays, hits, n);
+        rh_write(words[3], hits, n);
+        return 0;
+    }
+    if (count != 1) return fprintf(stderr, "expected MESH.raw RAYS.raw HITS.raw, or nothing\n"), 2;
+    for (char *data; (data = rh_block(&size)) != NULL;) {
+        Ray *rays = rh_block(&size);
+        if (!rays) return 1;
+        n = size / sizeof(Ray);
+        Hit *hits = calloc(n ? n : 1, sizeof(Hit));
+        cast(rh_mesh_in(data), rays, hits, n);
+        rh_respond(hits, n);
+        free(hits), free(rays), free(data);
+    }
     return 0;
 }

@@ -1,4 +1,4 @@
-/* Rays in, hits out: reads {rays.raw} and {mesh.raw}, writes {hits.raw}. C99, little-endian machines, no dependency. */
+/* Rays in, hits out: {mesh.raw}, {rays.raw} and {hits.raw} as files, or over stdin and stdout (--candidate-serve). C99, little-endian machines, no dependency. */
 #ifndef RAYS_AND_HITS_H
 #define RAYS_AND_HITS_H
 #include <stdint.h>
@@ -31,14 +31,17 @@ static Ray *rh_rays(const char *path, size_t *count) {
     return rays;
 }
 
-static Mesh rh_mesh(const char *path) {
-    size_t size;
-    char *data = rh_read(path, &size);
+static Mesh rh_mesh_in(char *data) {
     Mesh mesh;
     memcpy(&mesh, data, 16);
     mesh.v = (float *)(data + 16);
     mesh.f = (int32_t *)(mesh.v + 3 * mesh.vertices);
     return mesh;
+}
+
+static Mesh rh_mesh(const char *path) {
+    size_t size;
+    return rh_mesh_in(rh_read(path, &size));
 }
 
 static void rh_write(const char *path, const Hit *hits, size_t count) {
@@ -47,5 +50,21 @@ static void rh_write(const char *path, const Hit *hits, size_t count) {
         fprintf(stderr, "%s: cannot be written\n", path);
         exit(1);
     }
+}
+
+/* --candidate-serve: the next block of a request, NULL at the end of stdin; free() it. */
+static void *rh_block(size_t *size) {
+    int64_t length;
+    void *data;
+    if (fread(&length, 8, 1, stdin) != 1) return NULL;
+    *size = (size_t)length;
+    data = malloc(*size ? *size : 1);
+    if (data && fread(data, 1, *size, stdin) == *size) return data;
+    exit(1);
+}
+
+static void rh_respond(const Hit *hits, size_t count) {
+    int64_t length = (int64_t)(count * sizeof(Hit));
+    if (fwrite(&length, 8, 1, stdout) != 1 || fwrite(hits, sizeof(Hit), count, stdout) != count || fflush(stdout)) exit(1);
 }
 #endif

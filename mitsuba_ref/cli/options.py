@@ -153,6 +153,10 @@ def add_store(parser: argparse.ArgumentParser) -> None:
 # ---- a candidate ----
 
 
+class ServedProgram(str):
+    """The command of --candidate-serve."""
+
+
 def add_candidate(
     parser: argparse.ArgumentParser,
     title: str = "another ray caster, judged in place of ours (docs/candidates.md)",
@@ -168,6 +172,13 @@ def add_candidate(
         help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
         "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or one that reads "
         "rays and writes hits, such as 'my-caster {mesh} {rays} {hits}' (docs/rays-and-hits.md)",
+    )
+    group.add_argument(
+        "--candidate-serve",
+        dest="candidate",
+        type=ServedProgram,
+        metavar="PROG",
+        help="a program that is started once and answers over stdin and stdout (docs/rays-and-hits.md)",
     )
     group.add_argument(
         "--candidate-precision",
@@ -200,14 +211,16 @@ def requested_candidate(args: argparse.Namespace) -> Subject | None:
         )
     from mitsuba_ref.subjects.requests import parse_candidate
 
-    return parse_candidate(args.candidate, args.candidate_precision, args.candidate_timeout)
+    served = isinstance(args.candidate, ServedProgram)
+    return parse_candidate(args.candidate, args.candidate_precision, args.candidate_timeout, served=served)
 
 
 def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
     """These options as words of a command line, for a replay with the same candidate; () without one."""
     if getattr(args, "candidate", None) is None:
         return ()
-    words = ["--candidate", args.candidate]
+    option = "--candidate-serve" if isinstance(args.candidate, ServedProgram) else "--candidate"
+    words = [option, str(args.candidate)]
     if args.candidate_precision is not None:
         words += ["--candidate-precision", args.candidate_precision]
     if args.candidate_timeout != CANDIDATE_SECONDS:

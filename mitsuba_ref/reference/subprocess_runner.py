@@ -1,9 +1,10 @@
 """Subprocess runner: child processes with a deadline, captured output and nothing left behind.
 
-Three ways to run a command share one start and one end:
+Four ways to run a command share one start and one end:
 
 - `run`: one-shot. Returns a `ProcessEnd`; a crash, a signal or a missed deadline is a result, not an exception.
 - `ResidentProcess`: a child that stays and answers requests, one line each. Its end is raised as `ProcessEnded`.
+- `BinaryProcess`: a child of somebody else that stays and answers requests in bytes, on its stdin and stdout.
 - `run_attached`: a child on this process's own terminal, which reports its result through a pipe.
 
 Each child leads a process group, which is killed when the run ends, so that nothing it started survives. Captured
@@ -231,6 +232,98 @@ class ResidentProcess:
         self._output.close()
 
 
+class UnexpectedReply(Exception):  # noqa: N818 - an outcome, not a mistake of the program
+    """Bytes of a child that are no reply; the text states what was expected."""
+
+
+HEAD_BYTES = 8  # of a reply in bytes: its length
+
+
+class BinaryProcess:
+    """A child that reads requests from its stdin and writes replies to its stdout; its stderr is captured."""
+
+    def __init__(self, command: Sequence[str]) -> None:
+        """Raises OSError, ProcessEnded where it cannot be started."""
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
+        try:
+            self.process = _start(
+                command,
+                self._output,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                cwd=None,
+                environment=None,
+            )
+        except BaseException:
+            self._output.close()
+            raise
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self._stdin, self._stdout = self.process.stdin.fileno(), self.process.stdout.fileno()
+        os.set_blocking(self._stdin, False)
+
+    @property
+    def alive(self) -> bool:
+        return not self._output.closed and self.process.poll() is None
+
+    def request(self, data: bytes, timeout: float, length_of: Callable[[bytes], int]) -> bytes:
+        """Send `data`; the reply: HEAD_BYTES, and as many more as length_of says of them.
+
+        Raises ProcessEnded, and UnexpectedReply, which length_of may raise; the process is closed then.
+        """
+        begin = time.monotonic()
+        try:
+            return self._exchange(data, begin, timeout, length_of)
+        except BaseException:
+            self.close()
+            raise
+
+    def _exchange(
+        self, data: bytes, begin: float, timeout: float, length_of: Callable[[bytes], int]
+    ) -> bytes:
+        left, reply, expected = memoryview(data), bytearray(), HEAD_BYTES
+        while left or len(reply) < expected:
+            seconds = max(begin + timeout - time.monotonic(), 0.0)
+            readable, writable, _ = select.select([self._stdout], [self._stdin] if left else [], [], seconds)
+            if not readable and not writable:
+                raise ProcessEnded(self._ended(begin, late=True))
+            if readable:
+                received = os.read(self._stdout, 1 << 16)
+                if not received:
+                    raise ProcessEnded(self._ended(begin))
+                reply += received
+            elif writable:
+                try:
+                    left = left[os.write(self._stdin, left[: 1 << 16]) :]
+                except BrokenPipeError:
+                    raise ProcessEnded(self._ended(begin)) from None
+            if len(reply) >= HEAD_BYTES and expected == HEAD_BYTES:
+                expected += length_of(bytes(reply[:HEAD_BYTES]))
+        if len(reply) > expected:
+            raise UnexpectedReply(f"{len(reply) - expected} bytes more than it announced")
+        return bytes(reply)
+
+    def _ended(self, begin: float, *, late: bool = False) -> ProcessEnd:
+        code: int | None = None
+        if not late:
+            try:
+                code = self.process.wait(REAP_SECONDS)
+            except subprocess.TimeoutExpired:
+                code = -signal.SIGKILL
+        _kill_and_reap(self.process)
+        return ProcessEnd(code, captured(self._output), time.monotonic() - begin)
+
+    def close(self) -> None:
+        """Kill it and close its pipes and files; a second call does nothing."""
+        if self._output.closed:
+            return
+        _kill_and_reap(self.process)
+        for pipe in (self.process.stdin, self.process.stdout):
+            assert pipe is not None
+            with contextlib.suppress(OSError):
+                pipe.close()
+        self._output.close()
+
+
 class AttachedEnd(NamedTuple):
     """How an attached process ended: its exit code, None if it was killed after an interruption; and its report."""
 
@@ -336,9 +429,13 @@ def _start(
     stdin: int,
     cwd: str | Path | None,
     environment: Mapping[str, str] | None,
+    stdout: int | None = None,
     pass_fds: Sequence[int] = (),
 ) -> subprocess.Popen[bytes]:
-    """Start a command in a session of its own. Raises ProcessEnded while starts are refused, and OSError."""
+    """Start a command in a session of its own. stdout: where that goes in place of `output`.
+
+    Raises ProcessEnded while starts are refused, and OSError.
+    """
     with _starting:
         if _starts_refused.is_set():
             raise ProcessEnded(ProcessEnd(-signal.SIGKILL, "stopped before it began", 0.0))
@@ -347,8 +444,8 @@ def _start(
             cwd=cwd,
             env={**os.environ, **(environment or {}), PARENT_VARIABLE: str(os.getpid())},
             stdin=stdin,
-            stdout=output,
-            stderr=subprocess.STDOUT,
+            stdout=output if stdout is None else stdout,
+            stderr=output,
             pass_fds=pass_fds,
             start_new_session=True,  # Ctrl-C is for this process, which then ends that one
         )

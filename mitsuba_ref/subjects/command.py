@@ -1,11 +1,14 @@
-"""Candidates that are programs: one reads our scene and writes an EXR file, or reads rays and writes hits."""
+"""Candidates that are programs: they read our scene and write an EXR file, or read rays and write hits."""
 
+import atexit
 import shlex
 import shutil
 import string
+import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +22,14 @@ from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.intersections import dot, norm
 from mitsuba_ref.error_model.tolerances import KU, U32
 from mitsuba_ref.reference.shared_input import export, pixel_of
-from mitsuba_ref.reference.subprocess_runner import exit_name, run
+from mitsuba_ref.reference.subprocess_runner import (
+    BinaryProcess,
+    ProcessEnd,
+    ProcessEnded,
+    UnexpectedReply,
+    exit_name,
+    run,
+)
 from mitsuba_ref.subjects.ray_files import (
     HIT_COLUMNS,
     answer_of_hits,
@@ -61,7 +71,7 @@ def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ..
     except ValueError as error:
         raise SceneError(f"--candidate {text!r}: {error}") from error
     try:
-        fields = [field for word in words for field in string.Formatter().parse(word) if field[1] is not None]
+        fields = [each for word in words for each in string.Formatter().parse(word) if each[1] is not None]
     except ValueError as error:
         raise SceneError(f"--candidate {text!r}: {error}; {ESCAPE_BRACES_HINT}") from error
     for _, name, form, conversion in fields:
@@ -139,6 +149,11 @@ def run_program(words: list[str], seconds: float) -> None:
         end = run(words, seconds)
     except OSError as error:
         raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
+    raise_if_failed(end, seconds)
+
+
+def raise_if_failed(end: ProcessEnd, seconds: float) -> None:
+    """Raise NoAnswer for a program that was killed at its deadline, or ended with another code than 0."""
     if end.code is None:
         raise NoAnswer(f"killed after {seconds:g} s{_output_tail(end.output)}")
     if end.code == UNSUPPORTED_CODE:
@@ -288,10 +303,7 @@ class RayCommand:
 
     def answer(self, request: CastRequest) -> Answer:
         """Write rays and scene, run the program, read its hits. Raises NoAnswer."""
-        folder, rays = request.folder, request.rays
-        there = rays.t_max >= 0.0
-        rows = np.column_stack([rays.o, rays.d, np.zeros(len(there)), rays.t_max])[there]
-        rows = rows.astype("<f8" if self.precision == FLOAT64 else "<f4")
+        folder, rows = request.folder, ray_rows(request, self.precision)
         names = {"rays": ArrayPath(folder / "rays.npy"), "hits": ArrayPath(folder / "hits.npy")}
         np.save(names["rays"], rows)
         write_bytes(Path(names["rays"].raw), rows.tobytes())
@@ -303,17 +315,7 @@ class RayCommand:
         for path in (names["hits"], names["hits"].raw):  # of an earlier request
             Path(path).unlink(missing_ok=True)
         run_program([word.format(**names) for word in self.words], self.seconds)
-        hits = self._hits(names["hits"], len(rows))
-        prim = hits.pop("prim_id", None)
-        found = answer_of_hits(hits, len(rows), self)
-        if prim is not None:  # numbered through all triangles of {mesh}
-            packed = request.model.packed
-            known = np.where(found.hit & (prim >= 0) & (prim < packed.first[-1]), prim, -1)
-            found = replace(found, shape_id=packed.shape_of(known), prim_id=packed.index_in_shape(known))
-        found = spread_answer(found, there)
-        beyond = "a hit beyond t_max"
-        late = found.hit & (found.t > rays.t_max.astype(np.float64))
-        return replace(found, broken={**found.broken, **({beyond: late} if late.any() else {})})
+        return answer_of_rows(self._hits(names["hits"], len(rows)), request, self)
 
     def _hits(self, path: ArrayPath, count: int) -> dict[str, np.ndarray]:
         try:
@@ -323,12 +325,106 @@ class RayCommand:
             data = Path(path.raw).read_bytes()
         except (OSError, FileMissing) as error:
             raise NoAnswer(f"the program ended well, but its hits cannot be read: {error}") from error
+        return raw_hits(data, count, self.precision, "{hits.raw}")
+
+
+def ray_rows(request: CastRequest, precision: str | None) -> np.ndarray:
+    """(n, 8) the rays that there are, little-endian."""
+    rays = request.rays
+    rows = np.column_stack([rays.o, rays.d, np.zeros(len(rays.t_max)), rays.t_max])[rays.t_max >= 0.0]
+    return rows.astype("<f8" if precision == FLOAT64 else "<f4")
+
+
+def raw_hits(data: bytes, count: int, precision: str | None, where: str) -> dict[str, np.ndarray]:
+    """Arrays of `count` rows of hits without a header. Raises NoAnswer."""
+    size = 8 if precision == FLOAT64 else 4
+    columns, left = divmod(len(data), count * size) if count else (1, len(data))
+    if left or columns not in HIT_COLUMNS:
+        known = ", ".join(f"{count * each * size} for {what}" for each, what in HIT_COLUMNS.items())
+        raise NoAnswer(f"{where}: expected bytes of {count} rows: {known}; got {len(data)}")
+    return hit_columns(np.frombuffer(data, f"<f{size}").reshape(count, columns), where)
+
+
+def answer_of_rows(
+    hits: dict[str, np.ndarray], request: CastRequest, of: "RayCommand | ServedCommand"
+) -> Answer:
+    """The answer to a request from the hits of its rays; prim is numbered through all triangles. Raises NoAnswer."""
+    there = request.rays.t_max >= 0.0
+    prim = hits.pop("prim_id", None)
+    found = answer_of_hits(hits, int(there.sum()), of)
+    if prim is not None:
+        packed = request.model.packed
+        known = np.where(found.hit & (prim >= 0) & (prim < packed.first[-1]), prim, -1)
+        found = replace(found, shape_id=packed.shape_of(known), prim_id=packed.index_in_shape(known))
+    found = spread_answer(found, there)
+    beyond = "a hit beyond t_max"
+    late = found.hit & (found.t > request.rays.t_max.astype(np.float64))
+    return replace(found, broken={**found.broken, **({beyond: late} if late.any() else {})})
+
+
+# ---- a program that stays, and answers over stdin and stdout ----
+
+DECLINED = -1  # in place of the length of a response: the program lacks something that the scene has
+
+
+@dataclass(frozen=True)
+class ServedCommand:
+    """A program that is started once: it reads meshes and rays from stdin and writes hits to stdout."""
+
+    name: str
+    words: tuple[str, ...]
+    precision: str | None
+    seconds: float
+    reads_xml: bool = False
+    takes_rays: bool = True
+    any_hit: bool = False
+    running: list[BinaryProcess] = field(default_factory=list, compare=False)  # at most one
+    turn: Any = field(default_factory=threading.Lock, compare=False)  # scenes are judged several at a time
+
+    def answer(self, request: CastRequest) -> Answer:
+        """Send triangles and rays, read hits; a program that has ended is started again. Raises NoAnswer."""
+        mesh = Path(write_mesh(request.folder / "mesh.ply", request.model.packed).raw).read_bytes()
+        rows = ray_rows(request, self.precision)
+        data = b"".join(length_first(each) for each in (mesh, rows.tobytes()))
+        with self.turn:
+            reply = self._reply(data, len(rows))
+        if int.from_bytes(reply[:8], "little", signed=True) == DECLINED:
+            raise Unsupported("the program declined the scene")
+        return answer_of_rows(raw_hits(reply[8:], len(rows), self.precision, "its response"), request, self)
+
+    def _reply(self, data: bytes, count: int) -> bytes:
         size = 8 if self.precision == FLOAT64 else 4
-        columns, left = divmod(len(data), count * size)
-        if left or columns not in HIT_COLUMNS:
-            known = ", ".join(f"{count * each * size} for {what}" for each, what in HIT_COLUMNS.items())
-            raise NoAnswer(f"{{hits.raw}}: expected bytes of {count} rows: {known}; got {len(data)}")
-        return hit_columns(np.frombuffer(data, f"<f{size}").reshape(count, columns), "{hits.raw}")
+        lengths = {count * size * columns: what for columns, what in HIT_COLUMNS.items()}
+
+        def length_of(head: bytes) -> int:
+            length = int.from_bytes(head, "little", signed=True)
+            if length != DECLINED and length not in lengths:
+                known = ", ".join(f"{each} for {what}" for each, what in lengths.items())
+                raise UnexpectedReply(
+                    f"its response starts with the bytes {head!r}, as an int64 {length}; expected the length of "
+                    f"{count} rows: {known}; or {DECLINED} to decline the scene. Only responses go to stdout"
+                )
+            return max(length, 0)
+
+        try:
+            if not self.running or not self.running[0].alive:
+                self.running[:] = [BinaryProcess(self.words)]
+                atexit.register(self.running[0].close)
+            return self.running[0].request(data, self.seconds, length_of)
+        except OSError as error:
+            raise NoAnswer(f"{self.words[0]} could not be started: {error.strerror}") from error
+        except UnexpectedReply as error:
+            raise NoAnswer(f"the program gave no answer to read: {error}") from error
+        except ProcessEnded as ended:
+            raise_if_failed(ended.end, self.seconds)
+            raise NoAnswer(
+                f"the program ended before its response was whole{_output_tail(ended.end.output)}"
+            ) from None
+
+
+def length_first(data: bytes) -> bytes:
+    """The bytes behind their number, as int64."""
+    return len(data).to_bytes(8, "little") + data
 
 
 def write_mesh(path: Path, packed: Packed) -> ArrayPath:

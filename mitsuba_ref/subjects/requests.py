@@ -17,6 +17,7 @@ from mitsuba_ref.subjects.command import (
     PLACEHOLDERS,
     RAY_PLACEHOLDERS,
     RayCommand,
+    ServedCommand,
     camera_rounding,
     command_of,
     split_command,
@@ -99,13 +100,17 @@ def with_far_plane(scene: Scene, packed: Packed) -> tuple[Scene, tuple[str, ...]
     return scene.model_copy(update={"camera": camera}), (FAR_PLANE_NOTE,)
 
 
-def parse_candidate(text: str, precision: str | None = None, seconds: float = DEFAULT_SECONDS) -> Subject:
-    """package.module:function, or a command with {xml} or {toml} and {exr}.
+def parse_candidate(
+    text: str, precision: str | None = None, seconds: float = DEFAULT_SECONDS, *, served: bool = False
+) -> Subject:
+    """package.module:function, or a command with {xml} or {toml} and {exr}; served: one that answers over stdin.
 
     Raises SceneError for what is neither, a function that cannot be imported, a program that is not there.
     """
     if precision not in (None, *PRECISIONS):
         raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
+    if served:
+        return ServedCommand(text, split_command(text, ())[0], precision, seconds)
     if is_function(text):
         return import_function(text, precision)
     if "{rays" in text or "{hits" in text:

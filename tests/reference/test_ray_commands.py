@@ -28,12 +28,12 @@ to_world = [{ scale = 3 }, { translate = [0, 0, -2] }]
 """
 
 
-def validate(tmp_path, command, *more):
+def validate(tmp_path, command, *more, door="--candidate-rays"):
     (tmp_path / "scene.toml").write_text(SCENE)
     words = [
         "validate",
         str(tmp_path / "scene.toml"),
-        "--candidate-rays",
+        door,
         command,
         "--json",
         str(tmp_path / "v.json"),
@@ -111,3 +111,82 @@ def test_programs_that_give_no_hits_fail_with_the_reason(tmp_path, which):
     (tmp_path / "p.py").write_text(f"import sys\n{source}\n")
     code, scene = validate(tmp_path, f"{sys.executable} {tmp_path / 'p.py'} {{rays.raw}} {{hits.raw}}")
     assert code == 1 and words in scene["problem"]
+
+
+# ---- a program that stays ----
+
+
+def served(tmp_path, source):
+    """A Python program around `source`, which has `mesh` and `rays` of a request and n of them."""
+    lines = [
+        "import os, struct, sys, time",
+        "log = open(sys.argv[1], 'a'); log.write('started '); log.flush()",
+        "stdin, stdout = sys.stdin.buffer, sys.stdout.buffer",
+        "def respond(data): stdout.write(struct.pack('<q', len(data)) + data); stdout.flush()",
+        "while head := stdin.read(8):",
+        "    mesh = stdin.read(struct.unpack('<q', head)[0])",
+        "    rays = stdin.read(struct.unpack('<q', stdin.read(8))[0])",
+        "    n = len(rays) // 32",
+        f"    {source}",
+    ]
+    (tmp_path / "served.py").write_text("\n".join(lines) + "\n")
+    return f"{sys.executable} {tmp_path / 'served.py'} {tmp_path / 'log'}"
+
+
+def rust(tmp_path):
+    subprocess.run(["rustc", "-O", "-o", str(tmp_path / "rs"), str(EXAMPLES / "caster.rs")], check=True)
+    return str(tmp_path / "rs")
+
+
+def c(tmp_path):
+    return compiled(tmp_path, (EXAMPLES / "caster.c").read_text()).split()[0]
+
+
+SERVING = {
+    "cc": c,
+    "node": lambda folder: f"node {EXAMPLES / 'caster.js'}",
+    "rustc": rust,
+}
+
+
+@pytest.mark.parametrize("tool", SERVING)
+def test_an_example_that_stays_passes(tmp_path, tool):
+    if shutil.which(tool) is None:
+        pytest.skip(f"not on this machine: {tool}")
+    code, scene = validate(tmp_path, SERVING[tool](tmp_path), door="--candidate-serve")
+    assert code == 0 and scene["counts"]["agree"] > 100 and "shape_id" not in scene["unjudged"], scene
+
+
+MISSES = "respond(struct.pack('<f', float('inf')) * n)"
+NO_RESPONSE = {
+    "crash": ("print('last words', file=sys.stderr); os.abort()", "SIGABRT; its last words:\nlast words"),
+    "end": ("sys.exit(0)", "ended before its response was whole"),
+    "silence": ("time.sleep(60)", "killed after 2 s"),
+    "words": ("print('12345678 rays read', flush=True)", "starts with the bytes b'12345678'"),
+    "too few": ("respond(b'1234')", "as an int64 4; expected the length of"),
+    "too many": (f"{MISSES}; {MISSES}; time.sleep(9)", None),
+    "declined": ("stdout.write(struct.pack('<q', -1)); stdout.flush()", "declined the scene"),
+    "misses": (MISSES, None),
+}
+
+
+@pytest.mark.parametrize("which", NO_RESPONSE)
+def test_a_program_that_stays_and_gives_no_hits_fails_with_the_reason(tmp_path, which):
+    source, words = NO_RESPONSE[which]
+    more = ("--candidate-timeout", "2")
+    code, scene = validate(tmp_path, served(tmp_path, source), *more, door="--candidate-serve")
+    assert code == 1 and not scene["ok"]
+    assert words is None or words in scene["problem"], scene["problem"]
+    assert scene["unsupported"] == (which == "declined")
+    assert "--candidate-serve" in scene["replay"]
+
+
+def test_one_process_answers_all_scenes_and_a_crash_starts_another(tmp_path):
+    for name in ("a", "b", "c"):
+        (tmp_path / f"{name}.toml").write_text(SCENE)
+    files = [str(tmp_path / f"{name}.toml") for name in ("a", "b", "c")]
+    main(["validate", *files, "-j", "1", "--candidate-serve", served(tmp_path, MISSES)])
+    assert (tmp_path / "log").read_text().split() == ["started"]
+    (tmp_path / "log").unlink()
+    main(["validate", *files, "-j", "1", "--candidate-serve", served(tmp_path, "os.abort()")])
+    assert (tmp_path / "log").read_text().split() == ["started"] * 3
