@@ -12,6 +12,7 @@ import numpy as np
 from caster.geometry.packing import Triangles
 from mitsuba_ref.error_model.intersections import dot, norm, unit
 from mitsuba_ref.error_model.tolerances import (
+    DISTINCT_RTOL,
     MAJORITY,
     MIN_FITTED_PIXELS,
     NEARLY_ALL,
@@ -189,8 +190,11 @@ def _explain(causes: _Causes, wrong: WrongPixels) -> None:
             causes.take(what, f.rows[fits & left], where=True)
         kept[np.flatnonzero(wrong.off)[on_surface]] = True
     there = wrong.take(kept & wrong.hit & wrong.given_hit)
+    named = np.ones(len(there.rows), bool)
     for explained in _wrong_ids(there):
         _take_or_add(causes, explained, there)
+        named &= ~explained.fits | bool(explained.remedy)  # numbers that are off by one name the right one
+    there = there.take(named)
     if judge.n is not None and len(there.rows):
         for explained in explain_normals(there, judge.n[there.rows]):
             _take_or_add(causes, explained, there)
@@ -228,7 +232,8 @@ def _plain_descriptions(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
         share = np.where(both, f.given_t / f.t - 1.0, 0.0)
     for some, word in ((both & (share < 0.0), "before"), (both & (share > 0.0), "behind")):
         if some.any():
-            yield f"t is off: {word} what is hit, by {range_text(np.abs(share[some]))} of itself", some
+            where = _outline_text(f.take(some)) if word == "before" else ""
+            yield f"t is off: {word} what is hit, by {range_text(np.abs(share[some]))} of itself{where}", some
     yield "t is off", both
 
 
@@ -296,8 +301,8 @@ def _outline_text(f: WrongPixels) -> str:
         prims = np.argsort(away, kind="stable")[:NEAR_BOXES]
         corners = triangle_corners(judge, prims)
         height = np.abs(dot(p - corners[:, 0], _face_normals(corners)))
-        on_plane = height <= 1e-3 * norm(corners[:, 1] - corners[:, 0])
-        if not on_plane.any():
+        on_plane = height <= DISTINCT_RTOL * norm(corners[:, 1] - corners[:, 0])
+        if not on_plane.any() or (on_plane & _is_inside(p, corners)).any():
             return ""
         beyond = np.where(on_plane, _outline_distances(p, corners), np.inf)
         found.append((float(beyond.min()), int(prims[beyond.argmin()])))
@@ -311,6 +316,15 @@ def _outline_text(f: WrongPixels) -> str:
 
 def _face_normals(corners: np.ndarray) -> np.ndarray:
     return unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+
+
+def _is_inside(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """(m,) bool: p (3,), seen along the normals of triangles (m, 3, 3), is inside of their outlines."""
+    n = _face_normals(corners)
+    edges = [(corners[:, i], corners[:, (i + 1) % 3]) for i in range(3)]
+    sides = [dot(np.cross(b - a, p - a), n) >= 0.0 for a, b in edges]
+    inside: np.ndarray = np.all(sides, axis=0)
+    return inside
 
 
 def _outline_distances(p: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -306,7 +306,7 @@ def _first_hit_along(f: WrongPixels, ray: OtherRay) -> np.ndarray:
 def _first_hits(f: WrongPixels, o: np.ndarray, d: np.ndarray, t_factor: float = 1.0) -> np.ndarray:
     """(m,) bool: right under first hits along o + t d, where t is counted times a factor."""
     roots = f.judge.bracket.possible_hits(o, d, f.judge.t_max[f.rows] / t_factor)
-    return _right_among(f, roots, np.ones(len(roots.ray), bool), t_factor=t_factor, roots_of_rays=False)
+    return _right_among(f, roots, np.ones(len(roots.ray), bool), t_factor=t_factor)
 
 
 def _right_among(
@@ -316,11 +316,10 @@ def _right_among(
     *,
     last: bool = False,
     t_factor: float = 1.0,
-    roots_of_rays: bool = True,
 ) -> np.ndarray:
     """(m,) bool: the subject answers the first of the roots that are kept, before nothing that is certain.
 
-    Or the last of them; or a miss, where none is certain.
+    Or the last of them; or a miss, where there is none.
     """
     roots = roots.take(kept)
     t_min, t_max = f.judge.t_min[f.rows][roots.ray], f.judge.t_max[f.rows][roots.ray]
@@ -334,9 +333,8 @@ def _right_among(
         in_turn = t >= first[roots.ray] - bound if last else t <= first[roots.ray] + bound
     each = f.take(roots.ray)
     matches = ahead & in_turn & each.right_under(np.ones(len(t), bool), t, bound)
-    found = ~f.given_hit & np.isinf(first)
-    if roots_of_rays:  # at an edge no root is certain: what is exactly hit, and kept, is no miss
-        found[roots.ray[ahead & (roots.prim == f.prim[roots.ray])]] = False
+    found = ~f.given_hit
+    found[roots.ray[ahead]] = False  # at an edge, no root is certain, and a miss may be another mistake
     found[roots.ray[matches & each.given_hit]] = True
     return found
 
@@ -595,7 +593,8 @@ def explain_normals(f: WrongPixels, n: np.ndarray) -> Iterator[Explained]:
     for each in _normal_hypotheses(f, n, off):
         fits = left & (row_distance(n, each.n) <= MATCH_RTOL) & (row_distance(each.n, right) > DISTINCT_RTOL)
         alone = "turned round" in each.what or "interpolated" in each.what
-        if fits.any() and (alone or fits.sum() >= NEARLY_ALL * left.sum()):
+        enough = fits.sum() >= max(NEARLY_ALL * left.sum(), MIN_FITTED_PIXELS)
+        if fits.any() and (alone or (enough and np.ptp(right[fits], axis=0).max() > DISTINCT_RTOL)):
             yield Explained(each.what, each.remedy, fits)
             left &= ~fits
     with np.errstate(invalid="ignore"):

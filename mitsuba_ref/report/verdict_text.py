@@ -5,6 +5,7 @@ from urllib.parse import quote
 
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
 from mitsuba_ref.judge.classification import EXACT
+from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED
 from mitsuba_ref.judge.known_defects import defect_name
 from mitsuba_ref.judge.verdict import (
     AGREE,
@@ -374,9 +375,25 @@ def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
     )
 
 
+def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
+    """Causes that several failing scenes share, the most frequent first, with the types of shapes in those scenes."""
+    failing = [scene for scene in scenes if not (scene.ok or scene.waived)]
+    sharing: dict[str, list[SceneVerdict]] = {}
+    for scene in failing:
+        for finding in scene.findings:
+            if finding.what != NOT_ADJUDICATED:
+                sharing.setdefault(finding.what, []).append(scene)
+    for what, those in sorted(sharing.items(), key=lambda item: -len(item[1])):
+        if len(those) >= MIN_FAILING_SCENES:
+            kinds = ", ".join(sorted({kind for scene in those for kind in scene.composition.shapes}))
+            shapes = f" (shapes: {kinds})" if kinds else ""
+            yield f"cause:      in {len(those)} of {len(failing)} that fail: {what}{shapes}"
+
+
 def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     """Lines on what failing scenes have in common, and the simplest of them; none below MIN_FAILING_SCENES."""
     failing = sum(not (scene.ok or scene.waived) for scene in scenes)
+    yield from _cause_lines(scenes)
     traits, first = common_traits(scenes), simplest_failing(scenes)
     if traits:
         yield f"in common:  of all {failing} that fail: {'; '.join(traits)}"

@@ -7,13 +7,22 @@ import mistakes
 import numpy as np
 import pytest
 
+import caster
 from mitsuba_ref.judge.diagnosis import best_split
+from mitsuba_ref.judge.verdict import Verdict
 from mitsuba_ref.report.validation import validate_scene
-from mitsuba_ref.report.verdict_text import failure_text
+from mitsuba_ref.report.verdict_text import failure_text, summary_text
 from mitsuba_ref.subjects.function import FunctionSubject
 
 ALL_MISTAKES = [*mistakes.MISTAKES, *mistakes.DEFECTS]
 LARGEST_CPU_SECONDS = 10.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def warm():
+    """One mistake casts with ours, whose kernels may have to be compiled, which is no part of a judgement."""
+    scene = mistakes.scene_of("torus-smooth", Path(), 2, 2)
+    assert caster.cast(scene, np.zeros((1, 3)), np.ones((1, 3))).surface.sh_n.shape == (1, 3)
 
 
 def judged(name, trace, scene):
@@ -65,6 +74,15 @@ def test_ours_is_diagnosed_by_the_same_engine(monkeypatch):
     monkeypatch.setattr(subject, "cast_ours", moved)
     found = validate_scene(mistakes.scene_of("one-sphere", Path()), "scene")
     assert hits and "t is 1.001 times what it should be" in found.findings[0].what
+
+
+def test_a_cause_that_several_scenes_share_is_said_once_before_all():
+    turned = mistakes.answering(lambda s, o, d, t, n: (t, -n))
+    scenes = [
+        judged("turned", turned, mistakes.scene_of(name, Path())) for name in ("cornell-box", "one-sphere")
+    ]
+    said = summary_text(Verdict(tuple(scenes), 2), 1.0).splitlines()
+    assert said[1] == "cause:      in 2 of 2 that fail: the normal is turned round"
 
 
 # ---- separators
