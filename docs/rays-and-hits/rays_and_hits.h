@@ -26,7 +26,7 @@ static void *rh_read(const char *path, size_t *size) {
 
 static Ray *rh_rays(const char *path, size_t *count) {
     size_t size;
-    Ray *rays = rh_read(path, &size);
+    Ray *rays = (Ray *)rh_read(path, &size);
     *count = size / sizeof(Ray);
     return rays;
 }
@@ -41,7 +41,7 @@ static Mesh rh_mesh_in(char *data) {
 
 static Mesh rh_mesh(const char *path) {
     size_t size;
-    return rh_mesh_in(rh_read(path, &size));
+    return rh_mesh_in((char *)rh_read(path, &size));
 }
 
 static void rh_write(const char *path, const Hit *hits, size_t count) {

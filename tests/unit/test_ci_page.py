@@ -14,6 +14,7 @@ from mitsuba_ref.cli import COMMANDS as JUDGE
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
+YOURS = "".join((ROOT / f"docs/your-{name}.md").read_text(encoding="utf-8") for name in ("renderer", "ci"))
 STORY = (ROOT / "docs/debugging-an-edge-case.md").read_text(encoding="utf-8")
 PARSERS = {
     "caster": application.build_parser("caster", "", CASTER, ()),
@@ -31,11 +32,17 @@ def steps():
     return [step for job in workflow()["jobs"].values() for step in job["steps"]]
 
 
+def your_steps():
+    (text,) = re.findall(r"```yaml\n(.*?)```", YOURS, re.DOTALL)
+    return yaml.safe_load(text)["jobs"]["judge"]["steps"]
+
+
 def commands():
     """Every line of the pages, and of the workflow, that begins with one of the programs."""
-    lines = [line.removeprefix("    ").removeprefix("$ ") for line in (PAGE + STORY).splitlines()]
+    lines = [line.removeprefix("    ").removeprefix("$ ") for line in (PAGE + STORY + YOURS).splitlines()]
     lines += [step["run"] for step in steps() if "run" in step]
-    lines += re.findall(r"`((?:caster|mitsuba-ref) [a-z]+ [^`]*)`", PAGE)
+    lines += re.findall(r"`((?:caster|mitsuba-ref) [a-z]+ [^`]*)`", PAGE + YOURS)
+    lines += [step["run"] for step in your_steps() if "run" in step]
     found = dict.fromkeys(line for line in lines if line.split(" ")[0] in PARSERS)
     return [SECRET.sub("1", line) for line in found]
 
