@@ -26,7 +26,7 @@ validate: $(INSTALLED) ## compare every scene of scenes/ with Mitsuba
 	@$(BIN)/mitsuba-ref validate scenes $(ARGS)
 
 test: $(INSTALLED) ## all tests, on JOBS cores (all of them, unless set)
-	@$(BIN)/python -m pytest -n $(JOBS) $(ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
 
 fuzz: $(INSTALLED) ## random scenes against exact arithmetic and Mitsuba for a minute; ARGS="--time 1h --seed 7"
 	@$(BIN)/mitsuba-ref fuzz $(ARGS)
