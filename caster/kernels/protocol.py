@@ -103,13 +103,28 @@ def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> A
 
 
 @generic_inlined
-def surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
-    """Put what `fast_surface` reads of primitive k into lanes start..stop of a scratch (surface/lanes.py). Optional."""
+def surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants_uv: bool) -> None:
+    """Put what `fast_surface` and, if wanted, `fast_uv` read of primitive k into lanes start..stop of a scratch
+    (surface/lanes.py). Optional.
+    """
 
 
 @generic_inlined
 def fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) -> Any:
-    """(safe, p, n, sh_n) of lane x: where safe, the same bits as `surface`. Without a branch. Optional."""
+    """(safe, p, n, sh_n, local) of lane x: where safe, the same bits as `surface`. Without a branch. Optional.
+
+    local: three numbers that `fast_uv` reads.
+    """
+
+
+@generic_inlined
+def fast_uv(prims: Any, scratch: Any, x: Any, local: Vec3) -> Any:
+    """(u, v) of lane x, likewise. Optional: without a body, hits whose uv are wanted are found one by one."""
+
+
+@implement(fast_uv, object)
+def _no_uv(prims: Any, scratch: Any, x: Any, local: Vec3) -> tuple[float, float]:
+    return 0.0, 0.0
 
 
 @generic_inlined

@@ -34,6 +34,7 @@ from caster.kernels.protocol import (
     exact_intersect,
     fast_normal,
     fast_surface,
+    fast_uv,
     hull_point,
     hull_size,
     intersect,
@@ -336,21 +337,48 @@ def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> 
         n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)
         known, sh_n = fast_interpolated_normal(weights, n0, n1, n2)
         sh_n = sh_n if known else normalize(sh_n)
-    s, r = b1, b2
-    if wants_uv and prims.textured[k]:
-        s = b0 * prims.uv[i0, 0] + (b1 * prims.uv[i1, 0] + b2 * prims.uv[i2, 0])
-        r = b0 * prims.uv[i0, 1] + (b1 * prims.uv[i1, 1] + b2 * prims.uv[i2, 1])
+    s, r = uv_by_weights(weights)
+    if wants_uv and is_textured(prims, k):
+        s, r = interpolated_uv(weights, uv_of(prims, i0), uv_of(prims, i1), uv_of(prims, i2))
     return p, n, sh_n, s, r
 
 
-# Fields of a lane: corners, vertex normals, whether they are used.
-LANE_A, LANE_B, LANE_C, LANE_NA, LANE_NB, LANE_NC, LANE_SMOOTH = (
-    LANE_SETUP + lane(SURFACE_LANES * field) for field in (0, 3, 6, 9, 12, 15, 18)
+UV = tuple[float, float]
+
+
+@inlined
+def uv_of(prims: Any, vertex: int) -> UV:
+    return prims.uv[vertex, 0], prims.uv[vertex, 1]
+
+
+@inlined
+def is_textured(prims: Any, k: int) -> bool:
+    return prims.textured[k]
+
+
+@inlined
+def uv_by_weights(weights: Vec3) -> UV:
+    """uv of a triangle whose vertices have none."""
+    return weights[1], weights[2]
+
+
+@inlined
+def interpolated_uv(weights: Vec3, a: UV, b: UV, c: UV) -> UV:
+    """Between those of three vertices."""
+    return (
+        weights[0] * a[0] + (weights[1] * b[0] + weights[2] * c[0]),
+        weights[0] * a[1] + (weights[1] * b[1] + weights[2] * c[1]),
+    )
+
+
+# Fields of a lane: corners, vertex normals, whether they are used; uv of the vertices, whether they are used.
+LANE_A, LANE_B, LANE_C, LANE_NA, LANE_NB, LANE_NC, LANE_SMOOTH, LANE_US, LANE_VS, LANE_TEXTURED = (
+    LANE_SETUP + lane(SURFACE_LANES * field) for field in (0, 3, 6, 9, 12, 15, 18, 19, 22, 25)
 )
 
 
 @implement(surface_setup, Triangles)
-def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
+def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants_uv: bool) -> None:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
     smooth = prims.smooth[k]
@@ -365,6 +393,13 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> N
             put_lane(scratch, LANE_NA + x, n0)
             put_lane(scratch, LANE_NB + x, n1)
             put_lane(scratch, LANE_NC + x, n2)
+    if wants_uv:
+        textured = is_textured(prims, k)
+        a0, a1, a2 = uv_of(prims, i0), uv_of(prims, i1), uv_of(prims, i2)
+        for x in range(start, stop):
+            put_lane(scratch, LANE_US + x, (a0[0], a1[0], a2[0]))
+            put_lane(scratch, LANE_VS + x, (a0[1], a1[1], a2[1]))
+            scratch[LANE_TEXTURED + x] = 1.0 if textured else 0.0
 
 
 @inlined
@@ -401,7 +436,15 @@ def _fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) 
         between[1] if smooth else n[1],
         between[2] if smooth else n[2],
     )
-    return known & wide & (long | (not smooth)), p, n, sh_n
+    return known & wide & (long | (not smooth)), p, n, sh_n, weights
+
+
+@implement(fast_uv, Triangles)
+def _fast_uv(prims: Any, scratch: Any, x: Any, weights: Vec3) -> UV:
+    u, v = get_lane(scratch, LANE_US + x), get_lane(scratch, LANE_VS + x)
+    textured, plain = scratch[LANE_TEXTURED + x] != 0.0, uv_by_weights(weights)
+    s, r = interpolated_uv(weights, (u[0], v[0]), (u[1], v[1]), (u[2], v[2]))
+    return s if textured else plain[0], r if textured else plain[1]
 
 
 @inlined

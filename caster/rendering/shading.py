@@ -19,7 +19,7 @@ from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
 from caster.jit.decorators import implements
 from caster.kernels.nearest import Rays
-from caster.kernels.protocol import fast_surface
+from caster.kernels.protocol import fast_surface, fast_uv
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import (
     DX,
@@ -268,10 +268,11 @@ def _find_surfaces(
     kinds: list[KindRange], wants_uv: bool, workspace: TileWorkspace, box: Box, present: Present
 ) -> None:
     for prims, numbers in compress(kinds, present):
-        if implements(fast_surface, type(prims)) and not wants_uv:
-            surfaces_in_tile_by_lanes(prims, numbers, workspace.tile, box, workspace.surface, workspace.lanes)
+        tile, surface = workspace.tile, workspace.surface
+        if implements(fast_surface, type(prims)) and (implements(fast_uv, type(prims)) or not wants_uv):
+            surfaces_in_tile_by_lanes(prims, numbers, tile, box, surface, workspace.lanes, wants_uv)
         else:
-            surfaces_in_tile(prims, numbers, workspace.tile, box, workspace.surface, wants_uv)
+            surfaces_in_tile(prims, numbers, tile, box, surface, wants_uv)
 
 
 def _write_normals(

@@ -9,7 +9,7 @@ from pydantic import model_validator
 
 from caster.description.fields import Number, Shape, UnitVec3, Vec3
 from caster.geometry.world_space import Rounding
-from caster.jit.decorators import implement
+from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_plane
 from caster.kernels.math.vec import (
@@ -29,6 +29,8 @@ from caster.kernels.math.vec import (
 from caster.kernels.protocol import (
     exact_intersect,
     fast_normal,
+    fast_surface,
+    fast_uv,
     hull_point,
     hull_size,
     intersect,
@@ -39,7 +41,10 @@ from caster.kernels.protocol import (
     same_geometry,
     surely_misses,
     surface,
+    surface_setup,
 )
+from caster.kernels.raster.tile import lane
+from caster.kernels.surface.lanes import LANE_SETUP, SURFACE_LANES, get_lane, put_lane
 
 __all__ = ["Plane", "Planes"]
 
@@ -142,10 +147,53 @@ def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> An
     p = point_at(o, t, d)
     if not wants_uv:
         return p, n, n, 0.0, 0.0
+    right, ahead = _axes(n)
+    u, v = _plane_uv(p, row(prims.point, k), right, ahead)
+    return p, n, n, u, v
+
+
+@inlined
+def _axes(n: Any) -> Any:
+    """Two unit vectors across n and each other."""
     side = (1.0, 0.0, 0.0) if abs(n[0]) < 0.5 else (0.0, 1.0, 0.0)
     right = normalize(cross(side, n))
-    q = sub(p, row(prims.point, k))
-    return p, n, n, dot(q, right), dot(q, cross(n, right))
+    return right, cross(n, right)
+
+
+@inlined
+def _plane_uv(p: Any, point: Any, right: Any, ahead: Any) -> Any:
+    q = sub(p, point)
+    return dot(q, right), dot(q, ahead)
+
+
+LANE_NORMAL, LANE_POINT, LANE_RIGHT, LANE_AHEAD = (
+    LANE_SETUP + lane(SURFACE_LANES * field) for field in (0, 3, 6, 9)
+)
+
+
+@implement(surface_setup, Planes)
+def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants_uv: bool) -> None:
+    n = normalize(row(prims.normal, k))
+    for x in range(start, stop):
+        put_lane(scratch, LANE_NORMAL + x, n)
+    if wants_uv:
+        point, (right, ahead) = row(prims.point, k), _axes(n)
+        for x in range(start, stop):
+            put_lane(scratch, LANE_POINT + x, point)
+            put_lane(scratch, LANE_RIGHT + x, right)
+            put_lane(scratch, LANE_AHEAD + x, ahead)
+
+
+@implement(fast_surface, Planes)
+def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
+    n, p = get_lane(scratch, LANE_NORMAL + x), point_at(o, t, d)
+    return True, p, n, n, p
+
+
+@implement(fast_uv, Planes)
+def _fast_uv(prims: Any, scratch: Any, x: Any, p: Any) -> Any:
+    point = get_lane(scratch, LANE_POINT + x)
+    return _plane_uv(p, point, get_lane(scratch, LANE_RIGHT + x), get_lane(scratch, LANE_AHEAD + x))
 
 
 @implement(hull_size, Planes)

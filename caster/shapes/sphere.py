@@ -20,11 +20,12 @@ from caster.geometry.edge_distances import (
     square,
 )
 from caster.geometry.world_space import Rounding, affine_arrays, is_similarity, similarity_scale
-from caster.jit.decorators import implement, jit
+from caster.jit.decorators import implement, inlined, jit
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_sphere, exact_unit_sphere, ray_in_object_space
 from caster.kernels.math.quadric_roots import (
     closest_approach,
+    fast_outward_normal,
     first_root,
     is_in_range,
     is_in_range_through,
@@ -55,6 +56,7 @@ from caster.kernels.math.vec import (
 from caster.kernels.protocol import (
     exact_intersect,
     fast_normal,
+    fast_surface,
     hull_point,
     hull_size,
     intersect,
@@ -65,8 +67,11 @@ from caster.kernels.protocol import (
     same_geometry,
     surely_misses,
     surface,
+    surface_setup,
     tight_sphere,
 )
+from caster.kernels.raster.tile import lane
+from caster.kernels.surface.lanes import LANE_SETUP, SURFACE_LANES, get_lane, put_lane
 
 __all__ = ["Ellipsoids", "Sphere", "Spheres"]
 
@@ -159,12 +164,35 @@ def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
     return outward_normal_unit_direction(sub(o, center), d, t, r)
 
 
+@inlined
+def point_on_sphere(center: Any, r: float, n: Any) -> Any:
+    return point_at(center, r, n)
+
+
 @implement(surface, Spheres)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center, r = row(prims.center, k), prims.radius[k]
     n = normal(prims, k, o, d, t)
     u, v = spherical_uv(mat_vec(prims.turn, k, n)) if wants_uv else (0.0, 0.0)
-    return point_at(center, r, n), n, n, u, v
+    return point_on_sphere(center, r, n), n, n, u, v
+
+
+LANE_CENTER, LANE_RADIUS = LANE_SETUP, LANE_SETUP + lane(3 * SURFACE_LANES)
+
+
+@implement(surface_setup, Spheres)
+def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants_uv: bool) -> None:
+    center, r = row(prims.center, k), prims.radius[k]
+    for x in range(start, stop):
+        put_lane(scratch, LANE_CENTER + x, center)
+        scratch[LANE_RADIUS + x] = r
+
+
+@implement(fast_surface, Spheres)
+def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
+    center, r = get_lane(scratch, LANE_CENTER + x), scratch[LANE_RADIUS + x]
+    known, n = fast_outward_normal(sub(o, center), d, t, r)
+    return known, point_on_sphere(center, r, n), n, n, n
 
 
 @implement(hull_size, Spheres)

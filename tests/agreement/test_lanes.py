@@ -17,6 +17,8 @@ from caster.kernels.surface.per_hit import (
     surfaces_in_tile_by_lanes,
 )
 from caster.kernels.triangles import Triangles
+from caster.shapes.plane import Planes
+from caster.shapes.sphere import Spheres
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba there is only the plain text")
 
@@ -140,17 +142,67 @@ def hit_tile(rng, prims, count):
     return tile
 
 
+@pytest.mark.parametrize("wants_uv", [False, True], ids=["without uv", "with uv"])
 @pytest.mark.parametrize("seed", range(6))
-def test_surfaces_of_several_pixels_are_those_of_one_at_a_time(seed):
+def test_surfaces_of_several_pixels_are_those_of_one_at_a_time(seed, wants_uv):
     rng = np.random.default_rng(seed)
     prims, box = hard_triangles(rng, 300), (0, 0, 101, 64)
     tile = hit_tile(rng, prims, 300)
     for numbers in ((0, 300), (20, 320)):  # the second: others are of another kind
         one, several = new_surface_buffer(), new_surface_buffer()
-        surfaces_in_tile(prims, numbers, tile, box, one, False)
-        surfaces_in_tile_by_lanes(prims, numbers, tile, box, several, new_lanes())
+        surfaces_in_tile(prims, numbers, tile, box, one, wants_uv)
+        surfaces_in_tile_by_lanes(prims, numbers, tile, box, several, new_lanes(), wants_uv)
         inside = np.arange(tiles.PIXELS) % tiles.WIDTH < box[2]
-        for field in range(9):
+        for field in range(11 if wants_uv else 9):
             rows = slice(field * STRIDE, field * STRIDE + tiles.PIXELS)
+            np.testing.assert_array_equal(one[rows][inside], several[rows][inside], str(field))
+            assert np.array_equal(np.signbit(one[rows][inside]), np.signbit(several[rows][inside]))
+
+
+def hard_spheres(rng, count):
+    radius = 10.0 ** rng.uniform(-3.0, 3.0, count) * rng.choice([1.0, 1.0, 1e-40, 1e40], count)
+    center = rng.normal(size=(count, 3)) * np.abs(radius)[:, None] * 10.0 ** rng.integers(-2, 3, (count, 1))
+    return Spheres(center, radius, np.tile(np.eye(3), (count, 1, 1)))
+
+
+def some_planes(rng, count):
+    return Planes(unit(rng.normal(size=(count, 3))), rng.normal(size=(count, 3)))
+
+
+def unit(v):
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize(("kind", "wants_uv"), [("spheres", False), ("planes", False), ("planes", True)])
+@pytest.mark.parametrize("seed", range(3))
+def test_surfaces_of_several_pixels_of_other_kinds(seed, kind, wants_uv):
+    """On average 20 pixels a run; d of length 1 but for a tenth, and t of misses infinite."""
+    rng = np.random.default_rng(seed)
+    count, pixels, box = 50, tiles.PIXELS, (0, 0, 101, 64)
+    prims = hard_spheres(rng, count) if kind == "spheres" else some_planes(rng, count)
+    hit = np.repeat(rng.integers(-1, count, pixels), rng.integers(1, 40, pixels))[:pixels]
+    d, size = unit(rng.normal(size=(pixels, 3))), np.ones((pixels, 1))
+    d[rng.random(pixels) < 0.1] *= 3.0
+    on = rng.normal(size=(pixels, 3))
+    if kind == "spheres":
+        size = prims.radius[np.maximum(hit, 0)][:, None]
+        on = prims.center[np.maximum(hit, 0)] + size * unit(rng.normal(size=(pixels, 3)))
+    t = size[:, 0] * 10.0 ** rng.uniform(-1.0, 1.0, pixels)
+    o = on - t[:, None] * d
+    t[hit < 0] = np.inf
+    tile = tiles.new_tile()
+    fields = [(tiles.T, t), (tiles.PRIM, hit)]
+    fields += [(at, o[:, c]) for c, at in enumerate((tiles.OX, tiles.OY, tiles.OZ))]
+    fields += [(at, d[:, c]) for c, at in enumerate((tiles.DX, tiles.DY, tiles.DZ))]
+    for at, values in fields:
+        tile[int(at) : int(at) + pixels] = values
+    for numbers in ((0, count), (20, 20 + count)):
+        one, several = new_surface_buffer(), new_surface_buffer()
+        surfaces_in_tile(prims, numbers, tile, box, one, wants_uv)
+        surfaces_in_tile_by_lanes(prims, numbers, tile, box, several, new_lanes(), wants_uv)
+        inside = np.arange(pixels) % tiles.WIDTH < box[2]
+        for field in range(11 if wants_uv else 9):
+            rows = slice(field * STRIDE, field * STRIDE + pixels)
+            assert np.isfinite(one[rows][inside & (hit >= numbers[0])]).all()
             np.testing.assert_array_equal(one[rows][inside], several[rows][inside], str(field))
             assert np.array_equal(np.signbit(one[rows][inside]), np.signbit(several[rows][inside]))

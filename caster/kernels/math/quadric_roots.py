@@ -7,6 +7,7 @@ from caster.jit.decorators import inlined, jit
 from caster.kernels.exact.numbers import times_power
 from caster.kernels.math.vec import (
     TINY,
+    UNIT_SQUARE_ATOL,
     U,
     certain_in_range,
     dot,
@@ -176,6 +177,17 @@ def outward_normal_in_range(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
 def outward_normal_unit_direction(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     """The same bits once more, for a d that is its own `direction`."""
     return normalize_in_range(radial_vector(f, d, t * dot(d, d), r))
+
+
+@inlined
+def fast_outward_normal(f: Vec3, d: Vec3, t: float, r: float) -> tuple[bool, Vec3]:
+    """(whether this is `outward_normal(f, d, t, r)`, it), without a branch."""
+    far = max(max(abs(f[0]), abs(f[1])), abs(f[2]))
+    known = (r > MIN_RANGE) & (max(r, far) < MAX_RANGE) & (abs(dot(d, d) - 1.0) <= UNIT_SQUARE_ATOL)
+    # what is not known is computed of harmless numbers
+    f = f[0] if known else 0.0, f[1] if known else 0.0, f[2] if known else 0.0
+    d = d[0] if known else 0.0, d[1] if known else 0.0, d[2] if known else 1.0
+    return known, outward_normal_unit_direction(f, d, t if known else 0.0, r if known else 1.0)
 
 
 @inlined

@@ -14,10 +14,11 @@ from caster.kernels.raster.tile import CACHE_LINE, lane
 
 SURFACE_LANES = 32  # 16, 64 and 128 are slower or no faster; a row of a tile is whole scratches
 
-LANE_P, LANE_N, LANE_SH_N, LANE_UNSAFE, LANE_SETUP = (
-    lane(SURFACE_LANES * field) for field in (0, 3, 6, 9, 10)
+# The first 11 are those of a surface buffer (surface/per_hit.py), in its order; LANE_LOCAL: what `fast_uv` reads.
+LANE_P, LANE_N, LANE_SH_N, LANE_UV, LANE_UNSAFE, LANE_LOCAL, LANE_SETUP = (
+    lane(SURFACE_LANES * field) for field in (0, 3, 6, 9, 11, 12, 15)
 )
-LANE_FIELDS = 29  # with the largest `surface_setup`, that of triangles
+LANE_FIELDS = 41  # with the largest `surface_setup`, that of triangles
 NEXT, NEXT_BUT_ONE = lane(SURFACE_LANES), lane(2 * SURFACE_LANES)
 
 

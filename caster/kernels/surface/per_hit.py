@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import generic_inlined, inlined, jit
-from caster.kernels.protocol import Vec3, fast_surface, surface, surface_setup
+from caster.kernels.protocol import Vec3, fast_surface, fast_uv, surface, surface_setup
 from caster.kernels.raster.tile import (
     CACHE_LINE,
     DX,
@@ -24,12 +24,15 @@ from caster.kernels.raster.tile import (
     lane,
 )
 from caster.kernels.surface.lanes import (
+    LANE_LOCAL,
     LANE_N,
     LANE_P,
     LANE_SH_N,
     LANE_UNSAFE,
+    LANE_UV,
     NEXT,
     SURFACE_LANES,
+    get_lane,
     put_lane,
 )
 
@@ -112,21 +115,24 @@ def surfaces_in_tile(prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any,
 
 @jit
 def surfaces_in_tile_by_lanes(
-    prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any, scratch: Any
+    prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any, scratch: Any, wants_uv: bool
 ) -> None:
-    """`surfaces_in_tile` without UV, of a kind with a body for `fast_surface`: SURFACE_LANES pixels at a time."""
+    """`surfaces_in_tile` of a kind with a body for `fast_surface`: SURFACE_LANES pixels at a time."""
     for y in range(box[3] - box[1]):
         for at in range(0, box[2] - box[0], SURFACE_LANES):
             first = lane(y * WIDTH + at)
-            if gather_primitives(prims, numbers, tile, first, scratch) == 0:
+            if gather_primitives(prims, numbers, tile, first, scratch, wants_uv) == 0:
                 continue
-            if compute_lanes(prims, numbers, tile, first, scratch) > 0:
-                recompute_unsafe(prims, numbers, tile, first, scratch)
-            keep_lanes(numbers, tile, first, scratch, buffer)
+            unsafe = compute_lanes(prims, numbers, tile, first, scratch)
+            if wants_uv:
+                compute_uv(prims, scratch)
+            if unsafe > 0:
+                recompute_unsafe(prims, numbers, tile, first, scratch, wants_uv)
+            keep_lanes(numbers, tile, first, scratch, buffer, LANE_UNSAFE if wants_uv else LANE_UV)
 
 
 @inlined
-def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any) -> int:
+def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any, wants_uv: bool) -> int:
     """What `fast_surface` reads, for the lanes that show the kind; how many do."""
     x, count = lane(0), 0
     while x < lane(SURFACE_LANES):
@@ -134,7 +140,7 @@ def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: 
         while end < lane(SURFACE_LANES) and tile[PRIM + first + end] == prim:
             end += lane(1)
         if numbers[0] <= prim < numbers[1]:
-            surface_setup(prims, int(prim) - numbers[0], x, end, scratch)
+            surface_setup(prims, int(prim) - numbers[0], x, end, scratch, wants_uv)
             count += int(end - x)
         x = end
     return count
@@ -142,40 +148,51 @@ def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: 
 
 @inlined
 def compute_lanes(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any) -> int:
-    """Surfaces of all lanes, whatever they show; how many of the kind are not safe."""
+    """Surfaces of all lanes but for uv, whatever they show; how many of the kind are not safe."""
     unsafe, least, most = 0, float(numbers[0]), float(numbers[1])
     for x in range(lane(SURFACE_LANES)):
-        o, d = ray_of(tile, first + x)
-        safe, p, n, sh_n = fast_surface(prims, scratch, x, o, d, tile[T + first + x])
+        prim, (o, d) = tile[PRIM + first + x], ray_of(tile, first + x)
+        mine = (least <= prim) & (prim < most)
+        t = tile[T + first + x] if mine else 0.0  # that of a miss is infinite
+        safe, p, n, sh_n, local = fast_surface(prims, scratch, x, o, d, t)
         put_lane(scratch, LANE_P + x, p)
         put_lane(scratch, LANE_N + x, n)
         put_lane(scratch, LANE_SH_N + x, sh_n)
-        prim = tile[PRIM + first + x]
-        fails = (not safe) & (least <= prim) & (prim < most)
+        put_lane(scratch, LANE_LOCAL + x, local)
+        fails = (not safe) & mine
         scratch[LANE_UNSAFE + x] = 1.0 if fails else 0.0
         unsafe += 1 if fails else 0  # of integers: a sum of floats keeps LLVM from using vectors
     return unsafe
 
 
 @inlined
-def recompute_unsafe(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any) -> None:
+def compute_uv(prims: Any, scratch: Any) -> None:
+    """uv of all lanes; in the loop above, a flag would keep LLVM from using vectors."""
+    for x in range(lane(SURFACE_LANES)):
+        u, v = fast_uv(prims, scratch, x, get_lane(scratch, LANE_LOCAL + x))
+        scratch[LANE_UV + x], scratch[LANE_UV + NEXT + x] = u, v
+
+
+@inlined
+def recompute_unsafe(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any, wants_uv: bool) -> None:
     """Surfaces that `fast_surface` leaves open."""
     for x in range(lane(SURFACE_LANES)):
         if scratch[LANE_UNSAFE + x] != 0.0:
             i = first + x
             o, d = ray_of(tile, i)
             k = int(tile[PRIM + i]) - numbers[0]
-            p, n, sh_n, _, _ = surface(prims, k, o, d, tile[T + i], False)
+            p, n, sh_n, u, v = surface(prims, k, o, d, tile[T + i], wants_uv)
             put_lane(scratch, LANE_P + x, p)
             put_lane(scratch, LANE_N + x, n)
             put_lane(scratch, LANE_SH_N + x, sh_n)
+            scratch[LANE_UV + x], scratch[LANE_UV + NEXT + x] = u, v
 
 
 @inlined
-def keep_lanes(numbers: Any, tile: Any, first: Any, scratch: Any, buffer: Any) -> None:
-    """Into the surface buffer, but for lanes that show another kind."""
+def keep_lanes(numbers: Any, tile: Any, first: Any, scratch: Any, buffer: Any, stop: Any) -> None:
+    """The fields before `stop` into the surface buffer, but for lanes that show another kind."""
     least, most = float(numbers[0]), float(numbers[1])
-    for field in range(lane(9)):
+    for field in range(stop // NEXT):
         into, out = lane(STRIDE) * field + first, NEXT * field
         for x in range(lane(SURFACE_LANES)):
             prim = tile[PRIM + first + x]
