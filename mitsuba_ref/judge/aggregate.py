@@ -285,7 +285,11 @@ def z_of_groups(sums: GroupSums) -> tuple[int, float]:
 
 def check_bias(found: ErrorStatistics) -> SceneCheck:
     """Fails where the errors of a kind with enough groups lean to one side by more than chance explains."""
+    leaning = [bias for bias in found.biases if bias.enough_groups and not abs(bias.z) <= LARGEST_Z]
     words = [
+        f"{bias.kind} lean: z {bias.z:.1f} of {bias.groups} groups, {LARGEST_Z:g} at most by chance"
+        for bias in leaning
+    ] or [
         f"{bias.kind} z {bias.z:.1f} of {bias.groups} groups{'' if bias.enough_groups else ', too few to tell'}"
         for bias in found.biases
     ]

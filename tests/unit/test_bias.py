@@ -176,8 +176,11 @@ def test_the_check_fails_on_a_bias_and_states_of_what():
     for z in (5.1, -15.0):
         found = check_bias(errors_of(KindBias("Spheres", 900, z), KindBias("Disks", 1, 1.0)))
         assert found.name == "bias" and not found.ok and found.ratio == pytest.approx(abs(z) / 5.0)
-        assert found.what == f"Spheres z {z:.1f} of 900 groups; Disks z 1.0 of 1 groups, too few to tell"
-    assert check_bias(errors_of(KindBias("Spheres", 900, -4.9))).ok
+        assert found.what == f"Spheres lean: z {z:.1f} of 900 groups, 5 at most by chance"
+    within = check_bias(errors_of(KindBias("Spheres", 900, -4.9), KindBias("Disks", 1, 1.0)))
+    assert (
+        within.ok and within.what == "Spheres z -4.9 of 900 groups; Disks z 1.0 of 1 groups, too few to tell"
+    )
     assert check_bias(errors_of()).ok
 
 
@@ -210,8 +213,9 @@ def test_the_verdict_reports_it():
         "z": -15.0,
         "biases": [{"kind": "Spheres", "groups": 900, "z": -15.0, "enough_groups": True}],
     }
-    assert not scene.checks_pass and "bias: 3x its bound; Spheres z -15.0 of 900 groups" in failure_text(
-        scene
+    assert (
+        not scene.checks_pass
+        and "bias: 3x its bound; Spheres lean: z -15.0 of 900 groups" in failure_text(scene)
     )
     assert "of t at most 1.25 of 4 roundings (ball); bias at most |z| 15.0 of 5 (ball)" in summary_text(
         verdict, 1.0
