@@ -143,7 +143,7 @@ def test_no_answer_is_stated_in_the_words_of_validate_and_fails(at, send):
 def test_the_text_has_the_candidate_between_ours_and_mitsuba(at, monkeypatch, brought):
     scene = small()
     monkeypatch.setattr(pixel, "witness_answers", lambda *given: ())
-    monkeypatch.setattr(pixel, "scene_judge", lambda scene, whole: brought(scene))
+    monkeypatch.setattr(pixel, "scene_judge", lambda scene, whole, timeout: brought(scene))
     found = pixel.probe(scene, *HIT, FunctionSubject("flipped", candidates.flipped_normal))
     text = as_text(found, "a.toml")
     head, who, why, ours, *_ = text.splitlines()
