@@ -223,7 +223,7 @@ FAULTS = (
     fault(
         "planes missed that are nearly edge-on",
         "planes",
-        16,
+        8,
         "missed prim",
         (
             PLANE,
