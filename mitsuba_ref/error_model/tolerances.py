@@ -56,6 +56,10 @@ CAMERA_ROUNDINGS = 8.0
 # dozen roundings. In float32 it is rounded once more.
 TRANSFORM_ROUNDINGS = 16.0
 
+# The same check, of spheres: a matrix counts as a similarity while its Gram matrix is, up to 128 roundings; any other
+# makes an ellipsoid.
+SIMILARITY_ROUNDINGS = 128.0 + TRANSFORM_ROUNDINGS
+
 # Scene check `mesh_files`, against Mitsuba's loader, in float32: a normal is rounded as it is parsed and made unit, by
 # 3 squares, 2 sums, a root and a quotient; of a number of up to 1 that is at most 8 U. A v of uv is rounded, and once
 # more where it is turned over.

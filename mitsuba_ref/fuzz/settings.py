@@ -185,15 +185,33 @@ def with_options(rng: Rng, setting: Setting, data: dict[str, Any]) -> dict[str, 
         "film": _film(rng),
         "camera": _camera(rng, setting, data["camera"]),
         "shape": [_shape(rng, setting, i, shape, list(materials)) for i, shape in enumerate(data["shape"])],
-        "light": [
-            {"type": kind, **fields(rng, setting)}
-            for kind, fields in LIGHT_FIELDS.items()
-            for _ in range(int(rng.integers(3)))
-        ],
+        "light": _lights(rng, setting, data["camera"]),
         "material": materials,
         "check": {name: _sometimes(rng, {"ratio": 2.0}, 0.3) for name in CHECKED[: int(rng.integers(3))]},
     }
     return scene | _sometimes(rng, {"shading": {"shadows": coin_flip(rng)}})
+
+
+def _lights(rng: Rng, setting: Setting, camera: Fields) -> list[Fields]:
+    """None, one or two of each kind. The last of a kind is on the viewer's side, so that what is seen is lit by it.
+
+    Light from behind mostly falls on surfaces that nobody sees, and a fault of its colour would change no pixel.
+    """
+    lights = []
+    for kind, fields in LIGHT_FIELDS.items():
+        drawn = [{"type": kind, **fields(rng, setting)} for _ in range(int(rng.integers(3)))]
+        lights += [*drawn[:-1], *(_from_the_viewer(light, setting, camera) for light in drawn[-1:])]
+    return lights
+
+
+def _from_the_viewer(light: Fields, setting: Setting, camera: Fields) -> Fields:
+    """The light, or its mirror image through the centre, whichever shines along the camera's direction."""
+    along, center = np.array(camera["direction"]), np.array(setting.center)
+    if "direction" in light and np.dot(light["direction"], along) < 0.0:
+        return light | {"direction": [-x for x in light["direction"]]}
+    if "position" in light and np.dot(np.array(light["position"]) - center, along) > 0.0:
+        return light | {"position": vector(2.0 * center - np.array(light["position"]))}
+    return light
 
 
 def _sometimes(rng: Rng, fields: Fields, share: float = 0.5) -> Fields:

@@ -27,6 +27,7 @@ from mitsuba_ref.error_model.intersections import (
     norm,
     position_error,
 )
+from mitsuba_ref.error_model.tolerances import SIMILARITY_ROUNDINGS, TRANSFORM_ROUNDINGS
 from mitsuba_ref.oracle.exact_quadrics import ELLIPSOIDS as EXACT_ELLIPSOIDS
 from mitsuba_ref.oracle.exact_quadrics import SPHERES as EXACT_SPHERES
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
@@ -172,6 +173,9 @@ def expected_sphere(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
         scale = largest * np.cbrt(abs(np.linalg.det(linear / largest)))
         radius = shape.radius * scale
         yield ExpectedNumbers("radius", part.radius[0], radius, radius)
+        columns = linear / scale
+        size = np.full((3, 3), SIMILARITY_ROUNDINGS / TRANSFORM_ROUNDINGS)
+        yield ExpectedNumbers("similarity", columns.T @ columns, np.eye(3), size)
         yield ExpectedNumbers("turn", part.turn[0], np.swapaxes(linear / scale, 0, 1), np.ones((3, 3)))
     else:
         yield up_to_rounding("to_world", part.to_world[0], shape.radius * linear)

@@ -13,7 +13,9 @@ from edited_tree import ROOT, copy_tree, edit, run
 
 PINHOLE, TILES = "caster/cameras/pinhole.py", "caster/rendering/shading.py"
 LIGHTING, WORLD = "caster/kernels/surface/lighting.py", "caster/geometry/world_space.py"
-SPHERE = "caster/shapes/sphere.py"
+SPHERE, MODEL = "caster/shapes/sphere.py", "caster/scene/model.py"
+SUN = "(0.0 - x, 0.0 - y, 0.0 - z), self.irradiance)"
+SHINING = '            for light in scene.lights\n            if light.type != "ambient"\n        ]'
 SIZE = ("--size", "20", "16")
 JUDGED, UNJUDGED = ("--judge-every", "1"), ("--judge-every", "0")
 
@@ -55,6 +57,55 @@ OPTION_FAULTS = (
         "y = (0.5 - camera.shift[1]) * camera.size[1]",
         "y = (0.5 + camera.shift[1]) * camera.size[1]",
     ),
+    (
+        "channels of a directional light exchanged",
+        "options 3..3",
+        "judged",
+        MODEL,
+        SUN,
+        "(0.0 - x, 0.0 - y, 0.0 - z), self.irradiance[::-1])",
+    ),
+    (
+        "blue of a directional light halved",
+        "lights-and-shadows",
+        "diffuse: ",
+        MODEL,
+        SUN,
+        "(0.0 - x, 0.0 - y, 0.0 - z), (*self.irradiance[:2], 0.5 * self.irradiance[2]))",
+    ),
+    (
+        "the second light of a kind dropped",
+        "options 3..3",
+        "judged",
+        TILES,
+        SHINING,
+        "            for i, light in enumerate(scene.lights)\n"
+        '            if light.type not in ("ambient", *(each.type for each in scene.lights[:i]))\n        ]',
+    ),
+    (
+        "a point light as blue as it is red",
+        "options 6..6",
+        "judged",
+        MODEL,
+        "PointLight(self.position, self.intensity)",
+        "PointLight(self.position, (*self.intensity[:2], self.intensity[0]))",
+    ),
+    (
+        "two_sided of the first material for all",
+        "two-sided",
+        "diffuse: ",
+        TILES,
+        "[material.two_sided for material in materials]",
+        "[materials[0].two_sided for material in materials]",
+    ),
+    (
+        "far plane of orthographic cameras ignored",
+        "orthographic-clip",
+        "camera: ",
+        "caster/cameras/orthographic.py",
+        "far = math.inf if self.far is None else self.far",
+        "far = math.inf",
+    ),
 )
 SCALE_FAULTS = (
     (
@@ -72,6 +123,22 @@ SCALE_FAULTS = (
         WORLD,
         "SIMILARITY_RTOL = 128 * 2.0**-53",
         "SIMILARITY_RTOL = 1e-12",
+    ),
+    (
+        "a stretch of 1.0005 taken for a sphere",
+        "similarities 8..8",
+        "judged|culling|t",
+        WORLD,
+        "SIMILARITY_RTOL = 128 * 2.0**-53",
+        "SIMILARITY_RTOL = 2e-3",
+    ),
+    (
+        "directions below 1e-170 are none",
+        "magnitudes 1..1",
+        "error",
+        "caster/kernels/nearest.py",
+        "if not (length > 0.0 and",
+        "if not (length > 1e-170 and",
     ),
     (
         "no hit nearer than 1e-6",

@@ -837,6 +837,7 @@ def test_without_a_fault_the_scene_passes(forks, unedited, coarse_scenes, scene,
 def test_a_planted_fault_fails_by_the_check_it_offends(forks, tree, coarse_scenes, fault):
     edit(tree, fault.file, fault.old, fault.new)
     found = validate(forks, tree, coarse_scenes / f"{fault.scene}.toml", fault.size)
+    print(found.stdout)
     assert found.returncode == 1, f"this passes: {fault.what}\n{found.stdout}"
     assert re.search(rf"^FAIL  {fault.scene}  {fault.check}: ", found.stdout, re.MULTILINE), found.stdout
     again = re.findall(r"^      replay:    mitsuba-ref (.*)", found.stdout, re.MULTILINE)

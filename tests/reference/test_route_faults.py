@@ -14,7 +14,6 @@ import pytest
 from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
 
 IMAGES, HITS = (f"caster/rendering/{name}.py" for name in ("images", "hits"))
-SIZE = ("--size", "12", "10")
 
 
 class Fault(NamedTuple):
@@ -27,6 +26,7 @@ class Fault(NamedTuple):
     file: str
     old: str
     new: str
+    size: tuple[str, str] = ("12", "10")
 
 
 AT_ONCE = "            self._render_at_once(kinds[0], *aovs)\n"
@@ -93,6 +93,63 @@ ROUTE_FAULTS = (
         "        x, y, _, _ = scene.film.crop\n"
         "        rays = camera_rays(scene.with_film(crop=(x + 1, y, x + 2, y + 1)), threads)\n",
     ),
+    Fault(
+        "routes",
+        "occluded ignores t_min",
+        "one-sphere",
+        r"routes: .*caster\.occluded\(scene, o, d, \S+, t_min=",
+        HITS,
+        "    given, plain = validated_rays_with_range(o, d, t_min, t_max)\n    return find_any",
+        "    given, plain = validated_rays_with_range(o, d, 0.0, t_max)\n    return find_any",
+    ),
+    Fault(
+        "routes",
+        "Hits.prim_id 0 everywhere",
+        "cornell-box",
+        r"routes: .*caster\.cast\(.*\.prim_id: prim_id at ",
+        HITS,
+        "        return self.view.prim_id\n",
+        "        return self.view.prim_id.clip(-1, 0)\n",
+    ),
+    Fault(
+        "routes",
+        "uv exchanged by cast",
+        "one-sphere",
+        r"routes: .*caster\.cast\(.*\.surface\.uv: uv at ",
+        HITS,
+        "        return self.view.surfaces\n",
+        "        return self.view.surfaces._replace(uv=self.view.surfaces.uv[:, ::-1])\n",
+    ),
+    Fault(
+        "routes",
+        "uv exchanged where one or two AOVs are rendered",
+        "one-sphere",
+        r"routes: .*caster\.render\(.*'uv'.*: uv at ",
+        IMAGES,
+        RETURNED,
+        "        if 'uv' in film.images and len(film.images) < 3:\n"
+        "            film.images['uv'] = film.images['uv'][..., ::-1].copy()\n" + RETURNED,
+    ),
+    Fault(
+        "routes",
+        "the last stripe of three threads lost",
+        "one-sphere",
+        r"routes: .*threads=3\): mask at ",
+        "caster/rendering/threads.py",
+        "    left = iter(pieces)  #",
+        "    left = iter(pieces[:-1] if workers == 3 else pieces)  #",
+    ),
+    Fault(
+        "routes",
+        "uncertain pixels of a crop not decided",
+        "shared-edges-cube",
+        r"routes: .*crop=.*: mask at ",
+        IMAGES,
+        "        pixels = np.flatnonzero(self.uncertain)\n",
+        "        pixels = np.flatnonzero(self.uncertain)\n"
+        "        if self.scene.film.crop:\n            pixels = pixels[:0]\n",
+        ("15", "15"),
+    ),
 )
 
 FAULTS = ROUTE_FAULTS
@@ -116,7 +173,7 @@ def test_a_planted_fault_is_found(tmp_path, fault):
     if fault.found_by.endswith(".py"):
         found = run_test(tree, fault.found_by)
     else:
-        found = run(tree, "validate", f"scenes/{fault.found_by}.toml", *SIZE, "-j", "1")
+        found = run(tree, "validate", f"scenes/{fault.found_by}.toml", "--size", *fault.size, "-j", "1")
     print(found.stdout)
     assert found.returncode == 1, f"this passes: {fault.what}\n{found.stdout}{found.stderr}"
     assert re.search(fault.message, found.stdout), found.stdout

@@ -60,6 +60,7 @@ REPLACED_IN_NAMES = {
     r"nobody|everybody|whoever": "none, all",
     r"bent": "distortion",
 }
+QUOTING = {"docs/faults.md"}  # names of planted faults and of shapes in scenes
 PRODUCT = ("caster/", "mitsuba_ref/", "docs/", "README.md", "Makefile")
 
 
@@ -89,7 +90,7 @@ def test_a_replaced_word_is_gone(texts, pattern):
 
 @pytest.mark.parametrize("pattern", REPLACED_IN_PRODUCT)
 def test_a_replaced_word_is_gone_from_what_users_read(texts, pattern):
-    read = {name: text for name, text in texts.items() if name.startswith(PRODUCT)}
+    read = {name: text for name, text in texts.items() if name.startswith(PRODUCT) and name not in QUOTING}
     places = [f"{name}:{line}" for name, text in read.items() for line in found(pattern, text)]
     assert len(read) > 250 and not places, f"write '{REPLACED_IN_PRODUCT[pattern]}' at {', '.join(places)}"
 
