@@ -97,7 +97,7 @@ def test_what_is_not_given_is_not_judged_and_stated_so(judged):
     found = judged(candidates.without_normals, small("one-sphere"))
     assert found.ok and found.unjudged == ("normal", *NEVER_GIVEN) and "normal" not in found.ratios
     told = summary_text(Verdict((found,)), 1.0)
-    assert "not judged: normal, position, shading normal, shape id, diffuse" in told
+    assert "not judged: normal, position, shading normal, uv, shape id, diffuse" in told
     assert "candidate:  without_normals, held to the bounds of float64" in told
 
 
