@@ -119,7 +119,7 @@ def main() -> None:
     PAGE.write_text(
         TEXT.format(
             diff=diff(),
-            failing=shown(failing, lines=14),
+            failing=shown(failing, lines=16),
             probed=shown(probed, lines=18),
             alone=alone,
             near=shown(near, start="miss"),

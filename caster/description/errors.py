@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 __all__ = [
@@ -163,12 +164,19 @@ def _subject(path: DataPath, data: Any, model: Model) -> str:
 CROSS_ELEMENT_ERROR = "cross_element"  # type of the error of a check across several elements
 
 
+MAX_SUGGESTIONS = (
+    1000  # unknown keys of one file for which the most similar known one is searched: 30 us each
+)
+
+
 def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diagnostic]:
     """All errors of a validation as diagnostics, and those of checks across elements."""
+    _models_by_key.cache_clear()  # a plug-in may have added fields since
     found: dict[Any, Diagnostic] = {}
     for finding in error.errors(include_url=False):
         if finding["type"] != CROSS_ELEMENT_ERROR:  # repeated below on the input data
-            problem = _diagnostic(finding, _locate(finding["loc"], data, model), data, model)
+            place = _locate(finding["loc"], data, model)
+            problem = _diagnostic(finding, place, data, model, suggests=len(found) < MAX_SUGGESTIONS)
             found[problem.path, finding["type"]] = problem  # Pydantic reports a list too short by two twice
     return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]
 
@@ -198,11 +206,20 @@ def _locate(loc: DataPath, data: Any, model: Model) -> _Location:
 
 
 def _below(models: tuple[Model, ...], step: str | int) -> tuple[Model, ...]:
-    fields = (field for m in models for name, field in m.model_fields.items() if step in (name, field.alias))
-    annotations = [field.annotation for field in fields]
-    if not annotations:
+    tables = [_models_by_key(model) for model in models]
+    if not any(step in table for table in tables):
         return models  # an index, or a user-defined name
-    return tuple(found for annotation in annotations for found in _models_in(annotation))
+    return tuple(found for table in tables for found in table.get(step, ()))
+
+
+@cache
+def _models_by_key(model: Model) -> Mapping[str | int, tuple[Model, ...]]:
+    """The description classes of what stands at each key, by the field's name and by its alias."""
+    table: dict[str | int, tuple[Model, ...]] = {}
+    for name, field in model.model_fields.items():
+        for key in {name, field.alias or name}:
+            table[key] = (*table.get(key, ()), *_models_in(field.annotation))
+    return table
 
 
 def _models_in(annotation: Any) -> tuple[Model, ...]:
@@ -211,7 +228,7 @@ def _models_in(annotation: Any) -> tuple[Model, ...]:
     return tuple(found for part in get_args(annotation) for found in _models_in(part))
 
 
-def _diagnostic(finding: Any, place: _Location, data: Any, model: Model) -> Diagnostic:
+def _diagnostic(finding: Any, place: _Location, data: Any, model: Model, *, suggests: bool) -> Diagnostic:
     path, around, models = place
     kind, got = finding["type"], finding["input"]
     if kind == "missing" and isinstance(path[-1], int):
@@ -220,18 +237,18 @@ def _diagnostic(finding: Any, place: _Location, data: Any, model: Model) -> Diag
     if kind == "missing":
         return table_diagnostic(path, f"needs the key '{path[-1]}'", data, model)
     if kind == "extra_forbidden":
-        return value_diagnostic(path, _unknown_key(str(path[-1]), around), data, model)
+        return value_diagnostic(path, _unknown_key(str(path[-1]), around, suggests), data, model)
     if kind.startswith("union_tag"):
         noun = SINGULAR.get(str(path[0]), str(path[0]))
         return table_diagnostic((*path, "type"), _unknown_type(got, noun, models), data, model)
     return value_diagnostic(path, _text(kind, got, finding.get("ctx", {})), data, model)
 
 
-def _unknown_key(key: str, around: Sequence[Model]) -> str:
+def _unknown_key(key: str, around: Sequence[Model], suggests: bool) -> str:
     known = [field.alias or name for model in around for name, field in model.model_fields.items()]
     if SINGULAR.get(key) in known:  # either spelling is valid, but not both
         return f"is a second '{SINGULAR[key]}': write one of them only"
-    return f"is an unknown key{suggestion(key, known)}"
+    return f"is an unknown key{suggestion(key, known) if suggests else ''}"
 
 
 def _unknown_type(got: Any, noun: str, models: Sequence[Model]) -> str:

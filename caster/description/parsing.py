@@ -103,6 +103,8 @@ def _header_path(keys: list[str], is_array: bool, last: dict[DataPath, int]) -> 
 
 def _keys(node: Any) -> list[str]:
     """The parts of a dotted key, unquoted: three for a."b c".d."""
+    if node.type == "bare_key":
+        return [node.text.decode()]
     table: Any = tomllib.loads(f"{node.text.decode()} = 0")
     keys = []
     while isinstance(table, dict):

@@ -14,7 +14,7 @@ from hostile_runs import Bench
 from caster.cli.shared_arguments import InputPath
 
 HERE = Path(__file__).resolve().parent
-SHARE = 40
+SHARE = 100
 
 
 def test_a_share_of_the_cases():
