@@ -75,6 +75,7 @@ def caught(said: str, nodeid: str) -> Row:
     """Of what a passing test printed: by a check, by `fuzz`, by a test that fails, or by the test itself."""
     patterns = (
         (r"^.*?FAIL  (\S+)  (\w+): (.*)", lambda m: Row(f"`{m[2]}` of {m[1]}", m[3])),
+        (r"^.*?FAIL  (\S+)  (.*)\n      (\w+): ", lambda m: Row(f"`{m[3]}` of {m[1]}", m[2])),
         (r"^.*?FAIL  ([\w.-]+): (.*)", lambda m: Row(f"fuzz: {m[1]}", m[2])),
         (r"caught by fuzz as (.*)", lambda m: Row(f"fuzz: {m[1]}", m[1])),
         (r"^FAILED (\S+?)(?: - (.*))?$", lambda m: Row(f"`{m[1].split('[')[0]}`", m[2] or "fails")),

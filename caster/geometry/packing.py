@@ -70,6 +70,19 @@ class Packed:
             return np.where(prim < 0, np.int32(-1), np.int32(0))
         return (np.searchsorted(self.first, prim, side="right") - 1).astype(np.int32)
 
+    @cached_property
+    def shape_extents(self) -> np.ndarray:
+        """(shapes,) float64: the largest |coordinate| of the bounding boxes of each shape; 0 of an unbounded one."""
+        extents = np.zeros(len(self.parts))
+        for place, kind in enumerate(self.kinds):
+            if kind.bounded:
+                low, high = kind.boxes()
+                for shape in np.flatnonzero(self.kind_of == place):
+                    rows = slice(self.start[shape], self.start[shape] + primitive_count(self.parts[shape]))
+                    corners = np.abs([low[rows], high[rows]])
+                    extents[shape] = corners.max(initial=0.0)
+        return extents
+
     def place_of(self, prim: int) -> tuple[Kind, int]:
         """The kind of a primitive, and its index within the kind."""
         shape = int(self.shape_of(np.array(prim)))

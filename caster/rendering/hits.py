@@ -125,7 +125,8 @@ class RayHits:
         if not self.scene.shading.shadows:
             return np.ones(len(where), bool)
         out = new_rays(len(where))
-        shadow_rays_of(light.pack(), self.surfaces, self.rays, self.nearest.t, where, out)
+        extents = self.packed.shape_extents[self.shape_id]
+        shadow_rays_of(light.pack(), self.surfaces, self.rays, self.nearest.t, extents, where, out)
         return ~find_any(self.packed, out, self.threads)
 
 

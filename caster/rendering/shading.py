@@ -208,8 +208,11 @@ class TileShader:
 
     def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
         cast = tile_caster(packed, any_hit=True) if plan.shadows.runs else None
+        shapes, extents = shape_by_primitive(packed), packed.shape_extents
         steps: list[Step] = [
-            partial(_add_light, light.pack(), cast, packed if exact else None, self._shadow_rays)
+            partial(
+                _add_light, light.pack(), cast, packed if exact else None, self._shadow_rays, shapes, extents
+            )
             for light in scene.lights
             if light.type != "ambient"
         ]
@@ -248,13 +251,15 @@ def _add_light(
     cast: Any,
     exact: Packed | None,
     counts: list[int],
+    shapes: np.ndarray,
+    extents: np.ndarray,
     workspace: TileWorkspace,
     box: Box,
     present: Present,
 ) -> None:
     """Radiance of what a light reaches; `counts` gets the number of shadow rays."""
     tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
-    count = shadow_rays_in_tile(light, tile, box, surface, shadow_tile)
+    count = shadow_rays_in_tile(light, tile, box, shapes, extents, surface, shadow_tile)
     if count and cast:
         counts.append(count)
         cast((box[3] - box[1]) * WIDTH, shadow_tile)

@@ -33,6 +33,7 @@ PIXEL_CHECKS = (
     "position",
     "normal",
     "shading_normal",
+    "uv",
     "diffuse",
     "exact",
 )

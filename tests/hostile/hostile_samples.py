@@ -171,6 +171,9 @@ READERS: dict[str, tuple[str, ...]] = {
     "in/hits.npy": read_by(
         "mitsuba-ref judge --scene in/scene.toml --rays in/rays.npy --hits FILE --precision float32"
     ),
+    "in/expected.toml": read_by(
+        f'mitsuba-ref validate in/scene.toml --candidate-rays "{COPY.format(".npy", "hits")} {{rays}}" --expected FILE'
+    ),
     "in/shards/verdict.json": read_by(
         "mitsuba-ref merge FILE --json out/m.json --junit out/m.xml --summary-md out/m.md",
         "mitsuba-ref merge in/shards --json out/m.json",
@@ -269,6 +272,9 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     t = hits.t
     np.savez(source / "hits.npz", t=t.astype("f4"), n=n.astype("f4"))
     np.save(source / "hits.npy", np.column_stack([t, n]).astype("f4"))
+    (source / "expected.toml").write_text(
+        '[[failure]]\nscene = "scene"\nchecks = ["depth"]\npixels = 3\nwhy = "x"\n'
+    )
     (source / "answer.npy").write_bytes((source / "hits.npy").read_bytes())
     (source / "answer.exr").write_bytes((source / "image.exr").read_bytes())
     verdict = (folder / "out" / "verdict.json").read_bytes()

@@ -153,8 +153,8 @@ SCALE_FAULTS = (
         "lights-and-shadows",
         "scaling: ",
         LIGHTING,
-        " + max_norm(p))\n",
-        " + max_norm(p)) + 1e-6\n",
+        " + max_norm(p), extent)\n",
+        " + max_norm(p), extent) + 1e-6\n",
     ),
     (
         "depth below 1e-6 is not projected",

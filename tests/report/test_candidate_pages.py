@@ -95,7 +95,7 @@ def test_what_is_not_given_is_stated_and_not_drawn(visit, report):
     assert page.locator(".pane.ours .legend").inner_text() == ""
     page.locator(".pane.ours canvas").click(position={"x": 60, "y": 60})
     words = page.inner_text("#pixel section:has-text('Not given')")
-    assert "normal, position, shading normal, shape, diffuse" in words
+    assert "normal, position, shading normal, uv, shape, diffuse" in words
 
 
 # Of our canvas: the share of it that is not clear, and the lightest green of that.

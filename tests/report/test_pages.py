@@ -217,7 +217,7 @@ def test_keys_and_what_is_remembered(visit, folder):
     opened = visit(folder, "#s=good", color_scheme="light")
     page = opened.page
     page.wait_for_selector(".pane canvas")
-    ready_layers = {"2": "normal", "5": "diffuse", "6": "shape_id", "9": "all", "1": "depth"}
+    ready_layers = {"2": "normal", "5": "uv", "6": "diffuse", "7": "shape_id", "a": "all", "1": "depth"}
     for key, layer in ready_layers.items():
         page.keyboard.press(key)
         page.wait_for_selector(f"[data-layer={layer}][aria-pressed=true]")

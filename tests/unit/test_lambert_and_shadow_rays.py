@@ -43,7 +43,9 @@ def hits(
 ) -> ShadingPoints:
     flat, none = np.zeros(COUNT), np.zeros(COUNT, bool)
     errors = np.full(COUNT, sh_error)
-    at = Intersections(flat, flat, sh_n, errors, sh_n, errors, ~none, ~none, np.full(COUNT, p_error))
+    at = Intersections(
+        flat, flat, sh_n, errors, sh_n, errors, ~none, ~none, np.full(COUNT, p_error), sh_n, flat
+    )
     return ShadingPoints(p, d, np.arange(COUNT) % 2, at)
 
 

@@ -5,13 +5,16 @@ import math
 import numpy as np
 import pytest
 
+from caster.cameras import Pinhole
 from caster.kernels.surface.lighting import (
     incident_irradiance,
     light_direction,
     received_irradiance,
     shadow_ray,
 )
-from caster.scene.model import Ambient, Directional, Point
+from caster.rendering.images import render
+from caster.scene.model import Ambient, Directional, Film, Point, Scene
+from caster.shapes import Cylinder, Disk, Rectangle, Sphere
 
 P = [(0.0, 0.0, 0.0), (3.0, 0.0, 4.0), (1.0, 2.0, 3.0)]
 
@@ -75,6 +78,30 @@ def test_slanting_light_gives_its_cosine():
 @pytest.mark.parametrize(("normal", "side"), [(UP, 1.0), (DOWN, 1.0), ((1.0, 0.0, 0.0), 0.0)])
 def test_a_shadow_ray_starts_on_the_side_of_the_light(normal, side):
     """And by how much: 64 u of what the hit's rounding scales with; from there on everything counts."""
-    o, d, near, reach = shadow_ray(SUN, (0.0, 1.0, 0.0), normal, (0.0, 3.0, 0.0), (0.0, -2.0, 0.0), 1.0)
-    off = 64 * 2.0**-53 * (3.0 + 2.0 + 1.0)
-    assert o == (0.0, 1.0 + side * off, 0.0) and d == UP and (near, reach) == (off, math.inf)
+    line = (0.0, 3.0, 0.0), (0.0, -2.0, 0.0), 1.0
+    for extent, scale in ((0.0, 3.0 + 2.0 + 1.0), (6.0, 6.0), (1e6, 1e6)):
+        o, d, near, reach = shadow_ray(SUN, (0.0, 1.0, 0.0), normal, *line, extent)
+        off = 64 * 2.0**-53 * scale
+        assert o == (0.0, 1.0 + side * off, 0.0) and d == UP and (near, reach) == (off, math.inf)
+
+
+STAND = {"rotate": {"axis": [1, 0.05, 0.03], "degrees": -88.7}}
+LARGE = {  # each as large as r, its surface 1.7 below the eye
+    "sphere": lambda r: Sphere(center=(0, -r, 0), radius=r),
+    "ellipsoid": lambda r: Sphere(to_world=[{"scale": [1.3 * r, r, 1.1 * r]}, {"translate": [0, -r, 0]}]),
+    "cylinder": lambda r: Cylinder(to_world=[{"scale": [r, r, 9 * r]}, {"translate": [0, -r, -4 * r]}]),
+    "disk": lambda r: Disk(to_world=[{"scale": r}, STAND]),
+    "rectangle": lambda r: Rectangle(to_world=[{"scale": r}, STAND]),
+}
+
+
+@pytest.mark.parametrize("radius", [1e4, 6.371e6])
+@pytest.mark.parametrize("shape", LARGE)
+def test_a_large_shape_seen_from_nearby_does_not_shadow_itself(shape, radius):
+    eye = Pinhole(eye=(0.0, 1.7, 0.0), look_at=(0.13, 1.3, -3.1), fov=63.1)
+    sun = Directional(direction=(-0.31, -0.83, -0.57), irradiance=(2.0, 2.0, 2.0))
+    film = Film(width=24, height=24)
+    scene = Scene(camera=eye, film=film, lights=[sun], shapes=[LARGE[shape](radius)])
+    images = render(scene, ("diffuse", "shading_normal"))
+    lit = images.hit & (images["shading_normal"] @ np.array([0.31, 0.83, 0.57]) > 1e-3)
+    assert lit.sum() > 200 and (images["diffuse"][lit] > 0.0).all()

@@ -9,9 +9,10 @@ from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import PRIM, T_MAX, UNCERTAIN, WIDTH, Box, T, clear_rays, lane, start_ray
 from caster.kernels.surface.per_hit import ALBEDO, FLUX, ONE, RADIANCE, SH_N, SIDES, N, P, get, put, ray_of
 
-# A computed hit lies within 16 u (|o| + t + |p|) of the surface (caster/kernels/math/quadric_roots.py,
-# triangles.py); shadow rays start
-# four times as far out, along the normal, so that no surface shadows itself. u = 2^-53.
+# A computed hit lies within 16 u (|o| + t + |p|) of the surface (caster/kernels/math/quadric_roots.py, triangles.py)
+# or, as it is computed from the shape's numbers as well, within 16 u of its largest coordinate: of a sphere as large
+# as the Earth that is more. Shadow rays start four times as far out, along the normal, so that no surface shadows
+# itself. u = 2^-53.
 SHADOW_OFFSET = 4 * 16.0 * 2.0**-53
 
 
@@ -82,15 +83,17 @@ def received_irradiance(light: Any, p: Vec3, sh_n: Vec3, d: Vec3, two_sided: boo
 
 
 @inlined
-def shadow_ray(light: Any, p: Vec3, n: Vec3, o: Vec3, d: Vec3, t: float) -> tuple[Vec3, Vec3, float, float]:
-    """(o, d, t_min, t_max) from the hit p of ray (o, d) at t to the light.
+def shadow_ray(
+    light: Any, p: Vec3, n: Vec3, o: Vec3, d: Vec3, t: float, extent: float
+) -> tuple[Vec3, Vec3, float, float]:
+    """(o, d, t_min, t_max) from the hit p of ray (o, d) at t to the light. extent: largest |coordinate| of the shape.
 
     It starts off the surface, on the side that the light is on. What lies nearer than the offset does not count:
     a hit in the crease of two faces may be a rounding behind the other one.
     """
     lean = dot(n, incident_irradiance(light, p)[0])
     side = 1.0 if lean > 0.0 else (-1.0 if lean < 0.0 else 0.0)
-    offset = SHADOW_OFFSET * (max_norm(o) + t * math.sqrt(dot(d, d)) + max_norm(p))
+    offset = SHADOW_OFFSET * max(max_norm(o) + t * math.sqrt(dot(d, d)) + max_norm(p), extent)
     start = point_at(p, side * offset, n)
     way, reach = light_direction(light, start)
     away = math.sqrt(dot(way, way))
@@ -98,12 +101,13 @@ def shadow_ray(light: Any, p: Vec3, n: Vec3, o: Vec3, d: Vec3, t: float) -> tupl
 
 
 @jit
-def shadow_rays_of(light: Any, surfaces: Any, rays: Any, t: Any, where: Any, out: Any) -> None:
-    """`shadow_ray` for the rays `where`, written to rays 0.. of out."""
+def shadow_rays_of(light: Any, surfaces: Any, rays: Any, t: Any, extents: Any, where: Any, out: Any) -> None:
+    """`shadow_ray` for the rays `where`, written to rays 0.. of out. extents: of the shape that each ray hits."""
     for j in range(len(where)):
         i = where[j]
         o, d = row(rays.o, i), row(rays.d, i)
-        start, way, near, reach = shadow_ray(light, row(surfaces.p, i), row(surfaces.n, i), o, d, t[i])
+        p, n = row(surfaces.p, i), row(surfaces.n, i)
+        start, way, near, reach = shadow_ray(light, p, n, o, d, t[i], extents[i])
         for c in range(3):
             out.o[j, c], out.d[j, c] = start[c], way[c]
         out.t_min[j], out.t_max[j] = near, reach
@@ -125,10 +129,12 @@ def materials_in_tile(
 
 
 @jit
-def shadow_rays_in_tile(light: Any, tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> int:
+def shadow_rays_in_tile(
+    light: Any, tile: Any, box: Box, shapes: Any, extents: Any, buffer: Any, shadow_tile: Any
+) -> int:
     """Begin the tile `shadow_tile`: a ray to the light from each hit that faces it; how many.
 
-    FLUX: what arrives if nothing is in between.
+    shapes[prim] is a primitive's, extents[shape] its largest |coordinate|. FLUX: what arrives if nothing is in between.
     """
     width, count = box[2] - box[0], 0
     for y in range(box[3] - box[1]):
@@ -142,7 +148,10 @@ def shadow_rays_in_tile(light: Any, tile: Any, box: Box, buffer: Any, shadow_til
                 )
                 if faces:
                     put(buffer, FLUX + i, flux)
-                    start_ray(shadow_tile, i, shadow_ray(light, p, get(buffer, N + i), o, d, tile[T + i]))
+                    extent = extents[shapes[int(tile[PRIM + i])]]
+                    start_ray(
+                        shadow_tile, i, shadow_ray(light, p, get(buffer, N + i), o, d, tile[T + i], extent)
+                    )
                     count += 1
             if not faces:
                 start_ray(shadow_tile, i, ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0))

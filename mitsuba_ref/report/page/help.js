@@ -2,7 +2,7 @@
 
 const KEYS = [
   ["scenes", [["/", "find"], ["j k", "next, previous scene"], ["Enter", "open"], ["Esc", "back to the list"]]],
-  ["layers", [["1 \u2026 9", "depth, normal, shading normal, position, diffuse, shape, primitive, hit, all checks"]]],
+  ["layers", [["1 \u2026 9", "depth, normal, shading normal, position, uv, diffuse, shape, primitive, hit"], ["a", "all checks"]]],
   ["views", [
     ["Shift", `hold: the reference in place of ${THE_JUDGED}`], ["g", "all images"],
     ["o", JUDGED], ["r", "reference"],

@@ -21,9 +21,9 @@ function onKey(event) {
   if (event.ctrlKey || event.metaKey || event.altKey || byId("help").open) return;
   const writing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
   if (writing) return leaveField(event);
-  const digit = /^[1-9]$/.test(event.key) && state.s ? LAYERS[event.key - 1] : null;
+  const layer = state.s ? LAYERS.find((each) => each.key === event.key) : null;
   const named = { ...(state.s ? SCENE_KEYS : LIST_KEYS), ...KEYS_ANYWHERE };
-  const action = digit ? () => chooseLayer(digit.name) : named[event.key];
+  const action = layer ? () => chooseLayer(layer.name) : named[event.key];
   if (!action) return;
   event.preventDefault();
   action();

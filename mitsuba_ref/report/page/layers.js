@@ -1,16 +1,16 @@
 // Layers: the compared quantities, where their numbers are, and which check judges them.
 
 const LAYERS = [
-  { name: "depth", kind: "scalar", check: "depth", words: "depth" },
-  { name: "normal", kind: "vector", check: "normal", words: "normal" },
-  { name: "shading_normal", kind: "vector", check: "shading_normal", words: "shading normal" },
-  { name: "position", kind: "place", check: "position", words: "position" },
-  { name: "uv", kind: "uv", check: "uv", words: "uv" },
-  { name: "diffuse", kind: "light", check: "diffuse", words: "diffuse" },
-  { name: "shape_id", kind: "id", check: "shape_id", words: "shape" },
-  { name: "prim_id", kind: "id", check: "", words: "primitive" },
-  { name: "hit", kind: "mask", check: "mask", words: "hit" },
-  { name: "all", kind: "none", check: "", words: "all checks" },
+  { name: "depth", key: "1", kind: "scalar", check: "depth", words: "depth" },
+  { name: "normal", key: "2", kind: "vector", check: "normal", words: "normal" },
+  { name: "shading_normal", key: "3", kind: "vector", check: "shading_normal", words: "shading normal" },
+  { name: "position", key: "4", kind: "place", check: "position", words: "position" },
+  { name: "uv", key: "5", kind: "uv", check: "uv", words: "uv" },
+  { name: "diffuse", key: "6", kind: "light", check: "diffuse", words: "diffuse" },
+  { name: "shape_id", key: "7", kind: "id", check: "shape_id", words: "shape" },
+  { name: "prim_id", key: "8", kind: "id", check: "", words: "primitive" },
+  { name: "hit", key: "9", kind: "mask", check: "mask", words: "hit" },
+  { name: "all", key: "a", kind: "none", check: "", words: "all checks" },
 ];
 const CHANNELS = { scalar: [""], vector: ["x", "y", "z"], place: ["x", "y", "z"], light: ["r", "g", "b"], uv: ["u", "v"] };
 

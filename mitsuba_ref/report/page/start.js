@@ -40,8 +40,8 @@ function showAll() {
 }
 
 function buildTools() {
-  byId("layers").innerHTML = LAYERS.map((layer, i) =>
-    `<button type="button" data-layer="${layer.name}"><kbd>${i + 1}</kbd>${layer.words}</button>`).join("");
+  byId("layers").innerHTML = LAYERS.map((layer) =>
+    `<button type="button" data-layer="${layer.name}"><kbd>${layer.key}</kbd>${layer.words}</button>`).join("");
   const views = {
     all: ["g", "all"], ours: ["o", JUDGED], reference: ["r", "reference"], difference: ["d", "difference"],
     ratio: ["x", "over bound"], class: ["l", "class"], wipe: ["w", "wipe"], blink: ["b", "blink"],
