@@ -195,7 +195,7 @@ FAULTS = (
     fault(
         "float32 in one place",
         "planes",
-        4,
+        12,
         "t prim",
         (PLANE, "    t = height / slope\n", "    t = float(np.float32(height)) / slope\n"),
     ),

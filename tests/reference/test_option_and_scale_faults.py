@@ -156,14 +156,6 @@ SCALE_FAULTS = (
         " + max_norm(p), extent)\n",
         " + max_norm(p), extent) + 1e-6\n",
     ),
-    (
-        "depth below 1e-6 is not projected",
-        "one-sphere",
-        "scaling: ",
-        PINHOLE,
-        "MIN_INVERTIBLE_DEPTH = 2.0**-1000",
-        "MIN_INVERTIBLE_DEPTH = 1e-6",
-    ),
 )
 FAULTS = tuple(
     Fault(family, *fault)
@@ -186,7 +178,7 @@ def test_a_planted_fault_is_found(tmp_path, fault):
         pattern = rf"^\d+ findings: .*\d+ (?:{fault.message})\b"
     else:
         words = ["validate", f"scenes/{fault.found_by}.toml", *SIZE, "-j", "1"]
-        pattern = rf"^FAIL  {fault.found_by}  .*{fault.message}"
+        pattern = rf"^FAIL  {fault.found_by}  (.*\n +)?.*{fault.message}"
     found = run(tree, *words, *out)
     print(f"{fault.what}: {found.stdout}")
     assert found.returncode == 1, f"this passes: {fault.what}\n{found.stdout}{found.stderr}"
