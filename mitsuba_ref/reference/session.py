@@ -37,6 +37,9 @@ DONE, REFUSED = "done", "refused"  # its replies, each before the folder of the 
 IDLE_SECONDS = 60.0  # without a request, after which a resident process ends by itself
 RESIDENT_BYTES = 1 << 30  # of memory, above which it is replaced; 200 MB are usual
 
+# Of the environment: what changes without any part in what Mitsuba does. pytest sets it anew for every test.
+UNUSED_VARIABLES = frozenset({"PYTEST_CURRENT_TEST"})
+
 # A way to Mitsuba: (request, timeout in seconds) -> response
 SendRequest = Callable[[TraceRequest, float], TraceResponse | Crash]
 
@@ -200,7 +203,7 @@ class ResidentSession:
     def _process(self, variant: str) -> ResidentProcess:
         """The resident process of a variant, started if need be. Raises ProcessEnded while starts are refused."""
         environment = {**variants.environment_for(variant), "PYTHONPATH": import_path()}
-        complete = {**os.environ, **environment}
+        complete = {name: os.environ[name] for name in os.environ.keys() - UNUSED_VARIABLES} | environment
         process = self.processes.get(variant)
         if process and process.alive and self._environments[variant] == complete:
             return process

@@ -153,6 +153,17 @@ def test_another_environment_gets_another_process(tmp_path, monkeypatch, alone):
     assert len(pids) == 2 and not alone
 
 
+def test_another_test_of_pytest_gets_the_same_process(tmp_path, monkeypatch, alone):
+    request = balls(tmp_path, 1)[0]
+    pids = set()
+    with ResidentSession() as resident:
+        for name in ("test_a (call)", "test_b (setup)"):
+            monkeypatch.setenv("PYTEST_CURRENT_TEST", name)
+            check_right([resident.send(request)])
+            pids.add(resident.processes["scalar_rgb"].process.pid)
+    assert len(pids) == 1 and not alone
+
+
 def test_a_process_that_has_grown_or_has_nothing_to_do_ends_and_is_replaced(tmp_path, plant, alone):
     requests = balls(tmp_path, 4)
     for fault in ("session.RESIDENT_BYTES = 1", "sys.stdin.close(); pipe = None"):

@@ -53,7 +53,7 @@ ADDED = {
 }
 
 
-@pytest.fixture(params=ADDED)
+@pytest.fixture(params=ADDED, scope="module")  # kernels are compiled once for each registration
 def added(request):
     register(ADDED[request.param])
     yield request.param
