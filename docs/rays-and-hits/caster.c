@@ -1,7 +1,6 @@
 /* A ray caster: every triangle, in double. cc -O2 -std=c99 -o caster caster.c -lm; caster MESH.raw RAYS.raw HITS.raw,
    or caster alone, for --candidate-serve */
 #include "rays_and_hits.h"
-#include <math.h>
 
 static void cross(const double *a, const double *b, double *c) {
     for (int k = 0; k < 3; k++) c[k] = a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3];
@@ -13,7 +12,6 @@ static void cast(Mesh mesh, const Ray *rays, Hit *hits, size_t n) {
     for (size_t i = 0; i < n; i++) {
         double best = INFINITY, o[3], d[3];
         for (int k = 0; k < 3; k++) o[k] = rays[i].o[k], d[k] = rays[i].d[k];
-        hits[i].prim = -1;
         for (int64_t j = 0; j < mesh.faces; j++) {
             double c[3][3], e1[3], e2[3], normal[3], u[3], side[3]; /* corners as seen from o */
             for (int a = 0; a < 3; a++)
@@ -33,25 +31,4 @@ static void cast(Mesh mesh, const Ray *rays, Hit *hits, size_t n) {
     }
 }
 
-int main(int count, char **words) {
-    size_t n, size;
-    if (count == 4) {
-        Mesh mesh = rh_mesh(words[1]);
-        Ray *rays = rh_rays(words[2], &n);
-        Hit *hits = calloc(n ? n : 1, sizeof(Hit));
-        cast(mesh, rays, hits, n);
-        rh_write(words[3], hits, n);
-        return 0;
-    }
-    if (count != 1) return fprintf(stderr, "expected MESH.raw RAYS.raw HITS.raw, or nothing\n"), 2;
-    for (char *data; (data = rh_block(&size)) != NULL;) {
-        Ray *rays = rh_block(&size);
-        if (!rays) return 1;
-        n = size / sizeof(Ray);
-        Hit *hits = calloc(n ? n : 1, sizeof(Hit));
-        cast(rh_mesh_in(data), rays, hits, n);
-        rh_respond(hits, n);
-        free(hits), free(rays), free(data);
-    }
-    return 0;
-}
+int main(int count, char **words) { return rh_main(count, words, cast); }

@@ -1,6 +1,7 @@
 /* Rays in, hits out: {mesh.raw}, {rays.raw} and {hits.raw} as files, or over stdin and stdout (--candidate-serve). C99, little-endian machines, no dependency. */
 #ifndef RAYS_AND_HITS_H
 #define RAYS_AND_HITS_H
+#include <math.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -24,24 +25,12 @@ static void *rh_read(const char *path, size_t *size) {
     return data;
 }
 
-static Ray *rh_rays(const char *path, size_t *count) {
-    size_t size;
-    Ray *rays = (Ray *)rh_read(path, &size);
-    *count = size / sizeof(Ray);
-    return rays;
-}
-
-static Mesh rh_mesh_in(char *data) {
+static Mesh rh_mesh(char *data) {
     Mesh mesh;
     memcpy(&mesh, data, 16);
     mesh.v = (float *)(data + 16);
     mesh.f = (int32_t *)(mesh.v + 3 * mesh.vertices);
     return mesh;
-}
-
-static Mesh rh_mesh(const char *path) {
-    size_t size;
-    return rh_mesh_in((char *)rh_read(path, &size));
 }
 
 static void rh_write(const char *path, const Hit *hits, size_t count) {
@@ -66,5 +55,24 @@ static void *rh_block(size_t *size) {
 static void rh_respond(const Hit *hits, size_t count) {
     int64_t length = (int64_t)(count * sizeof(Hit));
     if (fwrite(&length, 8, 1, stdout) != 1 || fwrite(hits, sizeof(Hit), count, stdout) != count || fflush(stdout)) exit(1);
+}
+
+/* main() of a caster: both ways. cast fills n hits; all of them are misses when it is called. */
+static int rh_main(int count, char **words, void (*cast)(Mesh, const Ray *, Hit *, size_t)) {
+    if (count != 1 && count != 4) return fprintf(stderr, "expected MESH.raw RAYS.raw HITS.raw, or nothing\n"), 2;
+    for (;;) {
+        size_t size, n;
+        char *mesh = (char *)(count == 4 ? rh_read(words[1], &size) : rh_block(&size));
+        if (!mesh) return 0;
+        Ray *rays = (Ray *)(count == 4 ? rh_read(words[2], &size) : rh_block(&size));
+        if (!rays) return 1;
+        n = size / sizeof(Ray);
+        Hit *hits = (Hit *)calloc(n ? n : 1, sizeof(Hit));
+        for (size_t i = 0; i < n; i++) hits[i].t = INFINITY, hits[i].prim = -1;
+        cast(rh_mesh(mesh), rays, hits, n);
+        if (count == 4) rh_write(words[3], hits, n); else rh_respond(hits, n);
+        free(hits), free(rays), free(mesh);
+        if (count == 4) return 0;
+    }
 }
 #endif

@@ -9,10 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
-from caster.geometry.packing import Triangles
 from mitsuba_ref.error_model.intersections import dot, norm, unit
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
+    FIT_FACTOR,
     MAJORITY,
     MIN_FITTED_PIXELS,
     NEARLY_ALL,
@@ -32,6 +32,7 @@ from mitsuba_ref.judge.hypotheses import (
     float32_inside,
     other_quantity,
     range_text,
+    triangle_corners,
 )
 from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 from mitsuba_ref.shapes import kind_of
@@ -164,7 +165,8 @@ def _explain(causes: _Causes, wrong: WrongPixels) -> None:
     """First what is hit and t, then normals and numbers of primitives at the same surfaces."""
     judge, judgement = causes.judge, causes.judgement
     exact = judgement.exact
-    right = _pixels(judge, judgement, sample_rows(exact.rows[exact.right], RIGHT_PIXELS))
+    right = exact.rows[exact.right]
+    right = _pixels(judge, judgement, sample_rows(right[judge.hit[right]], RIGHT_PIXELS))
     f = wrong.take(wrong.off)
     kept = ~wrong.off  # rows whose surface and t are right, or another quantity of the same surface
     if len(f.rows):
@@ -243,12 +245,20 @@ def _wrong_ids(f: WrongPixels) -> Iterator[Explained]:
     if answer.prim is not None:
         other = answer.prim[f.rows] != f.prim
         yield Explained("another primitive than the first one, at the same t", "", other)
-    for name, ids, right in (
+    given = (
         ("shape", answer.shape_id, packed.shape_of),
         ("primitive", answer.prim_id, packed.index_in_shape),
-    ):
-        if ids is None or not len(f.rows):
-            continue
+    )
+    columns = [(name, ids, right) for name, ids, right in given if ids is not None and len(f.rows)]
+    hit = f.judge.hit
+    named = {tuple(numbers) for numbers in zip(*(ids[hit] for _, ids, _ in columns), strict=True)}
+    if columns and len(named) * MIN_FITTED_PIXELS <= len(np.unique(f.prim)):
+        who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
+        what = f"{who} named at all {hit.sum()} hits"
+        remedy = "return the number of the primitive in the order of the scene, or leave the column out"
+        yield Explained(what, remedy, np.any([ids[f.rows] != right(f.prim) for _, ids, right in columns], 0))
+        return
+    for name, ids, right in columns:
         off = ids[f.rows].astype(np.int64) - right(f.prim)
         wrong = off != 0
         steps, counts = np.unique(off[wrong], return_counts=True)
@@ -258,7 +268,24 @@ def _wrong_ids(f: WrongPixels) -> Iterator[Explained]:
             remedy = f"numbers count from 0: {'subtract' if step > 0 else 'add'} 1"
             yield Explained(f"the {name}'s number is off by one ({step:+d})", remedy, off == step)
             wrong &= off != step
+        behind = wrong & _names_another_hit(f)
+        if behind.sum() >= max(MAJORITY * wrong.sum(), MIN_FITTED_PIXELS):
+            what = f"the {name}'s number is that of another surface along the ray, t that of the first"
+            yield Explained(what, "keep the number together with the smallest t", behind)
+            wrong &= ~behind
         yield Explained("another primitive than the first one, at the same t", "", wrong)
+
+
+def _names_another_hit(f: WrongPixels) -> np.ndarray:
+    """(m,) bool: the primitive that is named is hit by the same ray, at another t."""
+    answer, packed, roots = f.judge.answer, f.judge.model.packed, f.roots
+    found = np.zeros(len(f.rows), bool)
+    same = np.abs(roots.at.t - f.t[roots.ray]) > f.at.t_error[roots.ray] + roots.at.t_error
+    for ids, number in ((answer.shape_id, packed.shape_of), (answer.prim_id, packed.index_in_shape)):
+        if ids is not None:
+            same &= ids[f.rows][roots.ray] == number(roots.prim)
+    found[roots.ray[same]] = True
+    return found
 
 
 def _wrong_surface(
@@ -294,14 +321,17 @@ def _outline_text(f: WrongPixels) -> str:
     low, high = judge.model.boxes
     found = []
     few = f.take(sample_rows(np.arange(len(f.rows)), OUTLINE_PIXELS))
-    for o, d, t in zip(few.o, few.d, few.given_t, strict=True):
+    bound = np.where(few.hit, FIT_FACTOR * few.at.t_error, np.inf)
+    for o, d, t, t_bound in zip(few.o, few.d, few.given_t, bound, strict=True):
         p = o + t * d
         with np.errstate(invalid="ignore"):
             away = norm(np.maximum(np.maximum(low - p, p - high), 0.0))
         prims = np.argsort(away, kind="stable")[:NEAR_BOXES]
         corners = triangle_corners(judge, prims)
-        height = np.abs(dot(p - corners[:, 0], _face_normals(corners)))
+        n = _face_normals(corners)
+        height = np.abs(dot(p - corners[:, 0], n))
         on_plane = height <= DISTINCT_RTOL * norm(corners[:, 1] - corners[:, 0])
+        on_plane &= height <= t_bound * np.abs(n @ d)
         if not on_plane.any() or (on_plane & _is_inside(p, corners)).any():
             return ""
         beyond = np.where(on_plane, _outline_distances(p, corners), np.inf)
@@ -337,19 +367,6 @@ def _outline_distances(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
         found.append(norm(p - a - along[:, None] * ab))
     nearest: np.ndarray = np.min(found, axis=0)
     return nearest
-
-
-def triangle_corners(judge: Judge, prim: np.ndarray) -> np.ndarray:
-    """(m, 3, 3) corners of primitives; NaN of those that are no triangles."""
-    packed = judge.model.packed
-    corners = np.full((len(prim), 3, 3), np.nan)
-    shape = packed.shape_of(prim)
-    for place, kind in enumerate(packed.kinds):
-        if isinstance(kind.prims, Triangles):
-            rows = np.flatnonzero((packed.kind_of[shape] == place) & (prim >= 0))
-            k = prim[rows] - packed.first[shape[rows]] + packed.start[shape[rows]]
-            corners[rows] = kind.prims.vertices[kind.prims.faces[k]]
-    return corners
 
 
 # ---- separators: the simplest quantity that is different at wrong and at right pixels

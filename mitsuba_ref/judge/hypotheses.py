@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.geometry.packing import Triangles
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import row_distance
@@ -24,6 +25,7 @@ from mitsuba_ref.error_model.tolerances import (
     KU_OURS,
     LARGEST_RESIDUAL,
     LARGEST_USEFUL_NORMAL_ERROR,
+    MAJORITY,
     MATCH_RTOL,
     MIN_FITTED_PIXELS,
     NEARLY_ALL,
@@ -31,7 +33,7 @@ from mitsuba_ref.error_model.tolerances import (
 from mitsuba_ref.judge.adjudication import sample_rows
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.scene_checks import pixel_centers
-from mitsuba_ref.subjects.subject import FLOAT64
+from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 SCREENED_PIXELS = 96  # at which a costly hypothesis is tried first
 RIGHT_PIXELS = 512  # that have to stay right under a hypothesis
@@ -157,6 +159,10 @@ def other_quantity(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
         factors += [(cosine, what, "divide by the cosine of the ray with the view axis")]
     for factor, what, remedy in factors:
         fits = f.right_under(f.hit, f.t * factor, f.at.t_error * np.abs(factor))
+        with np.errstate(invalid="ignore"):
+            fits &= (
+                np.abs(f.t * factor - f.t) > f.at.t_error
+            )  # elsewhere it is t itself, and explains nothing
         yield Explained(what, remedy, fits & f.hit, single=True)
     some = f.given_hit & f.hit & np.isfinite(f.given_t)
     if some.sum() < MIN_FITTED_PIXELS:
@@ -316,10 +322,12 @@ def _right_among(
     *,
     last: bool = False,
     t_factor: float = 1.0,
+    or_exact: bool = False,
 ) -> np.ndarray:
     """(m,) bool: the subject answers the first of the roots that are kept, before nothing that is certain.
 
-    Or the last of them; or a miss, where there is none.
+    Or the last of them; or a miss, where there is none. or_exact: also where that is the exact answer, by which no
+    wrong pixel is explained.
     """
     roots = roots.take(kept)
     t_min, t_max = f.judge.t_min[f.rows][roots.ray], f.judge.t_max[f.rows][roots.ray]
@@ -332,7 +340,9 @@ def _right_among(
     with np.errstate(invalid="ignore"):
         in_turn = t >= first[roots.ray] - bound if last else t <= first[roots.ray] + bound
     each = f.take(roots.ray)
-    matches = ahead & in_turn & each.right_under(np.ones(len(t), bool), t, bound)
+    with np.errstate(invalid="ignore"):
+        other = or_exact | ~each.hit | (np.abs(t - each.t) > each.at.t_error)
+    matches = ahead & in_turn & other & each.right_under(np.ones(len(t), bool), t, bound)
     found = ~f.given_hit
     found[roots.ray[ahead]] = False  # at an edge, no root is certain, and a miss may be another mistake
     found[roots.ray[matches & each.given_hit]] = True
@@ -364,7 +374,9 @@ def shifted_image(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
         where = f"({shift[0]:+.2f}, {shift[1]:+.2f}) of a pixel to the right and down"
         remedy = "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)"
         what = f"rays beside the pixel centres, by {where}"
-        yield Explained(what, remedy, _first_hits(f, *_rays_at(f, shift)))
+        fits = _first_hits(f, *_rays_at(f, shift))
+        if _telling(f, fits):
+            yield Explained(what, remedy, fits)
 
 
 SHIFT_SAMPLES = 1024  # pixels from which a shift is computed, at most
@@ -502,7 +514,7 @@ def other_selection(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
         fits = _right_among(f, f.roots, each.kept(f), last=each.last)
         if not fits.any():
             continue
-        kept = _right_among(right, right.roots, each.kept(right), last=each.last)
+        kept = _right_among(right, right.roots, each.kept(right), last=each.last, or_exact=True)
         if not len(kept) or kept.mean() >= NEARLY_ALL:
             yield Explained(each.what, each.remedy, fits, each.single)
 
@@ -543,9 +555,19 @@ def everything_missed(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]
     if len(f.judge.answer.t) > 1 and not f.judge.hit.any():  # of one pixel, that means nothing
         who = "ours" if f.judge.answer.exact_visibility else "the candidate"
         what = f"{who} misses everything"
-        yield Explained(
-            what, "is the scene read, and the ray's t_max not 0?", ~f.given_hit & f.hit, single=True
-        )
+        missed = ~f.given_hit & f.hit
+        remedy = f"is the scene read, do rays reach t = {f.t[missed].max(initial=0.0):.3g}{_epsilon_text(f)}?"
+        yield Explained(what, remedy, missed, single=True)
+
+
+def _epsilon_text(f: WrongPixels) -> str:
+    """A question about the determinants of the triangles that are hit; "" where none is."""
+    corners = triangle_corners(f.judge, f.prim)
+    with np.errstate(invalid="ignore"):
+        edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        determinants = np.abs(dot(f.d, edges))
+    some = determinants[f.hit & np.isfinite(determinants)]
+    return f", is every epsilon below the determinants of {range_text(some)} here" if len(some) else ""
 
 
 # The simplest first: of those that explain nearly all, the first wins.
@@ -597,6 +619,11 @@ def explain_normals(f: WrongPixels, n: np.ndarray) -> Iterator[Explained]:
         if fits.any() and (alone or (enough and np.ptp(right[fits], axis=0).max() > DISTINCT_RTOL)):
             yield Explained(each.what, each.remedy, fits)
             left &= ~fits
+    shifted = left & _of_corners_seen_from_the_origin(f, n, error)
+    if shifted.sum() >= max(MAJORITY * left.sum(), MIN_FITTED_PIXELS):
+        what = "the normal is computed from corners minus the ray's origin, and lost digits there"
+        yield Explained(what, "compute it from the edges of the face, or in float64", shifted)
+        left &= ~shifted
     with np.errstate(invalid="ignore"):
         single = left & (error <= f.at.n_error * (KU / KU_OURS))
     if _claims_float64(f) and single.sum() >= max(NEARLY_ALL * left.sum(), MIN_FITTED_PIXELS):
@@ -605,6 +632,19 @@ def explain_normals(f: WrongPixels, n: np.ndarray) -> Iterator[Explained]:
     finite = left & np.isfinite(error)
     if finite.any():
         yield Explained(f"the normal is off by {range_text(error[finite])} of its length", "", left)
+
+
+def _of_corners_seen_from_the_origin(f: WrongPixels, n: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """(m,) bool: normals of triangles, right but for the rounding of corner - o to float32."""
+    if f.judge.answer.precision != FLOAT32:
+        return np.zeros(len(n), bool)
+    corners = triangle_corners(f.judge, f.prim)
+    with np.errstate(invalid="ignore", over="ignore"):
+        seen = (corners.astype(np.float32) - f.o.astype(np.float32)[:, None]).astype(np.float64)
+        predicted = unit(np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0]))
+        left = row_distance(n, predicted)
+        found: np.ndarray = (left <= FIT_FACTOR * f.at.n_error) & (left < 0.5 * error)
+    return found
 
 
 def _normal_hypotheses(f: WrongPixels, n: np.ndarray, off: np.ndarray) -> Iterator[NormalHypothesis]:
@@ -646,6 +686,19 @@ def _rotation(a: np.ndarray, b: np.ndarray) -> np.ndarray | None:
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     turned: np.ndarray = u @ flip @ vt
     return turned
+
+
+def triangle_corners(judge: Judge, prim: np.ndarray) -> np.ndarray:
+    """(m, 3, 3) corners of primitives; NaN of those that are no triangles."""
+    packed = judge.model.packed
+    corners = np.full((len(prim), 3, 3), np.nan)
+    shape = packed.shape_of(prim)
+    for place, kind in enumerate(packed.kinds):
+        if isinstance(kind.prims, Triangles):
+            rows = np.flatnonzero((packed.kind_of[shape] == place) & (prim >= 0))
+            k = prim[rows] - packed.first[shape[rows]] + packed.start[shape[rows]]
+            corners[rows] = kind.prims.vertices[kind.prims.faces[k]]
+    return corners
 
 
 def range_text(sizes: np.ndarray) -> str:

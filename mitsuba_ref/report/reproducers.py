@@ -292,7 +292,7 @@ def repeated_options(scene: SceneVerdict) -> str:
 
 def _named_candidate(scene: SceneVerdict) -> Iterator[str]:
     """A candidate given in Python, not on the command line; of a function, only the name is known."""
-    if not scene.candidate or "--candidate" in scene.options:
+    if not scene.candidate or any(word.startswith("--candidate") for word in scene.options):
         return
     as_typed = ":" in scene.candidate or "{" in scene.candidate
     yield from ("--candidate", scene.candidate if as_typed else f"MODULE:{scene.candidate}")

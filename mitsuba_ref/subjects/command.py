@@ -34,6 +34,7 @@ from mitsuba_ref.subjects.ray_files import (
     HIT_COLUMNS,
     answer_of_hits,
     hit_columns,
+    is_given,
     read_arrays,
     spread_answer,
 )
@@ -352,7 +353,7 @@ def answer_of_rows(
     there = request.rays.t_max >= 0.0
     prim = hits.pop("prim_id", None)
     found = answer_of_hits(hits, int(there.sum()), of)
-    if prim is not None:
+    if prim is not None and is_given(prim, found.hit):
         packed = request.model.packed
         known = np.where(found.hit & (prim >= 0) & (prim < packed.first[-1]), prim, -1)
         found = replace(found, shape_id=packed.shape_of(known), prim_id=packed.index_in_shape(known))

@@ -262,8 +262,15 @@ def answer_of_hits(arrays: dict[str, np.ndarray], count: int, of: Any) -> Answer
         return checked_answer(t, None, count, precision=of.precision or "float64", hits_only=True)
     ids = {name: _integers(name, arrays[name], count) for name in ("shape_id", "prim_id") if name in arrays}
     found = checked_answer(arrays["t"], arrays.get("n"), count, precision=of.precision)
-    named: dict[str, Any] = {name: np.where(found.hit, values, -1) for name, values in ids.items()}
+    named: dict[str, Any] = {
+        name: np.where(found.hit, values, -1) for name, values in ids.items() if is_given(values, found.hit)
+    }
     return replace(found, **named)
+
+
+def is_given(ids: np.ndarray, hit: np.ndarray) -> bool:
+    """Whether numbers of shapes or primitives say anything: -1 at every hit is a column that is not filled."""
+    return not hit.any() or bool((ids[hit] != -1).any())
 
 
 def _integers(name: str, values: np.ndarray, count: int) -> np.ndarray:

@@ -205,6 +205,27 @@ MADE = {
     "mixed": [grid(lambda x, y: max(0.0, 0.3 * x)), grid(lambda x, y: 0.1 * x * y - 0.7)],
 }
 
+
+def normals_from_the_origin(scene, o, d, t, n):
+    """As Pluecker tests do: the corners of a face minus o, in float32, and the normal from these."""
+    import caster
+
+    hits = caster.cast(scene, o, d)
+    with np.errstate(invalid="ignore"):
+        corners = np.stack(
+            [corners_of(scene)[s][p] for s, p in zip(hits.shape_id, hits.prim_id, strict=True)]
+        )
+        seen = corners.astype(np.float32) - o.astype(np.float32)[:, None]
+        n = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
+    n[np.isinf(t)] = 0.0
+    return t.astype(np.float32), n
+
+
+def corners_of(scene):
+    meshes = [shape.mesh() for shape in scene.shapes]
+    return [mesh.vertices[mesh.faces] for mesh in meshes]
+
+
 FACES, SPHERE = "cornell-box", "one-sphere"
 MISTAKES = [
     Mistake(
@@ -312,6 +333,12 @@ MISTAKES = [
         answering(lambda s, o, d, t, n: (t, o + np.where(np.isinf(t), 0, t)[:, None] * d)),
         SPHERE,
         "the position in place of the normal",
+    ),
+    Mistake(
+        "normals from the origin",
+        answering(normals_from_the_origin),
+        "torus-smooth",
+        "computed from corners minus the ray's origin",
     ),
     Mistake(
         "everything missed", answering(lambda s, o, d, t, n: (t + np.inf, n)), SPHERE, "misses everything"

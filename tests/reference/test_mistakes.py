@@ -1,7 +1,9 @@
 """Beginners' mistakes, each one edit of a right caster, are named as the cause in the first line of the failure."""
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mistakes
 import numpy as np
@@ -13,6 +15,8 @@ from mitsuba_ref.judge.verdict import Verdict
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
 from mitsuba_ref.subjects.function import FunctionSubject
+from mitsuba_ref.subjects.ray_files import answer_of_hits
+from mitsuba_ref.subjects.subject import Answer, CastRequest
 
 ALL_MISTAKES = [*mistakes.MISTAKES, *mistakes.DEFECTS]
 LARGEST_CPU_SECONDS = 10.0
@@ -104,3 +108,79 @@ def test_no_threshold_is_reported_where_chance_would_do_as_well():
 def test_no_threshold_is_reported_where_it_separates_some_alone():
     values = np.r_[np.zeros(80), np.ones(20), np.ones(100)]
     assert best_split(values, np.arange(200) < 100, tried=20) is None
+
+
+# ---- numbers of primitives, and what right pixels contradict
+
+
+@dataclass(frozen=True)
+class Naming:
+    """A subject that is right but for the numbers of shapes and primitives, which `change` makes of its hits."""
+
+    change: Any
+    name: str = "naming"
+    precision: str = "float64"
+    any_hit: bool = False
+    reads_xml: bool = False
+    takes_rays: bool = True
+
+    def answer(self, request: CastRequest) -> Answer:
+        o, d = (v.astype(np.float64) for v in (request.rays.o, request.rays.d))
+        hits = caster.cast(request.traced, o, d)
+        shape_id, prim_id = self.change(request.traced, o, d, hits)
+        arrays = {"t": hits.t, "n": hits.surface.n, "shape_id": shape_id, "prim_id": prim_id}
+        return answer_of_hits(arrays, len(o), self)
+
+
+def same_one(scene, o, d, hits):
+    return 0 * hits.shape_id, 0 * hits.prim_id
+
+
+def farther_one(scene, o, d, hits):
+    """Those of the second hit, where there is one: as if a later test had overwritten them."""
+    beyond = np.where(np.isinf(hits.t), 0.0, hits.t * (1.0 + 1e-9))
+    second = caster.cast(scene, o + beyond[:, None] * d, d)
+    there = second.shape_id >= 0
+    return np.where(there, second.shape_id, hits.shape_id), np.where(there, second.prim_id, hits.prim_id)
+
+
+def none(scene, o, d, hits):
+    return 0 * hits.shape_id - 1, 0 * hits.prim_id - 1
+
+
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        (same_one, "the same primitive is named at all"),
+        (farther_one, "the primitive's number is that of another surface along the ray, t that of the first"),
+    ],
+)
+def test_wrong_numbers_of_primitives_are_named(change, says):
+    found = validate_scene(mistakes.scene_of("torus-smooth", Path()), "scene", "", subject=Naming(change))
+    assert not found.ok and says in failure_text(found).splitlines()[0], failure_text(found)
+
+
+def test_numbers_that_are_minus_one_at_every_hit_are_not_given():
+    scene = mistakes.scene_of("torus-smooth", Path())
+    right = Naming(lambda scene, o, d, hits: (hits.shape_id, hits.prim_id))
+    named, unnamed = (
+        validate_scene(scene, "scene", "", subject=subject) for subject in (right, Naming(none))
+    )
+    assert named.ok and unnamed.ok
+    assert "shape_id" in unnamed.unjudged and "shape_id" not in named.unjudged
+
+
+def test_one_missing_number_is_a_wrong_one():
+    def one(scene, o, d, hits):
+        first = int(np.argmax(hits.shape_id >= 0))
+        return hits.shape_id, np.where(np.arange(len(o)) == first, -1, hits.prim_id)
+
+    scene = mistakes.scene_of("torus-smooth", Path())
+    assert not validate_scene(scene, "scene", "", subject=Naming(one)).ok
+
+
+def test_a_hypothesis_that_right_pixels_contradict_is_not_reported():
+    """All hits are on front faces; most are missed, but not all: that no front face is hit would be untrue."""
+    some = mistakes.answering(lambda s, o, d, t, n: (np.where(np.arange(len(t)) % 50 < 48, np.inf, t), n))
+    found = judged("some", some, mistakes.scene_of("cornell-box", Path()))
+    assert "missed; exact arithmetic hits" in failure_text(found).splitlines()[0]

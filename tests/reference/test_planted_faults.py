@@ -824,7 +824,7 @@ LONG_CHECKS = ("routes", "scaling")
 
 
 def validate(forks, tree, scene, size, check=None):
-    """What `validate` says, with its exit code; an internal error is no verdict. check: not one of LONG_CHECKS but it."""
+    """What `validate` says, with its exit code; an internal error is no verdict. check: the long one to run."""
     without = [name for name in LONG_CHECKS if check not in (None, name)]
     found = forks.run(tree, "validate", str(scene), "--size", *size, "-j", "1", without=without)
     assert found.returncode in (0, 1), found.stderr

@@ -178,7 +178,7 @@ def test_a_program_that_stays_and_gives_no_hits_fails_with_the_reason(tmp_path, 
     assert code == 1 and not scene["ok"]
     assert words is None or words in scene["problem"], scene["problem"]
     assert scene["unsupported"] == (which == "declined")
-    assert "--candidate-serve" in scene["replay"]
+    assert scene["replay"].count("--candidate-serve") == 1 and "--candidate " not in scene["replay"]
 
 
 def test_one_process_answers_all_scenes_and_a_crash_starts_another(tmp_path):
