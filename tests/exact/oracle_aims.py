@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import mitsuba_ref.shapes  # noqa: F401 - registers the exact arithmetic of all kinds
 from caster.geometry.packing import Kind, Packed, Triangles, primitive_count
 from caster.shapes.cylinder import Cylinders
 from caster.shapes.disk import Disks
