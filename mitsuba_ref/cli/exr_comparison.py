@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TextIO
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, mesh_dir_options
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
-from mitsuba_ref.cli.options import add_selection, add_timeout, selected_entries
+from mitsuba_ref.cli.options import add_reading, add_selection, add_timeout, selected_entries
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.approval import Proposal, ReferenceCheck
@@ -62,30 +62,7 @@ def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add("--other-scene", action="store_true", help="compare images of different scenes, too")
     add("--allow-empty", action="store_true", help="two images that hit nothing pass")
     add("--json", action="store_true", help="as JSON")
-    group = parser.add_argument_group(
-        "files of other programs, where their numbers do not decide (docs/candidates.md)"
-    )
-    add = group.add_argument
-    add(
-        "--map",
-        type=str,
-        action="append",
-        default=[],
-        metavar="OURS=THEIRS",
-        help="a channel or group by its name there, such as depth=ViewLayer.Depth.Z or normal=N; any number of them",
-    )
-    add(
-        "--depth",
-        choices=("distance", "z", "near"),
-        help="what depth is: along the ray, along z, or from the near plane",
-    )
-    add("--miss", type=str, metavar="VALUE", help="the depth of a miss, such as 0, inf, 1e10 or FLT_MAX")
-    add(
-        "--near",
-        type=float,
-        metavar="N",
-        help="of the near plane, along the view axis, if depth counts from there",
-    )
+    add = add_reading(parser)
     add("--scene", metavar="SCENE", type=InputPath, help="the scene whose camera rendered the images")
 
 

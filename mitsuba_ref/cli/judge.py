@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +19,13 @@ from caster.cli.shared_arguments import (
 )
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, OK
-from mitsuba_ref.cli.options import HTML_SUFFIX, PRECISIONS, add_verdict_files, html_output
+from mitsuba_ref.cli.options import HTML_SUFFIX, PRECISIONS, add_reading, add_verdict_files, html_output
 from mitsuba_ref.cli.validate import check_outputs, print_rows, write_results
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from caster.image.exr import Exr
     from caster.scene.model import Scene
     from mitsuba_ref.runner.scene_runner import SceneEntry
 
@@ -160,6 +162,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     help_ = "the arithmetic of the answers, from which their bounds follow; default: the type of t and n"
     add("--precision", metavar="P", choices=PRECISIONS, help=help_)
+    help_ = "of --exr: along the rays that its positions lie on, and say how they go through their pixels"
+    add("--own-rays", action="store_true", help=help_)
     add("--rows", metavar="A:B", type=row_range, help="judge these rays alone: one, or from A up to B")
     add_mesh_dirs(parser)
     out_help = "write verdict.json, EXR files and reproducers into this folder"
@@ -167,6 +171,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verdict_files(parser)
     html_help = f"write a report: a folder, or one file if PATH ends in {HTML_SUFFIX}"
     add("--html", metavar="PATH", type=html_output, help=html_help)
+    add_reading(parser, "; with --own-rays")
     parser.set_defaults(resume=False)
 
 
@@ -218,6 +223,8 @@ def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
     from mitsuba_ref.runner.scene_runner import SceneEntry
     from mitsuba_ref.subjects.ray_files import HitsFile, lay_out, read_hits, read_rays
 
+    if args.own_rays:
+        raise SceneError("--own-rays: expected --exr, an image whose positions say where its rays go")
     if args.rays is None:
         raise SceneError("--hits: expected --rays FILE beside it, the rays that these are the hits of")
     scene, rays, hits = requested_scene(args), read_rays(args.rays), read_hits(args.hits)
@@ -259,11 +266,19 @@ def exr_entries(args: argparse.Namespace) -> list[SceneEntry]:
     from mitsuba_ref.runner.scene_runner import SceneEntry
     from mitsuba_ref.subjects.command import DEPTH, POSITION, ExrFile
 
-    if args.rays is not None or args.rows is not None or args.mesh is not None:
-        option = "--rays" if args.rays is not None else "--rows" if args.rows is not None else "--mesh"
+    reading_options = {"--map": args.map, "--depth": args.depth, "--miss": args.miss, "--near": args.near}
+    for option, value in reading_options.items():
+        if value and not args.own_rays:
+            raise SceneError(
+                f"{option}: expected --own-rays beside it; other files have the names of docs/rays-and-hits.md"
+            )
+    alone = {"--rays": args.rays, "--rows": None if args.own_rays else args.rows, "--mesh": args.mesh}
+    for option in (option for option, value in alone.items() if value is not None):
         raise SceneError(f"{option}: not with --exr, whose pixels are rays of the scene's camera")
     scene = requested_scene(args)
     exr = read_exr(args.exr)
+    if args.own_rays:
+        return [own_rays_entry(args, scene, exr)]
     ways = [way for way in (DEPTH, POSITION[0]) if way in exr.channels] or [DEPTH]
     entries = []
     for way in ways:
@@ -275,9 +290,33 @@ def exr_entries(args: argparse.Namespace) -> list[SceneEntry]:
     return entries
 
 
+def own_rays_entry(args: argparse.Namespace, scene: Scene, exr: Exr) -> SceneEntry:
+    """The scene to judge along the rays that the image's positions lie on. Raises SceneError."""
+    import numpy as np
+
+    from mitsuba_ref.exr_compare.foreign_files import Reading, own_rays
+    from mitsuba_ref.runner.scene_runner import SceneEntry
+
+    reading = Reading(tuple(args.map), args.depth, args.miss, args.near)
+    image, rays = own_rays(args.exr, exr, scene, reading)
+    whole = (0, len(rays.t_max))
+    first, end = args.rows or whole
+    if first >= whole[1]:
+        raise SceneError(f"--rows {first}: expected a pixel of 0 to {whole[1] - 1}")
+    some = np.zeros(whole[1], bool)
+    some[first:end] = True
+    rays = rays._replace(t_max=np.where(some, rays.t_max, np.float32(-1.0)))
+    t, beside = np.where(some, image.t, np.inf), image.beside & some
+    subject = replace(image, precision=args.precision, t=t, beside=beside)
+    about: dict[str, Any] = {"options": option_words(args), "command": "judge", "ray_range": whole}
+    return SceneEntry(scene, Path(args.scene).stem, args.scene, subject=subject, rays=rays, **about)
+
+
 def option_words(args: argparse.Namespace) -> tuple[str, ...]:
     """Options that show the same again."""
     named = ("scene", "mesh", "rays", "hits", "exr", "precision")
     given = [(name, getattr(args, name)) for name in named if getattr(args, name) is not None]
-    folders = [("mesh-dir", folder) for folder in args.mesh_dir]
-    return tuple(word for name, value in (*given, *folders) for word in (f"--{name}", str(value)))
+    given += [(name, getattr(args, name)) for name in ("depth", "miss", "near") if getattr(args, name)]
+    folders = [*(("mesh-dir", folder) for folder in args.mesh_dir), *(("map", each) for each in args.map)]
+    words = tuple(word for name, value in (*given, *folders) for word in (f"--{name}", str(value)))
+    return (*words, *(["--own-rays"] if args.own_rays else []))

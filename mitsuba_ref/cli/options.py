@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol, TextIO, TypeVar
 
 from caster.cli.shared_arguments import (
@@ -226,6 +226,38 @@ def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
     if args.candidate_timeout != CANDIDATE_SECONDS:
         words += ["--candidate-timeout", repr(args.candidate_timeout).removesuffix(".0")]
     return tuple(words)
+
+
+# ---- files of other programs ----
+
+
+def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
+    """--map, --depth, --miss and --near, in a group that takes more."""
+    group = parser.add_argument_group(
+        "files of other programs, where their numbers do not decide (docs/candidates.md)" + more
+    )
+    add = group.add_argument
+    add(
+        "--map",
+        type=str,
+        action="append",
+        default=[],
+        metavar="OURS=THEIRS",
+        help="a channel or group by its name there, such as depth=ViewLayer.Depth.Z or normal=N; any number of them",
+    )
+    add(
+        "--depth",
+        choices=("distance", "z", "near"),
+        help="what depth is: along the ray, along z, or from the near plane",
+    )
+    add("--miss", type=str, metavar="VALUE", help="the depth of a miss, such as 0, inf, 1e10 or FLT_MAX")
+    add(
+        "--near",
+        type=float,
+        metavar="N",
+        help="of the near plane, along the view axis, if depth counts from there",
+    )
+    return add
 
 
 # ---- files of results ----

@@ -12,8 +12,8 @@ import numpy as np
 from caster.image.exr import NO_ID, Exr
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.cameras.camera_reference import camera_axes
-from mitsuba_ref.error_model.tolerances import KU
+from mitsuba_ref.cameras.camera_reference import CameraRays, camera_axes
+from mitsuba_ref.error_model.tolerances import KU, NEARLY_ALL
 from mitsuba_ref.exr_compare.exr_pair import Array
 from mitsuba_ref.judge.scene_checks import pixel_centers
 
@@ -176,3 +176,63 @@ def convention_of(
     return Convention(
         best, distances[best], f"{CONVENTION_MEANINGS[best]} ({shown} agree to {CONVENTION_RTOL:g})"
     )
+
+
+# ---- the rays of an image, from its positions
+
+NEWTON_STEPS = 4  # that lead from the centre of a pixel to the place its ray goes through
+SLOPE_STEP_PIXELS = 0.125  # over which slopes are taken
+
+
+class FilmPoints(NamedTuple):
+    """Where the rays to given points go through the film, in pixels of it."""
+
+    x: Array  # (n,)
+    y: Array  # (n,)
+    rounding: Array  # (n,) pixels that rounding of points, origins and directions may move them
+    rays: CameraRays  # through these
+
+
+def film_points(scene: Scene, p: Array, x: Array, y: Array) -> FilmPoints:
+    """The rays to p (n, 3), by Newton's method from film positions x, y (n,)."""
+
+    def rays_at(x: Array, y: Array) -> CameraRays:
+        return reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
+
+    def beside(rays: CameraRays) -> Array:
+        along = ((p - rays.o) * rays.d).sum(axis=1) / (rays.d * rays.d).sum(axis=1)
+        return p - rays.o - along[:, None] * rays.d
+
+    with np.errstate(all="ignore"):
+        for _ in range(NEWTON_STEPS):
+            here = beside(rays_at(x, y))
+            moved = (beside(rays_at(x + SLOPE_STEP_PIXELS, y)), beside(rays_at(x, y + SLOPE_STEP_PIXELS)))
+            a, b = ((there - here) / SLOPE_STEP_PIXELS for there in moved)
+            aa, ab, bb = ((u * v).sum(axis=1) for u, v in ((a, a), (a, b), (b, b)))
+            ha, hb = ((here * v).sum(axis=1) for v in (a, b))
+            area = aa * bb - ab * ab
+            x, y = x - (bb * ha - ab * hb) / area, y - (aa * hb - ab * ha) / area
+        rays = rays_at(x, y)
+        reach = np.linalg.norm(p, axis=1) + np.linalg.norm(rays.o, axis=1)
+        return FilmPoints(x, y, KU * reach / np.sqrt(np.minimum(aa, bb)), rays)
+
+
+class RayShift(NamedTuple):
+    """Where in their pixels rays go through; (0.5, 0.5) is the centre."""
+
+    low: Array  # (2,) x, y
+    high: Array
+    common: Array | None  # (2,) the same everywhere, up to rounding; None: it is not
+    words: str
+
+
+def ray_shift(dx: Array, dy: Array, rounding: Array) -> RayShift:
+    """Of places dx, dy (n,) in their pixels."""
+    at = np.stack([dx, dy])
+    low, high, middle = (v.round(6) + 0.0 for v in (at.min(axis=1), at.max(axis=1), np.median(at, axis=1)))
+    same = (np.abs(at - np.median(at, axis=1)[:, None]) <= rounding).all(axis=0).mean() >= NEARLY_ALL
+    if same:
+        words = f"rays go through ({middle[0]:.4f}, {middle[1]:.4f}) of their pixels, the same everywhere"
+        return RayShift(low, high, middle, words)
+    spans = ", ".join(f"{name} {a:.4f} to {b:.4f}" for name, a, b in zip("xy", low, high, strict=True))
+    return RayShift(low, high, None, f"rays go through {spans} of their pixels, not the same everywhere")

@@ -2,7 +2,8 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -10,17 +11,25 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.image.exr import Exr
 from caster.image.exr_validation import PROVENANCE_PREFIX
+from caster.rendering.hits import cast
 from caster.scene.model import Film, Scene
+from mitsuba_ref.cameras import reference_of_camera
+from mitsuba_ref.cameras.camera_reference import CameraRays, camera_axes
+from mitsuba_ref.error_model.tolerances import LARGEST_RAY_SHIFT_PIXELS, U32
 from mitsuba_ref.exr_compare.depth_conventions import (
     MISS_SENTINELS,
     AmbiguousConvention,
     Convention,
+    RayShift,
     ViewRays,
     convention_of,
+    film_points,
     misses_of,
+    ray_shift,
 )
 from mitsuba_ref.exr_compare.exr_pair import (
     COLOR_CHANNELS,
+    LAYERS,
     SCENE_JSON,
     AmbiguousChannel,
     Array,
@@ -29,6 +38,9 @@ from mitsuba_ref.exr_compare.exr_pair import (
     recognised,
     stacked,
 )
+from mitsuba_ref.judge.scene_checks import pixel_centers
+from mitsuba_ref.reference.shared_input import SharedRays
+from mitsuba_ref.subjects.subject import FLOAT32, Answer, CastRequest, checked_answer
 
 GEOMETRY = ("normal", "shading_normal", "position")  # groups whose values on a miss mean nothing
 
@@ -220,3 +232,121 @@ def scene_in(exr: Exr) -> Scene | None:
         return Scene(film=Film(**record["film"]), camera=record["camera"])
     except (KeyError, TypeError, ValueError, SceneError):
         return None
+
+
+# ---- one file, along the rays of its own
+
+BESIDE_PIXEL = f"the position is more than {LARGEST_RAY_SHIFT_PIXELS:g} pixels beside its pixel"
+POSITIONS, NORMALS = LAYERS["position"], LAYERS["normal"]
+
+
+@dataclass(frozen=True)
+class OwnRaysImage:
+    """A subject: an image judged along the rays that its positions lie on."""
+
+    name: str
+    t: Array  # (n,) of the window's pixels
+    n: Array | None
+    t_rounding: Array
+    beside: Array  # (n,) bool: a position that belongs to another pixel
+    notes: tuple[str, ...]
+    precision: str | None = None
+    reads_xml: bool = False
+    takes_rays: bool = False
+    any_hit: bool = False
+
+    def answer(self, request: CastRequest) -> Answer:
+        """What was read. Raises NoAnswer."""
+        found = checked_answer(self.t, self.n, len(self.t), precision=self.precision or FLOAT32)
+        broken = dict(found.broken) | ({BESIDE_PIXEL: self.beside} if self.beside.any() else {})
+        return replace(found, t_rounding=self.t_rounding, own_camera=True, notes=self.notes, broken=broken)
+
+
+def own_rays(name: str, exr: Exr, scene: Scene, reading: Reading) -> tuple[OwnRaysImage, SharedRays]:
+    """The image as a subject, and its rays: through its positions, and of misses through their pixels.
+
+    Where the rays are not the same in all pixels, a miss is judged where the centre of its pixel and the corners of
+    where rays go all hit, or all miss. Raises SceneError for a file without depth and position.
+    """
+    exr, steps = _alone(name, exr, reading)
+    try:
+        misses = misses_of(exr, reading.miss)
+    except AmbiguousConvention as question:
+        raise SceneError(f"{name}: {question}") from question
+    covered = ~misses.missed.ravel()
+    x, y = pixel_centers(scene)
+    if len(x) != len(covered):
+        raise SceneError(f"{name}: expected {len(x)} pixels, those of the scene's film, got {len(covered)}")
+    if not covered.any():
+        raise SceneError(f"{name}: no pixel is hit, so that no position says where its rays go")
+    p = stacked(exr, POSITIONS).reshape(-1, 3)
+    found = film_points(scene, np.where(covered[:, None], p, np.nan), x, y)
+    with np.errstate(invalid="ignore"):
+        near = covered & (np.hypot(found.x - x, found.y - y) <= LARGEST_RAY_SHIFT_PIXELS)
+    if not near.any():
+        raise SceneError(f"{name}: no position is near its pixel; is --scene the scene that was rendered?")
+    dx, dy = found.x - x + 0.5, found.y - y + 0.5
+    shift = ray_shift(dx[near], dy[near], found.rounding[near])
+    beside = (0.5, 0.5) if shift.common is None else shift.common
+    places = [
+        np.where(near, v, c - 0.5 + b) for v, c, b in zip((found.x, found.y), (x, y), beside, strict=True)
+    ]
+    there = np.ones(len(x), bool) if shift.common is not None else covered | _all_alike(scene, x, y, shift)
+    rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, *places)
+    o, d = rays.o.astype(np.float32), rays.d.astype(np.float32)
+    length = np.linalg.norm(d.astype(np.float64), axis=1)
+    depth = stacked(exr, ["depth.Z"])[..., 0]
+    distance, words = _distances(name, depth, covered.reshape(depth.shape), p, rays, scene, reading)
+    with np.errstate(invalid="ignore"):
+        t = np.where(covered, distance.ravel() / length, np.inf)
+        stored = np.where(np.isfinite(t), U32 * np.abs(depth.ravel()) / length, 0.0)
+    left_out = f"{int((~there).sum())} misses are not judged: rays through their pixels hit and miss"
+    notes = (*steps, misses.words, words, shift.words, *([left_out] if not there.all() else []))
+    t_max = np.where(there, rays.t_max, -1.0).astype(np.float32)
+    shared = SharedRays(o, d, t_max, np.zeros(len(x)), rays.t_min.astype(np.float64))
+    n = stacked(exr, NORMALS).reshape(-1, 3) if NORMALS[0] in exr.channels else None
+    t, n, beside = (np.where(there, t, np.inf), n, covered & ~near)
+    return OwnRaysImage(name, t, n, stored, beside, notes), shared
+
+
+def _alone(name: str, exr: Exr, reading: Reading) -> tuple[Exr, list[str]]:
+    """The file in our names, and the steps. Raises SceneError."""
+    check_maps(reading.maps, exr.channels)
+    try:
+        exr, steps = _renamed(exr, _channel_names(exr, mapped(reading.maps, exr.channels)))
+    except AmbiguousChannel as question:
+        raise SceneError(f"{name}: {question}") from question
+    for layer in ("depth", "position"):
+        if missing := [each for each in LAYERS[layer] if each not in exr.channels]:
+            raise SceneError(
+                f"{name}: expected {', '.join(missing)}, or --map {layer}=THEIRS; it has {', '.join(exr.channels)}"
+            )
+    return exr, steps
+
+
+def _all_alike(scene: Scene, x: Array, y: Array, shift: RayShift) -> Array:
+    """(n,) bool: rays through the centre of a pixel and the corners of where its rays go all hit, or all miss."""
+    camera = reference_of_camera(scene.camera)
+    hits = []
+    for place in ((0.5, 0.5), *product(*zip(shift.low, shift.high, strict=True))):
+        rays = camera.rays(scene.camera, scene.film, x - 0.5 + place[0], y - 0.5 + place[1])
+        t = cast(scene, rays.o, rays.d).t
+        hits.append(np.isfinite(t) & (t > rays.t_min) & (t <= rays.t_max))
+    alike: Array = np.all(hits, axis=0) | ~np.any(hits, axis=0)
+    return alike
+
+
+def _distances(
+    name: str, depth: Array, hit: Array, p: Array, rays: CameraRays, scene: Scene, reading: Reading
+) -> tuple[Array, str]:
+    """Depth (h, w) as distance from the ray's origin, by the positions p; and in which convention it was."""
+    d = np.where(hit.reshape(-1, 1), p - rays.o, rays.d)  # a position in another pixel has a ray of its own
+    cosine = d @ camera_axes(scene.camera)[2] / np.linalg.norm(d, axis=1)
+    start = rays.t_min if reading.near is None else reading.near / cosine
+    known = np.linalg.norm(p - rays.o, axis=1).reshape(depth.shape)
+    view = ViewRays(cosine.reshape(depth.shape), start.reshape(depth.shape))
+    try:
+        found = convention_of(depth, hit, known, view, reading.depth)
+    except AmbiguousConvention as question:
+        raise SceneError(f"{name}: {question}") from question
+    return found.distance, f"depth is {found.words}"
