@@ -5,19 +5,25 @@ ray, so that `caster probe` and `mitsuba-ref validate` show it; a t_min, which i
 """
 
 import copy
-import json
-import math
 import shutil
 import tomllib
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import (
+    AfterValidator,
+    AllowInfNan,
+    BaseModel,
+    BeforeValidator,
+    PlainSerializer,
+    Strict,
+    ValidationError,
+)
 
 from caster.description.errors import FileMissing, SceneError
 from caster.scene.export import SECTION_ORDER, format_toml
@@ -73,7 +79,7 @@ class Case(NamedTuple):
         return cls(data["film"], data["camera"], data["shape"], ray, rest)
 
 
-def one_ray(o: list[float], d: list[float], t_min: float, t_max: float) -> RayBatch:
+def one_ray(o: Sequence[float], d: Sequence[float], t_min: float, t_max: float) -> RayBatch:
     return RayBatch(np.array([o]), np.array([d]), np.array([t_min]), np.array([t_max]))
 
 
@@ -104,7 +110,49 @@ def exception_finding(error: Exception) -> Finding:
 
 
 RECORD_PREFIX = "# fuzz: "
-RAY_FIELDS = ("o", "d", "t_min", "t_max")
+
+
+def _from_hex(value: Any) -> float:
+    if not isinstance(value, str):
+        raise ValueError(f"expected a hex float as text, got {value!r}")
+    try:
+        return float.fromhex(value)
+    except OverflowError as error:
+        raise ValueError(f"{error}, got {value!r}") from None
+
+
+HexFloat = Annotated[float, BeforeValidator(_from_hex), PlainSerializer(with_hex_floats)]
+FiniteHexFloat = Annotated[HexFloat, AllowInfNan(False)]
+Vector = tuple[FiniteHexFloat, FiniteHexFloat, FiniteHexFloat]
+
+
+def _not_zero(value: Vector) -> Vector:
+    if not any(value):
+        raise ValueError("d must not be zero")
+    return value
+
+
+def _known(kind: str) -> str:
+    if kind not in FINDING_KINDS:
+        raise ValueError(f"expected one of {', '.join(FINDING_KINDS)}, got {kind!r}")
+    return kind
+
+
+class RayRecord(BaseModel, extra="forbid", frozen=True):
+    """The ray of a kept case, in hex floats."""
+
+    o: Vector
+    d: Annotated[Vector, AfterValidator(_not_zero)]
+    t_min: FiniteHexFloat
+    t_max: HexFloat
+
+
+class CaseRecord(BaseModel, extra="forbid", frozen=True, strict=True):
+    """The comment line of a kept case, as JSON."""
+
+    kind: Annotated[str, AfterValidator(_known)]
+    found_by: str  # the options that made the scene it was shrunk from
+    ray: Annotated[RayRecord, Strict(False)] | None = None
 
 
 @dataclass(frozen=True)
@@ -121,14 +169,13 @@ def write_kept(folder: Path, name: str, kind: str, what: str, found_by: str, cas
     check_folder(folder)
     data = case.scene_data()
     data["shape"] = [_with_copied_mesh(shape, folder) for shape in data["shape"]]
-    record: dict[str, Any] = {"kind": kind, "found_by": found_by}
-    if case.ray is not None:
-        record["ray"] = _ray_record(case)
+    ray = None if case.ray is None else RayRecord(**with_hex_floats(case.to_data()["ray"]))
+    record = CaseRecord(kind=kind, found_by=found_by, ray=ray)
     head = [
         f"# Found by mitsuba-ref fuzz {found_by}: {FINDING_KINDS[kind]}.",
         f"# {what}".replace("\n", " "),
         f"# Again: mitsuba-ref fuzz --replay {name}.toml",
-        RECORD_PREFIX + json.dumps(record),
+        RECORD_PREFIX + record.model_dump_json(exclude_none=True),
     ]
     path = folder / f"{name}.toml"
     write_text(path, "\n".join([*head, "", format_toml(with_hex_floats(data), SECTION_ORDER)]))
@@ -144,11 +191,6 @@ def _with_copied_mesh(shape: dict[str, Any], folder: Path) -> dict[str, Any]:
     return {**shape, "file": source.name}
 
 
-def _ray_record(case: Case) -> dict[str, Any]:
-    data = case.to_data()["ray"]
-    return {key: with_hex_floats(data[key]) for key in RAY_FIELDS}
-
-
 def read_kept(path: Path) -> KeptCase:
     """Raises FileMissing, and SceneError with what is wrong for a file that is damaged."""
     scene = load_scene(path)
@@ -158,12 +200,13 @@ def read_kept(path: Path) -> KeptCase:
     for shape, loaded in zip(data["shape"], scene.shapes, strict=True):
         if "file" in shape:
             shape["file"] = getattr(loaded, "file", shape["file"])
-    rays = {"ray": record["ray"]} if "ray" in record else {}
-    return KeptCase(record["kind"], Case.of({**parse_hex_floats(data), **rays}), record["found_by"])
+    case = Case.of(parse_hex_floats(data))
+    ray = None if record.ray is None else one_ray(**dict(record.ray))
+    return KeptCase(record.kind, case._replace(ray=ray), record.found_by)
 
 
-def _parse_record(path: Path, text: str) -> dict[str, Any]:
-    """The comment's content, checked."""
+def _parse_record(path: Path, text: str) -> CaseRecord:
+    """The content of the comment. Raises SceneError."""
     lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.startswith(RECORD_PREFIX)]
     if len(lines) != 1:
         raise SceneError(
@@ -172,27 +215,14 @@ def _parse_record(path: Path, text: str) -> dict[str, Any]:
         )
     ((number, line),) = lines
     try:
-        return checked_record(json.loads(line.removeprefix(RECORD_PREFIX)))
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        return CaseRecord.model_validate_json(line.removeprefix(RECORD_PREFIX))
+    except ValidationError as error:
+        first = error.errors()[0]
+        what = ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]]))
         raise SceneError(
             f"{path}:{number}: damaged: expected '{RECORD_PREFIX}' and JSON with kind, found_by and ray "
-            f"(o, d, t_min, t_max), got {line[:80]!r} ({type(error).__name__}: {error})"
+            f"(o, d, t_min, t_max), got {line[:80]!r}: {what}"
         ) from None
-
-
-def checked_record(record: dict[str, Any]) -> dict[str, Any]:
-    """The record with floats for hex floats. Raises ValueError, KeyError or TypeError where something is amiss."""
-    if record["kind"] not in FINDING_KINDS:
-        raise ValueError(f"kind must be one of {', '.join(FINDING_KINDS)}, got {record['kind']!r}")
-    out: dict[str, Any] = {"kind": record["kind"], "found_by": str(record["found_by"])}
-    if "ray" in record:
-        given = record["ray"]
-        o, d = ([float.fromhex(x) for x in given[key]] for key in ("o", "d"))
-        t_min, t_max = (float.fromhex(given[key]) for key in ("t_min", "t_max"))
-        if not (len(o) == len(d) == 3 and all(map(math.isfinite, (*o, *d, t_min))) and any(d)):
-            raise ValueError("o and d must be three finite numbers each, d not zero, and t_min finite")
-        out["ray"] = {"o": o, "d": d, "t_min": t_min, "t_max": t_max}
-    return out
 
 
 def parse_hex_floats(value: Any) -> Any:

@@ -1,14 +1,15 @@
 """Manifest of the files that runs wrote into a folder: files of earlier runs can be removed, others never are."""
 
 import hashlib
-import json
 import secrets
 import threading
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, NonNegativeInt, ValidationError
 
 from caster.description.errors import SceneError
 from caster.description.input_files import read_own
@@ -38,13 +39,25 @@ def is_unchanged(path: Path, record: FileRecord) -> bool:
         return False
 
 
-class ManifestEntry(NamedTuple):
+def _in_the_folder(file: str) -> str:
+    if file != Path(file).name:
+        raise ValueError(f"expected a file of the same folder, got {file!r}")
+    return file
+
+
+class ManifestEntry(BaseModel, frozen=True, strict=True):
     """A line of the manifest. run: id of the run that wrote the file; labels: further facts about it."""
 
+    file: Annotated[str, AfterValidator(_in_the_folder)]
     scene: str
-    digest: FileRecord
+    bytes: NonNegativeInt
+    sha256: str
     run: str
-    labels: dict[str, str]
+    labels: dict[str, str] = {}
+
+    @property
+    def digest(self) -> FileRecord:
+        return FileRecord(self.bytes, self.sha256)
 
 
 @dataclass(frozen=True)
@@ -75,7 +88,7 @@ class OutputManifest:
         self.lock, self.run = threading.Lock(), secrets.token_hex(8)
         self.now: dict[str, FileRecord] = {}
         self.earlier = self._known()
-        write_text(self.list, "".join(self._lines(self.earlier)))  # a truncated line would spoil the next
+        write_text(self.list, self._lines(self.earlier.values()))  # a truncated line would spoil the next
 
     def add(self, scene: str, files: Iterable[str], **labels: str) -> dict[str, FileRecord]:
         """Record files of a scene; missing ones are left out. labels: further facts about them.
@@ -83,9 +96,14 @@ class OutputManifest:
         Raises OutputError.
         """
         found = {file: digest for file in files if (digest := record_of(self.folder / file)) is not None}
-        entries = {file: ManifestEntry(scene, each, self.run, labels) for file, each in found.items()}
+        entries = [
+            ManifestEntry(
+                file=file, scene=scene, bytes=each.bytes, sha256=each.sha256, run=self.run, labels=labels
+            )
+            for file, each in found.items()
+        ]
         with self.lock:
-            append_text(self.list, "".join(self._lines(entries)))
+            append_text(self.list, self._lines(entries))
             self.now |= found
         return found
 
@@ -118,7 +136,7 @@ class OutputManifest:
                 removed.append(file)
             elif path.exists():
                 altered.append(file)
-        write_text(self.list, "".join(self._lines(known)))
+        write_text(self.list, self._lines(known.values()))
         return RemovedFiles(tuple(removed), tuple(altered))
 
     def _known(self) -> dict[str, ManifestEntry]:
@@ -126,20 +144,14 @@ class OutputManifest:
         found = {}
         with suppress(SceneError):
             for line in read_own(self.list, "manifest").splitlines():
-                with suppress(ValueError, KeyError, TypeError, OverflowError, RecursionError):
-                    record = json.loads(line)
-                    file = str(record["file"])
-                    if file == Path(file).name:
-                        digest = FileRecord(int(record["bytes"]), str(record["sha256"]))
-                        more = str(record["run"]), dict(record.get("labels", {}))
-                        found[file] = ManifestEntry(str(record["scene"]), digest, *more)
+                with suppress(ValidationError):
+                    entry = ManifestEntry.model_validate_json(line)
+                    found[entry.file] = entry
         return found
 
     @staticmethod
-    def _lines(files: dict[str, ManifestEntry]) -> Iterator[str]:
-        for file, (scene, digest, run, labels) in files.items():
-            line = {"file": file, "scene": scene, **asdict(digest), "run": run}
-            yield json.dumps(line | ({"labels": labels} if labels else {})) + "\n"
+    def _lines(entries: Iterable[ManifestEntry]) -> str:
+        return "".join(entry.model_dump_json(exclude_defaults=True) + "\n" for entry in entries)
 
 
 def remove(path: Path) -> None:
