@@ -396,6 +396,11 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str
             k, m = found.wrong, int(is_wrong.sum())
             shares = f"{k} of {m} wrong pixels, {found.right} of {len(right)} right ones"
             return f"where {name.format(found.words)}: {shares}"
+    for name, values in features:
+        if "{" not in name and (share := necessary_share(values == 1.0, is_wrong, len(features))) is not None:
+            return (
+                f"only where {name}: all {len(wrong)} wrong pixels, {100.0 * share:.2g} % of the right ones"
+            )
     return ""
 
 
@@ -430,11 +435,27 @@ def best_split(values: np.ndarray, wrong: np.ndarray, tried: int) -> Split | Non
         words = f"{side} {_simplest_between(float(v[last[i]]), float(v[last[i] + 1])):.7g}"
         found.append((float(share[i]), Split(words, int(k[i]), int(j[i] - k[i]))))
     share_best, split = max(found, key=lambda each: each[0])
-    count = split.wrong + split.right
-    p, q = split.wrong / max(count, 1), m / n
-    unlikely = count * (_log_ratio(p, q) + _log_ratio(1.0 - p, 1.0 - q))
-    by_chance = np.log(2.0 * tried * len(last)) - unlikely < np.log(SEPARATOR_CHANCE)
-    return split if share_best >= SEPARATES and by_chance else None
+    significant = _is_significant(split.wrong, split.wrong + split.right, m, n, 2.0 * tried * len(last))
+    return split if share_best >= SEPARATES and significant else None
+
+
+def necessary_share(flags: np.ndarray, wrong: np.ndarray, tried: int) -> float | None:
+    """The share of the right pixels that have a property which all wrong ones have, (n,) bool each.
+
+    None where a wrong one lacks it, nearly all right ones have it, or chance would do as well.
+    """
+    m, n, right = int(wrong.sum()), len(wrong), int((flags & ~wrong).sum())
+    share = right / (n - m)
+    if not flags[wrong].all() or share > NEARLY_ALL:
+        return None
+    return share if _is_significant(m, m + right, m, n, tried) else None
+
+
+def _is_significant(k: int, j: int, m: int, n: int, tried: float) -> bool:
+    """Whether k of m wrong ones among j of n pixels are more than chance finds in so many tries."""
+    p, q = k / max(j, 1), m / n
+    unlikely = j * (_log_ratio(p, q) + _log_ratio(1.0 - p, 1.0 - q))
+    return bool(np.log(tried) - unlikely < np.log(SEPARATOR_CHANCE))
 
 
 def _log_ratio(p: float, q: float) -> float:

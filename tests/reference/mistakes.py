@@ -359,6 +359,12 @@ DEFECTS = [
         "mixed",
         "has no thickness",
     ),
+    Mistake(
+        "flat boxes at times",
+        edited(thick=lambda self, *abc: (np.ptp(abc, axis=0) > 0).all() or abc[0][0] % 0.75 == 0.0),
+        "mixed",
+        "only where the box of the primitive has no thickness",
+    ),
     Mistake("absolute t_min", edited(t_min=3.2), SPHERE, "t is below 3.2"),
     Mistake(
         "last triangles left out",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import caster
-from mitsuba_ref.judge.diagnosis import best_split
+from mitsuba_ref.judge.diagnosis import best_split, necessary_share
 from mitsuba_ref.judge.verdict import Verdict
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
@@ -96,6 +96,16 @@ def test_a_threshold_separates_and_is_the_simplest_number_in_the_gap():
     values = np.r_[np.linspace(1e-8, 9e-7, 40), np.linspace(1.2e-6, 1.0, 100)]
     found = best_split(values, np.arange(140) < 40, tried=20)
     assert found is not None and (found.words, found.wrong, found.right) == ("below 1e-06", 40, 0)
+
+
+def test_a_property_of_all_wrong_pixels_is_reported_unless_chance_would_do_as_well():
+    wrong = np.arange(400) < 40
+    assert necessary_share(wrong | (np.arange(400) % 10 == 0), wrong, tried=20) == 0.1
+    assert necessary_share(np.ones(400, bool), wrong, tried=20) is None  # so do all right ones
+    assert necessary_share(wrong & (np.arange(400) > 0), wrong, tried=20) is None  # one has it not
+    rng = np.random.default_rng(5)
+    few = np.arange(400) < 8
+    assert all(necessary_share(few | (rng.random(400) < 0.45), few, tried=20) is None for _ in range(50))
 
 
 def test_no_threshold_is_reported_where_chance_would_do_as_well():
