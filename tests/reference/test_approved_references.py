@@ -2,6 +2,10 @@
 
 import io
 import json
+import os
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -344,3 +348,50 @@ def test_no_row_is_lost_while_another_thread_has_standard_output_redirected(here
 def test_nothing_selected_is_no_pass(here, capsys):
     for command in ("check", "approve"):
         assert said(capsys, command, "scenes", "-k", "nothing")[0] == 5
+
+
+# ---- ended half-way ----
+
+ENDED = """
+import os, signal, sys
+from mitsuba_ref.__main__ import main
+real, count = os.replace, 0
+def replace(source, target):
+    global count
+    if str(target).endswith(".exr"):
+        count += 1
+        if count == {at}:
+            {before}
+            os.kill(os.getpid(), signal.{signal})
+    real(source, target)
+os.replace = replace
+sys.exit(main(["approve", "scenes", "--references", "refs", "--yes"]))
+"""
+
+
+RENAME = "real(source, target)"
+MOMENTS = [("SIGKILL", 1, "pass"), ("SIGKILL", 1, RENAME), ("SIGKILL", 2, "pass"), ("SIGTERM", 2, "pass")]
+
+
+@pytest.mark.parametrize(("how", "at", "before"), MOMENTS)
+def test_approve_that_is_ended_half_way_leaves_whole_references(here, capsys, how, at, before):
+    """Ended while it renames the temporary file of a reference to it, or as soon as it has."""
+    old = {file.name: file.read_bytes() for file in (here / "refs").iterdir()}
+    for scene in ("ball", "mesh"):
+        file = here / f"scenes/{scene}.toml"
+        file.write_text(file.read_text().replace("height = 10", "height = 11"))
+    program = ENDED.format(at=at, before=before, signal=how)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+    assert done.returncode == (130 if how == "SIGTERM" else -signal.SIGKILL), done.stderr
+    written = at - (before == "pass")
+    now = {file.name: file.read_bytes() for file in (here / "refs").glob("*.exr")}
+    assert now.keys() == {"ball.exr", "mesh.exr"}
+    assert [now[name] != old[name] for name in ("ball.exr", "mesh.exr")] == [written > 0, written > 1]
+    code, out, _ = said(capsys, "check", "scenes")
+    assert (code, out.count("PASS  "), out.count("stale")) == (int(written < 2), written, 2 - written)
+    if how == "SIGTERM":
+        assert {file.name for file in (here / "refs").iterdir()} == now.keys()
+    assert said(capsys, "approve", "scenes", "--yes")[0] == 0
+    assert {file.name for file in (here / "refs").iterdir()} == now.keys()
+    assert said(capsys, "check", "scenes")[0] == 0
