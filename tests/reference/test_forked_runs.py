@@ -9,7 +9,7 @@ from edited_tree import Forks, copy_tree, edit, run
 from forked_runs import everything_given
 from mitsuba_scenes import job, shape, write
 
-SCENE = ("validate", "scenes/one-sphere.toml", "--size", "12", "10", "-j", "1")
+SCENE = ("validate", "scenes/one-sphere.toml", "--size", "7", "6", "-j", "1")
 TIMES = re.compile(r"\d+\.\d(?= s|$)", re.MULTILINE)
 
 

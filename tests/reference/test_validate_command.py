@@ -19,7 +19,7 @@ from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
 from caster.image.exr import read_exr
 from mitsuba_ref.judge.verdict import CLASSES, Failure
 
-SIZE = ("--size", "12", "10")
+SIZE, SMALL = ("--size", "12", "10"), ("--size", "7", "6")
 CAMERA = '[film]\nwidth = 12\nheight = 10\n\n[camera]\ntype = "pinhole"\neye = [0.1, 0.2, 5.3]\nlook_at = [0, 0, 0]\n'
 BALL = '\n[[shape]]\ntype = "sphere"\nname = "ball"\ncenter = [0.1, 0.2, {z}]\nradius = 1.3\n'
 ROW = re.compile(r"^(PASS|FAIL)  (\S+) +(\d+)" + r" +(\d+)" * len(CLASSES) + r" +\d+\b", re.MULTILINE)
@@ -249,7 +249,7 @@ def test_a_failure_is_in_json_and_junit_with_where_and_why(tmp_path):
 
 
 def test_the_evidence_of_every_kind_of_shape_crosses_processes(ref, coarse_scenes, tmp_path):
-    found = ref("validate", coarse_scenes / "every-shape.toml", *SIZE, "--html", tmp_path)
+    found = ref("validate", coarse_scenes / "every-shape.toml", *SMALL, "--html", tmp_path)
     assert found.returncode == 0, found.stdout
     assert (tmp_path / "data/every-shape.js").stat().st_size > 10_000
 
@@ -281,7 +281,7 @@ def fake_mitsuba(tmp_path):
 )
 def test_the_end_of_mitsuba_is_a_scene_that_fails(scenes, tmp_path, fake_mitsuba, source, says):
     words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml", "--html", tmp_path / "v.html"]
-    found = started("validate", scenes, "-k", "ball or other", *words, **fake_mitsuba(source))
+    found = started("validate", scenes, "-k", "ball or other", *SMALL, *words, **fake_mitsuba(source))
     assert (found.returncode, [row[0] for row in ROW.findall(found.stdout)]) == (1, ["FAIL", "FAIL"])
     for name in ("ball", "other"):
         assert f"FAIL  {name}  Mitsuba ended without an answer {says[0]}" in found.stdout
