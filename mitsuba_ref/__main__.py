@@ -36,8 +36,8 @@ INTERRUPT_GRACE_SECONDS = (
     4.8  # seconds for the scenes that are being judged to end, and to be written down, after an interruption
 )
 CHILD_SOURCE = (
-    "import sys; sys.path[:] = {path!r}; from mitsuba_ref.__main__ import looked_after, main; "
-    "looked_after({fd}, main)"
+    "import sys; sys.path[:] = {path!r}; from mitsuba_ref.__main__ import run_reporting_exit_code, main; "
+    "run_reporting_exit_code({fd}, main)"
 )
 
 
@@ -74,7 +74,7 @@ def _exit_text(code: int) -> str:
     return f"exit {code}" if code >= 0 else f"by {exit_name(code)}"
 
 
-def looked_after(fd: int, main: Callable[[Sequence[str]], int]) -> NoReturn:
+def run_reporting_exit_code(fd: int, main: Callable[[Sequence[str]], int]) -> NoReturn:
     """The command line of this process, in the child; its exit code goes through fd before the process ends.
 
     sys.exit reaches `main`; os._exit and C's exit() end the process before its code is reported. What it exits with

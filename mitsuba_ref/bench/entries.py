@@ -29,7 +29,7 @@ FIRST_RAY = (
     np.zeros((1, 3), np.float32),
     np.ones((1, 3), np.float32),
 )  # for trees that are built on the first ray
-SHADOW_END = 1.0  # t_max of shadow rays: t = 1 is the lamp
+SHADOW_END = 1.0  # t_max of shadow rays: t = 1 is the light
 
 
 @dataclass(frozen=True)

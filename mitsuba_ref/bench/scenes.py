@@ -189,7 +189,7 @@ def incoherent(scene: Scene) -> Rays:
     return towards(o, rng.uniform(-1.0, 1.0, (count, 3)) * [1.4, 1.4, 0.4])
 
 
-def to_a_lamp(scene: Scene) -> Rays:
+def shadow_rays_to_light(scene: Scene) -> Rays:
     """From points near the surface to one light; t = 1 is the light, so that t_max = 1 ends there."""
     rng, count = np.random.default_rng(2), scene.film.width * scene.film.height
     u, v = 2.0 * np.pi * rng.random((2, count))
@@ -234,7 +234,9 @@ SCENES = (
     BenchScene(
         "rays-incoherent", "rays in any order at the mesh of 70,224 triangles", ring, NEAREST, incoherent
     ),
-    BenchScene("rays-shadow", "whether anything lies between the mesh and a lamp", ring, ANY, to_a_lamp),
+    BenchScene(
+        "rays-shadow", "whether anything lies between the mesh and a light", ring, ANY, shadow_rays_to_light
+    ),
     BenchScene("lit-mesh", "shading the mesh of 70,224 triangles by one point light", lit_ring, SHADING),
     BenchScene("lit-spheres", "shading 200 spheres by one point light", lit_spheres, SHADING),
 )

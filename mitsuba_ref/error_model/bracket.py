@@ -176,7 +176,7 @@ class Bracket:
         allowed, untestable = np.ones(len(o), bool), np.zeros(len(o), bool)
         seen = np.zeros(len(o), bool)
         for ray, prim in self._pairs(o, d, also):
-            found = self._meet(ray, prim, line)
+            found = self._intersect_in_range(ray, prim, line)
             rays = np.unique(ray)
             seen[rays] = True
             allowed[rays], untestable[rays] = self._allows(found, claims, line, rays)
@@ -211,7 +211,7 @@ class Bracket:
         line = RaySegments(o, d, np.zeros(len(o)), t_max)
         possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
         for ray, each in self.nearby.pairs(o, d):
-            found = self._meet(ray, each, line)
+            found = self._intersect_in_range(ray, each, line)
             near = near_ray_start(found, d, off)
             kept = ~(near & (found.prim == prim[found.ray]))
             found, near = found.take(kept), near[kept]
@@ -224,7 +224,7 @@ class Bracket:
     ) -> RayIntersections:
         """Every possible intersection of some rays, few enough to be held at once."""
         line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
-        found = [self._meet(ray, prim, line) for ray, prim in self.nearby.pairs(o, d)]
+        found = [self._intersect_in_range(ray, prim, line) for ray, prim in self.nearby.pairs(o, d)]
         if not found:
             return RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections())
         at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
@@ -232,8 +232,8 @@ class Bracket:
             np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at
         )
 
-    def _meet(self, ray: np.ndarray, prim: np.ndarray, line: RaySegments) -> RayIntersections:
-        """The possible meetings in range."""
+    def _intersect_in_range(self, ray: np.ndarray, prim: np.ndarray, line: RaySegments) -> RayIntersections:
+        """The possible intersections in range."""
         met: PairIntersections = self.model.intersect(prim, line.o[ray], line.d[ray], self.ku, ours=self.ours)
         rays = ray[met.pair]
         with np.errstate(invalid="ignore"):

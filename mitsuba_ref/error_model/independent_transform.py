@@ -42,7 +42,7 @@ def _matrix(step: Any) -> np.ndarray:
     if step.rotate is not None:
         return _affine(_rotation(np.array(step.rotate.axis), np.deg2rad(np.fmod(step.rotate.degrees, 360.0))))
     if step.look_at is not None:
-        return _looking(*(np.array(v) for v in (step.look_at.origin, step.look_at.target, step.look_at.up)))
+        return _look_at(*(np.array(v) for v in (step.look_at.origin, step.look_at.target, step.look_at.up)))
     return np.array(step.matrix, np.float64)
 
 
@@ -59,7 +59,7 @@ def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
     return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
 
 
-def _looking(origin: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
+def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
     forward = (target - origin) / np.linalg.norm(target - origin)
     left = np.cross(up, forward)
     left = left / np.linalg.norm(left)

@@ -118,7 +118,7 @@ def certain_lights(value: np.ndarray, error: np.ndarray) -> LightChoices:
 
 def smallest_error_ratio(ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, ku: float) -> np.ndarray:
     """(m,) difference between ours (m, 3) and fixed plus lights, over its bound, for the choice that fits best."""
-    sorted_ = _doubtful_first(choices)
+    sorted_ = _uncertain_lights_first(choices)
     count = min(int(choices.doubt.sum(axis=0).max(initial=0)), MAX_UNCERTAIN_LIGHTS)
     best = np.full(len(ours), np.inf)
     for flips in itertools.product((False, True), repeat=count):
@@ -128,7 +128,7 @@ def smallest_error_ratio(ours: np.ndarray, fixed: np.ndarray, choices: LightChoi
     return best
 
 
-def _doubtful_first(choices: LightChoices) -> LightChoices:
+def _uncertain_lights_first(choices: LightChoices) -> LightChoices:
     """The lights of each pixel in another order: those in doubt come first."""
     order = np.argsort(~choices.doubt, axis=0, kind="stable")
     first, first_error, second, second_error = (

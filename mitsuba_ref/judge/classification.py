@@ -228,8 +228,8 @@ class Judge:
         comparison = compare(self.pixels, allowances)
 
         # Step 1: plain agreement. Images that contradict themselves, and invalid answers, agree with nothing.
-        vague, fits, broken = self._is_vague(), self._reference_fits(), self.answer.is_broken
-        agreeing = comparison.agrees & self.consistent & ~broken & fits & ~vague
+        loose, fits, broken = self._has_loose_normals(), self._reference_fits(), self.answer.is_broken
+        agreeing = comparison.agrees & self.consistent & ~broken & fits & ~loose
 
         # Step 2: exact arithmetic, where it may matter and at some pixels where it should not.
         start = perf_counter()
@@ -239,8 +239,8 @@ class Judge:
         # Step 3: the class of what is disputed where the subject is exactly right, then of where it is not.
         classes = np.where(agreeing, CLASS_CODE[AGREE], CLASS_CODE[UNDECIDED])
         # What the derived bounds let pass, but the scene's own stricter ones do not, has no excuse.
-        disputed = ~agreeing & self.consistent & (vague | ~comparison.derived | ~fits)
-        self._classify_reference(classes, disputed, vague, exact)
+        disputed = ~agreeing & self.consistent & (loose | ~comparison.derived | ~fits)
+        self._classify_reference(classes, disputed, loose, exact)
         other_tie = exact.right & disputed[exact.rows] & ~nearest.of_first
         classes[exact.rows[other_tie]] = CLASS_CODE[TIE]
         classes[fails_self_check(self.self_checks, len(classes)) & self.consistent] = CLASS_CODE[WRONG]
@@ -264,12 +264,12 @@ class Judge:
         rows = np.flatnonzero(left_out & self.consistent)
         return Judgement(classes, ratios, comparison.allowed, exact, cases, seconds, rows)
 
-    def _is_vague(self) -> np.ndarray:
+    def _has_loose_normals(self) -> np.ndarray:
         """(n,) bool: where normals are bounded so loosely that their agreement means nothing."""
         at, own = self.bounds.at, self.bounds.own
         error = np.maximum(at.n_error, at.sh_error) if self.names_prims else own.n_error
-        vague = self.pixels.both_hit & ~(error <= LARGEST_USEFUL_NORMAL_ERROR)
-        return vague & (not self.answer.hits_only)
+        loose = self.pixels.both_hit & ~(error <= LARGEST_USEFUL_NORMAL_ERROR)
+        return loose & (not self.answer.hits_only)
 
     def _is_unresolved(self) -> np.ndarray:
         """(n,) bool: where t has no bound at the primitive in question."""
@@ -354,7 +354,7 @@ class Judge:
         return found
 
     def _classify_reference(
-        self, classes: np.ndarray, disputed: np.ndarray, vague: np.ndarray, exact: Adjudication
+        self, classes: np.ndarray, disputed: np.ndarray, loose: np.ndarray, exact: Adjudication
     ) -> None:
         """What becomes of Mitsuba's answer at disputed pixels where the subject is exactly right."""
         rows = np.flatnonzero(disputed)
@@ -365,7 +365,7 @@ class Judge:
         found = self.reference_bracket.judge(o, d, t_max, claims)
         # No numbers within the bounds give a hit at the origin itself: a ray begins beyond it.
         allowed = found.allowed & ((claims.shape < 0) | (claims.t > 0.0))
-        useless = vague[rows] | self._is_unresolved()[rows]
+        useless = loose[rows] | self._is_unresolved()[rows]
         classes[rows] = CLASS_CODE[REFERENCE_WRONG]
         classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CLASS_CODE[OUT_OF_DOMAIN]
         classes[rows[allowed & ~useless]] = CLASS_CODE[EXPLAINED]

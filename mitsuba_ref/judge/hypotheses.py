@@ -230,11 +230,11 @@ def other_order(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
     for what, remedy, order in _image_orders(f.judge.pair.shape, f.judge.pair.rays.is_list):
         there = order.ravel()[f.rows]
         fits = f.right_under(hit[there], t[there], MATCH_RTOL * np.abs(t[there]))
-        if _telling(f, fits):
+        if _explains_hits(f, fits):
             yield Explained(what, remedy, fits)
 
 
-def _telling(f: WrongPixels, fits: np.ndarray) -> bool:
+def _explains_hits(f: WrongPixels, fits: np.ndarray) -> bool:
     """Whether hits fit, not misses alone."""
     hits = f.given_hit & f.off
     good = (fits & hits).sum()
@@ -298,9 +298,9 @@ def other_rays(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
     """First hits along other rays, tried on a few pixels first."""
     few = f.take(sample_rows(np.flatnonzero(f.off), SCREENED_PIXELS))
     for ray in OTHER_RAYS:
-        if _telling(few, _first_hit_along(few, ray)):
+        if _explains_hits(few, _first_hit_along(few, ray)):
             fits = _first_hit_along(f, ray)
-            if _telling(f, fits):
+            if _explains_hits(f, fits):
                 yield Explained(ray.what, ray.remedy, fits)
 
 
@@ -375,7 +375,7 @@ def shifted_image(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
         remedy = "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)"
         what = f"rays beside the pixel centres, by {where}"
         fits = _first_hits(f, *_rays_at(f, shift))
-        if _telling(f, fits):
+        if _explains_hits(f, fits):
             yield Explained(what, remedy, fits)
 
 

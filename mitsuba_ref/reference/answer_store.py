@@ -131,7 +131,7 @@ def stored_response(store: AnswerStore, key: str, rays: int) -> TraceResponse | 
 
 def request_key(request: TraceRequest) -> str:
     """A hash of all that the response depends on; "" where a scene may name a file outside of its own folder."""
-    digest = hashlib.sha256(asking_side().encode())
+    digest = hashlib.sha256(request_dependencies().encode())
 
     def add(name: object, content: bytes) -> None:
         digest.update(f"\n{name} {len(content)}\n".encode() + content)
@@ -156,7 +156,7 @@ def request_key(request: TraceRequest) -> str:
 
 
 @cache
-def asking_side() -> str:
+def request_dependencies() -> str:
     """Versions, machine and sources that every answer depends on."""
     parts = [platform.system(), platform.machine()]
     parts += [variants.installed_version(name) for name in ("mitsuba", "drjit", "numpy")]

@@ -188,7 +188,7 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         f"{verdict.scene_count} scenes: {passed} pass, {count_text(verdict)}"
         f"{_not_run(verdict)}, in {seconds:.1f} s",
         *waiver_lines(verdict),
-        *_first_look(verdict),
+        *_summary_of_failures(verdict),
         f"hit pixels: {', '.join(shares[:3])},",
         f"            {', '.join(shares[3:5])},",
         f"            {', '.join(shares[5:])}",
@@ -234,7 +234,7 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
         yield f"FAIL        {judged} scenes judged, expected at least {max(verdict.min_scenes, 1)} (--min-scenes)"
 
 
-def _first_look(verdict: Verdict) -> Iterator[str]:
+def _summary_of_failures(verdict: Verdict) -> Iterator[str]:
     """Of several failing scenes: what they have in common, the simplest, and the command for its worst pixel."""
     yield from group_lines(verdict.scenes)
     first = simplest_failing(verdict.scenes)

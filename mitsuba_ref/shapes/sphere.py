@@ -78,10 +78,10 @@ def intersect(
     center, r = prims.center[k], prims.radius[k]
     middle, distance, s = sphere_roots(o - center, d, r)
     turn = prims.turn[k]
-    return tuple(_meeting(center, r, turn, o, d, (middle, distance, s), side, ku) for side in (-1.0, 1.0))
+    return tuple(_sphere_root(center, r, turn, o, d, (middle, distance, s), side, ku) for side in (-1.0, 1.0))
 
 
-def _meeting(
+def _sphere_root(
     center: np.ndarray,
     r: np.ndarray,
     turn: np.ndarray,
@@ -115,7 +115,7 @@ def reference_uv_points(prims: Spheres, k: np.ndarray, uv: np.ndarray) -> np.nda
     return mat_vec_rows(prims.turn[k], sphere_uv_points(prims, k, uv))
 
 
-def meet_ellipsoid(
+def intersect_ellipsoid(
     prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 ) -> tuple[Intersections, ...]:
     """Ray i with ellipsoid k[i]: the unit sphere in object space, into which the ray is transformed with rounding.
@@ -279,9 +279,9 @@ SPHERES = PrimitiveReference(
 ELLIPSOIDS = PrimitiveReference(
     Ellipsoids,
     ErrorModel(
-        meet_ellipsoid,
+        intersect_ellipsoid,
         affine_bounds,
-        ours_through_object_space(meet_ellipsoid),
+        ours_through_object_space(intersect_ellipsoid),
         exact=EXACT_ELLIPSOIDS,
         uv=SPHERE_UV,
     ),

@@ -53,7 +53,7 @@ def intersect(
         sh_n, sh_error = _shading(prims, k, n, n_error, weights, weight_errors, ku)
         p_error = _position_error(corners, weights, weight_errors, ku)
         uv, uv_error = _uv(prims, k, weights, weight_errors, ku)
-    edge, side = _doubtful_edge(corners, inside, np.sign(total), sure)
+    edge, side = _uncertain_edge(corners, inside, np.sign(total), sure)
     t_error = np.where(resolvable, t_error, np.inf)
     t = finite_or_zero(t, t_error)
     certain = inside.all(axis=1) & sure
@@ -82,7 +82,7 @@ def _position_error(
     return moved + ku * sum(np.abs(weights[:, j]) * norm(corners[j]) for j in range(3))
 
 
-def _doubtful_edge(
+def _uncertain_edge(
     corners: list[np.ndarray], inside: np.ndarray, facing: np.ndarray, sure: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where a hit hangs on one edge alone: its end points (m, 6), smaller one first, and the triangle's side of it.

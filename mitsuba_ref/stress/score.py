@@ -107,7 +107,7 @@ def cast_by_raster(ready: PreparedSetting) -> Observation | Absent:
     return Observation(t, prim)
 
 
-def ask_reference(
+def trace_by_reference(
     witness: Witness, settings: Sequence[PreparedSetting], folder: Path
 ) -> list[Observation | Absent]:
     """One of Mitsuba's configurations for several settings, in as few child processes as they fit in."""

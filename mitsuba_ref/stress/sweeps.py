@@ -170,7 +170,9 @@ def observe(settings: Sequence[PreparedSetting], on_progress: Progress) -> list[
     try:
         with ScratchFolder() as folder:
             submitted = {
-                witness.key: pool.submit(score.ask_reference, witness, settings, Path(folder) / witness.key)
+                witness.key: pool.submit(
+                    score.trace_by_reference, witness, settings, Path(folder) / witness.key
+                )
                 for witness in REFERENCES
             }
             own = []

@@ -116,7 +116,7 @@ def other_source(request, patch):
     copy = request.xml.parent.parent / "mitsuba_calls.py"
     copy.write_text(answer_store.SOURCES[0].read_text() + "\n# edited\n")
     patch.setattr(answer_store, "SOURCES", (copy, *answer_store.SOURCES[1:]))
-    answer_store.asking_side.cache_clear()
+    answer_store.request_dependencies.cache_clear()
     return request
 
 
@@ -124,7 +124,7 @@ def other_version_of(name):
     def changed(request, patch):
         usual = variants.installed_version
         patch.setattr(variants, "installed_version", lambda of: "9" if of == name else usual(of))
-        answer_store.asking_side.cache_clear()
+        answer_store.request_dependencies.cache_clear()
         return request
 
     return changed
@@ -158,7 +158,7 @@ def test_whatever_changes_is_requested_again(request_, monkeypatch, change):
     before = request_key(request_)
     with monkeypatch.context() as patch:
         changed = request_key(CHANGES[change](request_, patch))
-    answer_store.asking_side.cache_clear()
+    answer_store.request_dependencies.cache_clear()
     assert changed != before and changed
 
 

@@ -51,7 +51,7 @@ def test_all_casters_agree_where_a_family_is_easiest():
 
 def leaks(witness: Witness, setting: Setting) -> int:
     with tempfile.TemporaryDirectory() as folder:
-        (sight,) = score.ask_reference(witness, [score.prepare_setting(setting)], Path(folder))
+        (sight,) = score.trace_by_reference(witness, [score.prepare_setting(setting)], Path(folder))
     return int(np.sum(~sight.hit))
 
 

@@ -145,7 +145,7 @@ FLATTENED = [{"matrix": [[0.5, 0.4, 0.45, 0], [0.4, 0.33, 0.37, 0], [0.06, 0.02,
     [
         (Disk(to_world=FLATTENED), disk.intersect),
         (Cylinder(to_world=FLATTENED), cylinder.intersect),
-        (Sphere(to_world=FLATTENED), sphere.meet_ellipsoid),
+        (Sphere(to_world=FLATTENED), sphere.intersect_ellipsoid),
     ],
     ids=["disk", "cylinder", "ellipsoid"],
 )
