@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mitsuba_ref.bench.result import Run, SceneResult
     from mitsuba_ref.stress.family import Family
     from mitsuba_ref.stress.sweeps import SweepResult
+    from mitsuba_ref.subjects.subject import Subject
 
 # ---- stress ----
 
@@ -25,10 +26,13 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add("--rays", metavar="N", type=positive_int, help="rays of each setting; default: 400, watertight 10000")
     add("--seed", metavar="S", type=options.whole, default=0, help="of the rays; default: 0")
     options.add_json(parser)
+    options.add_candidate(
+        parser, "another ray caster, in place of ours: one that takes rays (docs/candidates.md)"
+    )
 
 
 def run_stress(args: argparse.Namespace) -> int:
-    """Sweep the selected families; 0 ours is right everywhere, 1 it is not, 5 nothing selected, 130 interrupted."""
+    """Sweep the selected families; 0 right everywhere, 1 not, 5 nothing selected, 130 interrupted."""
     from mitsuba_ref import stress
 
     families = options.select(stress.FAMILIES, "family", args.families, args.expression)
@@ -39,21 +43,24 @@ def run_stress(args: argparse.Namespace) -> int:
         print("\n".join(f"{family.name:22}{family.title}" for family in families))
         return OK
     options.check_json(args)
+    candidate = options.requested_candidate(args, takes_rays=True)
     done: list[SweepResult] = []
     try:
-        sweep_all(families, args, done)
+        sweep_all(families, args, done, candidate)
     finally:  # what is done is kept, whatever ends the work
         report_sweeps(done, families, args)
     return OK if all(sweep.ok for sweep in done) else DIFFERENCES
 
 
-def sweep_all(families: list[Family], args: argparse.Namespace, done: list[SweepResult]) -> None:
+def sweep_all(
+    families: list[Family], args: argparse.Namespace, done: list[SweepResult], candidate: Subject | None
+) -> None:
     """Print each family's table as soon as it is done."""
     from mitsuba_ref.stress import sweeps
 
     for i, family in enumerate(families):
         progress = options.Progress(f"{i + 1}/{len(families)} {family.name}")
-        done.append(sweeps.sweep(family, args.seed, args.rays, progress))
+        done.append(sweeps.sweep(family, args.seed, args.rays, progress, candidate))
         progress.clear()
         print(f"{sweeps.as_text(done[-1])}\n", file=options.table_stream(args), flush=True)
 

@@ -195,8 +195,11 @@ def add_candidate(
     )
 
 
-def requested_candidate(args: argparse.Namespace) -> Subject | None:
-    """The candidate of --candidate; None: our caster is judged. Raises SceneError for one that cannot be used."""
+def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -> Subject | None:
+    """The candidate of --candidate; None: our caster is judged. Raises SceneError for one that cannot be used.
+
+    takes_rays: one that renders images of its own camera cannot.
+    """
     if args.candidate is None:
         alone = {
             "--candidate-precision": args.candidate_precision is not None,
@@ -212,7 +215,13 @@ def requested_candidate(args: argparse.Namespace) -> Subject | None:
     from mitsuba_ref.subjects.requests import parse_candidate
 
     served = isinstance(args.candidate, ServedProgram)
-    return parse_candidate(args.candidate, args.candidate_precision, args.candidate_timeout, served=served)
+    found = parse_candidate(args.candidate, args.candidate_precision, args.candidate_timeout, served=served)
+    if takes_rays and not found.takes_rays:
+        raise SceneError(
+            f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
+            "a command with {rays} and {hits}, or --candidate-serve (docs/rays-and-hits.md)"
+        )
+    return found
 
 
 def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:

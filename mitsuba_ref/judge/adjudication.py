@@ -13,7 +13,7 @@ import numpy as np
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import nearest_root, reference_bounds, row_distance
-from mitsuba_ref.error_model.bracket import Claims
+from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Claims
 from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
@@ -138,6 +138,18 @@ def exact_error_ratio(answer: ExactAnswer, prim: int, t: float, bound: float) ->
         return 0.0
     error = answer.t.off(t) if np.isfinite(t) else np.inf
     return 0.0 if error == 0.0 else error / bound if bound > 0.0 else np.inf
+
+
+def claims_of(answer: Answer, packed: Packed) -> Claims:
+    """What a subject claims: hits, with shape, primitive and normal if it names them, and no position."""
+    shapes = len(packed.parts)
+    named: np.ndarray | int = ANY_SHAPE
+    if answer.shape_id is not None:  # `shapes`: none there is
+        named = np.where((answer.shape_id >= 0) & (answer.shape_id < shapes), answer.shape_id, shapes)
+    shape, prim = np.where(answer.hit, named, CLAIMED_MISS), answer.prim_id
+    t = np.where(answer.hit, np.nan, np.inf) if answer.hits_only else answer.t
+    n = NOT_CLAIMED if answer.n is None else answer.n
+    return Claims(t, shape, n, t_rounding=answer.t_rounding, prim=prim)
 
 
 # (m,) indices of pixels, (m,) primitives, (m,) t -> the intersections as the subject may see them

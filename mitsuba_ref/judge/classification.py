@@ -18,13 +18,14 @@ from caster.aovs import Aovs
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, row_distance
-from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Bracket, Claims
+from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
 from mitsuba_ref.error_model.intersections import Intersections, row_groups
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import (
     Adjudication,
     ExactRatios,
+    claims_of,
     claims_other_tie,
     needs_adjudication,
     oracle_answers,
@@ -421,16 +422,7 @@ class Judge:
         return allowed, found.open | lost
 
     def _subject_claims(self, rows: np.ndarray) -> Claims:
-        """What the subject answers at some pixels: shape and primitive if it names them, no position."""
-        answer, packed = self.answer.rows(rows), self.model.packed
-        shapes = len(packed.parts)
-        named: np.ndarray | int = ANY_SHAPE
-        if answer.shape_id is not None:  # `shapes`: none there is
-            named = np.where((answer.shape_id >= 0) & (answer.shape_id < shapes), answer.shape_id, shapes)
-        shape, prim = np.where(answer.hit, named, CLAIMED_MISS), answer.prim_id
-        t = np.where(answer.hit, np.nan, np.inf) if answer.hits_only else answer.t
-        n = NOT_CLAIMED if answer.n is None else answer.n
-        return Claims(t, shape, n, t_rounding=answer.t_rounding, prim=prim)
+        return claims_of(self.answer.rows(rows), self.model.packed)
 
     def _reference_claims(self, rows: np.ndarray) -> Claims:
         names = ("shape_id", "normal", "shading_normal", "position")

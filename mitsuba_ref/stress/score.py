@@ -13,13 +13,24 @@ from caster.rendering.hits import cast
 from caster.rendering.images import camera_rays, film_window
 from caster.rendering.rasterization import find_nearest_on_film
 from caster.scene.model import Scene
-from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
+from caster.system.atomic_files import ScratchFolder
+from mitsuba_ref.error_model.bounds import intersections_at
+from mitsuba_ref.error_model.bracket import Bracket
+from mitsuba_ref.error_model.intersections import Intersections
+from mitsuba_ref.judge.adjudication import (
+    ExactHits,
+    PreparedScene,
+    claims_of,
+    prepare_scene,
+    ratios_of_any_tie,
+)
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, send_requests
-from mitsuba_ref.reference.shared_input import export, shape_ids
+from mitsuba_ref.reference.shared_input import SharedRays, export, shape_ids
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
 from mitsuba_ref.report.results import largest
 from mitsuba_ref.stress.family import Setting
+from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, Unsupported
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,6 +51,8 @@ REFERENCES = (
     Witness("llvm-robust", "Mitsuba LLVM, robust", LLVM),
 )
 WITNESSES = (OURS, SCREEN, *REFERENCES)
+CANDIDATE = Witness("candidate", "the candidate")
+BESIDE_CANDIDATE = (CANDIDATE, OURS, REFERENCES[0])  # the witnesses of a candidate's sweep
 
 # A child process holds all rays of its scenes, and some hundred bytes of response for each.
 MAX_RAYS_PER_PROCESS = 1 << 20
@@ -178,6 +191,8 @@ class Score:
     error: float | None  # largest
     median: float | None
     first_wrong: tuple[int, ...] = ()  # the first rays that are wrong in any of these ways
+    excused: int = 0  # of a candidate: other hits and misses than the exact ones, which its rounding allows
+    example: str = ""  # of a candidate: its first wrong ray
     status: Literal["ok"] = "ok"
 
     @property
@@ -233,11 +248,28 @@ def exact_answers(ready: PreparedSetting, reported_misses: np.ndarray) -> ExactA
     return ExactAnswers(hit, rows, hits)
 
 
+def ask_candidate(subject: Subject, ready: PreparedSetting) -> Answer | Absent:
+    """A candidate's answer to the rays of a setting."""
+    rays = SharedRays(ready.o, ready.d, np.full(len(ready.o), np.inf, np.float32), np.zeros(len(ready.o)))
+    with ScratchFolder() as folder:
+        try:
+            return subject.answer(CastRequest(ready.scene, ready.model, rays, Path(folder)))
+        except Unsupported as declined:
+            return Absent("not applicable", str(declined))
+        except NoAnswer as error:
+            return Absent("crash", str(error))
+
+
+def t_text(t: float) -> str:
+    """A hit or a miss, in words."""
+    return "a miss" if np.isposinf(t) else f"a hit at t {t!r}"
+
+
 class Scorer:
     """Compares witnesses with the exact answers of one setting."""
 
     def __init__(self, ready: PreparedSetting, exact: ExactAnswers) -> None:
-        self.primitives, self.exact = ready.primitives, exact
+        self.ready, self.primitives, self.exact = ready, ready.primitives, exact
         length = np.linalg.norm(exact.hits.d, axis=1)
         unit = ready.setting.unit
         self.unit = np.abs(exact.hits.t) if unit is None else unit / length  # (m,) lengths of d
@@ -248,6 +280,49 @@ class Scorer:
         hits, rows = self.exact.hits, self.hit_rows
         float32, float64 = (bound[rows] / self.unit[rows] for bound in (hits.float32, hits.float64))
         return Bound(largest(float32), largest(float64), int(np.sum(~np.isfinite(hits.float32[rows]))))
+
+    def score_candidate(self, answer: Answer) -> Score:
+        """Wrong is what neither is exactly right nor allowed by the rounding of the candidate's precision."""
+        hit, rows, hits = self.exact
+        some, model = answer.rows(rows), self.ready.model
+
+        def near(of: np.ndarray, prim: np.ndarray, t: np.ndarray) -> Intersections:
+            return intersections_at(model, prim, (hits.o[of], hits.d[of]), t, answer.ku, ours=True)
+
+        ratio = ratios_of_any_tie(hits.answers, some, near, self.ready.packed).best
+        inexact = np.flatnonzero(~(ratio <= 1.0) & ~some.is_broken)
+        claims = claims_of(some.rows(inexact), self.ready.packed)
+        endless = np.full(len(inexact), np.inf)
+        found = Bracket(model, answer.ku, ours=True).judge(hits.o[inexact], hits.d[inexact], endless, claims)
+        allowed = (found.allowed & ~(claims.t <= 0.0)) | found.open
+        wrong = (answer.hit != hit) | answer.is_broken
+        wrong[rows] = some.is_broken
+        wrong[rows[inexact[~allowed]]] = True
+        both = self.hit_rows[np.isfinite(some.t[self.hit_rows])]
+        relative = hits.errors(both, some.t[both]) / self.unit[both]
+        wrong_rays = np.flatnonzero(wrong)
+        return Score(
+            false_hits=int(np.sum(wrong & answer.hit & ~hit)),
+            false_misses=int(np.sum(wrong & ~answer.hit & hit)),
+            wrong_primitives=0,
+            beyond=int(np.sum(wrong & answer.hit & hit)),
+            compared=len(both),
+            worst=largest(ratio[both][np.isfinite(ratio[both])]),
+            error=largest(relative),
+            median=float(np.median(relative)) if len(both) else None,
+            first_wrong=tuple(wrong_rays[:WRONG_RAYS_LISTED].tolist()),
+            excused=int(allowed.sum()),
+            example=self._ray_text(int(wrong_rays[0]), answer) if len(wrong_rays) else "",
+        )
+
+    def _ray_text(self, ray: int, answer: Answer) -> str:
+        """A ray in hex floats, the candidate's answer to it and the exact one."""
+        o, d = (" ".join(float(x).hex() for x in a[ray]) for a in (self.ready.o, self.ready.d))
+        place = int(np.searchsorted(self.exact.rows, ray))
+        known = place < len(self.exact.rows) and self.exact.rows[place] == ray
+        exact_t = float(self.exact.hits.t[place]) if known else None
+        exact = "a hit, of a closed mesh" if exact_t is None else t_text(exact_t)
+        return f"ray {ray}: o {o}, d {d}: the candidate has {t_text(float(answer.t[ray]))}, exactly it is {exact}"
 
     def score(self, found: Observation | Absent, *, ours: bool) -> Score | Absent:
         if isinstance(found, Absent):

@@ -15,6 +15,8 @@ from mitsuba_ref.report.results import NOTHING, aligned
 from mitsuba_ref.stress import score
 from mitsuba_ref.stress.family import Family
 from mitsuba_ref.stress.score import (
+    BESIDE_CANDIDATE,
+    CANDIDATE,
     OURS,
     REFERENCES,
     SCREEN,
@@ -28,13 +30,14 @@ from mitsuba_ref.stress.score import (
     Witness,
     exact_answers,
 )
+from mitsuba_ref.subjects.subject import Answer, Subject
 
 JSON_FORMAT = 1  # goes up when a key changes its meaning or goes away
 OUR_KEYS = (OURS.key, SCREEN.key)
 PARALLEL_PROCESSES = 2  # Mitsuba's child processes at a time: each takes a core
 
 Progress = Callable[[str], None]
-Observations = dict[str, Observation | Absent]  # by witness
+Observations = dict[str, Observation | Answer | Absent]  # by witness; an Answer of the candidate
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,17 @@ class SweepResult:
     settings: tuple[SettingResult, ...]
     seconds: float = 0.0
 
+    @property
+    def witnesses(self) -> tuple[Witness, ...]:
+        """Those that were asked."""
+        with_candidate = any(CANDIDATE.key in setting.witnesses for setting in self.settings)
+        return BESIDE_CANDIDATE if with_candidate else WITNESSES
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """Keys of the witnesses that have to be right."""
+        return (CANDIDATE.key,) if self.witnesses is BESIDE_CANDIDATE else OUR_KEYS
+
     @classmethod
     def of(cls, family: Family, settings: Sequence[SettingResult], seconds: float = 0.0) -> "SweepResult":
         words = (family.name, family.title, family.quantity, family.error)
@@ -90,6 +104,9 @@ class SweepResult:
     @property
     def problems(self) -> list[str]:
         """Why the sweep fails, in lines."""
+        absent = self.absence(self.judged[0])
+        if absent and absent.status == "not applicable":
+            return [f"{self.name}: {self.judged[0]} declined every setting: {absent.why}"]
         return [
             line for setting in self.settings for line in (*self._vacuous(setting), *self._faults(setting))
         ]
@@ -104,13 +121,17 @@ class SweepResult:
                 )
 
     def _faults(self, setting: SettingResult) -> Iterator[str]:
-        for key in OUR_KEYS:
+        for key in self.judged:
             score = setting.witnesses[key]
             if isinstance(score, Score) and score.fails:
+                primitives = f"{score.wrong_primitives} wrong primitives, " if key in OUR_KEYS else ""
                 yield (
-                    f"{self._where(setting)}: {key}: {score.wrong_masks} wrong masks, {score.wrong_primitives} wrong "
-                    f"primitives, {score.beyond} errors beyond their bound; rays {list(score.first_wrong)}"
+                    f"{self._where(setting)}: {key}: {score.false_hits} false hits, {score.false_misses} false misses, "
+                    f"{primitives}{score.beyond} hits beyond their bounds; rays {list(score.first_wrong)}"
+                    f"{score.example and '; ' + score.example}"
                 )
+            elif isinstance(score, Absent) and score.status == "crash":
+                yield f"{self._where(setting)}: {key}: no answer: {score.why}"
 
     def _where(self, setting: SettingResult) -> str:
         return f"{self.name}, {self.quantity} {setting.x:g}"
@@ -119,7 +140,7 @@ class SweepResult:
     @property
     def breakdowns(self) -> dict[str, list[float]]:
         """By witness, the first x at which it breaks down, on either side of where the family is easiest."""
-        return {witness.key: self._breakdowns(witness.key) for witness in WITNESSES}
+        return {witness.key: self._breakdowns(witness.key) for witness in self.witnesses}
 
     def _breakdowns(self, key: str) -> list[float]:
         up = [setting for setting in self.settings if setting.x >= self.easiest]
@@ -151,21 +172,33 @@ class StressRun:
 
 
 def sweep(
-    family: Family, seed: int, rays: int | None, on_progress: Progress = lambda words: None
+    family: Family,
+    seed: int,
+    rays: int | None,
+    on_progress: Progress = lambda words: None,
+    candidate: Subject | None = None,
 ) -> SweepResult:
-    """Every setting of a family. The same seed and number of rays give the same result, but for the seconds."""
+    """Every setting of a family. The same seed and number of rays give the same result, but for the seconds.
+
+    candidate: one that takes rays, judged in place of our caster.
+    """
     start = time.perf_counter()
     on_progress("aiming")
     settings = [score.prepare_setting(setting) for setting in family.settings(seed, rays)]
     results = []
-    for i, (ready, observations) in enumerate(zip(settings, observe(settings, on_progress), strict=True)):
+    for i, (ready, observations) in enumerate(
+        zip(settings, observe(settings, on_progress, candidate), strict=True)
+    ):
         on_progress(f"exact answers {i + 1}/{len(settings)}")
         results.append(score_setting(ready, observations))
     return SweepResult.of(family, results, time.perf_counter() - start)
 
 
-def observe(settings: Sequence[PreparedSetting], on_progress: Progress) -> list[Observations]:
+def observe(
+    settings: Sequence[PreparedSetting], on_progress: Progress, candidate: Subject | None = None
+) -> list[Observations]:
     """What each witness finds in each setting. Mitsuba runs in child processes beside our caster."""
+    references = [each for each in REFERENCES if candidate is None or each in BESIDE_CANDIDATE]
     pool = ThreadPoolExecutor(PARALLEL_PROCESSES)
     try:
         with ScratchFolder() as folder:
@@ -173,12 +206,16 @@ def observe(settings: Sequence[PreparedSetting], on_progress: Progress) -> list[
                 witness.key: pool.submit(
                     score.trace_by_reference, witness, settings, Path(folder) / witness.key
                 )
-                for witness in REFERENCES
+                for witness in references
             }
-            own = []
+            own: list[Observations] = []
             for i, ready in enumerate(settings):
-                on_progress(f"ours {i + 1}/{len(settings)}")
-                own.append({OURS.key: score.cast_by_bvh(ready), SCREEN.key: score.cast_by_raster(ready)})
+                on_progress(f"{'candidate' if candidate else 'ours'} {i + 1}/{len(settings)}")
+                own.append({OURS.key: score.cast_by_bvh(ready)})
+                if candidate:
+                    own[-1] = {CANDIDATE.key: score.ask_candidate(candidate, ready), **own[-1]}
+                else:
+                    own[-1][SCREEN.key] = score.cast_by_raster(ready)
             on_progress("waiting for Mitsuba")
             theirs = {key: future.result() for key, future in submitted.items()}
     finally:  # also on Ctrl-C: no child is left behind
@@ -190,10 +227,15 @@ def observe(settings: Sequence[PreparedSetting], on_progress: Progress) -> list[
 
 def score_setting(ready: PreparedSetting, observations: Observations) -> SettingResult:
     """The scores of one setting."""
-    missed = [~found.hit for found in observations.values() if isinstance(found, Observation)]
+    missed = [~found.hit for found in observations.values() if not isinstance(found, Absent)]
     exact = exact_answers(ready, np.any(missed, axis=0))
     scorer = Scorer(ready, exact)
-    scores = {key: scorer.score(found, ours=key in OUR_KEYS) for key, found in observations.items()}
+    scores = {
+        key: scorer.score_candidate(found)
+        if isinstance(found, Answer)
+        else scorer.score(found, ours=key in OUR_KEYS)
+        for key, found in observations.items()
+    }
     hits, count = int(exact.hit.sum()), len(ready.o)
     ties = sum(len(tied) > 1 for tied in exact.hits.ties)
     counts = ExactCounts(len(exact.rows), hits, count - hits, ties)
@@ -213,8 +255,7 @@ def as_text(sweep: SweepResult) -> str:
 
 def shown_witnesses(sweep: SweepResult) -> list[Witness]:
     """The witnesses that have a column: rasterization only where rays share an eye."""
-    absent = sweep.absence(SCREEN.key)
-    return [witness for witness in WITNESSES if witness is not SCREEN or absent is None]
+    return [each for each in sweep.witnesses if each is not SCREEN or sweep.absence(SCREEN.key) is None]
 
 
 def rows(sweep: SweepResult) -> list[list[str]]:

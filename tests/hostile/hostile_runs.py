@@ -132,7 +132,7 @@ class Started:
         self.before = digests(home)
         self.deadline = time.monotonic() + MAX_WALL_SECONDS
         sys.stdout.flush()
-        self.inherited = max(0, resident_bytes() - STARTED_RSS)
+        self.inherited = max(0, inherited_bytes() - STARTED_RSS)
         self.pipe, writing = os.pipe()  # a file would feel a full disk, too
         os.set_blocking(self.pipe, False)
         self.said = b""
@@ -272,9 +272,10 @@ def replace_file(path: Path, case: Case) -> None:
         path.chmod(0o200 if kind == "unreadable" else 0o600)
 
 
-def resident_bytes() -> int:
-    """Memory of this process that is in RAM, in bytes."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+def inherited_bytes() -> int:
+    """Memory of this process that a fork has from its start, in bytes: what is in RAM and of no file."""
+    resident, of_files = map(int, Path("/proc/self/statm").read_text().split()[1:3])
+    return (resident - of_files) * resource.getpagesize()
 
 
 def run_case(case: Case, home: Path, said: int) -> NoReturn:

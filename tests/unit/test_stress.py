@@ -1,6 +1,7 @@
 """The sweeps exercise what they say, see every fault that is planted in ours, and tell all of it. Without Mitsuba."""
 
 import json
+import re
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
@@ -12,6 +13,7 @@ import pytest
 import stress_page
 import stress_plots
 
+import caster
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli.doctor import result_schema
 from mitsuba_ref.cli.options import select
@@ -22,6 +24,7 @@ from mitsuba_ref.stress import FAMILIES, score, sweeps
 from mitsuba_ref.stress.score import Absent, Observation, Scorer
 from mitsuba_ref.stress.surfaces import check_closed
 from mitsuba_ref.stress.sweeps import StressRun, SweepResult
+from mitsuba_ref.subjects.function import FunctionSubject
 
 RAYS = 25
 BY_NAME = {family.name: family for family in FAMILIES}
@@ -293,7 +296,7 @@ def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
     assert setting["witnesses"]["llvm"] == {"status": "missing", "why": "planted: nothing works"}
     assert set(setting["witnesses"]["ours"]) == {
         *("status", "false_hits", "false_misses", "wrong_primitives", "beyond", "compared", "worst", "error"),
-        *("median", "first_wrong"),
+        *("median", "first_wrong", "excused", "example"),
     }
     for text in texts:
         text["families"][0].pop("seconds")
@@ -404,3 +407,98 @@ def test_ctrl_c_keeps_what_is_done(tmp_path, monkeypatch, capsys):
     assert [family["name"] for family in kept["families"]] == ["offset-mesh"]
     assert kept["requested"] == ["offset-mesh", "offset-sphere"] and not kept["ok"]
     assert "1 of 2 families" in capsys.readouterr().out
+
+
+# ---- a candidate in place of ours ----
+
+
+def right(scene, o, d):
+    found = caster.cast(scene, o, d)
+    return found.t, found.normal
+
+
+def altered(change):
+    """The right caster, its (t, normal) changed by a function of the rays as well."""
+
+    def cast(scene, o, d):
+        return change(o, d, *right(scene, o, d))
+
+    return cast
+
+
+def only_if(keep):
+    """A caster that misses where keep(o, d, t, n) does not hold."""
+    return altered(lambda o, d, t, n: (np.where(keep(o, d, t, n), t, np.inf), n))
+
+
+LEAK = only_if(lambda o, d, t, n: np.arange(len(t)) % 7 != 0)
+GRAZING_EPSILON = only_if(lambda o, d, t, n: np.abs((d * n).sum(axis=1)) > 1e-6)
+LENGTH_EPSILON = only_if(lambda o, d, t, n: np.linalg.norm(d, axis=1) > 1e-8)
+PLANTED = [
+    ("watertight-edges", LEAK, "4 false misses"),
+    ("grazing-rectangle", GRAZING_EPSILON, "false misses"),
+    ("length-mesh", LENGTH_EPSILON, "false misses"),
+    ("tangency", altered(lambda o, d, t, n: (t * (1 + 1e-5), n)), "hits beyond their bounds"),
+    ("scale-mesh", altered(lambda o, d, t, n: (np.where(np.isinf(t), 1.0, t), n)), "false hits"),
+    ("sliver", altered(lambda o, d, t, n: (t, -n)), "hits beyond their bounds"),
+    (
+        "axis",
+        altered(lambda o, d, t, n: (np.where(np.arange(len(t)) % 5 == 0, np.nan, t), n)),
+        "hits beyond their bounds",
+    ),
+]
+
+
+def of_candidate(name, call, precision=None):
+    return sweeps.sweep(BY_NAME[name], 0, RAYS, candidate=FunctionSubject("candidate", call, precision))
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_right_candidate_passes_every_family(name, precision):
+    rounded = altered(lambda o, d, t, n: (t.astype(precision), n.astype(precision)))
+    sweep = of_candidate(name, rounded)
+    assert sweep.ok, sweep.problems
+    assert list(sweep.settings[0].witnesses) == ["candidate", "ours", "scalar"]
+    for setting in sweep.settings:
+        score = setting.witnesses["candidate"]
+        assert not score.fails and score.compared >= setting.exact.hits - score.excused
+
+
+@pytest.mark.parametrize(("name", "call", "says"), PLANTED)
+def test_a_wrong_candidate_fails_with_the_first_ray_that_shows_it(name, call, says):
+    sweep = of_candidate(name, call)
+    assert not sweep.ok and sweep.breakdowns["candidate"] and not sweep.breakdowns["ours"]
+    assert all(" candidate: " in line for line in sweep.problems)
+    first = sweep.problems[0]
+    assert says in first and ": the candidate has a" in first
+    o, d = re.search(r": o (0x\S+|-0x\S+) .*?, d (\S+) ", first).groups()
+    assert np.isfinite([float.fromhex(o), float.fromhex(d)]).all()
+
+
+def test_a_candidate_that_declines_or_raises_is_no_pass():
+    def declines(scene, o, d):
+        raise NotImplementedError("no spheres")
+
+    def raises(scene, o, d):
+        raise ZeroDivisionError("by a determinant")
+
+    sweep = of_candidate("tangency", raises)
+    assert not sweep.ok and "no answer: candidate raised ZeroDivisionError" in sweep.problems[0]
+    sweep = of_candidate("tangency", declines)
+    assert not sweep.ok and "declined every setting" in sweep.problems[0]
+
+
+def test_the_command_judges_a_candidate_and_refuses_one_without_rays(tmp_path, monkeypatch, capsys):
+    shortened(monkeypatch, "sliver", 0, -1)
+    (tmp_path / "somebodys_caster.py").write_text(
+        "import caster\ndef cast(scene, o, d):\n    hits = caster.cast(scene, o, d)\n    return hits.t, -hits.normal\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    words = ["stress", "sliver", "--rays", "25", "--candidate"]
+    assert main([*words, "somebodys_caster:cast"]) == 1
+    out = capsys.readouterr().out
+    assert "FAIL  sliver" in out and "candidate" in out.splitlines()[1] and "1 fail: sliver" in out
+    assert main([*words, "true {xml} -o {exr}"]) == 2
+    assert "expected one that casts rays it is given" in capsys.readouterr().err
