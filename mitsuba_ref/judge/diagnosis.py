@@ -178,7 +178,7 @@ def _explain(causes: _Causes, wrong: WrongPixels) -> None:
             causes.take(winner.what, f.rows[winner.fits], len(f.rows), winner.remedy)
             left &= ~winner.fits
             on_surface |= winner.fits & of_surface
-            if not of_surface:  # another ray has other normals, too
+            if not of_surface and len(f.rows) > MAJORITY * len(wrong.rows):  # another ray has other normals
                 causes.take(winner.what, wrong.rows[kept], len(wrong.rows), winner.remedy)
         for hypothesis in (*HYPOTHESES, *DESCRIPTIONS) if left.any() else ():
             for each in hypothesis(f, right):
@@ -333,9 +333,11 @@ def _outline_text(f: WrongPixels) -> str:
         on_plane = height <= DISTINCT_RTOL * norm(corners[:, 1] - corners[:, 0])
         on_plane &= height <= t_bound * np.abs(n @ d)
         if not on_plane.any() or (on_plane & _is_inside(p, corners)).any():
-            return ""
+            continue
         beyond = np.where(on_plane, _outline_distances(p, corners), np.inf)
         found.append((float(beyond.min()), int(prims[beyond.argmin()])))
+    if len(found) < NEARLY_ALL * len(few.rows):
+        return ""
     distances = np.array([distance for distance, _ in found])
     prim = np.array([found[0][1]])
     number = int(judge.model.packed.index_in_shape(prim)[0])

@@ -101,7 +101,9 @@ class WrongPixels:
             error = np.where(np.isfinite(self.t), np.abs(self.given_t - self.t), np.inf)
             loose = np.minimum(LARGEST_RESIDUAL * error, MATCH_RTOL * np.abs(t))
             bound = np.where(np.isfinite(bound), FIT_FACTOR * (bound + self.t_rounding), 0.0)
-            return same & (~hit | (left <= np.maximum(bound, loose) + np.finfo(np.float64).tiny))
+            near = left <= np.maximum(bound, loose) + np.finfo(np.float64).tiny
+            better = self.off & (left <= MAJORITY * error)  # of two bounds, a third of one explains nothing
+            return same & (~hit | (near & (better | ~self.off)))
 
     @cached_property
     def roots(self) -> RayIntersections:
@@ -172,10 +174,13 @@ def other_quantity(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
         scale = float(np.median((f.given_t / f.t)[some]))
     what = f"t is {abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
     fits = f.right_under(f.hit, f.t + offset, f.at.t_error)
-    yield Explained(what, f"leave out the offset (an epsilon?) of {offset:.3g}", fits & f.hit)
+    if _is_kept(f, right.right_under(right.hit, right.t + offset, right.at.t_error)):
+        yield Explained(what, f"leave out the offset (an epsilon?) of {offset:.3g}", fits & f.hit)
     what = f"t is {scale:.7g} times what it should be"
     fits = f.right_under(f.hit, f.t * scale, f.at.t_error * abs(scale))
-    yield Explained(what, "look for a wrong unit, a scale or a length that is not 1", fits & f.hit)
+    stay = right.right_under(right.hit, right.t * scale, right.at.t_error * abs(scale))
+    if abs(scale - 1.0) > DISTINCT_RTOL or _is_kept(f, stay):  # no chance meets a scale that is far from 1
+        yield Explained(what, "look for a wrong unit, a scale or a length that is not 1", fits & f.hit)
     with np.errstate(all="ignore"):
         for words, t in (
             ("the square of t", f.t**2),
@@ -228,9 +233,12 @@ def other_order(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
     """The whole image in another order, by Mitsuba's answer at those places."""
     hit, t = f.judge.result.hit, f.judge.result.t.astype(np.float64)
     for what, remedy, order in _image_orders(f.judge.pair.shape, f.judge.pair.rays.is_list):
-        there = order.ravel()[f.rows]
-        fits = f.right_under(hit[there], t[there], MATCH_RTOL * np.abs(t[there]))
-        if _explains_hits(f, fits):
+        fits, stay = (
+            g.right_under(hit[there], t[there], MATCH_RTOL * np.abs(t[there]))
+            for g in (f, right)
+            for there in (order.ravel()[g.rows],)
+        )
+        if _explains_hits(f, fits) and _is_kept(f, stay):
             yield Explained(what, remedy, fits)
 
 
@@ -241,6 +249,16 @@ def _explains_hits(f: WrongPixels, fits: np.ndarray) -> bool:
     return bool(
         good >= MIN_FITTED_PIXELS and good >= NEARLY_ALL * hits.sum() and fits[f.off].mean() >= NEARLY_ALL
     )
+
+
+def _is_kept(f: WrongPixels, stay: np.ndarray) -> bool:
+    """Whether what is said of all pixels is true of nearly all right ones, too, and these are not nearly all there are.
+
+    stay: (r,) bool of right ones, at most RIGHT_PIXELS. A few wrong ones fit one of many such hypotheses by chance.
+    """
+    if not len(stay):
+        return True
+    return bool(stay.mean() >= NEARLY_ALL and len(f.rows) >= (1.0 - NEARLY_ALL) * len(stay))
 
 
 class OtherRay(NamedTuple):
@@ -300,19 +318,21 @@ def other_rays(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
     for ray in OTHER_RAYS:
         if _explains_hits(few, _first_hit_along(few, ray)):
             fits = _first_hit_along(f, ray)
-            if _explains_hits(f, fits):
+            if _explains_hits(f, fits) and _is_kept(f, _first_hit_along(right, ray, or_exact=True)):
                 yield Explained(ray.what, ray.remedy, fits)
 
 
-def _first_hit_along(f: WrongPixels, ray: OtherRay) -> np.ndarray:
+def _first_hit_along(f: WrongPixels, ray: OtherRay, *, or_exact: bool = False) -> np.ndarray:
     """(m,) bool: right under first hits along these rays."""
-    return _first_hits(f, ray.o(f.o, f.d), ray.d(f.d), ray.t_factor)
+    return _first_hits(f, ray.o(f.o, f.d), ray.d(f.d), ray.t_factor, or_exact=or_exact)
 
 
-def _first_hits(f: WrongPixels, o: np.ndarray, d: np.ndarray, t_factor: float = 1.0) -> np.ndarray:
+def _first_hits(
+    f: WrongPixels, o: np.ndarray, d: np.ndarray, t_factor: float = 1.0, *, or_exact: bool = False
+) -> np.ndarray:
     """(m,) bool: right under first hits along o + t d, where t is counted times a factor."""
     roots = f.judge.bracket.possible_hits(o, d, f.judge.t_max[f.rows] / t_factor)
-    return _right_among(f, roots, np.ones(len(roots.ray), bool), t_factor=t_factor)
+    return _right_among(f, roots, np.ones(len(roots.ray), bool), t_factor=t_factor, or_exact=or_exact)
 
 
 def _right_among(
@@ -375,7 +395,9 @@ def shifted_image(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
         remedy = "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)"
         what = f"rays beside the pixel centres, by {where}"
         fits = _first_hits(f, *_rays_at(f, shift))
-        if _explains_hits(f, fits):
+        if _explains_hits(f, fits) and _is_kept(
+            f, _first_hits(right, *_rays_at(right, shift), or_exact=True)
+        ):
             yield Explained(what, remedy, fits)
 
 
@@ -511,7 +533,7 @@ SELECTIONS = (
 def other_selection(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
     """Another of the hits that there are."""
     for each in SELECTIONS:
-        fits = _right_among(f, f.roots, each.kept(f), last=each.last)
+        fits = _right_among(f, f.roots, each.kept(f), last=each.last) & (f.hit | ~f.given_hit)
         if not fits.any():
             continue
         kept = _right_among(right, right.roots, each.kept(right), last=each.last, or_exact=True)

@@ -194,3 +194,17 @@ def test_a_hypothesis_that_right_pixels_contradict_is_not_reported():
     some = mistakes.answering(lambda s, o, d, t, n: (np.where(np.arange(len(t)) % 50 < 48, np.inf, t), n))
     found = judged("some", some, mistakes.scene_of("cornell-box", Path()))
     assert "missed; exact arithmetic hits" in failure_text(found).splitlines()[0]
+
+
+def test_few_wrong_pixels_of_a_plane_are_no_scene_of_another_size(tmp_path):
+    """Scaled about a point of its plane, a plane is itself: nearly all pixels stay right under that, too."""
+
+    def few(scene, o, d, t, n):
+        wrong = np.flatnonzero(np.isfinite(t))[::40]
+        t = t.copy()
+        t[wrong] *= 1.0 - np.linspace(1e-4, 9e-4, len(wrong))
+        return t, n
+
+    found = judged("few", mistakes.answering(few), mistakes.scene_of("one-triangle", tmp_path))
+    first = failure_text(found).splitlines()[0]
+    assert "everywhere" not in first and "times as large" not in first and "t is off: before" in first
