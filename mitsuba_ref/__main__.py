@@ -53,6 +53,7 @@ def run_supervised(words: Sequence[str]) -> int:
     """The exit code of the command line, run in a child; one that ends without a word has failed."""
     began = time.time()
     reopen_closed_streams()
+    application.announce("mitsuba-ref", COMMANDS, words[0])
     end = run_attached(
         lambda fd: [sys.executable, "-c", CHILD_SOURCE.format(path=sys.path, fd=fd), *words],
         {SUPERVISED_VARIABLE: "1"},

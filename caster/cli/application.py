@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -14,6 +15,7 @@ from caster.system.process import INTERRUPTED, end_process, exit_codes_help, run
 
 __all__ = [
     "Command",
+    "announce",
     "build_parser",
     "main",
 ]
@@ -27,6 +29,7 @@ class Command(NamedTuple):
     module: str  # dotted
     run: str = "run"
     arguments: str = "add_arguments"
+    starts_with: str = ""  # what it does first, said at once by commands that load for long
 
     def load(self, parser: argparse.ArgumentParser) -> None:
         """Import the module and add its arguments to the parser of the command."""
@@ -48,12 +51,22 @@ def main(
         chosen = next((word for word in words if not word.startswith("-")), "")
         args = build_parser(name, about, commands, codes, (chosen,)).parse_args(words)
         with checked_paths(args):
+            if argv is None:
+                announce(name, commands, chosen)
             return int(args.run(args))
 
     code = run_command(run)
     if code == INTERRUPTED and argv is None:
         end_process()  # threads may still be in compiled code, for which Python would wait
     return code
+
+
+def announce(name: str, commands: Sequence[Command], chosen: str) -> None:
+    """Write one line on standard error, before anything is imported that takes long, if the command has one."""
+    for text in (command.starts_with for command in commands if command.name == chosen):
+        if text:
+            with contextlib.suppress(OSError):  # whoever closed standard error does not wait for it
+                print(f"{name} {chosen}: {text}", file=sys.stderr, flush=True)
 
 
 class _Parser(argparse.ArgumentParser):

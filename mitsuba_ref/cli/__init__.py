@@ -7,11 +7,13 @@ COMMANDS = (
         "validate",
         "compare our caster with Mitsuba on scenes: every pixel gets a class, the exit code is pass or fail",
         "mitsuba_ref.cli.validate",
+        starts_with="loading the judge and the scenes",
     ),
     Command(
         "judge",
         "compare answers that were computed elsewhere with Mitsuba: hits of any rays, or an EXR file",
         "mitsuba_ref.cli.judge",
+        starts_with="loading the judge and the rays",
     ),
     Command(
         "rays",
@@ -40,6 +42,7 @@ COMMANDS = (
         "mitsuba_ref.cli.exr_comparison",
         run="run_approve",
         arguments="add_approve_arguments",
+        starts_with="loading the renderer and the references",
     ),
     Command(
         "check",
@@ -47,6 +50,7 @@ COMMANDS = (
         "mitsuba_ref.cli.exr_comparison",
         run="run_check",
         arguments="add_check_arguments",
+        starts_with="loading the renderer and the references",
     ),
     Command(
         "export",
@@ -73,11 +77,13 @@ COMMANDS = (
         "probe",
         "one pixel: answers of our caster, Mitsuba, exact arithmetic and a candidate, with their bounds",
         "mitsuba_ref.cli.probe",
+        starts_with="loading the judge and the scene",
     ),
     Command(
         "fuzz",
         "random and adversarial scenes and rays; each failure is shrunk to a minimal scene file and kept",
         "mitsuba_ref.cli.fuzz",
+        starts_with="loading the judge",
     ),
     Command(
         "stress",
@@ -85,6 +91,7 @@ COMMANDS = (
         "mitsuba_ref.cli.experiments",
         run="run_stress",
         arguments="add_stress_arguments",
+        starts_with="loading the judge",
     ),
     Command(
         "bench",
@@ -92,6 +99,7 @@ COMMANDS = (
         "mitsuba_ref.cli.experiments",
         run="run_bench",
         arguments="add_bench_arguments",
+        starts_with="loading the judge",
     ),
     Command(
         "schema",

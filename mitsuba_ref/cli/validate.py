@@ -187,7 +187,7 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
     """Write the report files, then print failures and the summary."""
     from caster.system.atomic_files import write_text
     from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.verdict_text import failure_text, summary_text
+    from mitsuba_ref.report.verdict_text import failures_text, summary_text
 
     verdict = running.verdict()
     if running.out:
@@ -196,10 +196,9 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
             running.out.remove_journal()
     write_verdict_files(verdict, args, seconds)
     write_expected(verdict, args)
-    for scene in verdict.scenes:
-        if not scene.ok and not scene.waived:
-            print_lines(f"\n{failure_text(scene, report_page(args))}")
-    print(f"\n{summary_text(verdict, seconds)}")
+    if failures := failures_text(verdict, report_page(args)):
+        print_lines(f"\n{failures}")
+    print_lines(f"\n{summary_text(verdict, seconds)}")
 
 
 def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
@@ -243,7 +242,7 @@ def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
 def run_merge(args: argparse.Namespace) -> int:
     """Print failures and the summary; 0 all pass, 1 some do not or are missing, 3 not parts of one run."""
     from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.verdict_text import failure_text, summary_text
+    from mitsuba_ref.report.verdict_text import failures_text, summary_text
     from mitsuba_ref.runner.resume import read_verdict
     from mitsuba_ref.runner.shards import merge_verdicts, other_versions
 
@@ -255,9 +254,8 @@ def run_merge(args: argparse.Namespace) -> int:
         print(f"{difference}: merged all the same, by --other-versions", file=sys.stderr)
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)
     write_verdict_files(verdict, args, seconds)
-    for scene in verdict.scenes:
-        if not scene.ok and not scene.waived:
-            print_lines(f"{failure_text(scene)}\n")
+    if failures := failures_text(verdict):
+        print_lines(f"{failures}\n")
     for name in verdict.not_judged:
         print_lines(f"FAIL  {name}  not judged")
     print(summary_text(verdict, seconds))

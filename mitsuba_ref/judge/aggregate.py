@@ -160,7 +160,7 @@ def failure_hints(answer: Answer, judgement: Judgement) -> tuple[str, ...]:
     if answer.hints or answer.precision == FLOAT32 or not len(ratios) or ratios.max() > KU / KU_OURS:
         return answer.hints
     return (
-        "every pixel that is wrong by the bounds of float64 is right by those of float32; if that will do: "
+        "every pixel that is beyond the bounds of float64 is within those of float32; if that will do: "
         "--candidate-precision float32",
     )
 

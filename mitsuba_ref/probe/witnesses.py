@@ -175,8 +175,9 @@ def _error_text(each: WitnessAnswer) -> str:
     if each.ulps is not None:
         parts.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
     if each.right and each.off and abs(each.off) > DISTINCT_RTOL * abs(each.t):
-        bound = f", its bound is {abs(each.off) / each.share:.2g} here" if each.share else ""
-        parts.append(f"allowed: t is off by {abs(each.off / each.t):.2g} of itself{bound}")
+        relative = abs(each.off / each.t)
+        bound = f", its bound is {100.0 * relative / each.share:.2g} % here" if each.share else ""
+        parts.append(f"allowed: t is off by {100.0 * relative:.2g} %{bound}")
     if each.right is False and each.share is not None and not each.share <= 1.0:
         parts.append(f"{each.share:.3g}x its bound")
     if each.normal_share is not None and not each.normal_share <= 1.0:

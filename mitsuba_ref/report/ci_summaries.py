@@ -13,9 +13,9 @@ from caster.system.terminal import printable
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.verdict_text import (
-    CLASS_TITLES,
     WAIVER_WORDS,
     candidate_lines,
+    class_text,
     count_text,
     failure_text,
     group_lines,
@@ -125,7 +125,7 @@ def _table_head(verdict: Verdict, *last: str) -> str:
     names = [
         "scene",
         "hit",
-        *(CLASS_TITLES[name].replace("-\n", "").replace("\n", " ") for name in CLASSES),
+        *map(class_text, CLASSES),
         *last,
     ]
     aligned = ["---", *["---:"] * (1 + len(CLASSES)), *["---"] * len(last)]

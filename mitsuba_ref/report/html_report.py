@@ -25,7 +25,7 @@ from mitsuba_ref.report.evidence import Evidence
 from mitsuba_ref.report.output_manifest import ManifestEntry, OutputManifest, RemovedFiles
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import PIXEL_LAYERS, SceneRecord, scene_record
-from mitsuba_ref.report.verdict_text import failure_text
+from mitsuba_ref.report.verdict_text import class_text, failure_text
 
 # One file: opens within two seconds on a small machine, and is accepted by mail and CI servers.
 ONE_FILE_LIMIT_BYTES = 25_000_000
@@ -320,7 +320,7 @@ def class_words(name: str, candidate: str) -> str:
     """A class for people: the subject is named where it is wrong."""
     if name == WRONG:
         return "candidate wrong" if candidate else "ours wrong"
-    return name.replace("_", " ")
+    return class_text(name)
 
 
 def _plain_row(place: int, row: dict[str, Any], classes: Sequence[str]) -> str:

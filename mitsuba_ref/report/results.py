@@ -83,7 +83,12 @@ def largest(values: np.ndarray) -> float | None:
 # ---- tables ----
 
 UNLIMITED_WIDTH = 10_000  # characters: lines of a log are never wrapped or cut
-STATUS_STYLES = {"PASS": "green", "FAIL": "bold red"}
+STATUS_STYLES = {
+    "PASS": "green",
+    "FAIL": "bold red",
+    "SKIP": "yellow",
+    "KNOWN": "yellow",
+}
 
 
 class Column(NamedTuple):
@@ -112,7 +117,7 @@ def format_table(
 
 
 def print_lines(text: str, stream: TextIO | None = None) -> None:
-    """Print text at once; on a terminal, PASS and FAIL at the start of a line in colour, unless NO_COLOR is set."""
+    """Print text at once; on a terminal, the status at the start of a line in colour, unless NO_COLOR is set."""
     stream = stream or sys.stdout
     text = printable(text)
     if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
@@ -121,8 +126,9 @@ def print_lines(text: str, stream: TextIO | None = None) -> None:
     console = Console(file=unfiltered(stream), highlight=False, soft_wrap=True)
     for line in text.splitlines():
         styled = Text(line)
-        if line[:4] in STATUS_STYLES:
-            styled.stylize(STATUS_STYLES[line[:4]], 0, 4)
+        status = line.partition(" ")[0]
+        if status in STATUS_STYLES:
+            styled.stylize(STATUS_STYLES[status], 0, len(status))
         console.print(styled)
     stream.flush()
 

@@ -1,6 +1,7 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
 from collections.abc import Callable, Iterator, Sequence
+from textwrap import wrap
 from urllib.parse import quote
 
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
@@ -11,10 +12,7 @@ from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,
     EXPECTED,
-    EXPLAINED,
-    OUT_OF_DOMAIN,
     REFERENCE_WRONG,
-    TIE,
     UNDECIDED,
     UNLISTED,
     UNSUPPORTED,
@@ -29,39 +27,47 @@ from mitsuba_ref.report.results import Column, format_table
 
 MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer
 
-# Titles of the columns of classes, in two lines; 100 characters hold a row whose scene has a name of 26.
-CLASS_TITLES = {
-    AGREE: "agree",
-    EXPLAINED: "expl.",
-    TIE: "tie",
-    REFERENCE_WRONG: "ref.\nwrong",
-    OUT_OF_DOMAIN: "out\ndom.",
-    WRONG: "wrong",
-    UNDECIDED: "unde-\ncided",
-}
+TABLE_CHARACTERS = 80  # of a row; counts that do not fit go into a line of their own
+LEGEND = "pixels that hit and that agree; worst: their largest error, over its bound"
 
 
 def table_columns(width: int) -> tuple[Column, ...]:
     """Columns of the table of scenes. width: of the longest scene name."""
-    classes = (Column(CLASS_TITLES[name], "right", 6 if name == AGREE else 5) for name in CLASSES)
-    mark, scene, hit = Column("", width=5), Column("scene", width=width), Column("hit", "right", 6)
-    return mark, scene, hit, *classes, *(Column(title, "right", 5) for title in ("exact", "worst", "s"))
+    counts = (Column(title, "right", 6) for title in ("hit", "agree"))
+    rest = (Column(title, "right", 5) for title in ("worst", "s"))
+    return Column("", width=5), Column("scene", width=width), *counts, *rest, Column("other pixels")
 
 
 def table_head(width: int) -> str:
-    """Titles of the columns, in two lines. width: of the longest scene name."""
-    return format_table(table_columns(width), [], gap=1)
+    """A legend and the titles of the columns. width: of the longest scene name."""
+    return f"{LEGEND}\n{format_table(table_columns(width), [], gap=1)}"
 
 
 def table_row(scene: SceneVerdict, width: int) -> str:
-    """PASS or FAIL, hit pixels by class, how many were adjudicated by exact arithmetic, the largest share of a bound
-    among agreeing pixels, and seconds, or that the result is kept from an earlier run."""
+    """PASS or FAIL, the pixels that hit and that agree, their largest share of a bound, seconds or that the result is
+    kept from an earlier run, and the other classes that there are: rows are printed before it is known which others
+    will be empty everywhere."""
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
-    counts = (scene.hit_pixels, *(scene.counts[name] for name in CLASSES), scene.adjudicated)
+    counts = str(scene.hit_pixels), str(scene.counts[AGREE])
     seconds = "kept" if scene.kept else f"{scene.seconds:.1f}"
-    cells = mark_of(scene), scene.name, *map(str, counts), worst, seconds
-    return format_table(table_columns(width), [cells], header=False, gap=1)
+    others = [f"{scene.counts[name]} {class_text(name)}" for name in CLASSES[1:] if scene.counts[name]]
+    cells = mark_of(scene), scene.name, *counts, worst, seconds
+    row = format_table(table_columns(width), [(*cells, ", ".join(others))], header=False, gap=1)
+    if len(row) <= TABLE_CHARACTERS:
+        return row
+    row = format_table(table_columns(width), [(*cells, "")], header=False, gap=1)
+    return "\n".join(
+        [row, *wrap(", ".join(others), TABLE_CHARACTERS, initial_indent=INDENT, subsequent_indent=INDENT)]
+    )
+
+
+INDENT = 6 * " "  # below the name of a scene
+
+
+def class_text(name: str) -> str:
+    """A class of pixels as a reader says it."""
+    return name.replace("_", " ")
 
 
 def mark_of(scene: SceneVerdict) -> str:
@@ -182,16 +188,15 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
     counts = verdict.counts
     total = sum(counts.values()) or 1
     shares = [
-        f"{counts[name]} {name.replace('_', ' ')} ({percent_text(counts[name], total)})" for name in CLASSES
+        f"{counts[name]} {class_text(name)} ({percent_text(counts[name], total)})"
+        for name in CLASSES
+        if counts[name] or name == AGREE
     ]
     lines = [
         f"{verdict.scene_count} scenes: {passed} pass, {count_text(verdict)}"
         f"{_not_run(verdict)}, in {seconds:.1f} s",
         *waiver_lines(verdict),
-        *_summary_of_failures(verdict),
-        f"hit pixels: {', '.join(shares[:3])},",
-        f"            {', '.join(shares[3:5])},",
-        f"            {', '.join(shares[5:])}",
+        *wrap(f"hit pixels: {', '.join(shares)}", TABLE_CHARACTERS, subsequent_indent=12 * " "),
         f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, "
         f"in {sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept):.1f} s",
         *candidate_lines(verdict),
@@ -232,6 +237,13 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
     if verdict.too_few:
         judged = len(verdict.scenes) - verdict.waived.get(UNSUPPORTED, 0)
         yield f"FAIL        {judged} scenes judged, expected at least {max(verdict.min_scenes, 1)} (--min-scenes)"
+
+
+def failures_text(verdict: Verdict, report: str = "") -> str:
+    """What several failing scenes have in common, then each by itself; "" where none fails."""
+    failing = [scene for scene in verdict.scenes if not (scene.ok or scene.waived)]
+    common = "\n".join(_summary_of_failures(verdict))
+    return "\n\n".join(filter(None, [common, *(failure_text(scene, report) for scene in failing)]))
 
 
 def _summary_of_failures(verdict: Verdict) -> Iterator[str]:
@@ -390,11 +402,25 @@ def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
             yield f"cause:      in {len(those)} of {len(failing)} that fail: {what}{shapes}"
 
 
+def _kind_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
+    """How many of the scenes with each kind of primitive fail, where several kinds of several scenes were judged."""
+    judged = [scene for scene in scenes if not scene.waived]
+    fails = {
+        kind: [not s.ok for s in judged if kind in shapes_of(s)] for s in judged for kind in shapes_of(s)
+    }
+    if sum(not scene.ok for scene in judged) < MIN_FAILING_SCENES or len(fails) < 2:
+        return
+    order = sorted(fails, key=lambda kind: (-sum(fails[kind]) / len(fails[kind]), -len(fails[kind]), kind))
+    words = ", ".join(f"{kind} {sum(fails[kind])} of {len(fails[kind])}" for kind in order)
+    yield f"by shape:   scenes that fail: {words}"
+
+
 def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     """Lines on what failing scenes have in common, and the simplest of them; none below MIN_FAILING_SCENES."""
     failing = sum(not (scene.ok or scene.waived) for scene in scenes)
     yield from _cause_lines(scenes)
     traits, first = common_traits(scenes), simplest_failing(scenes)
+    yield from _kind_lines(scenes)
     if traits:
         yield f"in common:  of all {failing} that fail: {'; '.join(traits)}"
     if first is not None:

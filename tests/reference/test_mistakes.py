@@ -13,7 +13,7 @@ import caster
 from mitsuba_ref.judge.diagnosis import best_split, necessary_share
 from mitsuba_ref.judge.verdict import Verdict
 from mitsuba_ref.report.validation import validate_scene
-from mitsuba_ref.report.verdict_text import failure_text, summary_text
+from mitsuba_ref.report.verdict_text import failure_text, failures_text
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.ray_files import answer_of_hits
 from mitsuba_ref.subjects.subject import Answer, CastRequest
@@ -85,8 +85,8 @@ def test_a_cause_that_several_scenes_share_is_said_once_before_all():
     scenes = [
         judged("turned", turned, mistakes.scene_of(name, Path())) for name in ("cornell-box", "one-sphere")
     ]
-    said = summary_text(Verdict(tuple(scenes), 2), 1.0).splitlines()
-    assert said[1] == "cause:      in 2 of 2 that fail: the normal is turned round"
+    said = failures_text(Verdict(tuple(scenes), 2)).splitlines()
+    assert said[0] == "cause:      in 2 of 2 that fail: the normal is turned round"
 
 
 # ---- separators

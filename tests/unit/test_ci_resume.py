@@ -61,7 +61,7 @@ def test_the_same_inputs_are_taken_over_and_shown_as_such(judged, capsys):
     capsys.readouterr()
     assert judged("--resume") == (1, []) and kept() == ["a", "b", "m"]
     said = capsys.readouterr().out
-    assert said.count("  kept\n") == 3 and "kept:       3 scenes were not judged now" in said
+    assert said.count("  kept") == 3 and "kept:       3 scenes were not judged now" in said
     assert "FAIL  b  depth: 1 wrong" in said  # a failure that is kept fails
     assert (
         judged("--resume")[1] == [] and judged() == (1, ["a", "b", "m"]) and kept() == []

@@ -1,10 +1,15 @@
 """What --help says without loading anything slow, compared with what there really is."""
 
 import re
+import subprocess
+import sys
+
+import pytest
 
 from caster.aovs import BY_NAME
 from caster.cli.shared_arguments import AOV_NAMES, DEFAULT_AOV_LIST
 from caster.rendering.images import DEFAULT_AOVS
+from mitsuba_ref.cli import COMMANDS as REFERENCE_COMMANDS
 from mitsuba_ref.cli import exr_comparison, options, scene_exchange
 from mitsuba_ref.exr_compare import approval
 from mitsuba_ref.reference import session
@@ -36,3 +41,27 @@ def test_a_candidate_gets_the_seconds_and_has_the_precisions_that_help_names():
     assert options.CANDIDATE_SECONDS == subject.DEFAULT_SECONDS
     assert options.REFERENCE_SECONDS == session.DEFAULT_TIMEOUT
     assert tuple(subject.PRECISIONS) == options.PRECISIONS
+
+
+LOADING = {command.name: command for command in REFERENCE_COMMANDS if command.starts_with}
+FIRST_WORDS = {name: [name] for name in LOADING} | {
+    "approve": ["approve", "scene.toml", "--references", "refs"],
+    "check": ["check", "scene.toml", "--references", "refs"],
+    "candidate": ["validate", "--candidate", "package.module:function"],
+    "probe": ["probe", "scene.toml", "1", "2"],
+    "judge": ["judge", "--scene", "scene.toml", "--rays", "r.npz", "--hits", "h.npz"],
+}
+
+
+@pytest.mark.parametrize("words", FIRST_WORDS.values(), ids=FIRST_WORDS)
+def test_a_command_that_loads_for_long_says_so_before_it_loads_anything(words, tmp_path):
+    """numpy cannot be imported here, so that whatever is said was said before."""
+    code = "import sys; sys.modules['numpy'] = None; sys.argv[1:] = {!r}; from mitsuba_ref.__main__ import main; main()"
+    run = subprocess.run(
+        [sys.executable, "-c", code.format(words)], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert run.stdout == "" and run.stderr.startswith(f"mitsuba-ref {words[0]}: loading "), run.stderr
+
+
+def test_the_commands_that_judge_are_among_those_that_say_so():
+    assert {"validate", "judge", "probe", "fuzz", "stress", "bench", "approve", "check"} <= set(LOADING)

@@ -10,7 +10,7 @@ from verdict_factory import verdict
 import caster
 from mitsuba_ref.judge.verdict import SceneCheck, SceneStatistics
 from mitsuba_ref.report.ci_summaries import markdown
-from mitsuba_ref.report.verdict_text import common_traits, simplest_failing, summary_text
+from mitsuba_ref.report.verdict_text import common_traits, failures_text, simplest_failing
 from mitsuba_ref.runner import scene_runner
 from mitsuba_ref.runner.resume import scene_of
 
@@ -78,7 +78,9 @@ def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_n
     failing = verdict(
         A, replace(B, composition=replace(B.composition, primitives=9)), scene("p", ("disk",), ok=True)
     )
-    lines = summary_text(failing, 1.0).splitlines()
+    lines = failures_text(failing).splitlines()
+    assert lines[0] == "by shape:   scenes that fail: sphere 2 of 2, mesh 1 of 1, disk 0 of 1"
+    assert next(i for i, line in enumerate(lines) if line.startswith("FAIL  a  ")) > 3
     at = lines.index("in common:  of all 2 that fail: depth fails; shape sphere (in 0 of 1 that pass)")
     assert lines[at + 1 : at + 3] == [
         "look first: a, the simplest of them (1 primitive, 120 pixels)",
@@ -86,7 +88,7 @@ def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_n
     ]
     assert "- look first: a, the simplest of them" in markdown(failing, 1.0)
     for few in (verdict(A, scene("p", ok=True)), verdict(scene("p", ok=True), scene("q", ok=True))):
-        assert "in common" not in summary_text(few, 1.0) and "look first" not in summary_text(few, 1.0)
+        assert not any(words in failures_text(few) for words in ("in common", "look first", "by shape"))
 
 
 def test_a_verdict_has_the_composition_of_its_scene_also_without_comparison(

@@ -2,10 +2,17 @@
 
 import os
 from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from verdict_factory import scene as made
 
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, UNDECIDED, WRONG
 from mitsuba_ref.report.results import Column, format_table, print_lines
+from mitsuba_ref.report.verdict_text import LEGEND, class_text, table_head, table_row
+
+ROOT = Path(__file__).resolve().parents[2]
 
 COLUMNS = (Column("scene"), Column("ref.\nwrong", "right", 5), Column("bound"))
 
@@ -62,3 +69,29 @@ def test_no_color_and_dumb_terminals_get_plain_text(monkeypatch):
 def test_pipes_get_plain_text(capsys):
     print_lines(TEXT)
     assert capsys.readouterr().out == TEXT + "\n"
+
+
+LONGEST = 26  # characters of the longest name of a shipped scene
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        {AGREE: 1048576},
+        {AGREE: 64813, TIE: 212},
+        {AGREE: 999999, EXPLAINED: 123456, TIE: 123456, REFERENCE_WRONG: 99999, WRONG: 512, UNDECIDED: 33825},
+    ],
+    ids=len,
+)
+def test_a_row_of_scenes_fits_80_columns_and_names_only_classes_that_it_has(counts):
+    scene = replace(made("n" * LONGEST), counts=dict.fromkeys(CLASSES, 0) | counts)
+    lines = [*table_head(LONGEST).splitlines(), *table_row(scene, LONGEST).splitlines()]
+    assert max(map(len, lines)) <= 80 and lines[0] == LEGEND
+    text = " ".join(" ".join(lines[2:]).split())
+    for name in CLASSES[1:]:
+        words = f"{counts.get(name, 0)} {class_text(name)}"
+        assert (words in text) == bool(counts.get(name)), (words, text)
+
+
+def test_the_longest_name_of_a_shipped_scene_is_what_the_table_is_tested_with():
+    assert max(len(path.stem) for path in (ROOT / "scenes").glob("*.toml")) == LONGEST
