@@ -148,7 +148,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--scene", metavar="SCENE", type=InputPath, help="the scene that was cast into")
-    what.add_argument("--mesh", metavar="FILE", type=InputPath, help="the same as a mesh file: OBJ or PLY")
+    what.add_argument(
+        "--mesh", metavar="FILE", type=InputPath, help="the same as a mesh file: OBJ, PLY, STL, OFF, glTF"
+    )
     answers = parser.add_mutually_exclusive_group(required=True)
     help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
     answers.add_argument("--hits", metavar="FILE", type=InputPath, help=help_)

@@ -2,6 +2,7 @@
 
 import html
 import json
+import re
 import threading
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -25,7 +26,7 @@ from mitsuba_ref.report.evidence import Evidence
 from mitsuba_ref.report.output_manifest import ManifestEntry, OutputManifest, RemovedFiles
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import PIXEL_LAYERS, SceneRecord, scene_record
-from mitsuba_ref.report.verdict_text import class_text, failure_text
+from mitsuba_ref.report.verdict_text import class_text, failure_text, mark_of
 
 # One file: opens within two seconds on a small machine, and is accepted by mail and CI servers.
 ONE_FILE_LIMIT_BYTES = 25_000_000
@@ -45,6 +46,7 @@ class WrittenScene(NamedTuple):
     sizes: dict[str, int]  # bytes of each part of its record
 
 
+WAIVED_WORDS = {"KNOWN": "known to fail", "SKIP": "declined by the candidate"}  # by the mark of the row
 NOTHING_WRITTEN = WrittenScene("", "", {})
 
 
@@ -155,6 +157,9 @@ class HtmlReport:
     def _run(self) -> dict[str, Any]:
         passed = sum(each["ok"] for each in self.rows)
         summary = f"{passed} of {len(self.rows)} scenes pass"
+        for mark, words in WAIVED_WORDS.items():
+            count = sum(each["mark"] == mark for each in self.rows)
+            summary += f"; {count} {words}" if count else ""
         if len(self.rows) < self.requested:
             summary += f"; {self.requested - len(self.rows)} of {self.requested} were not judged"
         return {
@@ -307,7 +312,7 @@ def _plain_table(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> str:
         "seconds",
     ]
     head = "".join(f'<th scope="col">{head}</th>' for head in heads)
-    failing_first = sorted(enumerate(rows), key=lambda each: bool(each[1]["ok"]))
+    failing_first = sorted(enumerate(rows), key=lambda each: each[1]["mark"] != "FAIL")
     body = "\n".join(_plain_row(place, row, classes) for place, row in failing_first)
     judged = f"candidate {run['candidate']}: " if run["candidate"] else ""
     return (
@@ -336,7 +341,7 @@ def _plain_row(place: int, row: dict[str, Any], classes: Sequence[str]) -> str:
         worst,
         "kept" if row["kept"] else f"{row['seconds']:.1f}",
     ]
-    mark = "PASS" if row["ok"] else "FAIL"
+    mark = row["mark"]
     cells = "".join(f"<td>{cell}</td>" for cell in [thumbnail, mark, name, *counts])
     return f'<tr class="{mark.lower()}" data-place="{place}">{cells}</tr>'
 
@@ -351,6 +356,7 @@ def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any
         "file": file,
         "thumbnail": thumbnail,
         "ok": verdict.ok,
+        "mark": mark_of(verdict),
         "crashed": bool(verdict.problem),
         "size": list(verdict.size),
         "hit": verdict.hit_pixels,
@@ -363,7 +369,9 @@ def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any
         "seconds": round(verdict.seconds, 2),
         "kept": verdict.kept,
         "failed_at": sorted({each.check for each in verdict.failures} | _failed_checks(verdict)),
-        "failure": "" if verdict.ok else failure_text(verdict),
+        "failure": ""
+        if verdict.ok
+        else re.sub("^FAIL", mark_of(verdict), failure_text(verdict), flags=re.MULTILINE),
         "replay": replay(verdict),
         "replay_pixel": replay_around(verdict),
         "pixel": None if first is None else [first.x, first.y],

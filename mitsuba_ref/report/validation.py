@@ -27,7 +27,7 @@ from mitsuba_ref.judge.aggregate import (
     pixel_errors,
     quantities_not_given,
 )
-from mitsuba_ref.judge.classification import judge_of
+from mitsuba_ref.judge.classification import Judge, judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges
 from mitsuba_ref.judge.independent_checks.mesh_files import check_mesh_files
@@ -276,10 +276,27 @@ def _judge_window(
         precision="" if ours else answer.precision,
         unjudged=quantities_not_given(answer),
         findings=findings(judge, diagnosis),
-        notes=() if ours else (*answer.notes, *response.limits, *failure_hints(answer, judgement)),
+        notes=(
+            *notes_on_misses(judge),
+            *(() if ours else (*answer.notes, *response.limits, *failure_hints(answer, judgement))),
+        ),
         seen=Evidence(judge, judgement, diagnosis) if keep else None,
     )
     return verdict, pixel_errors(judge.model.packed, pair, judge.bounds) if ours else None
+
+
+def notes_on_misses(judge: Judge) -> tuple[str, ...]:
+    """Where the shapes are, and how the rays go, where nothing is hit; () where something is."""
+    low, high = judge.model.boxes
+    if judge.pair.any_hit.any() or not len(low) or not len(judge.o):
+        return ()
+    middle = len(judge.o) // 2
+    box, ray = (low.min(axis=0), high.max(axis=0)), (judge.o[middle], judge.d[middle])
+    low_words, high_words, o_words, d_words = (", ".join(f"{v:.4g}" for v in each) for each in (*box, *ray))
+    return (
+        f"the shapes lie between ({low_words}) and ({high_words}); the ray in the middle starts at ({o_words}) "
+        f"along ({d_words})",
+    )
 
 
 # ---- memory that judging a film needs ----

@@ -93,6 +93,7 @@ def _failure_lines(scene: SceneVerdict, report: str) -> Iterator[str]:
         yield from _problem_lines(scene)
     elif not scene.has_evidence and not scene.failing:
         yield f"FAIL  {scene.name}  {_lack_of_evidence(scene)}"
+        yield from (f"      note:      {note}" for note in scene.notes)
     for check in scene.checks:
         if not check.ok:
             yield check_failure(scene, check)

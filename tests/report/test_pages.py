@@ -9,7 +9,7 @@ import planted
 import pytest
 
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.verdict import SceneVerdict
+from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict
 from mitsuba_ref.report.validation import Validation
 
 BAD = "bad & <worse>"
@@ -298,6 +298,30 @@ def test_a_file_that_is_gone_is_named(visit, verdicts, tmp_path):
     opened.page.wait_for_selector("#message >> text=data/good.js is not there")
     assert opened.errors
     opened.errors.clear()  # the browser's own words about the file
+
+
+def test_a_waived_scene_is_no_failure_and_is_counted(visit, verdicts, tmp_path):
+    known = replace(verdicts["bad"], name="known", waived=EXPECTED)
+    declined = replace(verdicts["crashed"], name="declined", waived=UNSUPPORTED)
+    passing = verdicts["good"]
+    index = Validation((declined, known, passing), scene_count=3).write_html(tmp_path / "report.html")
+    page = visit(index).page
+    assert page.locator(".row .badge").all_inner_texts() == ["SKIP", "KNOWN", "PASS"]
+    assert page.inner_text("#total") == "1 of 3 scenes pass; 1 known to fail; 1 declined by the candidate"
+    assert page.get_attribute("#total", "class") == "good"
+    page.select_option("#status", "fail")
+    assert page.locator(".row").count() == 0
+    page.select_option("#status", "waived")
+    assert page.locator(".row").count() == 2 and "FAIL" not in page.inner_text("#list")
+    assert visit(index, "#s=known").page.inner_text("#scene-mark") == "KNOWN"
+    plain = visit(index, java_script_enabled=False).page.locator("#plain tbody tr").all_inner_texts()
+    assert [row.split("\t")[1] for row in plain] == ["SKIP", "KNOWN", "PASS"] and "FAIL" not in "".join(plain)
+    failing = Validation((known, verdicts["bad"], passing), scene_count=3).write_html(
+        tmp_path / "failing.html"
+    )
+    page = visit(failing).page
+    assert page.locator(".row .badge").all_inner_texts() == ["FAIL", "KNOWN", "PASS"]
+    assert page.get_attribute("#total", "class") == "bad"
 
 
 def test_a_verdict_without_images_is_a_row(visit, tmp_path):

@@ -3,7 +3,7 @@
 const ROW = 64, ROW_NARROW = 84; // pixels, as in page.css
 const SPARE = 6; // rows above and below the visible ones
 const SORTS = {
-  "": (a, b) => a.ok - b.ok || a.place - b.place,
+  "": (a, b) => rankOf(a) - rankOf(b) || a.place - b.place,
   name: (a, b) => a.name.localeCompare(b.name),
   failing: (a, b) => b.failing - a.failing || a.place - b.place,
   unlike: (a, b) => unlike(b) - unlike(a) || a.place - b.place,
@@ -11,6 +11,8 @@ const SORTS = {
   adjudicated: (a, b) => b.adjudicated - a.adjudicated || a.place - b.place,
   seconds: (a, b) => b.seconds - a.seconds || a.place - b.place,
 };
+const isWaived = (scene) => scene.mark === "KNOWN" || scene.mark === "SKIP";
+const rankOf = (scene) => (scene.mark === "FAIL" ? 0 : isWaived(scene) ? 1 : 2);
 const unlike = (scene) => Object.entries(scene.counts).reduce((sum, [name, n]) => sum + (name === "agree" ? 0 : n), 0);
 const numberOf = (ratio) => (typeof ratio === "number" ? ratio : ratio === "inf" ? Infinity : NaN);
 
@@ -31,7 +33,8 @@ function listed() {
 
 function hasStatus(scene) {
   if (state.st === "pass") return scene.ok;
-  if (state.st === "fail") return !scene.ok;
+  if (state.st === "fail") return scene.mark === "FAIL";
+  if (state.st === "waived") return isWaived(scene);
   return state.st === "crash" ? scene.crashed : true;
 }
 

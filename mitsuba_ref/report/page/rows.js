@@ -20,11 +20,12 @@ function rowHtml(scene, i, height) {
 
 const CLOSE = { a: "", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0 };
 
-const firstWords = (scene) => scene.failure.split("\n")[0].replace(/^FAIL\s+/, "").replace(scene.name, "").trim();
+const firstWords = (scene) => scene.failure.split("\n")[0].replace(/^[A-Z]+\s+/, "").replace(scene.name, "").trim();
 
 function markHtml(scene) {
-  const words = scene.ok ? "PASS" : scene.crashed && !RUN.candidate ? "CRASH" : "FAIL";
-  return `<span class="badge ${scene.ok ? "pass" : "fail"}">${words}</span>`;
+  const words = scene.mark === "FAIL" && scene.crashed && !RUN.candidate ? "CRASH" : scene.mark;
+  const title = { KNOWN: "listed as a known failure: the run does not fail by it", SKIP: "declined by the candidate" }[words];
+  return `<span class="badge ${scene.mark.toLowerCase()}" title="${title ?? ""}">${words}</span>`;
 }
 
 /** In proportion, but six points at least: one pixel in a hundred thousand stays visible. */

@@ -63,7 +63,7 @@ function fillBanner() {
   byId("wiped").textContent = JUDGED;
   byId("wipe").setAttribute("aria-label", `wipe between ${JUDGED} and reference`);
   if (RUN.candidate) byId("status").querySelector("[value=crash]").textContent = "no answer";
-  byId("total").className = RUN.scenes.length === RUN.requested && RUN.scenes.every((scene) => scene.ok) ? "good" : "bad";
+  byId("total").className = RUN.scenes.length === RUN.requested && RUN.scenes.every((scene) => scene.ok || isWaived(scene)) ? "good" : "bad";
   const sums = {};
   for (const scene of RUN.scenes) for (const [name, count] of countsOf(scene)) sums[name] = (sums[name] ?? 0) + count;
   byId("sums").textContent = Object.entries(sums).filter(([, count]) => count)
