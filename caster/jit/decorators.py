@@ -27,15 +27,21 @@ from caster.jit.arguments import (
 from caster.jit.kernel_cache import COMPILED, CompileResultCache, cache_folder
 from caster.jit.simd import (
     CHILDREN,
+    FAN_FIELDS,
     FAR_PADDING,
     LANES,
     LARGEST_T,
+    PLANE_ATOL,
     any_sum_reaches,
+    boxes_below,
+    boxes_reach_lines,
     intersect_boxes,
     intersect_boxes_packet,
     lane_max,
     lane_max_of_sums,
     lane_min,
+    lanes_not_above,
+    lanes_within_lines,
     lowest_bit,
 )
 
@@ -277,6 +283,15 @@ def _overload_lanes(numba: Any) -> None:
             vectors.lowest_bit(types),
         ),
     )
+    below, reaching, within, not_above = map(
+        numba.extending.intrinsic,
+        (
+            vectors.boxes_below(CHILDREN, types, FAN_FIELDS),
+            vectors.boxes_reach_lines(CHILDREN, types, FAN_FIELDS),
+            vectors.lanes_within_lines(LANES, types),
+            vectors.lanes_not_above(LANES, types, PLANE_ATOL),
+        ),
+    )
     made = {
         any_sum_reaches: lambda a, i, j, limit: lambda a, i, j, limit: reaches(a, i, j, limit),
         lane_min: lambda a, i: lambda a, i: least(a, i),
@@ -289,6 +304,12 @@ def _overload_lanes(numba: Any) -> None:
             lambda boxes, node, view, t_min, t_max, near: several(boxes, node, view, t_min, t_max, near)
         ),
         lowest_bit: lambda mask: lambda mask: lowest(mask),
+        boxes_below: lambda boxes, node, limits: lambda boxes, node, limits: below(boxes, node, limits),
+        boxes_reach_lines: lambda boxes, node, lines: lambda boxes, node, lines: reaching(boxes, node, lines),
+        lanes_within_lines: lambda xy, i, j, lines: lambda xy, i, j, lines: within(xy, i, j, lines),
+        lanes_not_above: lambda tile, x, y, z, plane: (
+            lambda tile, x, y, z, plane: not_above(tile, x, y, z, plane)
+        ),
     }
     for stub, choose in made.items():
         numba.extending.overload(stub, jit_options={"forceinline": True}, strict=False)(choose)

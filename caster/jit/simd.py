@@ -77,3 +77,58 @@ def _entered(enter: Any, leave: Any, t_min: float, t_max: float, near: Any) -> i
 def lowest_bit(mask: int) -> int:
     """The number of the lowest bit that is set, of a mask that is not 0."""
     return (mask & -mask).bit_length() - 1
+
+
+# Fans (caster/kernels/bvh/fans.py): five numbers a box, each the least of something, CHILDREN boxes in a row.
+FAN_FIELDS = 5
+
+Lines = tuple[tuple[float, float, float], ...]
+
+
+def boxes_below(boxes: Any, node: int, limits: tuple[float, ...]) -> int:
+    """A bit for each of a node's boxes of which no number is above its limit; boxes: flat, (nodes, 5, CHILDREN)."""
+    rows = boxes[node * FAN_FIELDS * CHILDREN :][: FAN_FIELDS * CHILDREN].reshape(FAN_FIELDS, CHILDREN)
+    below = np.less_equal(rows.T, limits).all(axis=1)
+    return int(np.packbits(below, bitorder="little")[0])
+
+
+def boxes_reach_lines(boxes: Any, node: int, lines: Lines) -> int:
+    """A bit for each of a node's boxes (least x, -largest x, least y, -largest y, ...) in which a x + b y + c >= 0
+    somewhere, for each (a, b, c) of three lines.
+    """
+    first = node * FAN_FIELDS * CHILDREN
+    x0, x1, y0, y1 = boxes[first : first + 4 * CHILDREN].reshape(4, CHILDREN)
+    within = np.ones(CHILDREN, bool)
+    with np.errstate(invalid="ignore", over="ignore"):  # of boxes without anything
+        for a, b, c in lines:
+            within &= (-a * x1 if a > 0.0 else a * x0) + (-b * y1 if b > 0.0 else b * y0) + c >= 0.0
+    return int(np.packbits(within, bitorder="little")[0])
+
+
+def lanes_within_lines(xy: Any, i: Any, j: Any, lines: Lines) -> int:
+    """A bit for each n of 0..LANES - 1 where a xy[i + n] + b xy[j + n] + c >= 0 for each (a, b, c) of three lines."""
+    found = 0
+    for n in range(LANES):
+        x, y = xy[i + n], xy[j + n]
+        if all(a * x + b * y + c >= 0.0 for a, b, c in lines):
+            found |= 1 << n
+    return found
+
+
+PLANE_ATOL = 2.0**-1020  # vec.TINY: what products lose that underflow
+
+
+def lanes_not_above(tile: Any, x: Any, y: Any, z: Any, plane: Any) -> int:
+    """A bit for each point (tile[x + n], tile[y + n], tile[z + n]) that may be not above a plane (p, normal, error).
+
+    Surely above: normal . (p - point) > error . |p - point|.
+    """
+    found = 0
+    p, normal, error = plane
+    for n in range(LANES):
+        away = p[0] - tile[x + n], p[1] - tile[y + n], p[2] - tile[z + n]
+        height = normal[0] * away[0] + normal[1] * away[1] + normal[2] * away[2]
+        most = error[0] * abs(away[0]) + error[1] * abs(away[1]) + error[2] * abs(away[2]) + PLANE_ATOL
+        if not height > most:
+            found |= 1 << n
+    return found

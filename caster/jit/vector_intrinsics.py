@@ -189,3 +189,100 @@ def _chosen(lanes: int, choose: Any) -> Any:
         return vectors.reduced(builder.fadd(first, *more) if more else first, choose)
 
     return build
+
+
+ZERO = ir.Constant(REAL, 0.0)
+
+
+def _all_of(vectors: Vectors, tests: list[Any]) -> Any:
+    """The bits of lanes in which all comparisons hold."""
+    held = tests[0]
+    for test in tests[1:]:
+        held = vectors.builder.and_(held, test)
+    return vectors.bits(held)
+
+
+def _parts(builder: Any, vectors: Vectors, group: Any, number: int) -> list[Any]:
+    """The members of member `number` of a tuple of tuples, each in all lanes."""
+    return [vectors.all(builder.extract_value(group, [number, n])) for n in range(3)]
+
+
+def boxes_below(lanes: int, types: Any, fields: int) -> Any:
+    def typed(typing: Any, boxes: Any, node: Any, limits: Any) -> Any:
+        return types.int64(boxes, types.int64, limits), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vectors = Vectors(builder, lanes)
+        data = _data(context, builder, signature.args[0], arguments[0])
+        first = builder.mul(arguments[1], INT64(fields * lanes))
+        rows = [vectors.load(data, builder.add(first, INT64(f * lanes))) for f in range(fields)]
+        limits = [vectors.all(builder.extract_value(arguments[2], f)) for f in range(fields)]
+        pairs = zip(rows, limits, strict=True)
+        return _all_of(vectors, [builder.fcmp_ordered("<=", row, limit) for row, limit in pairs])
+
+    return typed
+
+
+def boxes_reach_lines(lanes: int, types: Any, fields: int) -> Any:
+    def typed(typing: Any, boxes: Any, node: Any, lines: Any) -> Any:
+        return types.int64(boxes, types.int64, lines), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vectors = Vectors(builder, lanes)
+        data = _data(context, builder, signature.args[0], arguments[0])
+        first = builder.mul(arguments[1], INT64(fields * lanes))
+
+        def most(slope: Any, axis: int) -> Any:
+            """slope x, where it is largest."""
+            rises = builder.fcmp_ordered(">", slope, ZERO)
+            row = builder.select(rises, INT64((2 * axis + 1) * lanes), INT64(2 * axis * lanes))
+            factor = builder.select(rises, builder.fneg(slope), slope)
+            return builder.fmul(vectors.all(factor), vectors.load(data, builder.add(first, row)))
+
+        tests = []
+        for n in range(3):
+            a, b, c = (builder.extract_value(arguments[2], [n, m]) for m in range(3))
+            total = builder.fadd(builder.fadd(most(a, 0), most(b, 1)), vectors.all(c))
+            tests.append(builder.fcmp_ordered(">=", total, vectors.all(ZERO)))
+        return _all_of(vectors, tests)
+
+    return typed
+
+
+def lanes_within_lines(lanes: int, types: Any) -> Any:
+    def typed(typing: Any, xy: Any, i: Any, j: Any, lines: Any) -> Any:
+        return types.int64(xy, types.uint64, types.uint64, lines), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vectors = Vectors(builder, lanes)
+        data = _data(context, builder, signature.args[0], arguments[0])
+        x, y = vectors.load(data, arguments[1]), vectors.load(data, arguments[2])
+        tests = []
+        for n in range(3):
+            a, b, c = _parts(builder, vectors, arguments[3], n)
+            total = builder.fadd(builder.fadd(builder.fmul(a, x), builder.fmul(b, y)), c)
+            tests.append(builder.fcmp_ordered(">=", total, vectors.all(ZERO)))
+        return _all_of(vectors, tests)
+
+    return typed
+
+
+def lanes_not_above(lanes: int, types: Any, atol: float) -> Any:
+    def typed(typing: Any, tile: Any, x: Any, y: Any, z: Any, plane: Any) -> Any:
+        return types.int64(tile, types.uint64, types.uint64, types.uint64, plane), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vectors = Vectors(builder, lanes)
+        data = _data(context, builder, signature.args[0], arguments[0])
+        p, normal, error = (_parts(builder, vectors, arguments[4], n) for n in range(3))
+        heights, errors = [], []
+        for axis in range(3):
+            away = builder.fsub(p[axis], vectors.load(data, arguments[1 + axis]))
+            heights.append(builder.fmul(normal[axis], away))
+            errors.append(builder.fmul(error[axis], vectors.larger(away, builder.fneg(away))))
+        height = builder.fadd(builder.fadd(heights[0], heights[1]), heights[2])
+        most = builder.fadd(builder.fadd(errors[0], errors[1]), errors[2])
+        most = builder.fadd(most, vectors.all(ir.Constant(REAL, atol)))
+        return vectors.bits(builder.not_(builder.fcmp_ordered(">", height, most)))
+
+    return typed

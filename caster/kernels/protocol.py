@@ -105,7 +105,7 @@ def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> A
 @generic_inlined
 def surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants_uv: bool) -> None:
     """Put what `fast_surface` and, if wanted, `fast_uv` read of primitive k into lanes start..stop of a scratch
-    (surface/lanes.py). Optional.
+    (raster/tile.py). Optional.
     """
 
 

@@ -1,7 +1,11 @@
-"""BVH construction on several threads: binary nodes by the surface area heuristic, collapsed into wide ones."""
+"""BVH construction on several threads: binary nodes by the surface area heuristic, collapsed into wide ones.
+
+And their projections towards lights, for shadow rays (caster/kernels/bvh/fans.py).
+"""
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +23,21 @@ from caster.kernels.bvh.build import (
     collapse,
     quantize_boxes,
 )
-from caster.rendering.threads import thread_count
+from caster.kernels.bvh.fans import (
+    BOX_SIZE,
+    FAN_SLACK,
+    PRIM_FIELDS,
+    Fan,
+    FanBounds,
+    bound_hulls_along,
+    bound_nodes_along,
+    bound_triangles_along,
+    project_vertices_along,
+)
+from caster.kernels.protocol import Vec3
+from caster.kernels.surface.lighting import DirectionalLight, PointLight
+from caster.kernels.triangles import Triangles
+from caster.rendering.threads import parallel_for, thread_count
 
 PARALLEL_SUBTREES = 16  # a tree is begun by one thread, down to so many parts that grow on their own
 PARALLEL_MIN_PRIMITIVES = 20_000  # primitives; fewer take less time than parting them
@@ -119,3 +137,73 @@ def _join_subtrees(top_boxes: np.ndarray, top_links: np.ndarray, parts: dict[int
         else:
             boxes[start], links[start] = top_boxes[node], (place[top_links[node, 0]], top_links[node, 1])
     return boxes, links
+
+
+FAN_REACH = 16.0
+"""Rays belong to fans that start within so many times the largest coordinate of what has a tree."""
+
+
+def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float) -> list[Fan]:
+    """The fans of all shadow rays to a light, those from around `center` first; extent: the largest |coordinate|."""
+    if isinstance(light, DirectionalLight):
+        return [_parallel_fan(light.back, extent)]
+    ahead = np.subtract(center, light.position)
+    largest = np.abs(ahead).max()
+    forward = ahead / largest if largest > 0.0 else np.array([1.0, 0.0, 0.0])
+    forward /= np.linalg.norm(forward)
+    across = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
+    across /= np.linalg.norm(across)
+    up = np.cross(forward, across)
+    reach = FAN_REACH * max(extent, *map(abs, light.position))
+    axes = ((forward, across, up), (across, up, forward), (up, forward, across))
+    return [
+        Fan(
+            1.0,
+            light.position,
+            (0.0, 0.0, 0.0),
+            _vector(x),
+            _vector(y),
+            _vector(sign * z),
+            reach,
+            _slack(reach, extent),
+        )
+        for z, x, y in axes
+        for sign in (1.0, -1.0)
+    ]
+
+
+def _parallel_fan(back: Vec3, extent: float) -> Fan:
+    axis = int(np.argmax(np.abs(back)))
+    x, y, z = np.roll(np.eye(3), -axis - 1, axis=0)
+    across, up = (e - (np.dot(e, back) / back[axis]) * z for e in (x, y))
+    away = -np.copysign(1.0, back[axis]) * z
+    reach = FAN_REACH * extent
+    frame = _vector(across), _vector(up), _vector(away)
+    return Fan(0.0, (0.0, 0.0, 0.0), back, frame[0], frame[1], frame[2], reach, _slack(reach, extent))
+
+
+def _vector(a: np.ndarray) -> Vec3:
+    x, y, z = a.tolist()
+    return x, y, z
+
+
+def _slack(reach: float, extent: float) -> float:
+    return FAN_SLACK * (reach + extent)
+
+
+def fan_bounds(kind: Kind, fan: Fan, threads: int | None) -> FanBounds:
+    """The primitives of a kind as a fan sees them; of a kind that has a tree."""
+    tree, count, prims = bvh_of(kind), len(kind.ids), kind.prims
+    vertices = prims.vertices if isinstance(prims, Triangles) else np.empty((0, 3))
+    bounds = FanBounds(
+        np.empty(len(tree.links) * BOX_SIZE), np.empty(count * PRIM_FIELDS), np.empty((len(vertices), 3))
+    )
+    if isinstance(prims, Triangles):
+        project = partial(project_vertices_along, fan, vertices, bounds.points)
+        parallel_for(project, len(vertices), threads, least=PARALLEL_MIN_PRIMITIVES)
+        find = partial(bound_triangles_along, fan, prims.faces, tree.order, bounds)
+    else:
+        find = partial(bound_hulls_along, fan, prims, tree.order, bounds)
+    parallel_for(find, count, threads, least=PARALLEL_MIN_PRIMITIVES)
+    bound_nodes_along(tree.links, bounds)
+    return bounds

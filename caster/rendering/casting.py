@@ -1,6 +1,7 @@
 """Rays in, nearest hits out: the three cullings, on as many threads as there are cores."""
 
 import itertools
+import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Literal
@@ -10,6 +11,18 @@ import numpy as np
 from caster.geometry.packing import Kind, Packed
 from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.build import LEAF_SIZE, STACK_SIZE
+from caster.kernels.bvh.fans import (
+    BLOCKS,
+    BOX_SIZE,
+    GROUPS,
+    ROWS,
+    Fan,
+    FanBounds,
+    RayGroups,
+    cast_fan,
+    cast_left_runs,
+    group_rays,
+)
 from caster.kernels.bvh.traversal import cast_bvh, cast_packets, cast_packets_brute_force
 from caster.kernels.nearest import (
     CountCandidates,
@@ -27,13 +40,15 @@ from caster.kernels.nearest import (
 )
 from caster.kernels.raster.tile import (
     PIXELS,
+    WIDTH,
     clear_rays,
     load_ray_range,
     new_tile,
     store_blocked,
     store_ray_range,
 )
-from caster.rendering.bvh_construction import bvh_of, has_bvh
+from caster.kernels.surface.lighting import DirectionalLight, PointLight
+from caster.rendering.bvh_construction import bvh_of, fan_bounds, fans_to, has_bvh
 from caster.rendering.threads import parallel_for
 
 __all__ = ["Culling", "find_nearest"]
@@ -130,6 +145,73 @@ def _kind_caster(kind: Kind, base: int, any_hit: bool) -> Callable[[int, np.ndar
         )
     return lambda count, tile, workspace: cast_packets_brute_force(
         kind.prims, len(kind.ids), base, count, tile, any_hit
+    )
+
+
+# To project a primitive towards a light takes a quarter of the time of a shadow ray. Few are projected for any film.
+MIN_SHADOW_RAYS_PER_PRIMITIVE = 0.25
+FEW_PRIMITIVES = 1 << 14
+
+
+class ShadowCaster:
+    """Casts the shadow rays of tiles to one light, until each has met anything: as fans where that pays.
+
+    rays: about how many there will be.
+    """
+
+    def __init__(self, packed: Packed, light: PointLight | DirectionalLight, rays: int) -> None:
+        offsets = list(zip(packed.kinds, prim_offsets(packed), strict=True))
+        most = max(FEW_PRIMITIVES, int(rays / MIN_SHADOW_RAYS_PER_PRIMITIVE))
+        self._kinds = [(kind, base) for kind, base in offsets if uses_bvh(kind) and len(kind.ids) <= most]
+        self._others = [
+            _kind_caster(kind, base, any_hit=True)
+            for kind, base in offsets
+            if not uses_bvh(kind) or len(kind.ids) > most
+        ]
+        self._fans: list[Fan] = []
+        if self._kinds:
+            center = bvh_of(max(self._kinds, key=lambda it: len(it[0].ids))[0]).center
+            self._fans = fans_to(light, center, max(kind.extent for kind, _ in self._kinds))
+        self._bounds: dict[tuple[int, int], FanBounds] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, count: int, tile: np.ndarray, groups: RayGroups) -> None:
+        """The first `count` rays of a tile, whole rows of it."""
+        groups.taken[:], groups.counts[:] = 0, (0, count)
+        for number, fan in enumerate(self._fans):
+            group_rays(fan, tile, count // WIDTH, groups)
+            if groups.counts[0]:
+                for n, (kind, base) in enumerate(self._kinds):
+                    bounds = self._bounds_of(number, n)
+                    cast_fan(fan, kind.prims, bvh_of(kind), bounds, base, tile, groups)
+            if not groups.counts[1]:
+                break
+        workspace = _new_workspace()
+        if groups.counts[1]:
+            for kind, base in self._kinds:
+                cast_left_runs(kind.prims, bvh_of(kind), base, count, tile, groups.taken, workspace)
+        for cast in self._others:
+            cast(count, tile, workspace)
+
+    def _bounds_of(self, number: int, n: int) -> FanBounds:
+        """Kind n as the fan of that number sees it, found when a tile first needs it."""
+        found = self._bounds.get((number, n))
+        if found is None:
+            with self._lock:
+                found = self._bounds.get((number, n)) or fan_bounds(self._kinds[n][0], self._fans[number], 1)
+                self._bounds[number, n] = found
+        return found
+
+
+def new_ray_groups() -> RayGroups:
+    """Room for the rays of a tile."""
+    return RayGroups(
+        np.zeros(BLOCKS * BOX_SIZE),
+        np.zeros(GROUPS * BOX_SIZE),
+        np.zeros(PIXELS // LANES, np.int64),
+        np.zeros(2, np.int64),
+        np.zeros(CHILDREN * ROWS, np.int64),
+        np.zeros(STACK_SIZE, np.int32),
     )
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
 from caster.jit.decorators import implements
+from caster.kernels.bvh.fans import RayGroups
 from caster.kernels.nearest import Rays
 from caster.kernels.protocol import fast_surface, fast_uv
 from caster.kernels.raster.screen_bounds import Window
@@ -34,9 +35,9 @@ from caster.kernels.raster.tile import (
     WIDTH,
     Box,
     T,
+    new_lanes,
     new_tile,
 )
-from caster.kernels.surface.lanes import new_lanes
 from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
 from caster.kernels.surface.normals import normals_in_tile
 from caster.kernels.surface.per_hit import (
@@ -48,7 +49,13 @@ from caster.kernels.surface.per_hit import (
     surfaces_in_tile_by_lanes,
     write_aov,
 )
-from caster.rendering.casting import exact_nearest, prim_offsets, scene_prim_ids, tile_caster
+from caster.rendering.casting import (
+    ShadowCaster,
+    exact_nearest,
+    new_ray_groups,
+    prim_offsets,
+    scene_prim_ids,
+)
 from caster.rendering.plan import Plan
 from caster.scene.model import Scene
 
@@ -75,6 +82,10 @@ class TileWorkspace:
     @cached_property
     def shadow_tile(self) -> np.ndarray:
         return new_tile()
+
+    @cached_property
+    def ray_groups(self) -> RayGroups:
+        return new_ray_groups()
 
 
 MAX_SPARE_WORKSPACES = 16  # 3 MB each
@@ -207,14 +218,19 @@ class TileShader:
         ]
 
     def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
-        cast = tile_caster(packed, any_hit=True) if plan.shadows.runs else None
+        pixels = max((math.prod(image.shape[:2]) for image in self.images.values()), default=0)
         shapes, extents = shape_by_primitive(packed), packed.shape_extents
         steps: list[Step] = [
             partial(
-                _add_light, light.pack(), cast, packed if exact else None, self._shadow_rays, shapes, extents
+                _add_light,
+                light,
+                ShadowCaster(packed, light, pixels) if plan.shadows.runs else None,
+                packed if exact else None,
+                self._shadow_rays,
+                shapes,
+                extents,
             )
-            for light in scene.lights
-            if light.type != "ambient"
+            for light in (each.pack() for each in scene.lights if each.type != "ambient")
         ]
         ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(
             -1, 3
@@ -248,7 +264,7 @@ def kind_ranges(packed: Packed) -> list[KindRange]:
 
 def _add_light(
     light: Any,
-    cast: Any,
+    cast: ShadowCaster | None,
     exact: Packed | None,
     counts: list[int],
     shapes: np.ndarray,
@@ -262,7 +278,7 @@ def _add_light(
     count = shadow_rays_in_tile(light, tile, box, shapes, extents, surface, shadow_tile)
     if count and cast:
         counts.append(count)
-        cast((box[3] - box[1]) * WIDTH, shadow_tile)
+        cast((box[3] - box[1]) * WIDTH, shadow_tile, workspace.ray_groups)
         if exact:
             decide_shadows(exact, shadow_tile, (box[3] - box[1]) * WIDTH)
     if count:

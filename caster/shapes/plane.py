@@ -43,8 +43,7 @@ from caster.kernels.protocol import (
     surface,
     surface_setup,
 )
-from caster.kernels.raster.tile import lane
-from caster.kernels.surface.lanes import LANE_SETUP, SURFACE_LANES, get_lane, put_lane
+from caster.kernels.raster.tile import LANE_SETUP, SURFACE_LANES, get_lane, lane, put_lane
 
 __all__ = ["Plane", "Planes"]
 

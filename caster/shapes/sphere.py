@@ -70,8 +70,7 @@ from caster.kernels.protocol import (
     surface_setup,
     tight_sphere,
 )
-from caster.kernels.raster.tile import lane
-from caster.kernels.surface.lanes import LANE_SETUP, SURFACE_LANES, get_lane, put_lane
+from caster.kernels.raster.tile import LANE_SETUP, SURFACE_LANES, get_lane, lane, put_lane
 
 __all__ = ["Ellipsoids", "Sphere", "Spheres"]
 

@@ -9,7 +9,7 @@ from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.traversal import PacketBoxSetup, RayBoxSetup
 from caster.kernels.raster import tile as tiles
-from caster.kernels.surface.lanes import new_lanes
+from caster.kernels.raster.tile import new_lanes
 from caster.kernels.surface.per_hit import (
     STRIDE,
     new_surface_buffer,

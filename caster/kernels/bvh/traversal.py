@@ -275,12 +275,20 @@ def cast_packets(
     any_hit: whether to stop at anything that is hit for sure.
     """
     for first in range(lane(0), lane(count), PACKET_SIZE):
-        origins, directions = packet_bounds(tile, OX, first), packet_bounds(tile, DX, first)
-        if is_coherent(tree, tile, first, origins, directions):
-            view = packet_box_setup(tree, origins, directions)
-            cast_packet(prims, tree, base, tile, first, view, workspace, any_hit)
-        else:
-            cast_rays_singly(prims, tree, base, tile, first, workspace, any_hit)
+        cast_neighbours(prims, tree, base, tile, first, workspace, any_hit)
+
+
+@inlined
+def cast_neighbours(
+    prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool
+) -> None:
+    """LANES rays from `first` on, as a packet if they have much in common."""
+    origins, directions = packet_bounds(tile, OX, first), packet_bounds(tile, DX, first)
+    if is_coherent(tree, tile, first, origins, directions):
+        view = packet_box_setup(tree, origins, directions)
+        cast_packet(prims, tree, base, tile, first, view, workspace, any_hit)
+    else:
+        cast_rays_singly(prims, tree, base, tile, first, workspace, any_hit)
 
 
 @inlined

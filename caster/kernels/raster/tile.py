@@ -13,7 +13,7 @@ from caster.jit.decorators import inlined, jit
 from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import LANES
 from caster.kernels.nearest import any_hit_result
-from caster.kernels.protocol import camera_ray, intersect, prepare
+from caster.kernels.protocol import Vec3, camera_ray, intersect, prepare
 
 WIDTH, HEIGHT = 128, 64  # pixels
 PIXELS = WIDTH * HEIGHT
@@ -32,9 +32,12 @@ T, T_ERROR, PRIM, UNCERTAIN, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (
 # T, OFF: the nearest so far, the true t within OFF; PLACE: number of the primitive, kind by kind, -1 for none;
 # DOUBT: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
 
-# Behind the fields: the ray bounds for box tests (caster/kernels/bvh/traversal.py).
+# Behind the fields: bounds of rays, and where shadow rays are in the picture of their fan (caster/kernels/bvh/fans.py).
 SCRATCH = lane(STRIDE * FIELDS)
 SCRATCH_SIZE = 9 * LANES
+FAN_X = SCRATCH + lane(SCRATCH_SIZE)
+FAN_Y = FAN_X + lane(STRIDE)
+TILE_SIZE = FIELDS * STRIDE + SCRATCH_SIZE + 2 * STRIDE
 
 Box = tuple[int, int, int, int]  # x0, y0, x1, y1: pixels of the window, x1 and y1 just outside
 
@@ -44,9 +47,9 @@ CACHE_LINE = 64  # bytes
 
 def new_tile() -> np.ndarray:
     """Zeros, from the beginning of a cache line, so that LANES numbers never lie in two."""
-    buffer = np.zeros(FIELDS * STRIDE + SCRATCH_SIZE + CACHE_LINE // 8)
+    buffer = np.zeros(TILE_SIZE + CACHE_LINE // 8)
     first = -buffer.ctypes.data % CACHE_LINE // 8
-    return buffer[first : first + FIELDS * STRIDE + SCRATCH_SIZE]
+    return buffer[first : first + TILE_SIZE]
 
 
 @inlined
@@ -222,3 +225,35 @@ def scatter_to_tiles(
                     n = (y * across + x) * DEPTH_BUCKETS + into
                     order[ends[n]] = k
                     ends[n] += 1
+
+
+# Surfaces of many hits at once: SURFACE_LANES pixels of a tile in a scratch that stays in a core's first cache.
+# Field f of lane x is scratch[f * SURFACE_LANES + x]: what is computed, and behind that what the kind of primitive
+# needs of each lane's primitive. Gathering that is a scalar loop over runs of pixels; the rest has no branch.
+
+SURFACE_LANES = 32  # 16, 64 and 128 are slower or no faster; a row of a tile is whole scratches
+
+# The first 11 are those of a surface buffer (surface/per_hit.py), in its order; LANE_LOCAL: what `fast_uv` reads.
+LANE_P, LANE_N, LANE_SH_N, LANE_UV, LANE_UNSAFE, LANE_LOCAL, LANE_SETUP = (
+    lane(SURFACE_LANES * field) for field in (0, 3, 6, 9, 11, 12, 15)
+)
+LANE_FIELDS = 41  # with the largest `surface_setup`, that of triangles
+NEXT, NEXT_BUT_ONE = lane(SURFACE_LANES), lane(2 * SURFACE_LANES)
+
+
+def new_lanes() -> np.ndarray:
+    """Zeros, from the beginning of a cache line."""
+    buffer = np.zeros(LANE_FIELDS * SURFACE_LANES + CACHE_LINE // 8)
+    first = -buffer.ctypes.data % CACHE_LINE // 8
+    return buffer[first : first + LANE_FIELDS * SURFACE_LANES]
+
+
+@inlined
+def get_lane(scratch: Any, at: Any) -> Vec3:
+    """Three fields of a lane."""
+    return scratch[at], scratch[at + NEXT], scratch[at + NEXT_BUT_ONE]
+
+
+@inlined
+def put_lane(scratch: Any, at: Any, v: Vec3) -> None:
+    scratch[at], scratch[at + NEXT], scratch[at + NEXT_BUT_ONE] = v[0], v[1], v[2]

@@ -1,0 +1,460 @@
+"""Fans: shadow rays to one light, seen from the light; primitives in front of each are found by their projections.
+
+All rays of a fan pass through one point (a point light) or are parallel (a directional light), so that each is a point
+of the fan's picture, and meets nothing whose projection does not hold that point. Primitives are found through the
+tree, whose boxes are projected as well; rays by groups: LANES neighbours are a run, 8 runs below each other a block, 8
+blocks a group, for which the tree is traversed once. What is found is tested as everywhere else (`intersect`).
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from caster.jit.decorators import generic_inlined, implement, inlined, jit
+from caster.jit.simd import (
+    CHILDREN,
+    FAN_FIELDS,
+    LANES,
+    boxes_below,
+    boxes_reach_lines,
+    lane_max,
+    lane_max_of_sums,
+    lane_min,
+    lanes_not_above,
+    lanes_within_lines,
+    lowest_bit,
+)
+from caster.kernels.bvh.build import LEAF_SIZE_BASE
+from caster.kernels.bvh.traversal import cast_neighbours
+from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, scaled, sub
+from caster.kernels.protocol import Vec3, hull_point, hull_size, load
+from caster.kernels.raster.tile import (
+    FAN_X,
+    FAN_Y,
+    HEIGHT,
+    OX,
+    OY,
+    OZ,
+    SCRATCH,
+    T_ERROR,
+    T_MAX,
+    WIDTH,
+    T,
+    cast_lanes,
+    lane,
+)
+from caster.kernels.triangles import PLANE_ERROR, Triangles
+
+
+class Fan(NamedTuple):
+    """A projection through a point, or along a direction."""
+
+    perspective: float  # 1.0: through `origin`; 0.0: along `back`
+    origin: Vec3  # float64; 0 if parallel
+    back: Vec3  # unit, towards the light; 0 if perspective
+    # x = across . a / depth, y = up . a / depth, depth = forward . a of a point a relative to the origin; no component
+    # is larger than 1. Parallel: without the division, and `forward` is one axis, away from the light.
+    across: Vec3
+    up: Vec3
+    forward: Vec3
+    reach: float  # rays that start with a larger |coordinate| do not belong to it; not less than those of the light
+    slack: float  # FAN_SLACK times the largest coordinates
+
+
+# Let m = reach + the largest |coordinate| of a primitive. A point P at which a ray is sure to be hit is
+# - within 4 u m of the hull of the points that `hull_point` computes (build.BOX_PADDING),
+# - of a ray to a point light, within u m of the line through its origin and the light, as d = light - o is rounded. Of
+#   parallel rays, `across` and `up` are rounded, by u each: a ray's x moves by no more than 2 u m from o to P.
+# A projected point is the exact one of a point within 8 u m of it: a rounded difference, and a product with `across`,
+# `up`, `forward` of three terms. All of this together is s = 16 u m; FAN_SLACK has 8 times that.
+#
+# Parallel: projections are off by s, so boxes are widened by the slack. Perspective: of P in the hull, off by s along
+# each axis, x is off by s (1 + |x|) / (depth of P); as the depth of the hull is more than 2 slack, that is less than
+# 2 slack (1 + |x|) / (least depth), |x| the largest of the hull's. The quotients round by u |x| each, |x| <= FAN_LIMIT
+# for a ray's: FAN_ROUNDING covers them. What is nearer has no such bound, and its box is found from its coordinates.
+#
+# a x + b y + c of the line along an edge (`edge_line`) is rounded by 8 u (|a| + |b|) times the largest coordinate of
+# the picture, and so is the sign of the third corner's: below 32 u (1 + |x|) perspective, since |x| <= FAN_LIMIT for a
+# ray's, or 64 u m parallel.
+FAN_SLACK = 128.0 * U
+FAN_ROUNDING = 64.0 * U
+FAN_LIMIT = 2.0  # largest |x|, |y| of a ray in a perspective fan: six of them, with `forward` along axes, hold all rays
+
+# A quotient that bounds x from below is off by 3 u of itself.
+QUOTIENT_ROUNDING = 1.0 - 2.0**-40
+
+BOX_SIZE = FAN_FIELDS * CHILDREN
+"""Numbers of a node's boxes: (5, CHILDREN), least x, -largest x, least y, -largest y, and
+
+of primitives and nodes the least depth, of rays -(the largest); inf where there is nothing."""
+
+ROWS = 8  # runs of a block
+RUNS_ACROSS = WIDTH // LANES
+BLOCKS = RUNS_ACROSS * (HEIGHT // ROWS)
+GROUPS = BLOCKS // CHILDREN  # 4 x 2 blocks each
+BLOCKS_ACROSS, BLOCKS_DOWN = 4, 2
+
+PRIM_FIELDS = FAN_FIELDS + 1
+"""Numbers of a primitive, in the order of the tree: its box, and by how much it was widened; inf: it has no outline."""
+
+
+class FanBounds(NamedTuple):
+    """The primitives of a kind as a fan sees them."""
+
+    nodes: Any  # flat, BOX_SIZE numbers a node of the tree
+    prims: Any  # flat, PRIM_FIELDS numbers a primitive
+    points: Any  # (v, 3) float64: x, y, depth of the vertices of triangles; of other kinds (0, 3)
+
+
+class RayGroups(NamedTuple):
+    """The rays of a tile as a fan sees them."""
+
+    runs: Any  # flat, BOX_SIZE numbers a block
+    blocks: Any  # flat, BOX_SIZE numbers a group
+    taken: Any  # (runs,) int8: 1 if a run has been cast, or has no ray; runs in rows of the tile
+    counts: Any  # (2,) int64: runs that belong to the fan, and that are left
+    found: Any  # int64: runs in which a primitive is to be tested
+    stack: Any  # int32
+
+
+@inlined
+def fan_project(fan: Fan, p: Vec3) -> Vec3:
+    """(x, y, depth) of a point; x and y are not divided where it is behind."""
+    a = sub(p, fan.origin)
+    depth = dot(fan.forward, a)
+    over = depth if (fan.perspective != 0.0) & (depth > 0.0) else 1.0
+    return dot(fan.across, a) / over, dot(fan.up, a) / over, depth
+
+
+# ---- primitives ----
+
+
+@jit
+def project_vertices_along(fan: Any, vertices: Any, points: Any, start: int, stop: int) -> None:
+    """points (v, 3): x, y, depth of vertices start..stop."""
+    for i in range(start, stop):
+        points[i, 0], points[i, 1], points[i, 2] = fan_project(
+            fan, (vertices[i, 0], vertices[i, 1], vertices[i, 2])
+        )
+
+
+@jit
+def bound_triangles_along(fan: Any, faces: Any, order: Any, bounds: Any, start: int, stop: int) -> None:
+    """Boxes of triangles order[start:stop] between projected vertices."""
+    points = bounds.points
+    for at in range(start, stop):
+        box = nothing()
+        for j in range(3):
+            i = faces[order[at], j]
+            box = with_point(box, (points[i, 0], points[i, 1], points[i, 2]))
+        if not store_prim(fan, bounds.prims, at, box):
+            box = nothing()
+            for j in range(3):
+                i = faces[order[at], j]
+                box = with_point(box, undivided(fan, (points[i, 0], points[i, 1], points[i, 2])))
+            store_near_prim(fan, bounds.prims, at, box)
+
+
+@jit
+def bound_hulls_along(fan: Any, prims: Any, order: Any, bounds: Any, start: int, stop: int) -> None:
+    """The same for any kind, by the points of its hulls."""
+    for at in range(start, stop):
+        box = nothing()
+        for j in range(hull_size(prims)):
+            box = with_point(box, fan_project(fan, hull_point(prims, order[at], j)))
+        if not store_prim(fan, bounds.prims, at, box):
+            box = nothing()
+            for j in range(hull_size(prims)):
+                box = with_point(box, undivided(fan, fan_project(fan, hull_point(prims, order[at], j))))
+            store_near_prim(fan, bounds.prims, at, box)
+
+
+Extent = tuple[float, float, float, float, float, float]
+"""Least x, -largest x, least y, -largest y, least depth, -largest depth"""
+
+
+@inlined
+def nothing() -> Extent:
+    return math.inf, math.inf, math.inf, math.inf, math.inf, math.inf
+
+
+@inlined
+def with_point(box: Extent, p: Vec3) -> Extent:
+    x, y, depth = p
+    return (
+        min(box[0], x),
+        min(box[1], -x),
+        min(box[2], y),
+        min(box[3], -y),
+        min(box[4], depth),
+        min(box[5], -depth),
+    )
+
+
+@inlined
+def undivided(fan: Fan, p: Vec3) -> Vec3:
+    """A projected point before the division, but for 2 u."""
+    over = p[2] if p[2] > 0.0 else 1.0
+    return p[0] * over, p[1] * over, p[2]
+
+
+@inlined
+def store_prim(fan: Fan, prims: Any, at: int, box: Extent) -> bool:
+    """Widen a box by its margin; whether there is one."""
+    near, wide = box[4], fan.slack
+    if fan.perspective != 0.0:
+        largest = max(max(-box[0], -box[1]), max(-box[2], -box[3]))
+        wide = 2.0 * fan.slack / near if near > 2.0 * fan.slack else math.inf
+        wide = (wide + FAN_ROUNDING) * (1.0 + largest)
+    i = at * PRIM_FIELDS
+    for f in range(4):
+        prims[i + f] = box[f] - wide
+    prims[i + 4], prims[i + 5] = near - 2.0 * fan.slack, wide
+    return wide < math.inf
+
+
+@inlined
+def store_near_prim(fan: Fan, prims: Any, at: int, box: Extent) -> None:
+    """The box of a primitive that reaches to the origin or behind it: x = X / depth >= (least X) / (largest depth)."""
+    i, slack, deep = at * PRIM_FIELDS, 2.0 * fan.slack, -box[5] + 2.0 * fan.slack
+    for f in range(4):
+        ahead = box[f] - slack
+        prims[i + f] = ahead / deep * QUOTIENT_ROUNDING if (ahead > 0.0) & (deep > 0.0) else -math.inf
+    prims[i + 4] = -math.inf
+    if deep < 0.0:  # all of it is behind
+        prims[i] = math.inf
+
+
+@jit
+def bound_nodes_along(links: Any, bounds: Any) -> None:
+    """Boxes of nodes, from those of primitives; a child's number is larger than its parent's."""
+    nodes, prims = bounds.nodes, bounds.prims
+    for node in range(len(links) - 1, -1, -1):
+        for j in range(CHILDREN):
+            link = links[node, j]
+            for f in range(FAN_FIELDS):
+                least = math.inf
+                if link >= 0:
+                    least = least_of(nodes, link * BOX_SIZE + f * CHILDREN)
+                else:
+                    start, number = ~link // LEAF_SIZE_BASE, ~link % LEAF_SIZE_BASE
+                    for at in range(start, start + number):
+                        least = min(least, prims[at * PRIM_FIELDS + f])
+                nodes[node * BOX_SIZE + f * CHILDREN + j] = least
+
+
+# ---- rays ----
+
+
+@inlined
+def least_of(boxes: Any, first: int) -> float:
+    """The least of CHILDREN numbers."""
+    least = math.inf
+    for j in range(first, first + CHILDREN):
+        least = min(least, boxes[j])
+    return least
+
+
+@inlined
+def block_corner(block: int) -> int:
+    """The first ray of a block, in its tile."""
+    group, j = block // CHILDREN, block % CHILDREN
+    across = RUNS_ACROSS // BLOCKS_ACROSS
+    x = group % across * BLOCKS_ACROSS + j % BLOCKS_ACROSS
+    y = group // across * BLOCKS_DOWN + j // BLOCKS_ACROSS
+    return y * ROWS * WIDTH + x * LANES
+
+
+@jit
+def group_rays(fan: Any, tile: Any, rows: int, groups: Any) -> None:
+    """Find runs of the first `rows` rows that belong to the fan and are not yet taken; they are taken now.
+
+    Where a tile has no ray it gets a hit, so that nothing is looked for there.
+    """
+    runs, counts = groups.runs, groups.counts
+    counts[0], counts[1] = 0, 0
+    for block in range(BLOCKS):
+        corner = block_corner(block)
+        for r in range(ROWS):
+            run, into = corner // LANES + r * RUNS_ACROSS, block * BOX_SIZE + r
+            for f in range(FAN_FIELDS):
+                runs[into + f * CHILDREN] = math.inf
+            if run < rows * RUNS_ACROSS and groups.taken[run] == 0:
+                first = lane(run * LANES)
+                if lane_max(tile, T_MAX + first) < 0.0:
+                    groups.taken[run] = 1
+                elif group_run(fan, tile, first):
+                    groups.taken[run] = 1
+                    counts[0] += 1
+                    for f in range(FAN_FIELDS):
+                        runs[into + f * CHILDREN] = lane_min(tile, SCRATCH + lane(f * LANES))
+                else:
+                    counts[1] += 1
+        for f in range(FAN_FIELDS):
+            into = block // CHILDREN * BOX_SIZE + f * CHILDREN + block % CHILDREN
+            groups.blocks[into] = least_of(runs, block * BOX_SIZE + f * CHILDREN)
+
+
+@inlined
+def group_run(fan: Fan, tile: Any, first: Any) -> bool:
+    """Put what bounds LANES rays into the tile's scratch; whether all of them belong to the fan.
+
+    x is NaN where there is no ray.
+    """
+    for n in range(lane(LANES)):
+        i = first + n
+        o = tile[OX + i], tile[OY + i], tile[OZ + i]
+        x, y, depth = fan_project(fan, o)
+        ray = tile[T_MAX + i] >= 0.0
+        ahead = (depth > 0.0) & (abs(x) <= FAN_LIMIT) & (abs(y) <= FAN_LIMIT)
+        fits = (max_norm(o) <= fan.reach) & (ahead | (fan.perspective == 0.0))
+        tile[T + i] = tile[T + i] if ray else -1.0
+        tile[FAN_X + i], tile[FAN_Y + i] = x if ray else math.nan, y
+        tile[SCRATCH + n] = x if ray else math.inf
+        tile[SCRATCH + lane(LANES) + n] = -x if ray else math.inf
+        tile[SCRATCH + lane(2 * LANES) + n] = y if ray else math.inf
+        tile[SCRATCH + lane(3 * LANES) + n] = -y if ray else math.inf
+        tile[SCRATCH + lane(4 * LANES) + n] = -depth if ray else math.inf
+        tile[SCRATCH + lane(5 * LANES) + n] = 0.0 if fits | (not ray) else 1.0
+    return lane_max(tile, SCRATCH + lane(5 * LANES)) == 0.0
+
+
+# ---- primitives against rays ----
+
+Outline = tuple[Vec3, Vec3, Vec3]
+NO_LINE = 0.0, 0.0, 1.0
+NO_OUTLINE: Outline = NO_LINE, NO_LINE, NO_LINE
+NO_POINT = 0.0, 0.0, 0.0
+NO_PLANE = NO_POINT, NO_POINT, NO_POINT
+
+
+@generic_inlined
+def outline(prims: Any, k: int, points: Any, wide: float) -> Any:
+    """Three lines (a, b, c): a ray at (x, y) with a x + b y + c < 0 for one of them misses primitive k."""
+
+
+@generic_inlined
+def separating_plane(prims: Any, prim: Any, fan: Fan) -> Any:
+    """(p, normal, error): a ray to the light that starts above it misses the primitive (simd.lanes_not_above)."""
+
+
+@implement(outline, object)
+def _no_outline(prims: Any, k: int, points: Any, wide: float) -> Outline:
+    return NO_OUTLINE
+
+
+@implement(separating_plane, object)
+def _no_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
+    return NO_PLANE
+
+
+@implement(outline, Triangles)
+def _triangle_outline(prims: Any, k: int, points: Any, wide: float) -> Outline:
+    i, j, h = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
+    p, q, r = (points[i, 0], points[i, 1]), (points[j, 0], points[j, 1]), (points[h, 0], points[h, 1])
+    if wide < math.inf:
+        return edge_line(p, q, r, wide), edge_line(q, r, p, wide), edge_line(r, p, q, wide)
+    return NO_OUTLINE
+
+
+@inlined
+def edge_line(p: tuple[float, float], q: tuple[float, float], r: tuple[float, float], wide: float) -> Vec3:
+    """The line through p and q, moved away from r by so much along each axis.
+
+    Corners that are off by up to `wide` along x and y are not beyond it, nor is what lies between them.
+    """
+    x, y = q[0] - p[0], q[1] - p[1]
+    side = 1.0 if x * (r[1] - p[1]) - y * (r[0] - p[0]) >= 0.0 else -1.0
+    return -side * y, side * x, side * (y * p[0] - x * p[1]) + ((abs(x) + abs(y)) * wide + TINY)
+
+
+@implement(separating_plane, Triangles)
+def _triangle_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
+    """n . (a - o) > 0 at a ray's origin and where it ends, so all along: its error is PLANE_ERROR.
+
+    A ray to a point light ends within u m of it (FAN_SLACK). Parallel ones have to go on upwards.
+    """
+    a, _, _, n, spread = prim
+    error = scaled(PLANE_ERROR, spread)
+    ahead = sub(a, fan.origin) if fan.perspective != 0.0 else scaled(-1.0, fan.back)
+    height = dot(n, ahead)
+    sure = abs(height) > abs_dot(error, ahead) + fan.perspective * fan.slack * l1_norm(spread) + TINY
+    side = math.copysign(1.0, height) if sure else 0.0
+    return a, scaled(side, n), error
+
+
+@inlined
+def facing_limits(boxes: Any, first: int) -> tuple[float, float, float, float, float]:
+    """Limits for `boxes_below` of boxes that a primitive's meets, and that are not all in front of it."""
+    return -boxes[first + 1], -boxes[first], -boxes[first + 3], -boxes[first + 2], -boxes[first + 4]
+
+
+@jit
+def cast_fan(fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any) -> None:
+    """The rays of the runs that belong to the fan against a kind, until each has met anything that is sure."""
+    runs, blocks, stack, found = groups.runs, groups.blocks, groups.stack, groups.found
+    for group in range(GROUPS):
+        rays = group * BOX_SIZE
+        farthest = -least_of(blocks, rays + 4 * CHILDREN)
+        limits = (
+            -least_of(blocks, rays + CHILDREN),
+            -least_of(blocks, rays),
+            -least_of(blocks, rays + 3 * CHILDREN),
+            -least_of(blocks, rays + 2 * CHILDREN),
+            farthest,
+        )
+        stack[0] = 0
+        top = 1 if farthest > -math.inf else 0
+        while top > 0:
+            top -= 1
+            inside = stack[top]
+            if inside >= 0:
+                mask = boxes_below(bounds.nodes, inside, limits)
+                while mask != 0:
+                    stack[top] = tree.links[inside, lowest_bit(mask)]
+                    mask &= mask - 1
+                    top += 1
+                continue
+            start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE
+            for at in range(start, start + number):
+                meets = facing_limits(bounds.prims, at * PRIM_FIELDS)
+                mask = boxes_below(blocks, group, meets)
+                if mask == 0:
+                    continue
+                k = tree.order[at]
+                prim = load(prims, k)
+                lines = outline(prims, k, bounds.points, bounds.prims[at * PRIM_FIELDS + 5])
+                plane = separating_plane(prims, prim, fan)
+                count = 0
+                while mask != 0:
+                    block = group * CHILDREN + lowest_bit(mask)
+                    mask &= mask - 1
+                    corner = block_corner(block)
+                    low = boxes_below(runs, block, meets) & boxes_reach_lines(runs, block, lines)
+                    while low != 0:
+                        r = lowest_bit(low)
+                        low &= low - 1
+                        first = lane(corner + r * WIDTH)
+                        lanes = lanes_within_lines(tile, FAN_X + first, FAN_Y + first, lines)
+                        lanes &= lanes_not_above(tile, OX + first, OY + first, OZ + first, plane)
+                        found[count] = block * ROWS + r
+                        count += 1 if lanes != 0 else 0
+                for n in range(count):
+                    block, r = found[n] // ROWS, found[n] % ROWS
+                    first = lane(block_corner(block) + r * WIDTH)
+                    cast_lanes(prims, prim, float(base + k), tile, first, True)
+                    if lane_max_of_sums(tile, T + first, T_ERROR + first) < 0.0:  # all have met something
+                        far = block * BOX_SIZE + 4 * CHILDREN
+                        runs[far + r] = math.inf
+                        blocks[rays + 4 * CHILDREN + block % CHILDREN] = least_of(runs, far)
+            if least_of(blocks, rays + 4 * CHILDREN) == math.inf:
+                top = 0
+
+
+@jit
+def cast_left_runs(
+    prims: Any, tree: Any, base: int, count: int, tile: Any, taken: Any, workspace: Any
+) -> None:
+    """Of the first `count` rays, those of runs that no fan has taken, through the tree."""
+    for run in range(count // LANES):
+        if taken[run] == 0:
+            cast_neighbours(prims, tree, base, tile, lane(run * LANES), workspace, True)
