@@ -26,7 +26,7 @@ from mitsuba_ref.report.evidence import Evidence
 from mitsuba_ref.report.output_manifest import ManifestEntry, OutputManifest, RemovedFiles
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import PIXEL_LAYERS, SceneRecord, scene_record
-from mitsuba_ref.report.verdict_text import class_text, failure_text, mark_of
+from mitsuba_ref.report.verdict_text import class_text, failure_text, group_lines, mark_of
 
 # One file: opens within two seconds on a small machine, and is accepted by mail and CI servers.
 ONE_FILE_LIMIT_BYTES = 25_000_000
@@ -70,6 +70,7 @@ class HtmlReport:
         self.one_file = self.path.suffix.lower() == ".html"
         self.candidate = candidate
         self.rows: list[dict[str, Any]] = []
+        self.verdicts: list[SceneVerdict] = []
         self._kept: dict[str, WrittenScene] = {}
         self._lock = threading.Lock()
         self._written = float("-inf")
@@ -127,6 +128,7 @@ class HtmlReport:
         kept = self._kept.get(verdict.name, NOTHING_WRITTEN)
         self.candidate = self.candidate or verdict.candidate
         self.rows.append(index_row(verdict, kept.file, kept.thumbnail))
+        self.verdicts.append(replace(verdict, seen=None))
         if not self.one_file and time.monotonic() - self._written > SECONDS_BETWEEN_WRITES:
             self.write()
 
@@ -170,6 +172,7 @@ class HtmlReport:
             "one_file": self.one_file,
             "most_bytes": ONE_FILE_LIMIT_BYTES,
             "left_out": {},
+            "common": [" ".join(line.split()) for line in group_lines(self.verdicts)],
         }
 
 

@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import planted
 import pytest
 import textbook_pages
 from test_pages import NUMBERS, color_at, section
@@ -57,7 +58,7 @@ def test_a_root_that_is_not_tried_is_red_pixels_one_after_the_other(visit, repor
     assert f"mitsuba-ref validate {again.format('')}" in page.inner_text("#pixel")
     pasted = page.inner_text("#pixel .replay code")
     assert pasted == f"mitsuba-ref probe {again.format(f' {pixel[0]} {pixel[1]}')}"
-    page.keyboard.press("n")
+    page.keyboard.press(".")
     page.wait_for_timeout(60)  # the next frame
     assert page.inner_text("#pixel .xy") == f"{failing[1] % SIZE[0]}, {failing[1] // SIZE[0]}"
 
@@ -115,3 +116,78 @@ def test_no_answer_is_words_and_what_is_not_kept_is_no_number(visit, report):
     page.evaluate("location.hash = '#s=outside&x=12&y=10&a=shape_id'")
     page.wait_for_selector("#pixel section >> text=Not given")
     assert "checks" not in page.inner_text("#pixel dl") and "inf" not in page.inner_text("#pixel")
+
+
+PATCHES = [
+    (6, 4, 1.01),
+    (15, 4, 1.01),
+    (2, 13, -1.0),
+]  # x, y of the corner of 3 x 3 pixels, and the factor of t or n
+
+
+def patched(scene, o, d):
+    t, n = (a.copy() for a in textbook_pages.trace(scene, o, d))
+    for x, y, factor in PATCHES:
+        rows = [row for row in range(len(t)) if x <= row % SIZE[0] < x + 3 and y <= row // SIZE[0] < y + 3]
+        if factor > 0:
+            t[rows] *= factor
+        else:
+            n[rows] *= factor
+    return t, n
+
+
+@pytest.fixture(scope="module")
+def patches(tmp_path_factory):
+    scene = planted.scene().with_film(width=SIZE[0], height=SIZE[1])
+    found = [planted.judged_candidate(f"patches-{i}", patched, scene) for i in range(2)]
+    return Validation(tuple(found), scene_count=2).write_html(
+        tmp_path_factory.mktemp("patches") / "page.html"
+    )
+
+
+def test_n_goes_from_region_to_region_and_a_cause_chooses_its_pixels(visit, patches):
+    page = visit(patches, "#s=patches-0").page
+    page.wait_for_selector(".cause")
+    corners, words = set(), []
+    for _ in range(3):
+        page.keyboard.press("n")
+        page.wait_for_timeout(60)
+        corners.add(tuple(map(int, page.inner_text("#pixel .xy").split(","))))
+        words.append(page.inner_text("#status-line"))
+    near = {(x, y) for a, b in corners for x, y, _ in PATCHES if x <= a < x + 3 and y <= b < y + 3}
+    assert near == {(x, y) for x, y, _ in PATCHES} and all(" of 3: 9 pixels" in each for each in words), words
+    causes = page.locator(".cause")
+    assert sorted(causes.all_inner_texts()) == ["18 pixels", "9 pixels"]
+    page.click(".cause >> text=/^9 pixels/")
+    assert page.get_attribute(".cause[aria-pressed=true]", "data-cause") == "1"
+    page.keyboard.press("n")
+    page.keyboard.press("n")
+    assert "group 1 of 1: 9 pixels" in page.inner_text("#status-line")
+    page.keyboard.press(".")
+    assert "of 9 failing pixels" in page.inner_text("#status-line")
+    assert color_at(page, "class", (3, 14), SIZE) == [255, 0, 0] != color_at(page, "class", (7, 5), SIZE)
+    page.click(".cause[aria-pressed=true]")
+    assert color_at(page, "class", (7, 5), SIZE) == [255, 0, 0]
+
+
+def test_the_list_has_the_common_cause_on_top_and_a_meter_of_pixels_that_fail(visit, patches):
+    page = visit(patches).page
+    assert page.inner_text("#common").startswith(
+        "cause: in 2 of 2 that fail: t is 1.01 times what it should be"
+    )
+    assert "% fail" in page.inner_text(".row .worst >> nth=0")
+    width = page.evaluate("document.querySelector('.meter.over i').style.width")
+    assert 2.0 <= float(width.rstrip("%")) < 100.0
+
+
+def test_the_inspector_of_a_small_window_is_a_sheet_at_its_foot(visit, patches):
+    page = visit(patches, "#s=patches-0&x=7&y=5", viewport={"width": 400, "height": 800}).page
+    page.wait_for_selector("#pixel .class")
+    low = page.locator("#side").bounding_box()
+    assert low["y"] + low["height"] == 800 and low["height"] < 200 and low["width"] == 400
+    assert page.locator("#pixel h2").is_visible()
+    page.click("#sheet")
+    high = page.locator("#side").bounding_box()
+    assert high["y"] + high["height"] == 800 and 400 < high["height"] < 560
+    assert page.get_attribute("#sheet", "aria-expanded") == "true"
+    assert page.evaluate("document.documentElement.scrollWidth") <= 400

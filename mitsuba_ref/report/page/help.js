@@ -9,7 +9,7 @@ const KEYS = [
     ["d", "difference"], ["x", "difference over bound"], ["l", "class"], ["w", "wipe"], ["b", "blink"],
   ]],
   ["pixels", [
-    ["n N", "next, previous bad pixel"], ["arrows", "move by one pixel"], ["c", "copy the command that replays it"],
+    ["n N", "next, previous group of bad pixels: one region, shape and cause"], [". ,", "next, previous bad pixel"], ["arrows", "move by one pixel"], ["c", "copy the command that replays it"],
     ["Esc", "unpin the pixel"],
   ]],
   ["image", [

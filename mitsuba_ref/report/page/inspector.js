@@ -15,9 +15,9 @@ function showPixel() {
 
 function hintHtml(record) {
   const bad = record.failing.length;
-  const next = bad ? `<kbd>n</kbd> goes to the next of ${plural(bad, "failing pixel")}.`
+  const next = bad ? `<kbd>n</kbd> goes to the next group, <kbd>.</kbd> to the next of ${plural(bad, "failing pixel")}.`
     : record.unlike.length
-      ? `<kbd>n</kbd> goes to the next of ${plural(record.unlike.length, "pixel")} that pass without agreeing.` : "";
+      ? `<kbd>n</kbd> goes to the next group, <kbd>.</kbd> to the next of ${plural(record.unlike.length, "pixel")} that pass without agreeing.` : "";
   return `<h2>No pixel is pinned</h2><p>Point at a pixel to read it, click to pin it. ${next}</p>
 <p class="note">Hold <kbd>Shift</kbd> to see the reference in place of ${THE_JUDGED}. The wheel zooms,
 dragging pans, and <kbd>?</kbd> lists the keys.</p>`;

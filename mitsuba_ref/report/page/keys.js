@@ -4,7 +4,7 @@ const SCENE_KEYS = {
   g: () => chooseView("all"), o: () => chooseView("ours"), r: () => chooseView("reference"),
   d: () => chooseView("difference"), x: () => chooseView("ratio"), l: () => chooseView("class"),
   w: () => chooseView("wipe"), b: () => chooseView("blink"),
-  n: () => nextBad(1), N: () => nextBad(-1), c: copyReplay,
+  n: () => nextGroup(1), N: () => nextGroup(-1), ".": () => nextBad(1), ",": () => nextBad(-1), c: copyReplay,
   "+": () => zoomBy(2), "=": () => zoomBy(2), "-": () => zoomBy(0.5), f: fitAll,
   e: () => expose(0.5), E: () => expose(-0.5), 0: () => expose(0),
   ArrowLeft: () => movePixel(-1, 0), ArrowRight: () => movePixel(1, 0),

@@ -1,10 +1,10 @@
 // Panes: images side by side that zoom and pan together.
 
 const MAX_ZOOM = 128; // screen pixels a pixel
-const GRID_FROM = 12, NUMBERS_FROM = 72; // from which zoom on there are lines between pixels, and numbers in them
+const GRID_FROM = 12, NUMBERS_FROM = 60; // from which zoom on there are lines between pixels, and numbers in them
 const BLINK_MS = 600;
 
-const looking = { record: null, data: null, bitmaps: {}, panes: [], shift: false, phase: 0, under: -1 };
+const looking = { record: null, data: null, bitmaps: {}, panes: [], shift: false, phase: 0, under: -1, chosen: null, veil: null };
 
 /** The images of each view. */
 const VIEWS = {
@@ -107,6 +107,7 @@ class Pane {
     context.clip();
     context.imageSmoothingEnabled = this.scale < 1;
     context.drawImage(bitmaps[name].bitmap, x, y, record.width * this.scale, record.height * this.scale);
+    if (looking.veil) context.drawImage(looking.veil, x, y, record.width * this.scale, record.height * this.scale);
     context.restore();
   }
 
@@ -160,7 +161,8 @@ class Pane {
   rings() {
     const { context } = this, { record } = looking;
     context.lineWidth = 1.25;
-    for (const row of this.which === "class" && !record.failing.length ? record.unlikeMarks : record.failingMarks) {
+    const marks = this.which === "class" && !record.failing.length ? record.unlikeMarks : record.failingMarks;
+    for (const row of marks.filter((each) => !looking.chosen || looking.chosen.has(each))) {
       const [x, y] = record.pixel(row), [px, py] = this.place(x + 0.5, y + 0.5);
       context.strokeStyle = css(CLASS_COLORS[RUN.classes[record.classes[row]]]);
       context.beginPath();

@@ -104,6 +104,38 @@ function rowsOf(classes, wanted) {
   return rows;
 }
 
+/** Rows of one cause and one shape that touch one another, the largest such region first. Pixels without a cause, as
+ *  they were not adjudicated, belong to the region beside them. */
+function groupsOf(record, rows) {
+  const { texts } = record.about.reasons, left = new Map(), groups = [];
+  for (const row of rows) {
+    const text = record.reasons.get(row)?.[0];
+    left.set(row, [texts[text]?.startsWith("not adjudicated") ? "" : String(text), shapeAt(record, row)]);
+  }
+  const named = [...left].filter(([, [cause]]) => cause), others = [...left].filter(([, [cause]]) => !cause);
+  for (const [first, [cause, shape]] of [...named, ...others]) {
+    if (!left.delete(first)) continue;
+    const group = [first];
+    for (const row of group) for (const next of neighbours(record, row)) {
+      const [its, of] = left.get(next) ?? [];
+      if (of === shape && (its === cause || its === "")) left.delete(next), group.push(next);
+    }
+    groups.push(group.sort((a, b) => a - b));
+  }
+  return groups.sort((a, b) => b.length - a.length);
+}
+
+/** The number of the shape that the reference hits there, or else ours. */
+function shapeAt(record, row) {
+  const shape = record.shape_reference?.[row] ?? -1;
+  return shape >= 0 ? shape : record.shape_ours?.[row] ?? -1;
+}
+
+function neighbours(record, row) {
+  const [x, y] = record.pixel(row);
+  return [-1, 0, 1].flatMap((dy) => [-1, 0, 1].map((dx) => record.row(x + dx, y + dy)));
+}
+
 /** A promise of the record; rejected with words where there is none. */
 function recordOf(scene) {
   if (!records.has(scene.name)) {

@@ -13,7 +13,7 @@ function rowHtml(scene, i, height) {
 <a href="${escaped(address({ ...CLOSE, s: scene.name }))}" data-scene="${name}">${name}</a>
 <small title="${escaped(scene.failure)}">${escaped(note)}</small></span>
 <span class="classes" role="cell">${classBar(scene)}<small>${classCounts(scene)}</small></span>
-<span class="worst" role="cell">${check ? shareHtml(check, share) : ""}</span>
+<span class="worst" role="cell">${scene.failing ? failingHtml(scene, check, share) : check ? shareHtml(check, share) : ""}</span>
 <span class="adjudicated" role="cell">${grouped(scene.adjudicated)}</span>
 <span class="time" role="cell">${scene.kept ? "kept" : `${scene.seconds.toFixed(1)} s`}</span></div>`;
 }
@@ -57,4 +57,13 @@ function shareHtml(check, share) {
   const words = share === Infinity ? "no bound holds:" : share > 1 ? `${small}\u00d7` : small;
   return `<span class="meter ${share > 1 ? "over" : ""}" aria-hidden="true"><i style="width:${width}%"></i></span>
 <small><b>${words}</b> ${spaced(check)}</small>`;
+}
+
+/** Of a scene that fails: the share of its pixels that do, as no more than all of a bound can be shown. */
+function failingHtml(scene, check, share) {
+  const of = Math.max(scene.hit, scene.failing), percent = (100 * scene.failing) / of;
+  const factor = share > 1 ? `, ${spaced(check)} ${share === Infinity ? "beyond any bound" : `${brief(share)}\u00d7`}` : "";
+  const words = percent > 99.95 && percent < 100 ? "99.9" : percent < 0.1 ? "under 0.1" : String(Number(percent.toFixed(1)));
+  return `<span class="meter over" aria-hidden="true" title="pixels that fail"><i style="width:${Math.max(2, percent)}%"></i></span>
+<small title="${grouped(scene.failing)} of ${grouped(of)} pixels fail${escaped(factor)}"><b>${words} %</b> fail${factor}</small>`;
 }

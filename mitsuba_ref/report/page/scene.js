@@ -19,6 +19,7 @@ async function showScene() {
       Object.assign(looking, { record, data: null, under: -1 });
       inspected = new Map();
       shownPixel = shownLayer = "";
+      applyCause();
       fillSummary(record);
     }
     if (!state.a) state.a = layerToStart(record);
@@ -124,14 +125,59 @@ function expose(step) {
   showLayer(++turn);
 }
 
+/** Pixels to look at: of the chosen cause, or those that fail, or, where none does, that pass without agreeing. */
+function badRows(record) {
+  const rows = record.failing.length ? record.failing : record.unlike;
+  return looking.chosen ? rows.filter((row) => looking.chosen.has(row)) : rows;
+}
+
+/** The first pixel of the next group: a connected region of one shape and one cause. */
+function nextGroup(step) {
+  const { record } = looking;
+  if (!record) return;
+  const key = String(state.f);
+  if (record.groupsKey !== key) Object.assign(record, { groups: groupsOf(record, badRows(record)), groupsKey: key });
+  const { groups } = record, pinned = pinnedRow(), worst = record.verdict.failures[0];
+  if (!groups.length) return showStatus("every pixel agrees");
+  const at = groups.findIndex((group) => group.includes(pinned));
+  const start = worst ? Math.max(0, groups.findIndex((group) => group.includes(record.row(worst.x, worst.y)))) : 0;
+  const i = at < 0 ? start : (at + step + groups.length) % groups.length;
+  const first = worst && at < 0 ? record.row(worst.x, worst.y) : groups[i][0];
+  pin(groups[i].includes(first) ? first : groups[i][0]);
+  const shape = record.about.shapes[shapeAt(record, groups[i][0])];
+  showStatus(`group ${i + 1} of ${groups.length}: ${plural(groups[i].length, "pixel")}${shape ? ` at ${shape}` : ""}`);
+}
+
+/** Only the pixels of one row of "what is wrong"; the same row again: all of them. */
+function chooseCause(number) {
+  change({ f: state.f === number ? -1 : number });
+  applyCause();
+  fillSummary(looking.record);
+  drawSoon();
+}
+
+/** What the address has chosen: rows, and a veil over all others. */
+function applyCause() {
+  const { record } = looking, finding = record.verdict.findings?.[state.f];
+  Object.assign(looking, { chosen: null, veil: null });
+  if (!finding) return;
+  looking.chosen = new Set(record.failing.filter((row) => why(record, row).includes(finding.what)));
+  const veil = document.createElement("canvas");
+  [veil.width, veil.height] = [record.width, record.height];
+  const image = new ImageData(record.width, record.height);
+  for (let row = 0; row < record.classes.length; row++) image.data[4 * row + 3] = looking.chosen.has(row) ? 0 : 190;
+  veil.getContext("2d").putImageData(image, 0, 0);
+  looking.veil = veil;
+}
+
 /** The next pixel that fails, or, where none does, that passes without agreeing. */
 function nextBad(step) {
   const { record } = looking;
   if (!record) return;
-  const rows = record.failing.length ? record.failing : record.unlike;
+  const rows = badRows(record);
   if (!rows.length) return showStatus("every pixel agrees");
   const at = pinnedRow(), worst = record.verdict.failures[0];
-  if (at < 0 && worst) return pin(record.row(worst.x, worst.y));
+  if (at < 0 && worst && !looking.chosen) return pin(record.row(worst.x, worst.y));
   const later = step > 0 ? rows.findIndex((row) => row > at) : rows.findLastIndex((row) => at < 0 || row < at);
   const i = later >= 0 ? later : step > 0 ? 0 : rows.length - 1;
   pin(rows[i]);

@@ -75,15 +75,23 @@ function fillBanner() {
   if (short)
     words.push(`One file holds ${RUN.most_bytes / 1e6} MB, so parts of ${short} scenes are left out, ` +
       "as stated there; scenes that pass are rounded to float32. --html FOLDER stores everything.");
+  byId("common").innerHTML = RUN.common.map((line) => `<p>${escaped(line)}</p>`).join("");
+  byId("common").hidden = !RUN.common.length;
   byId("banner").textContent = words.join(" ");
   byId("banner").hidden = !words.length;
 }
 
 const DOINGS = {
   back: () => go({ s: "" }), next: () => stepInList(1), previous: () => stepInList(-1), help: toggleHelp,
-  theme: toggleTheme, copy: copyReplay, bad: () => nextBad(1), in: () => zoomBy(2), out: () => zoomBy(0.5), fit: fitAll,
+  theme: toggleTheme, copy: copyReplay, bad: () => nextGroup(1), sheet: toggleSheet, in: () => zoomBy(2), out: () => zoomBy(0.5), fit: fitAll,
   brighter: () => expose(0.5), darker: () => expose(-0.5), reset: () => expose(0),
 };
+
+/** The inspector of a small window, at its foot: low, or over half of it. */
+function toggleSheet() {
+  const open = byId("side").classList.toggle("open");
+  document.querySelector("[data-do=sheet]").setAttribute("aria-expanded", open);
+}
 
 function onClick(event) {
   const button = event.target.closest("button, a[data-scene], a[data-x], .row");
@@ -92,6 +100,7 @@ function onClick(event) {
   const row = button.classList.contains("row") ? button.querySelector("a").dataset.scene : dataset.scene;
   if (row !== undefined) go({ ...CLOSE, s: row });
   else if (dataset.x) pin(looking.record.row(+dataset.x, +dataset.y));
+  else if (dataset.cause) chooseCause(+dataset.cause);
   else if (dataset.layer) chooseLayer(dataset.layer);
   else if (dataset.view) chooseView(dataset.view);
   else if (dataset.sort !== undefined) filterBy({ o: state.o === dataset.sort ? "" : dataset.sort });

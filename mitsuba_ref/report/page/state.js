@@ -1,7 +1,7 @@
 // State of the page, as the part of the address after #: a link shows the same view.
 
 const DEFAULTS = {
-  s: "", a: "", v: "all", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0, w: 0.5, // scene view
+  s: "", a: "", v: "all", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0, w: 0.5, f: -1, // scene view
   q: "", st: "", ck: "", cl: "", o: "", // list
 };
 const state = { ...DEFAULTS };
@@ -26,7 +26,7 @@ function address(changes = {}) {
 
 /** Another scene or the list: a step that the browser can take back. */
 function go(changes) {
-  const place = { z: 0, cx: -1, cy: -1, x: -1, y: -1, ...changes };
+  const place = { z: 0, cx: -1, cy: -1, x: -1, y: -1, f: -1, ...changes };
   const next = address(place);
   if (next === (location.hash || "#")) return;
   writeAddress();

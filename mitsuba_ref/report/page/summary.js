@@ -16,10 +16,11 @@ ${(verdict.notes ?? []).map((note) => `<p class="note">${escaped(note)}</p>`).jo
 <p class="note">${escaped(RUN.candidate ? `held to the bounds of ${verdict.precision}; ${versions}` : versions)}</p>`;
 }
 
-/** What is wrong with a candidate, most first. */
+/** What is wrong, most first; each shows its pixels alone. */
 function foundHtml(verdict) {
-  const each = ({ pixels, what, x, y }) => `<li>${plural(pixels, "pixel")}, first
-<a href="${escaped(address({ x, y }))}" data-x="${x}" data-y="${y}">${x}, ${y}</a>: ${escaped(what)}</li>`;
+  const each = ({ pixels, what, x, y }, i) => `<li>
+<button type="button" class="cause" data-cause="${i}" aria-pressed="${state.f === i}" title="these pixels alone">${plural(pixels, "pixel")}</button>
+first <a href="${escaped(address({ x, y }))}" data-x="${x}" data-y="${y}">${x}, ${y}</a>: ${escaped(what)}</li>`;
   return verdict.findings?.length ? `<h3>What is wrong</h3><ul>${verdict.findings.map(each).join("")}</ul>` : "";
 }
 
