@@ -229,7 +229,7 @@ class RayShift(NamedTuple):
 def ray_shift(dx: Array, dy: Array, rounding: Array) -> RayShift:
     """Of places dx, dy (n,) in their pixels."""
     at = np.stack([dx, dy])
-    low, high, middle = (v.round(6) + 0.0 for v in (at.min(axis=1), at.max(axis=1), np.median(at, axis=1)))
+    low, high, middle = (v.round(4) + 0.0 for v in (at.min(axis=1), at.max(axis=1), np.median(at, axis=1)))
     same = (np.abs(at - np.median(at, axis=1)[:, None]) <= rounding).all(axis=0).mean() >= NEARLY_ALL
     if same:
         words = f"rays go through ({middle[0]:.4f}, {middle[1]:.4f}) of their pixels, the same everywhere"
