@@ -12,9 +12,11 @@ from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_ply
 from caster.geometry.packing import Packed, pack
 from caster.jit.decorators import COMPILATION_LOG
-from caster.kernels.bvh.build import LEAF_SIZE
+from caster.jit.simd import LANES
+from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
 from caster.kernels.nearest import Rays, exact_hit, precedes
-from caster.rendering.casting import Culling, exact_nearest
+from caster.kernels.raster.tile import WIDTH, load_ray_range, new_tile
+from caster.rendering.casting import Culling, ShadowCaster, exact_nearest, new_ray_groups
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
 from caster.scene.model import Directional, Point, Scene
@@ -67,6 +69,7 @@ def _warm_one(scene: Scene) -> None:
             for aovs in WARM_UP_AOV_SETS:
                 render_film(small, aovs, threads=1, culling=culling)
     _warm_decisions(pack(small))
+    _warm_shadows(pack(small), small)
 
 
 def _warm_decisions(packed: Packed) -> None:
@@ -77,6 +80,18 @@ def _warm_decisions(packed: Packed) -> None:
     for kind in packed.kinds:
         hit = exact_hit(kind.prims, 0, rays, 0)
         precedes(hit, 0, hit, 1)
+
+
+def _warm_shadows(packed: Packed, scene: Scene) -> None:
+    """The kernels of shadow rays, some of which start too far away for a fan: small films may do without either."""
+    o = np.zeros((WIDTH, 3))
+    o[LANES:] = 2.0**100
+    rays = Rays(o, np.ones((WIDTH, 3)), np.zeros(WIDTH), np.ones(WIDTH))
+    for light in scene.lights:
+        if light.type != "ambient":
+            tile = new_tile()
+            load_ray_range(rays, 0, WIDTH, tile, 0)
+            ShadowCaster(packed, light.pack(), MAX_PRIMITIVES)(WIDTH, tile, new_ray_groups())
 
 
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes

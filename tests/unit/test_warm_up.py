@@ -6,11 +6,13 @@ import json
 import pytest
 
 from caster.__main__ import main
-from caster.cameras import CAMERAS
+from caster.cameras import CAMERAS, Pinhole
 from caster.geometry.packing import pack
 from caster.jit import decorators
 from caster.kernels.protocol import intersect, project_bounding_sphere
-from caster.rendering import warm_up
+from caster.rendering import casting, warm_up
+from caster.scene.model import Scene
+from caster.shapes.icosphere import Icosphere
 from caster.system.terminal import CompileProgress, announce_compilation
 
 SCENE = "scenes/one-sphere.toml"
@@ -30,12 +32,24 @@ def test_every_kind_of_primitive_and_every_camera_is_warmed():
     assert len(alone) == len(kinds) * len(cameras) and {kind for _, kind in alone} == kinds
 
 
+def test_shadow_rays_are_warmed_whether_a_fan_takes_them_or_not(monkeypatch):
+    """However many primitives there are, and however few pixels."""
+    called = []
+    for kernel in ("cast_fan", "cast_left_runs"):
+        monkeypatch.setattr(casting, kernel, lambda *args, kernel=kernel: called.append(kernel))
+    monkeypatch.setattr(casting, "FEW_PRIMITIVES", 1)
+    scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere(subdivisions=1)], lights=warm_up.LAMPS)
+    warm_up._warm_shadows(pack(scene), scene)
+    assert called == ["cast_fan", "cast_left_runs"] * len(warm_up.LAMPS)
+
+
 @pytest.fixture
 def little(monkeypatch):
     """One AOV by one culling: the rest is as much again, many times."""
     monkeypatch.setattr(warm_up, "WARM_UP_AOV_SETS", (("depth",),))
     monkeypatch.setattr(warm_up, "get_args", lambda culling: ("raster",))
     monkeypatch.setattr(warm_up, "_warm_decisions", lambda packed: None)
+    monkeypatch.setattr(warm_up, "_warm_shadows", lambda packed, scene: None)
     monkeypatch.setattr(decorators.COMPILATION_LOG, "compiling", decorators.COMPILATION_LOG.compiling)
 
 
