@@ -25,16 +25,15 @@ _FileId = tuple[
     int, int
 ]  # device, inode: the same for hard links, symbolic links and other spellings of a path
 
-_recorded: set[_FileId] | None = (
-    None  # None: outside of a command, where a file may be read and written again
-)
+# Each with the path that it was read by. None: outside of a command, where a file may be read and written again.
+_recorded: dict[_FileId, str] | None = None
 
 
 @contextlib.contextmanager
 def recorded_inputs() -> Iterator[None]:
     """Record inputs while the body runs."""
     global _recorded
-    before, _recorded = _recorded, set()
+    before, _recorded = _recorded, {}
     try:
         yield
     finally:
@@ -45,12 +44,15 @@ def record_input(path: str | os.PathLike[str]) -> None:
     """Record a file that is read; a missing one is ignored."""
     found = file_id(path)
     if _recorded is not None and found is not None:
-        _recorded.add(found)
+        _recorded[found] = os.path.abspath(path)
 
 
 def is_input(path: str | os.PathLike[str]) -> bool:
-    """Whether this is a recorded file, by whatever name."""
-    return _recorded is not None and file_id(path) in _recorded
+    """Whether this is a recorded file, by whatever name; not a later file with the inode of one that was removed."""
+    found = file_id(path)
+    if _recorded is None or found is None or found not in _recorded:
+        return False
+    return file_id(_recorded[found]) == found
 
 
 def file_id(path: str | os.PathLike[str]) -> _FileId | None:

@@ -127,13 +127,20 @@ class ScratchFolder(tempfile.TemporaryDirectory[str]):
 
     def __init__(self, prefix: str = "mitsuba-ref-") -> None:
         _remove_abandoned(Path(tempfile.gettempdir()), re.compile(re.escape(prefix) + r"scratch-\w+"))
-        while True:
-            super().__init__(prefix=f"{prefix}scratch-", ignore_cleanup_errors=True)
+        while not self._made(f"{prefix}scratch-"):
+            pass
+        _temporaries.add(Path(self.name))
+
+    def _made(self, prefix: str) -> bool:
+        """Create and lock the folder; False if another process took it for abandoned in between."""
+        super().__init__(prefix=prefix, ignore_cleanup_errors=True)
+        self._file = -1
+        with contextlib.suppress(FileNotFoundError):
             self._file = os.open(self.name, os.O_RDONLY)
             if _lock(self._file, Path(self.name)):
-                break
-            os.close(self._file)
-        _temporaries.add(Path(self.name))
+                return True
+        self.cleanup()
+        return False
 
     def cleanup(self) -> None:
         """Remove the folder; a second call does nothing."""

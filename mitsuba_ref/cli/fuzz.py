@@ -19,6 +19,7 @@ from mitsuba_ref.cli import options
 
 if TYPE_CHECKING:
     from mitsuba_ref.fuzz.campaign import Campaign, Plan
+    from mitsuba_ref.subjects.subject import Subject
 
 
 DEFAULT_SECONDS = 60.0
@@ -81,6 +82,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="with --rays: only this shape; may be given several times",
     )
+    options.add_candidate(
+        parser, "another ray caster, judged in place of ours in each scene (docs/candidates.md)"
+    )
 
 
 def seconds(text: str) -> float:
@@ -105,6 +109,8 @@ def run(args: argparse.Namespace) -> int:
     """0 nothing found, 1 something was, 5 nothing selected, 130 interrupted."""
     if args.replay is not None:
         return replay(args)
+    if args.candidate is not None and args.rays is not None:
+        raise SceneError("--candidate: not with --rays, the long run of ours; leave --rays out")
     if args.shape and args.rays is None:
         raise SceneError("--shape goes with --rays; families of random scenes are chosen by --family")
     options.check_json(args)
@@ -120,7 +126,7 @@ def search(args: argparse.Namespace) -> int:
     if args.examples is not None and not len(args.examples):
         print("nothing selected: --examples 0 selects no example", file=sys.stderr)
         return NOTHING_SELECTED
-    if plan.judge_every:
+    if plan.judge_every or args.candidate is not None:
         from mitsuba_ref.reference import variants
 
         variants.variant_for(has_quadrics=False)  # a wrong choice of variant fails before any work
@@ -150,7 +156,17 @@ def plan_of(args: argparse.Namespace) -> Plan:
     families = tuple(BY_NAME[name] for name in dict.fromkeys(args.family)) or FAMILIES
     limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
     examples: Iterable[int] = itertools.count() if args.examples is None else args.examples
-    return Plan(args.seed, families, examples, limit, Path(args.out), args.keep, args.judge_every)
+    subject, words = candidate_of(args)
+    return Plan(
+        args.seed, families, examples, limit, Path(args.out), args.keep, args.judge_every, subject, words
+    )
+
+
+def candidate_of(args: argparse.Namespace) -> tuple[Subject, tuple[str, ...]]:
+    """(who is judged, the options that name it)"""
+    from mitsuba_ref.subjects.subject import OURS
+
+    return options.requested_candidate(args) or OURS, options.candidate_words(args)
 
 
 def work_through(campaign: Campaign, line: StatusLine) -> None:
@@ -180,9 +196,11 @@ def replay(args: argparse.Namespace) -> int:
         print(f"nothing selected: no scene file in {args.replay}", file=sys.stderr)
         return NOTHING_SELECTED
     cases = [(str(file), read_kept(file)) for file in files]
+    subject, _ = candidate_of(args)
     with ResidentSession() as resident:
         lines = [
-            (file, one.kind, [f"{f.kind}: {f.what}" for f in recheck(one, resident)]) for file, one in cases
+            (file, one.kind, [f"{f.kind}: {f.what}" for f in recheck(one, resident, subject)])
+            for file, one in cases
         ]
     print(findings.replay_text(lines))
     return DIFFERENCES if any(wrong for _, _, wrong in lines) else OK

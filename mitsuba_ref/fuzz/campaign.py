@@ -5,6 +5,7 @@ Failing scenes are shrunk and kept.
 
 import contextlib
 import itertools
+import shlex
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -41,11 +42,14 @@ from mitsuba_ref.judge.independent_checks.knife_edges import (
     prepared_scene,
     with_limits,
 )
-from mitsuba_ref.judge.verdict import SceneVerdict
+from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, SceneVerdict
 from mitsuba_ref.reference.session import ResidentSession
+from mitsuba_ref.reference.shared_input import SharedRays, packed_float32
 from mitsuba_ref.report.results import aligned
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.shapes.targets import Rng
+from mitsuba_ref.subjects.ray_files import checked_rays, lay_out
+from mitsuba_ref.subjects.subject import OURS, Subject
 
 TRACE_FILE = "unfinished.txt"
 MAX_TRACE_CHARACTERS = 500  # that are shown of it; the options of an example are some 50
@@ -53,7 +57,7 @@ KEPT_PER_KIND_AND_FAMILY = 3  # findings of one kind in one family that are shru
 SHRINK_GRACE_S = 5.0  # seconds that a finding may still be shrunk when the time is up
 MITSUBA_SHRINK_ATTEMPTS = SHRINK_ATTEMPTS // 10  # each traces the scene with Mitsuba
 MITSUBA_TIMEOUT_S = 60.0  # seconds; a scene of a few dozen pixels takes a hundredth of one
-MITSUBA_KINDS = ("judged", "crash")
+MITSUBA_KINDS = ("judged", "answer", "crash")
 
 
 class Trace:
@@ -100,13 +104,17 @@ class Plan:
     folder: Path = Path("fuzz-failures")
     keep: int = KEPT_PER_KIND_AND_FAMILY
     judge_every: int = 16  # one example in so many, on average, is also compared with Mitsuba; 0: none
+    subject: Subject = (
+        OURS  # a candidate is judged alone, by the comparison with Mitsuba and exact arithmetic
+    )
+    options: tuple[str, ...] = ()  # of the command line that name the candidate, for replays
 
 
 class Campaign:
     """Runs a plan. `outcome` is complete at any moment, so that an interruption loses nothing."""
 
     def __init__(self, plan: Plan) -> None:
-        self.plan, self.outcome = plan, Outcome(plan.seed)
+        self.plan, self.outcome = plan, Outcome(plan.seed, candidate=plan.subject.name)
         self.start = time.monotonic()
         self.deadline = float("inf") if plan.seconds is None else self.start + plan.seconds
 
@@ -124,9 +132,15 @@ class Campaign:
 
     def _check(self, tried: Example, resident: ResidentSession) -> None:
         tally = Tally(examples=1)
-        findings = check_example(tried, tally)
-        if self._is_judged(tried):
-            findings += mitsuba_findings(case_of(tried.data, None), resident, tally)
+        if self.plan.subject is OURS:
+            findings = check_example(tried, tally)
+            if self._is_judged(tried):
+                findings += mitsuba_findings(case_of(tried.data, None), resident, tally)
+        elif tried.family.fits_float32:
+            findings = candidate_findings(tried, self.plan.subject, resident, tally)
+        else:
+            findings = []
+            tally.outside += 1
         findings = first_of_each_kind(findings)
         for finding in findings:
             tally.count_finding(finding)
@@ -147,7 +161,10 @@ class Campaign:
         index = len(self.outcome.failures)
         self.outcome.failures.append(self._write(tried, finding, case))
         by_mitsuba = finding.kind in MITSUBA_KINDS
-        judge = (lambda case: mitsuba_findings(case, resident, Tally())) if by_mitsuba else findings_of
+        subject = self.plan.subject
+        judge = (
+            (lambda case: mitsuba_findings(case, resident, Tally(), subject)) if by_mitsuba else findings_of
+        )
         budget = Budget(
             MITSUBA_SHRINK_ATTEMPTS if by_mitsuba else SHRINK_ATTEMPTS, self.deadline + SHRINK_GRACE_S
         )
@@ -157,8 +174,10 @@ class Campaign:
 
     def _write(self, tried: Example, finding: Finding, case: Case) -> Failure:
         name = f"{finding.kind}-{tried.family.name}-{tried.seed}-{tried.number}"
-        file = cases.write_kept(self.plan.folder, name, finding.kind, finding.what, tried.options, case)
-        return Failure(finding.kind, finding.what, tried.family.name, tried.options, str(file))
+        again = self.plan.options
+        options = shlex.join([*tried.options.split(), *again])
+        file = cases.write_kept(self.plan.folder, name, finding.kind, finding.what, options, case, again)
+        return Failure(finding.kind, finding.what, tried.family.name, options, str(file), self.plan.options)
 
 
 def check_example(tried: Example, tally: Tally) -> list[Finding]:
@@ -190,48 +209,93 @@ def case_of(data: dict[str, Any], ray: RayBatch | None) -> Case:
     return Case.of(data)._replace(ray=ray)
 
 
-def mitsuba_findings(case: Case, resident: ResidentSession, tally: Tally) -> list[Finding]:
+def candidate_findings(
+    tried: Example, subject: Subject, resident: ResidentSession, tally: Tally
+) -> list[Finding]:
+    """Findings of the judge about a candidate's image and, if it takes rays, its hits along the example's rays."""
+    image = case_of(tried.data, None)
+    findings = mitsuba_findings(image, resident, tally, subject)
+    if not subject.takes_rays:
+        return findings
+    try:
+        scene = scene_of(tried.data)
+        rays = tried.rays(packed_float32(scene))
+        rows = np.column_stack([rays.o, rays.d, np.zeros_like(rays.t_min), np.full_like(rays.t_max, np.inf)])
+        with np.errstate(over="ignore"):
+            laid_out, shared = lay_out(scene, checked_rays(rows.astype(np.float32), "rays"), "rays")
+    except SCENE_ERRORS:
+        tally.outside += 1
+        return findings
+    found = compare_with_mitsuba(laid_out, resident, tally, subject, shared)
+    for finding in found:
+        ray = None
+        if finding.pixel is not None:
+            row = finding.pixel[1] * laid_out.film.width + finding.pixel[0]
+            ray = RayBatch(shared.o[row : row + 1], shared.d[row : row + 1], np.zeros(1), np.full(1, np.inf))
+        findings.append(replace(finding, ray=ray, pixel=None))
+    return findings
+
+
+def mitsuba_findings(
+    case: Case, resident: ResidentSession, tally: Tally, subject: Subject = OURS
+) -> list[Finding]:
     """Findings of the judge about a case."""
     try:
         scene = case.scene()
     except SCENE_ERRORS:
         return []
     try:
-        return compare_with_mitsuba(scene, resident, tally)
+        return compare_with_mitsuba(scene, resident, tally, subject)
     except Exception as error:
         return [exception_finding(error)]
 
 
-def recheck(one: cases.KeptCase, resident: ResidentSession) -> list[Finding]:
+def recheck(one: cases.KeptCase, resident: ResidentSession, subject: Subject = OURS) -> list[Finding]:
     """Findings about a kept case today."""
-    return (
-        mitsuba_findings(one.case, resident, Tally()) if one.kind in MITSUBA_KINDS else findings_of(one.case)
-    )
+    if one.kind in MITSUBA_KINDS or subject is not OURS:
+        return mitsuba_findings(one.case, resident, Tally(), subject)
+    return findings_of(one.case)
 
 
-def compare_with_mitsuba(scene: Scene, resident: ResidentSession, tally: Tally) -> list[Finding]:
-    """Findings of the judge about a scene. Vacuous scenes pass: images of a few pixels may hit nothing."""
+def compare_with_mitsuba(
+    scene: Scene,
+    resident: ResidentSession,
+    tally: Tally,
+    subject: Subject = OURS,
+    rays: SharedRays | None = None,
+) -> list[Finding]:
+    """Findings of the judge about a scene. Vacuous scenes pass: images of a few pixels may hit nothing.
+
+    rays: of a list, laid out as the film. Of a candidate, only what it has wrong is a finding.
+    """
+    options: dict[str, Any] = {"timeout": MITSUBA_TIMEOUT_S, "send": resident.send}
     try:
-        verdict = validate_scene(scene, "fuzz", timeout=MITSUBA_TIMEOUT_S, send=resident.send)
+        verdict = validate_scene(scene, "fuzz", subject=subject, rays=rays, **options)
     except SceneError:  # numbers beyond float32
         tally.outside += 1
+        return []
+    if verdict.unsupported:
+        tally.declined += 1
         return []
     tally.judged += 1
     tally.pixels += verdict.pixels
     if verdict.problem:
-        return [Finding("crash", verdict.problem)]
+        return [Finding("crash" if subject is OURS else "answer", verdict.problem)]
+    if subject is not OURS and not (verdict.counts[WRONG] or verdict.counts[UNDECIDED]):
+        return []
     if verdict.failing or not verdict.checks_pass:
         return [_finding_of(verdict)]
     return []
 
 
 def _finding_of(verdict: SceneVerdict) -> Finding:
+    subject = "the candidate" if verdict.candidate else "ours"
     for check in verdict.checks:
         if not check.ok:
             what = f"{check.name}: {check.ratio:.3g} times its bound; {check.what}"
             return Finding("judged", what, detail=check.name)
     first = verdict.failures[0]
-    sides = f"ours {first.subject}; Mitsuba {first.reference}; exactly {first.exact}; {first.reason}"
+    sides = f"{subject} {first.subject}; Mitsuba {first.reference}; exactly {first.exact}; {first.reason}"
     what = f"{first.verdict}: {first.check} {first.ratio:.3g} times its bound; {sides}"
     return Finding("judged", what, pixel=(first.x, first.y), detail=first.verdict)
 

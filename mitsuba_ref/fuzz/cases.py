@@ -5,6 +5,7 @@ ray, so that `caster probe` and `mitsuba-ref validate` show it; a t_min, which i
 """
 
 import copy
+import shlex
 import shutil
 import tomllib
 import traceback
@@ -164,8 +165,16 @@ class KeptCase:
     found_by: str  # the options that made the scene it was shrunk from
 
 
-def write_kept(folder: Path, name: str, kind: str, what: str, found_by: str, case: Case) -> Path:
-    """Write the case and the meshes it needs; the file. Raises OutputError."""
+def write_kept(
+    folder: Path,
+    name: str,
+    kind: str,
+    what: str,
+    found_by: str,
+    case: Case,
+    options: Sequence[str] = (),
+) -> Path:
+    """Write the case and the meshes it needs; the file. options: that name a candidate. Raises OutputError."""
     check_folder(folder)
     data = case.scene_data()
     data["shape"] = [_with_copied_mesh(shape, folder) for shape in data["shape"]]
@@ -174,7 +183,7 @@ def write_kept(folder: Path, name: str, kind: str, what: str, found_by: str, cas
     head = [
         f"# Found by mitsuba-ref fuzz {found_by}: {FINDING_KINDS[kind]}.",
         f"# {what}".replace("\n", " "),
-        f"# Again: mitsuba-ref fuzz --replay {name}.toml",
+        f"# Again: {shlex.join(['mitsuba-ref', 'fuzz', '--replay', f'{name}.toml', *options])}",
         RECORD_PREFIX + record.model_dump_json(exclude_none=True),
     ]
     path = folder / f"{name}.toml"

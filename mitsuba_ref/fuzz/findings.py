@@ -1,5 +1,6 @@
 """Findings, tallies of what was checked, and the outcome of a run as text and as JSON."""
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,7 +19,8 @@ FINDING_KINDS = {
     "route": "another public route to the same pixel gives other bits",
     "surface": "a position or normal is not finite, or a normal is not of length 1",
     "scaling": "a scene 2^k times as large is not rendered alike",
-    "judged": "the judge's comparison with Mitsuba fails",
+    "judged": "the comparison with Mitsuba and exact arithmetic fails",
+    "answer": "the candidate gave no answer to judge",
     "crash": "Mitsuba ended without an answer",
 }
 
@@ -50,8 +52,9 @@ class Tally:
     ties: int = 0  # exact hits of several primitives at once
     unbounded: int = 0  # hits whose t has no float64 bound: nearly edge-on or tangent up to rounding
     outside: int = 0  # rays or scenes outside the oracle's domain
-    judged: int = 0  # scenes compared with Mitsuba
+    judged: int = 0  # scenes compared with Mitsuba; of a candidate, its ray lists as well
     pixels: int = 0  # of these
+    declined: int = 0  # scenes and ray lists that a candidate declined
     worst: float = 0.0  # largest error of t over its bound
     findings: int = 0
     kinds: dict[str, int] = field(default_factory=dict)
@@ -100,6 +103,12 @@ class Failure:
     family: str
     example: str  # the options that make the scene it was shrunk from
     file: str
+    options: tuple[str, ...] = ()  # of a candidate, for a replay
+
+    @property
+    def replay(self) -> str:
+        """The command that checks the kept scene again."""
+        return shlex.join(["mitsuba-ref", "fuzz", "--replay", self.file, *self.options])
 
 
 @dataclass
@@ -109,6 +118,7 @@ class Outcome:
     seed: int
     families: dict[str, Tally] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
+    candidate: str = ""  # the name of who is judged; "": ours
     last: int = -1  # number of the last finished example
     seconds: float = 0.0
 
@@ -118,7 +128,8 @@ class Outcome:
 
     @property
     def ok(self) -> bool:
-        return self.total.findings == 0
+        """Nothing found, and of a candidate, something judged."""
+        return self.total.findings == 0 and (not self.candidate or self.total.judged > 0)
 
     def keeps(self, finding: Finding, family: str, at_most: int) -> bool:
         """Whether one more finding of this kind in this family is to be kept."""
@@ -127,37 +138,48 @@ class Outcome:
 
 
 COLUMNS = ("examples", "rays", "hits", "edges", "ties", "unbounded", "outside", "judged", "findings")
+CANDIDATE_COLUMNS = ("examples", "declined", "outside", "judged", "pixels", "findings")
 
 
 def text(outcome: Outcome) -> str:
     """A table with a row per family, the failures, and a summary."""
-    rows = [[name, *_cells(tally)] for name, tally in outcome.families.items()]
+    columns = CANDIDATE_COLUMNS if outcome.candidate else COLUMNS
+    rows = [[name, *_cells(tally, columns)] for name, tally in outcome.families.items()]
     if len(rows) > 1:
-        rows.append(["all", *_cells(outcome.total)])
-    table = aligned([["family", *COLUMNS], *rows], left=1)
+        rows.append(["all", *_cells(outcome.total, columns)])
+    head = ["rays" if name == "pixels" else name for name in columns]
+    table = aligned([["family", *head], *rows], left=1)
     return "\n".join([*table, *_failures(outcome), *_summary(outcome)])
 
 
-def _cells(tally: Tally) -> list[str]:
-    return [str(getattr(tally, name)) for name in COLUMNS]
+def _cells(tally: Tally, columns: Sequence[str]) -> list[str]:
+    return [str(getattr(tally, name)) for name in columns]
 
 
 def _failures(outcome: Outcome) -> Iterator[str]:
     for failure in outcome.failures:
         yield f"FAIL  {failure.kind}: {failure.what}"
         yield f"      scene:  {failure.file}"
-        yield f"      replay: mitsuba-ref fuzz --replay {failure.file}"
+        yield f"      replay: {failure.replay}"
         yield f"      from:   mitsuba-ref fuzz {failure.example}"
 
 
 def _summary(outcome: Outcome) -> Iterator[str]:
     total, seconds = outcome.total, max(outcome.seconds, 1e-9)
     not_kept = total.findings - len(outcome.failures)
+    if outcome.candidate:
+        work = f"{total.pixels} rays of {total.judged} films and lists judged against Mitsuba and exact arithmetic"
+    else:
+        work = (
+            f"{total.rays} rays adjudicated by exact arithmetic, {total.judged} scenes judged against Mitsuba"
+        )
+    rays = total.pixels if outcome.candidate else total.rays
     yield (
-        f"seed {outcome.seed}: {total.examples} examples, {total.rays} rays adjudicated by exact arithmetic, "
-        f"{total.judged} scenes judged against Mitsuba, in {outcome.seconds:.1f} s "
-        f"({total.examples / seconds:.1f} examples/s, {total.rays / seconds:.0f} rays/s)"
+        f"seed {outcome.seed}: {total.examples} examples, {work}, in {outcome.seconds:.1f} s "
+        f"({total.examples / seconds:.1f} examples/s, {rays / seconds:.0f} rays/s)"
     )
+    if outcome.candidate and not total.judged:
+        yield f"FAIL  nothing was judged: {outcome.candidate} declined every scene, or none fits float32"
     more = f"; {not_kept} more of the same kinds not kept" if not_kept else ""
     yield f"{total.findings} findings: {total.kinds_text}{more}" if total.findings else "nothing found"
 
@@ -168,6 +190,7 @@ def to_dict(outcome: Outcome, *, interrupted: bool) -> dict[str, Any]:
         "ok": outcome.ok,
         "interrupted": interrupted,
         "seed": outcome.seed,
+        "candidate": outcome.candidate,
         "last_example": outcome.last,
         "seconds": round(outcome.seconds, 3),
         "total": outcome.total.to_dict(),

@@ -1,9 +1,11 @@
 """Paths among the arguments: all commands and options are walked, so that a new one is covered by itself."""
 
 import argparse
+import fcntl
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ import mitsuba_ref.__main__
 from caster.cli import COMMANDS
 from caster.cli.application import build_parser
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
+from caster.description import input_files
 from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, write_text
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 from mitsuba_ref.cli.options import html_output
@@ -181,6 +184,41 @@ def test_leftovers_of_dead_processes_are_removed_and_those_of_live_ones_stay(tmp
             found = {path.name for path in tmp_path.iterdir()}
         assert found == {Path(first).name, Path(second).name, live.name, "y"}
     assert {path.name for path in tmp_path.iterdir()} == {"x", "y"}
+
+
+@pytest.mark.parametrize("by_now", ["removed", "locked"])
+def test_a_folder_that_another_process_took_for_abandoned_is_created_again(tmp_path, monkeypatch, by_now):
+    """Between its creation and its lock any process that starts may find it without a lock."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    create, taken = tempfile.mkdtemp, []
+
+    def take_the_first(*args):
+        path = create(*args)
+        if not taken:
+            taken.append(os.open(path, os.O_RDONLY))
+            if by_now == "removed":
+                os.rmdir(path)
+            else:
+                fcntl.flock(taken[0], fcntl.LOCK_EX)
+        return path
+
+    monkeypatch.setattr("tempfile.mkdtemp", take_the_first)
+    with ScratchFolder() as name:
+        assert [path.name for path in tmp_path.iterdir()] == [Path(name).name]
+    os.close(*taken)
+
+
+def test_a_file_with_the_inode_of_an_input_that_was_removed_is_no_input(tmp_path, monkeypatch):
+    """Meshes that a candidate is given are read from a scratch folder, whose inodes the next files get."""
+    same = (1, 1)
+    monkeypatch.setattr(input_files, "file_id", lambda path: same if Path(path).exists() else None)
+    (tmp_path / "mesh.ply").write_text("ply")
+    (tmp_path / "link.ply").write_text("ply")
+    with input_files.recorded_inputs():
+        input_files.record_input(tmp_path / "mesh.ply")
+        assert input_files.is_input(tmp_path / "link.ply")
+        (tmp_path / "mesh.ply").unlink()
+        write_text(tmp_path / "link.ply", "")
 
 
 def test_an_output_of_the_library_may_replace_what_it_read(tmp_path):
