@@ -14,13 +14,14 @@ from caster.geometry.packing import Packed
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
 from caster.scene.model import Scene
+from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
-from mitsuba_ref.judge.classification import Judge, Judgement
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.judge.diagnosis import Diagnosis
 from mitsuba_ref.judge.explanations import constant_reasons, reason
 from mitsuba_ref.judge.independent_checks.exr_round_trip import WrittenImage, check_exr_files, stored_planes
-from mitsuba_ref.judge.verdict import CLASSES, FAILING, SceneCheck
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, SceneCheck
 
 Channels = Mapping[str, np.ndarray]
 
@@ -181,3 +182,97 @@ class Evidence:
     def t(self) -> tuple[np.ndarray, np.ndarray] | None:
         """(n,) the subject's and the reference's, in lengths of d; None where depth is the same."""
         return None if self.judge.names_prims else (self.judge.answer.t, self.judge.result.t)
+
+    def edges(self) -> np.ndarray | None:
+        """(m, 4) film coordinates x, y, x, y of edges of triangles that are hit, or of too many, that are hit at pixels
+        which do not plainly agree; None where rays do not go through the centres of pixels of a rectilinear film."""
+        film = film_projection(self.scene, self.judge.o, self.judge.d)
+        if film is None:
+            return None
+        hit = self.judge.reference_prim
+        prims = np.stack([hit, self.judge.pair.prim]) if self.judge.names_prims else hit[None]
+        odd = prims[:, self.judgement.classes != CLASS_CODE[AGREE]]
+        for chosen in (np.unique(prims[prims >= 0]), np.unique(odd[odd >= 0])):
+            if len(chosen) <= MAX_TRIANGLES_DRAWN:
+                break
+        edges = triangle_edges(self.packed, chosen[:MAX_TRIANGLES_DRAWN])
+        return film.segments(edges).astype(np.float32)
+
+
+# ---- projection of edges onto the film, for the page ----
+
+MAX_TRIANGLES_DRAWN = 4096  # of a scene: some 100 kB
+LARGEST_PIXEL_OFFSET = (
+    0.01  # of a fitted projection from the centre of a pixel; at 128 points a pixel, one point
+)
+NEAR_SHARE = 1e-6  # of the largest depth: edges end there instead of behind the camera
+
+
+class FilmProjection(NamedTuple):
+    """Film coordinates as an affine map of the coordinates across, or of their ratios to depth."""
+
+    axes: np.ndarray  # (3, 3), rows across, across, along
+    affine: np.ndarray  # (3, 2)
+    eye: np.ndarray | None  # (3,) of a perspective; None of parallel rays
+
+    def segments(self, edges: np.ndarray) -> np.ndarray:
+        """(m, 4) of edges (m, 2, 3) in world space, without those that are behind the eye."""
+        across = (edges - (0.0 if self.eye is None else self.eye)) @ self.axes.T
+        if self.eye is not None and len(across):
+            near = NEAR_SHARE * np.abs(across[..., 2]).max()
+            across = across[(across[..., 2] > near).any(axis=1)]
+            start, end = across[:, 0].copy(), across[:, 1].copy()
+            for this, other in ((start, end), (end, start)):
+                behind = this[:, 2] < near
+                share = (near - this[behind, 2]) / (other[behind, 2] - this[behind, 2])
+                this[behind] += share[:, None] * (other[behind] - this[behind])
+            across = np.stack([start, end], axis=1)
+            across = across / across[..., 2:]
+        flat = across[..., :2] @ self.affine[:2] + self.affine[2]
+        found: np.ndarray = flat.reshape(-1, 4)
+        return found[np.isfinite(found).all(axis=1)]
+
+
+def film_projection(scene: Scene, o: np.ndarray, d: np.ndarray) -> FilmProjection | None:
+    """The projection that has ray i of the film's window at the centre of pixel i; None if that is not rectilinear."""
+    x0, y0, x1, y1 = scene.film.window
+    y, x = np.mgrid[y0:y1, x0:x1] + 0.5
+    parallel = not np.ptp(d, axis=0).any()
+    if (
+        not hasattr(scene.camera, "up")
+        or x1 - x0 < 2
+        or y1 - y0 < 2
+        or x.size != len(o)
+        or not (parallel or not np.ptp(o, axis=0).any())
+    ):
+        return None
+    axes = camera_axes(scene.camera)
+    along = axes[2]
+    if not parallel and not (d @ along > 0.0).all():
+        return None
+    flat = (o if parallel else d / (d @ along)[:, None]) @ axes[:2].T
+    known = np.column_stack([flat, np.ones(len(flat))])
+    pixels = np.column_stack([x.ravel(), y.ravel()])
+    affine = np.linalg.lstsq(known, pixels, rcond=None)[0]
+    if not np.abs(known @ affine - pixels).max() <= LARGEST_PIXEL_OFFSET:
+        return None
+    return FilmProjection(axes, affine, None if parallel else o[0])
+
+
+def triangle_edges(packed: Packed, prims: np.ndarray) -> np.ndarray:
+    """(m, 2, 3) edges in world space of those primitives that are triangles, each edge once."""
+    shape = packed.shape_of(prims)
+    kind, k = packed.kind_of[shape], prims - packed.first[shape] + packed.start[shape]
+    found = [np.zeros((0, 2, 3))]
+    for place in np.unique(kind):
+        of = packed.kinds[place].prims
+        if hasattr(of, "faces"):
+            faces = of.faces[k[kind == place]]
+            pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+            found.append(of.vertices[pairs])
+    ends = np.concatenate(found)
+    differs = ends[:, 0] != ends[:, 1]
+    first = np.argmax(differs, axis=1)[:, None]
+    start, end = (np.take_along_axis(ends[:, side], first, axis=1)[:, 0] for side in (0, 1))
+    ends[start > end] = ends[start > end, ::-1]  # faces may share places, and no vertices
+    return np.unique(ends.reshape(-1, 6), axis=0).reshape(-1, 2, 3)

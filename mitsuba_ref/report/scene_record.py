@@ -200,7 +200,7 @@ def _exact_t(answer: ExactAnswer | None) -> float:
 UNLISTED_CODE = len(CLASSES)  # a class of the page: the reference is wrong in no known way, which fails
 
 # Layers, the most important first, where not all fit into one file; "ratio" is the largest of all checks.
-PIXEL_LAYERS = ("ids", "ratio", "depth", "normal", "diffuse", "shading_normal", "position", "uv")
+PIXEL_LAYERS = ("ids", "ratio", "depth", "normal", "diffuse", "shading_normal", "position", "uv", "edges")
 FLOAT_LAYERS = ("depth", "normal", "diffuse", "shading_normal", "position", "uv")
 
 
@@ -249,6 +249,9 @@ def layers(evidence: Evidence, *, exact: bool) -> Iterator[tuple[str, dict[str, 
         if name in evidence.ours and name in evidence.reference:
             sides = values(aov_rows(evidence.ours, name), aov_rows(evidence.reference, name), exact=exact)
             yield name, sides | (bounds(evidence, name) if exact else {})
+    edges = evidence.edges()
+    if edges is not None:
+        yield "edges", {"segments": packed(edges)}
 
 
 def values(ours: np.ndarray, reference: np.ndarray, *, exact: bool) -> dict[str, Any]:

@@ -34,8 +34,8 @@ def unpacked(array, like=None):
 
 
 def test_a_record_has_what_the_candidate_gives_and_no_more(judged):
-    assert set(recorded(judged["inside"]).layers) == {"ids", "ratio", "depth", "normal"}
-    assert set(recorded(judged["single"]).layers) == {"ids", "ratio", "depth"}
+    assert set(recorded(judged["inside"]).layers) == {"ids", "ratio", "depth", "normal", "edges"}
+    assert set(recorded(judged["single"]).layers) == {"ids", "ratio", "depth", "edges"}
     ids = recorded(judged["inside"]).layers["ids"]
     assert set(ids) == {"shape_reference", "prim_reference", "t_reference", "t_ours"}
     assert set(recorded(judged["inside"]).layers) < set(PIXEL_LAYERS)

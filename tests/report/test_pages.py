@@ -300,6 +300,31 @@ def test_a_file_that_is_gone_is_named(visit, verdicts, tmp_path):
     opened.errors.clear()  # the browser's own words about the file
 
 
+def test_at_high_zoom_the_point_of_the_ray_and_numbers_are_in_the_pixel(visit, folder):
+    x, y = planted.OURS_WRONG
+    opened = visit(folder, at((x, y), v="ours", z=60, cx=x + 0.5, cy=y + 0.5))
+    ready(opened.page)
+    opened.page.wait_for_timeout(300)
+    canvas = opened.page.locator(".pane canvas").first
+    bright = canvas.evaluate(
+        """(c, box) => { const d = c.getContext("2d").getImageData(...box).data;
+        return d.reduce((sum, v, i) => sum + (i % 4 === 1 && v > 250), 0); }""",
+        middle_box(canvas, 4, 0),
+    )
+    assert bright >= 4  # of the point in the middle
+    below = canvas.evaluate(
+        """(c, box) => { const d = c.getContext("2d").getImageData(...box).data;
+        return d.reduce((sum, v, i) => sum + (i % 4 === 1 && v > 250), 0); }""",
+        middle_box(canvas, 24, 14),
+    )
+    assert below >= 5  # of digits below it
+
+
+def middle_box(canvas, size, down):
+    w, h = canvas.evaluate("c => [c.width, c.height]")
+    return [round(w / 2 - size / 2), round(h / 2 + down - size / 4), size, max(4, size // 2)]
+
+
 def test_a_waived_scene_is_no_failure_and_is_counted(visit, verdicts, tmp_path):
     known = replace(verdicts["bad"], name="known", waived=EXPECTED)
     declined = replace(verdicts["crashed"], name="declined", waived=UNSUPPORTED)

@@ -6,6 +6,10 @@ import zlib
 import numpy as np
 import pytest
 
+import caster
+from caster.geometry.packing import packed as pack_scene
+from mitsuba_ref.reference.shared_input import shared_rays
+from mitsuba_ref.report.evidence import film_projection, triangle_edges
 from mitsuba_ref.report.scene_record import base_bits, coarse, narrowest, packed, rounded
 
 ODD = [0.0, -0.0, 1.5, -2.25, np.inf, -np.inf, np.nan, 5e-324, 1e-45, 3.4e38, np.pi]
@@ -62,3 +66,61 @@ def test_the_bound_itself_stays_what_decides():
     told = coarse(edge)
     assert told[0] == 0.0 and told[1] == 1.0 and told[2] > 1.0 and told[3] == 1.0
     assert np.all(np.isposinf(told[4:]))
+
+
+# ---- projected edges
+
+
+def rays_of(camera, width=20, height=14):
+    scene = caster.Scene(
+        camera=camera, film=caster.Film(width=width, height=height), shapes=[caster.Sphere()]
+    )
+    rays = shared_rays(scene)
+    return scene, rays.o.astype(np.float64), rays.d.astype(np.float64)
+
+
+STRAIGHT = {
+    "pinhole": caster.Pinhole(eye=(1, 2, 5), look_at=(0.3, 0, 0), fov=50.0),
+    "shifted": caster.Pinhole(eye=(1, 2, 5), look_at=(0.3, 0, 0), principal_point=(0.2, -0.1)),
+    "upside down": caster.Pinhole(eye=(1, 2, 5), look_at=(0.3, 0, 0), up=(0, -1, 0.3), fov=100.0),
+    "orthographic": caster.Orthographic(eye=(1, 2, 5), look_at=(0.3, 0, 0), width=3.0),
+}
+
+
+@pytest.mark.parametrize("camera", STRAIGHT.values(), ids=STRAIGHT)
+def test_a_point_on_a_ray_is_projected_to_the_centre_of_its_pixel(camera):
+    scene, o, d = rays_of(camera)
+    film = film_projection(scene, o, d)
+    assert film is not None
+    y, x = np.mgrid[0:14, 0:20] + 0.5
+    pixels = np.column_stack([x.ravel(), y.ravel()])
+    t = np.linspace(0.5, 70.0, len(o))[:, None]
+    points, last = o + t * d, len(o) - 1
+    found = film.segments(np.stack([points, points[::-1]], axis=1))
+    assert np.abs(found - np.hstack([pixels, pixels[::-1]])).max() < 0.001
+    assert len(found) == last + 1
+
+
+def test_an_edge_that_passes_the_eye_ends_before_it_and_one_behind_it_is_left_out():
+    scene, o, d = rays_of(STRAIGHT["pinhole"])
+    film = film_projection(scene, o, d)
+    ahead, behind = o[0] + 9 * d[31], o[0] - 9 * d[31]
+    aside = behind + np.array([0.4, 0.0, 0.0])
+    found = film.segments(np.array([[ahead, aside], [behind, aside]]))
+    assert found.shape == (1, 4) and np.abs(found[0, :2] - (11.5, 1.5)).max() < 0.001
+    assert np.abs(found[0, 2:]).max() > 1000.0  # towards the plane of the eye
+
+
+@pytest.mark.parametrize("camera", [caster.Fisheye(eye=(0, 0, 5), look_at=(0, 0, 0), fov=150.0)])
+def test_a_camera_of_curved_lines_has_no_edges_nor_have_rays_beside_the_centres(camera):
+    scene, o, d = rays_of(camera)
+    assert film_projection(scene, o, d) is None
+    scene, o, d = rays_of(STRAIGHT["pinhole"])
+    moved = d + 0.02 * np.random.default_rng(1).standard_normal(d.shape)
+    assert film_projection(scene, o, moved) is None
+
+
+def test_an_edge_that_two_triangles_share_is_drawn_once():
+    scene = caster.Scene(shapes=[caster.Cube()], camera=STRAIGHT["pinhole"])
+    edges = triangle_edges(pack_scene(scene), np.arange(12))
+    assert edges.shape == (18, 2, 3) and len(np.unique(edges.reshape(18, 6), axis=0)) == 18

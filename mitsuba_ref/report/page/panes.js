@@ -2,6 +2,7 @@
 
 const MAX_ZOOM = 128; // screen pixels a pixel
 const GRID_FROM = 12, NUMBERS_FROM = 60; // from which zoom on there are lines between pixels, and numbers in them
+const NUMBER_LINES = { 1: [17], 2: [-8, 17], 3: [-8, 16, 28] }; // baselines below the middle of a pixel, whose ray is there
 const BLINK_MS = 600;
 
 const looking = { record: null, data: null, bitmaps: {}, panes: [], shift: false, phase: 0, under: -1, chosen: null, veil: null };
@@ -81,6 +82,7 @@ class Pane {
     this.drawImage(left, 0, wiped);
     if (right) this.drawImage(right, wiped, this.width), this.handle(wiped);
     if (this.scale >= GRID_FROM) this.grid();
+    if (this.scale >= GRID_FROM && looking.record.edges) this.edges();
     if (this.scale >= NUMBERS_FROM && (left === "ours" || left === "reference")) this.numbers(left);
     if (this.scale < GRID_FROM) this.rings();
     this.cursor();
@@ -137,6 +139,31 @@ class Pane {
     context.stroke();
   }
 
+  /** Edges of triangles, and the points that rays go through, where the record has them. */
+  edges() {
+    const { context } = this, { edges } = looking.record, count = edges.length / 4;
+    const [x0, y0, x1, y1] = this.visible(), at = (i, c) => edges[c * count + i];
+    context.beginPath();
+    for (let i = 0; i < count; i++) {
+      const [ax, ay, bx, by] = [at(i, 0), at(i, 1), at(i, 2), at(i, 3)];
+      if (Math.max(ax, bx) < x0 || Math.min(ax, bx) > x1 || Math.max(ay, by) < y0 || Math.min(ay, by) > y1) continue;
+      context.moveTo(...this.place(ax, ay));
+      context.lineTo(...this.place(bx, by));
+    }
+    for (const [color, width] of [["rgba(0,0,0,0.7)", 3], ["#fff", 1.2]]) {
+      [context.strokeStyle, context.lineWidth] = [color, width];
+      context.stroke();
+    }
+    [context.strokeStyle, context.lineWidth, context.fillStyle] = ["rgba(0,0,0,0.8)", 1, "#fff"];
+    const radius = this.scale >= NUMBERS_FROM ? 3 : 1.5;
+    for (let y = y0; y < y1; y++) for (let x = x0; x < x1; x++) {
+      context.beginPath();
+      context.arc(...this.place(x + 0.5, y + 0.5), radius, 0, 2 * Math.PI);
+      context.fill();
+      context.stroke();
+    }
+  }
+
   numbers(side) {
     const { context } = this, { record, data } = looking, [x0, y0, x1, y1] = this.visible();
     context.font = "12px ui-monospace, monospace";
@@ -146,7 +173,7 @@ class Pane {
       const row = record.row(x, y), [px, py] = this.place(x + 0.5, y + 0.5);
       for (let c = 0; c < data.channels; c++) {
         const words = brief(Number(data[side][c * data.count + row]));
-        const down = py + 4 + 13 * (c - (data.channels - 1) / 2);
+        const down = py + NUMBER_LINES[data.channels][c];
         context.strokeStyle = "rgba(0,0,0,0.75)";
         context.lineWidth = 3;
         context.strokeText(words, px, down);

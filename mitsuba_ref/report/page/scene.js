@@ -72,6 +72,7 @@ async function inspectAll(record, mine) {
     if (mine !== turn) return;
     drawSoon();
   }
+  if (record.has("edges")) record.edges = await record.array("edges", "segments");
   const shares = record.about.shares ?? {};
   for (const name of Object.keys(shares)) inspected.set(`share ${name}`, await record.array("about/shares", name));
   if (mine === turn) drawSoon();
