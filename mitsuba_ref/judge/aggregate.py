@@ -201,11 +201,12 @@ def pixel_errors(packed: Packed, pair: ImagePair, bounds: Bounds) -> PixelErrors
             / bounds.at.n_error
         )
         same = aov_rows(pair.subject, "shape_id") == aov_rows(pair.reference, "shape_id")
-        held = (np.abs(share) <= 1.0) & (turned <= 1.0) & np.isfinite(bounds.at.t_error)
-    rows = np.flatnonzero((pair.prim >= 0) & pair.result.hit & same & held)
-    return PixelErrors(
-        K * np.abs(share[rows]), K * turned[rows], _groups_of_kinds(packed, pair, bounds, share, rows)
-    )
+        near = (np.abs(share) <= 1.0) & np.isfinite(bounds.at.t_error)
+    hit = (pair.prim >= 0) & pair.result.hit & near
+    rows = np.flatnonzero(hit & same & (turned <= 1.0))
+    tied = np.flatnonzero(hit & ~same)
+    groups = _groups_of_kinds(packed, pair, bounds, share, rows, tied)
+    return PixelErrors(K * np.abs(share[rows]), K * turned[rows], groups)
 
 
 def error_statistics(windows: Sequence[PixelErrors]) -> ErrorStatistics:
@@ -231,17 +232,30 @@ def looseness(k: np.ndarray) -> float:
     return K / middle if middle > 0.0 else float("inf")
 
 
+def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.ndarray) -> np.ndarray:
+    """(m,) bool: pixels that are evidence of a lean. prim, kind: (m,) of each; tied, tied_kind: (j,) of tied pixels.
+
+    Where another shape has the same t, the reference names either of the two by the sign of a rounding, so that the
+    pixels that are left lean, however right ours is. j pixels that drop out by sign move a sum of m roundings by j of
+    them at most, chance by sqrt(m): beyond j^2 = m no primitive of that kind that has tied pixels is evidence.
+    """
+    many = [each for each in np.unique(tied_kind) if np.sum(tied_kind == each) ** 2 > np.sum(kind == each)]
+    found: np.ndarray = ~(np.isin(kind, many) & np.isin(prim, tied))
+    return found
+
+
 def _groups_of_kinds(
-    packed: Packed, pair: ImagePair, bounds: Bounds, share: np.ndarray, rows: np.ndarray
+    packed: Packed, pair: ImagePair, bounds: Bounds, share: np.ndarray, rows: np.ndarray, tied: np.ndarray
 ) -> dict[str, tuple[GroupSums, ...]]:
-    """For each kind that is hit at these rows."""
+    """For each kind that is hit at these rows. tied: rows where the reference names another shape at the same t."""
     prim = pair.prim[rows]
     shape = packed.shape_of(prim)
     kind, k = packed.kind_of[shape], prim - packed.first[shape] + packed.start[shape]
+    evidence = untied(prim, kind, pair.prim[tied], packed.kind_of[packed.shape_of(pair.prim[tied])])
     scalar = pair.result.answer.versions["variant"].startswith("scalar")
     found = {}
     for place in np.unique(kind):
-        prims, here = packed.kinds[place].prims, kind == place
+        prims, here = packed.kinds[place].prims, (kind == place) & evidence
         at, reference = rows[here], kind_of(prims)
         o, d = (a[at].astype(np.float64) for a in (pair.rays.o, pair.rays.d))
         ways = reference.rounding_groups

@@ -3,7 +3,7 @@
 Faults are planted in what ours is traced from, or along which rays; the reference and the bounds get the right numbers.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,8 +34,9 @@ from mitsuba_ref.subjects.subject import answer_of_view, cast_ours
 class Asked:
     """A scene with Mitsuba's answer, asked for once; ours is traced anew for each fault."""
 
-    def __init__(self, send: SendRequest, name: str, width: int, height: int):
-        self.scene: Scene = load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=width, height=height)
+    def __init__(self, send: SendRequest, name: str, width: int, height: int, more: Sequence[Any] = ()):
+        scene = load_scene(ROOT / "scenes" / f"{name}.toml").with_film(width=width, height=height)
+        self.scene: Scene = scene.model_copy(update={"shapes": [*scene.shapes, *more]})
         self.rays: SharedRays = shared_rays(self.scene)
         self.packed: Packed = pack(self.scene, as_float32)
         self.model: SceneModel = model_of(self.scene, self.packed, self.rays)
@@ -121,6 +122,30 @@ def test_a_radius_off_by_less_than_float32_resolves_is_a_bias(ball, share, least
     print(f"\nradius {side * share:+.0e}: z {found.z:.1f}")
     assert not beyond(ball.judge(view)).any()
     assert side * found.z > least and not check_bias(found).ok
+
+
+@pytest.mark.parametrize(("share", "biased"), [(0.0, False), (1e-7, True)])
+def test_spheres_at_the_same_place_are_no_bias_and_hide_none_of_another_sphere(send, share, biased):
+    """Of the two the reference names one by the sign of a rounding: what it leaves to the other leans by itself."""
+    (first,) = load_scene(ROOT / "scenes" / "one-sphere.toml").shapes
+    x, y, z = first.center
+    twin = first.model_copy(update={"name": "twin"})
+    third = caster.Sphere(center=(x + 0.3, y + 0.3, z + 1.8), radius=0.4)  # in front of a part of both
+    asked = Asked(send, "one-sphere", 96, 96, [twin, third])
+    judge = asked.judge(asked.grown(share))
+    names = [images["shape_id"].ravel() for images in (judge.pair.subject, judge.pair.reference)]
+    assert np.sum(names[0] != names[1]) >= 1000  # many are tied
+    found = errors(asked, asked.grown(share))
+    print(f"\ntwo at one place and another, larger by {share:g}: {found.biases}")
+    assert [bias.enough_groups for bias in found.biases] == [True]
+    assert check_bias(found).ok is not biased and (abs(found.z) > 2.0 * LARGEST_Z) is biased
+
+
+def test_spheres_at_the_same_place_alone_are_reported_as_too_few_to_tell(send):
+    (first,) = load_scene(ROOT / "scenes" / "one-sphere.toml").shapes
+    asked = Asked(send, "one-sphere", 64, 64, [first.model_copy(update={"name": "twin"})])
+    found = check_bias(errors(asked, cast_ours(asked.scene, asked.rays)))
+    assert found.ok and found.what == "Spheres z 0.0 of 0 groups, too few to tell"
 
 
 def test_pixel_centres_off_by_a_thousandth_are_beyond_the_bound_at_most_hits(ball):

@@ -29,6 +29,7 @@ from mitsuba_ref.judge.aggregate import (
     group_sums,
     looseness,
     merged_groups,
+    untied,
     weakest_bias,
     z_of_groups,
 )
@@ -167,6 +168,14 @@ def test_spheres_in_float32_are_grouped_by_their_centres():
     prims = SimpleNamespace(center=np.array([[0.0, 0, 0], [3, 0, 0], [3, 0, 0]]))
     assert groups(by_center(prims, np.array([0, 0, 1, 2]), NOTHING, NOTHING, NOTHING)) == 2
     assert KINDS[Spheres].rounding_groups_llvm == (by_center,)
+
+
+def test_a_primitive_whose_ties_outweigh_chance_is_no_evidence_and_others_are():
+    prim, kind = np.repeat([0, 1, 2], 100), np.repeat([0, 0, 1], 100)
+    ties = np.zeros(20, int)  # of primitive 0, in kind 0, which has 200 pixels: 14 may drop out by chance
+    assert untied(prim, kind, ties[:14], ties[:14]).all()
+    assert np.array_equal(untied(prim, kind, ties[:15], ties[:15]), prim != 0)
+    assert untied(prim, kind, ties[:0], ties[:0]).all()
 
 
 # ---- what is recorded and checked ----
