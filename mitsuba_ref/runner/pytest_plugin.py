@@ -19,6 +19,8 @@ import pytest
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import SceneVerdict
+    from mitsuba_ref.runner.scene_runner import JudgeScene
+    from mitsuba_ref.subjects.subject import Subject
 
 OPTION = "--mitsuba-ref"
 PLUGIN = "mitsuba-ref-scenes"
@@ -51,6 +53,20 @@ SCENE_CHECKS = (
     "sensor",
     "bias",
 )
+# Of a candidate, which gives t and normals: what else `validate` compares is skipped where it is not given.
+CANDIDATE_CHECKS = (
+    "mask",
+    "shape_id",
+    "depth",
+    "normal",
+    "exact",
+    "placement",
+    "geometry",
+    "camera",
+    "mesh_files",
+    "sensor",
+    "bias",
+)
 VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and there is evidence
 SUFFIXES = (".toml", ".json")
 SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
@@ -60,6 +76,13 @@ MARKERS = (
     "mitsuba_ref: a check of a scene, by --mitsuba-ref",
 )
 WORKER_INPUT_KEY = "mitsuba_ref_store"  # of the folder that xdist's controller shares with its workers
+
+
+CANDIDATE_OPTIONS = {
+    "candidate": "another ray caster, judged in place of ours: package.module:function, or a command",
+    "candidate-serve": "the same as a program that is started once and answers over stdin and stdout",
+    "candidate-precision": "its arithmetic, float32 or float64; default: the type of what it returns",
+}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -79,6 +102,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=None,
         help="film in pixels, instead of the scenes' own; also the ini option mitsuba_ref_size",
     )
+    for name, what in CANDIDATE_OPTIONS.items():
+        group.addoption(
+            f"--mitsuba-ref-{name}", default=None, metavar="X", help=f"{what}; also an ini option"
+        )
+        parser.addini(f"mitsuba_ref_{name.replace('-', '_')}", what, default="")
     parser.addini("mitsuba_ref_size", "film of the scenes in pixels: W H", type="args", default=[])
     folders = "folders beyond a scene's own whose meshes it may use"
     parser.addini("mitsuba_ref_mesh_dirs", folders, type="paths", default=[])
@@ -97,12 +125,21 @@ class ScenePlugin:
             config.addinivalue_line("markers", line)
         self.start = config.invocation_params.dir
         self.size = film_size(config)
+        self.words = {name: candidate_option(config, name) for name in CANDIDATE_OPTIONS}
+        if self.words["candidate"] and self.words["candidate-serve"]:
+            raise pytest.UsageError("mitsuba_ref_candidate: not together with mitsuba_ref_candidate_serve")
+        self.candidate = self.words["candidate"] or self.words["candidate-serve"]
+        if self.words["candidate-precision"] and not self.candidate:
+            raise pytest.UsageError(
+                "mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it"
+            )
         self.mesh_dirs = [str(path) for path in config.getini("mitsuba_ref_mesh_dirs")]
         given = getattr(config, "workerinput", {}).get(WORKER_INPUT_KEY)
         self.shared: Path | None = Path(given) if given else None  # of this run alone, for all its processes
         self.owned: Path | None = None
         self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
         self.verdicts: dict[Path, SceneVerdict | str] = {}
+        self._subject: Subject | None = None
 
     def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
         if file_path.suffix.lower() not in SUFFIXES:
@@ -125,7 +162,7 @@ class ScenePlugin:
 
     def pytest_report_header(self) -> str:
         film = f"films of {self.size[0]} x {self.size[1]}" if self.size else "the scenes' own films"
-        return f"mitsuba-ref: {film}"
+        return f"mitsuba-ref: {film}" + (f", candidate {self.candidate}" if self.candidate else "")
 
     def verdict_of(self, path: Path) -> SceneVerdict | str:
         """The verdict, or what is wrong with the scene file."""
@@ -153,10 +190,33 @@ class ScenePlugin:
         from mitsuba_ref.runner import scene_runner
 
         named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
-        entry = scene_runner.source_of(named, path.stem, size=self.size, mesh_dirs=self.mesh_dirs)
+        options = tuple(word for name, value in self.words.items() if value for word in (f"--{name}", value))
+        about: dict[str, Any] = {"size": self.size, "mesh_dirs": self.mesh_dirs, "options": options}
+        entry = scene_runner.source_of(named, path.stem, **about)
         errors: list[Exception] = []
-        (verdict,) = scene_runner.run([entry], workers=1, on_error=errors.append)
+        try:
+            judge = self._candidate_judge() if self.candidate else None
+        except SceneError as error:
+            return str(error)
+        (verdict,) = scene_runner.run([entry], workers=1, judge=judge, on_error=errors.append)
         return str(errors[0]) if errors and isinstance(errors[0], SceneError | MemoryError) else verdict
+
+    def _candidate_judge(self) -> JudgeScene:
+        """Raises SceneError for a candidate that cannot be used."""
+        from mitsuba_ref.runner.validation_run import candidate_judge
+        from mitsuba_ref.subjects.requests import parse_candidate
+
+        if self._subject is None:
+            served = bool(self.words["candidate-serve"])
+            precision = self.words["candidate-precision"] or None
+            self._subject = parse_candidate(self.candidate, precision, served=served)
+        return candidate_judge(self._subject)
+
+
+def candidate_option(config: pytest.Config, name: str) -> str:
+    """One of CANDIDATE_OPTIONS, or else of the ini file; "" where neither is given."""
+    underscored = f"mitsuba_ref_{name.replace('-', '_')}"
+    return str(config.getoption(underscored) or config.getini(underscored) or "")
 
 
 @contextlib.contextmanager
@@ -203,7 +263,9 @@ class SceneFile(pytest.File):
     """One scene."""
 
     def collect(self) -> Iterator[CheckItem]:
-        for name in (VERDICT, *PIXEL_CHECKS, *SCENE_CHECKS):
+        plugin = self.config.pluginmanager.get_plugin(PLUGIN)
+        of_candidate = isinstance(plugin, ScenePlugin) and plugin.candidate
+        for name in (VERDICT, *(CANDIDATE_CHECKS if of_candidate else (*PIXEL_CHECKS, *SCENE_CHECKS))):
             yield CheckItem.from_parent(self, name=name)
 
 
@@ -219,7 +281,10 @@ class CheckItem(pytest.Item):
     def runtest(self) -> None:
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
-        if text := check_problem(plugin.verdict_of(self.path), self.name):
+        found = plugin.verdict_of(self.path)
+        if plugin.candidate and is_not_judged(found, self.name):
+            pytest.skip(f"not judged: {plugin.candidate} does not give it, or it is no check of this scene")
+        if text := check_problem(found, self.name):
             from caster.system.terminal import printable
 
             raise CheckFailed(printable(text))
@@ -258,6 +323,13 @@ def check_problem(found: SceneVerdict | str, check: str) -> str:
     return "\n".join(
         check_failure(found, each) for each in found.checks if each.name == check and not each.ok
     )
+
+
+def is_not_judged(found: SceneVerdict | str, check: str) -> bool:
+    """Whether a verdict, of a candidate, leaves a check out; never where there is no verdict."""
+    if isinstance(found, str) or found.problem or check == VERDICT:
+        return False
+    return check not in found.ratios and all(each.name != check for each in found.checks)
 
 
 def no_verdict(why: str) -> str:

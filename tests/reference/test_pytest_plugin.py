@@ -226,3 +226,61 @@ def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path, monkey
     assert sorted(log.read_text().split()) == ["good", "strict"]
     assert "FAIL  strict  depth: 1 wrong" in found.stdout.str()
     assert summary_of(found.stdout.str()) == ["FAILED"]
+
+
+# ---- a candidate in place of ours ----
+
+CASTERS = """
+import caster
+
+
+def right(scene, o, d):
+    hits = caster.cast(scene, o, d)
+    return hits.t, hits.normal
+
+
+def turned(scene, o, d):
+    hits = caster.cast(scene, o, d)
+    return hits.t, -hits.normal
+
+
+def declines(scene, o, d):
+    raise NotImplementedError("no spheres")
+"""
+
+
+def test_the_checks_of_a_candidate_are_those_of_its_verdict(judged):
+    plugin = import_module("mitsuba_ref.runner.pytest_plugin")
+    assert {*plugin.CANDIDATE_CHECKS} <= {*PIXEL_CHECKS, *SCENE_CHECKS}
+
+
+def test_a_candidate_is_judged_and_what_it_does_not_give_is_skipped(folder):
+    folder.makepyfile(somebodys=CASTERS)
+    words = ("--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6", "-rs")
+    found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:right")
+    found.assert_outcomes(passed=10, skipped=2)
+    text = found.stdout.str()
+    assert "films of 8 x 6, candidate somebodys:right" in text
+    assert "not judged: somebodys:right does not give it" in text
+    found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:turned")
+    text = found.stdout.str()
+    found.assert_outcomes(passed=7, failed=3, skipped=2)
+    assert "the normal is turned round" in text and " good: normal " in text
+    assert "probe scenes/good.toml" in text and " --candidate somebodys:turned" in text
+
+
+def test_a_candidate_that_declines_or_is_not_there_fails_every_test(folder):
+    folder.makepyfile(somebodys=CASTERS)
+    words = ("--mitsuba-ref", "scenes/good.toml")
+    for name, says in (("somebodys:declines", "no spheres"), ("nobodys:caster", "cannot import nobodys")):
+        found = run(folder, *words, "--mitsuba-ref-candidate", name)
+        found.assert_outcomes(failed=12)
+        assert says in found.stdout.str()
+
+
+def test_options_of_a_candidate_that_contradict_each_other_are_refused(folder):
+    words = ("--mitsuba-ref", "scenes")
+    found = run(folder, *words, "--mitsuba-ref-candidate-precision", "float32")
+    assert "expected mitsuba_ref_candidate beside it" in found.stderr.str() + found.stdout.str()
+    found = run(folder, *words, "--mitsuba-ref-candidate", "a:b", "--mitsuba-ref-candidate-serve", "c")
+    assert "not together with" in found.stderr.str() + found.stdout.str()
