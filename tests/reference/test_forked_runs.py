@@ -10,7 +10,7 @@ from forked_runs import everything_given
 from mitsuba_scenes import job, shape, write
 
 SCENE = ("validate", "scenes/one-sphere.toml", "--size", "7", "6", "-j", "1")
-TIMES = re.compile(r"\d+\.\d(?= s|$)", re.MULTILINE)
+TIMES = re.compile(r" *\d+\.\d(?= s\b|$| \d+ [a-z])", re.MULTILINE)
 
 
 def said(found):
