@@ -10,6 +10,7 @@ from mitsuba_ref.bench.entries import ANY, DEFAULT, FILM, NEAREST, ROBUST, SHADI
 from mitsuba_ref.reference import variants
 
 OURS, MITSUBA, PEER, MACHINE = "ours", "mitsuba", "peer", "machine"
+CANDIDATE = "candidate"  # key of its row
 ALL_TASKS = (FILM, NEAREST, ANY)
 
 
@@ -148,6 +149,12 @@ BY_KEY = {contestant.key: contestant for contestant in CONTESTANTS}
 def contestants_for(workload: str, *, peers: bool) -> list[Contestant]:
     """The contestants of a task."""
     return [each for each in CONTESTANTS if workload in each.workloads and (peers or each.side != PEER)]
+
+
+def candidate_contestant(text: str, precision: str | None, *, served: bool) -> Contestant:
+    """A candidate that takes rays; they are as few as it casts in half a second."""
+    options = {"text": text, "precision": precision, "served": served, "folder": os.getcwd()}
+    return Contestant(CANDIDATE, text, PEER, "entries:Candidate", ALL_TASKS, options, first=32)
 
 
 def processors() -> int:

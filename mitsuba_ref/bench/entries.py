@@ -7,6 +7,7 @@ import: what a contestant's process loads beside the contestant counts as its me
 from __future__ import annotations
 
 import json
+import os
 import pickle
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +19,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     import caster
+    from mitsuba_ref.reference.shared_input import SharedRays
+    from mitsuba_ref.subjects.subject import Answer, CastRequest
 
 # Tasks: an image of depth and normal; t and normal along given rays; whether given rays hit anything; a shaded
 # image, of our caster alone.
@@ -157,6 +160,61 @@ class Ours:
         else:
             hits = self.caster.cast(self.scene, o, d)
             hits.normal  # noqa: B018 - computed on access
+
+
+class Candidate:
+    """A ray caster from elsewhere that takes rays. options: text, precision and served, as of `parse_candidate`.
+
+    And folder, where its module or program is.
+    """
+
+    def __init__(self, work: Work) -> None:
+        from caster.description.errors import SceneError
+        from mitsuba_ref.subjects.requests import parse_candidate
+
+        if work.workload == ANY:
+            raise CannotRun("a candidate gives nearest hits")
+        options, self.work = work.options, work
+        os.chdir(options["folder"])
+        try:
+            self.subject = parse_candidate(options["text"], options["precision"], served=options["served"])
+        except SceneError as error:
+            raise CannotRun(str(error)) from error
+
+    def build(self, size: int) -> None:
+        """The scene in the numbers that are traced, and one ray."""
+        from mitsuba_ref.reference.shared_input import model_of, packed_float32
+        from mitsuba_ref.subjects.subject import CastRequest
+
+        scene: caster.Scene = pickle.loads((Path(self.work.folder) / SCENE_FILE).read_bytes())
+        self.size, one = size, self._rays(*FIRST_RAY)
+        model = model_of(scene, packed_float32(scene), one)
+        folder = Path(self.work.folder) / f"candidate-{size}"
+        self.request = CastRequest(scene.with_film(width=size, height=size), model, one, folder)
+        self._answer(self.request)
+
+    def take_rays(self) -> None:
+        self.request = self.request.with_rays(self._rays(*given_rays(self.work.folder, self.size)))
+
+    def cast(self) -> int:
+        self._answer(self.request)
+        return len(self.request.rays.t_max)
+
+    def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        return self._answer(self.request.with_rays(self._rays(o, d))).t
+
+    def _rays(self, o: np.ndarray, d: np.ndarray) -> SharedRays:
+        from mitsuba_ref.reference.shared_input import SharedRays
+
+        return SharedRays(o, d, np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
+
+    def _answer(self, request: CastRequest) -> Answer:
+        from mitsuba_ref.subjects.subject import NoAnswer
+
+        try:
+            return self.subject.answer(request)
+        except NoAnswer as error:
+            raise CannotRun(str(error)) from error
 
 
 class Copying:

@@ -88,6 +88,9 @@ class Settings:
     seed: int = 0
     peers: bool = False
     timeout: float = REQUEST_TIMEOUT_S
+    candidate: str = ""  # a ray caster from elsewhere that takes rays, as of `parse_candidate`; "": none
+    candidate_precision: str | None = None
+    candidate_served: bool = False
 
 
 class Requester(Protocol):

@@ -12,8 +12,14 @@ from statistics import median
 from caster import __version__
 from caster.scene.model import Scene
 from mitsuba_ref.bench import scenes
-from mitsuba_ref.bench.contestants import BY_KEY, Contestant, contestants_for, processors
-from mitsuba_ref.bench.entries import BYTES_PER_CHANNEL, CHANNELS
+from mitsuba_ref.bench.contestants import (
+    BY_KEY,
+    Contestant,
+    candidate_contestant,
+    contestants_for,
+    processors,
+)
+from mitsuba_ref.bench.entries import BYTES_PER_CHANNEL, CHANNELS, SHADING
 from mitsuba_ref.bench.measuring import Progress, Settings, Start, start_process, time_scene
 from mitsuba_ref.bench.result import Run, SceneResult, Series, Sweep
 from mitsuba_ref.bench.scenes import BenchScene
@@ -173,7 +179,11 @@ class BenchmarkRun:
     def time_scenes(self, on_progress: Progress, on_result: Callable[[SceneResult], None]) -> None:
         """on_result: called with each scene's result as soon as it is there."""
         for scene in self.scenes:
-            contestants = contestants_for(scene.workload, peers=self.settings.peers)
+            given = self.settings
+            contestants = contestants_for(scene.workload, peers=given.peers)
+            if given.candidate and scene.workload != SHADING:
+                served, precision = given.candidate_served, given.candidate_precision
+                contestants.append(candidate_contestant(given.candidate, precision, served=served))
             words = f"{len(self.run.scenes) + 1}/{len(self.scenes)} {scene.name}"
             result = time_scene(scene, contestants, self.settings, prefixed(on_progress, words), self.start)
             self.run = replace(self.run, scenes=(*self.run.scenes, result))

@@ -1,6 +1,6 @@
 """Scenes of the benchmark, made of float32 numbers here, so that all contestants cast the same ones."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,14 +9,16 @@ import numpy as np
 
 from caster.cameras import Fisheye, Orthographic, Pinhole
 from caster.geometry.packing import Triangles
+from caster.scene.files import load_scene
 from caster.scene.model import Ambient, Diffuse, Point, Scene
 from caster.shapes import MeshFile, Sphere
 from caster.shapes.heightfield import tessellate_heightfield
 from caster.shapes.torus import tessellate_torus
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.bench.entries import ANY, FILM, NEAREST, SHADING
-from mitsuba_ref.reference.shared_input import shared_rays
+from mitsuba_ref.reference.shared_input import packed_float32, shared_rays
 from mitsuba_ref.scene_xml.elements import ply_bytes
+from mitsuba_ref.subjects.subject import scene_as_traced
 
 
 def write_mesh(folder: Path, name: str, vertices: np.ndarray, faces: np.ndarray, **more: str) -> MeshFile:
@@ -215,6 +217,16 @@ def rays_of(scene: BenchScene, sized: Scene) -> Rays:
     shared = shared_rays(sized)
     real = shared.t_max > 0.0  # a fisheye's image has corners without rays
     return shared.o[real], shared.d[real]
+
+
+def scene_of_file(path: str, mesh_dirs: Sequence[str] = ()) -> BenchScene:
+    """A scene or mesh file, in the float32 numbers that all contestants cast. Raises SceneError, FileMissing."""
+    scene = load_scene(path, mesh_dirs)
+
+    def make(folder: Path) -> Scene:
+        return scene_as_traced(scene, packed_float32(scene), folder)
+
+    return BenchScene(Path(path).stem, path, make)
 
 
 SCENES = (

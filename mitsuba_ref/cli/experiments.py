@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.shared_arguments import InputPath, positive_int
+from caster.cli.shared_arguments import InputPath, add_mesh_dirs, positive_int
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.cli import options
@@ -86,7 +88,9 @@ DEFAULT_SIZE, DEFAULT_ALTERNATIONS = 1024, 7
 
 
 def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
-    options.add_item_selection(parser, "scene", "such as mesh-70k; default: all that --list names")
+    options.add_item_selection(
+        parser, "scene", "such as mesh-70k, or a scene or mesh file; default: all that --list names"
+    )
     add = parser.add_argument
     add(
         "--peers",
@@ -124,13 +128,20 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
         dest="before",
         help="time nothing: print the tables of an earlier --json",
     )
+    add_mesh_dirs(parser)
+    title = "another ray caster, timed and judged beside ours: one that takes rays (docs/candidates.md)"
+    options.add_candidate(parser, title)
 
 
 def run_bench(args: argparse.Namespace) -> int:
     """Time the selected scenes; 0, 1 where ours did not run, 2 unknown scene, 5 nothing selected, 130 interrupted."""
-    from mitsuba_ref.bench.scenes import SCENES
+    from mitsuba_ref.bench.scenes import SCENES, scene_of_file
 
-    scenes = options.select(SCENES, "scene", args.scenes, args.expression)
+    files = [word for word in args.scenes if Path(word).suffix]
+    named = [word for word in args.scenes if word not in files]
+    scenes = options.select(SCENES, "scene", named, args.expression) if named or not files else []
+    scenes += [scene_of_file(file, args.mesh_dir) for file in files]
+    candidate = options.requested_candidate(args, takes_rays=True)
     if not scenes:
         print(f"nothing selected: no scene matches -k {args.expression!r}", file=sys.stderr)
         return NOTHING_SELECTED
@@ -147,7 +158,12 @@ def run_bench(args: argparse.Namespace) -> int:
     threads = args.threads or processors()
     if threads > processors():
         raise SceneError(f"--threads {threads}: this process may use {processors()}")
-    work = BenchmarkRun(scenes, Settings(args.size, args.alternations, threads, args.seed, args.peers))
+    settings = Settings(args.size, args.alternations, threads, args.seed, args.peers)
+    if candidate:
+        served = isinstance(args.candidate, options.ServedProgram)
+        named_so = {"candidate": str(args.candidate), "candidate_precision": args.candidate_precision}
+        settings = replace(settings, **named_so, candidate_served=served)
+    work = BenchmarkRun(scenes, settings)
     progress = options.Progress("bench")
     try:
         work.time_scenes(progress, lambda scene: show(scene, progress, args))
@@ -156,12 +172,18 @@ def run_bench(args: argparse.Namespace) -> int:
         progress.clear()
     finally:  # what is done is kept, whatever ends the work
         report_run(work.run, args)
-    return OK if all(ours_ran(scene) for scene in work.run.scenes) else DIFFERENCES
+    ran = all(ours_ran(scene) for scene in work.run.scenes)
+    return OK if ran and (candidate is None or candidate_ran(work.run)) else DIFFERENCES
 
 
 def ours_ran(scene: SceneResult) -> bool:
     """Whether each of our rows has numbers, or is left out on purpose."""
     return all(row.ran or row.why.startswith("not timed") for row in scene.rows if row.side == "ours")
+
+
+def candidate_ran(run: Run) -> bool:
+    """Whether the candidate has numbers in some scene; whether it is right, `validate` and `stress` say."""
+    return any(row.ran for scene in run.scenes for row in scene.rows if row.key == "candidate")
 
 
 def show(scene: SceneResult, progress: options.Progress, args: argparse.Namespace) -> None:

@@ -241,6 +241,12 @@ class CastRequest:
         """The scene described anew by the numbers that are traced; its meshes are files in `folder`."""
         return scene_as_traced(self.scene, self.model.packed, self.folder)
 
+    def with_rays(self, rays: SharedRays) -> "CastRequest":
+        """The same scene, the very object, along other rays: what a candidate keeps for a scene serves again."""
+        other = replace(self, rays=rays)
+        other.__dict__["traced"] = self.traced
+        return other
+
 
 class Subject(Protocol):
     """A ray caster: ours, or a candidate in its place."""

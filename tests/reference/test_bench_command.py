@@ -54,3 +54,40 @@ def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
             continue
         assert row.why == "" and row.rays == 256 and row.score.masks == row.score.beyond == 0, row
         assert row.score.edge_masks < row.score.edge_rays // 10
+
+
+def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(run, "contestants_for", lambda asks, peers: [BY_KEY["ours"]])
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "box.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
+    )
+    (tmp_path / "timed_caster.py").write_text(
+        "import caster\nscenes = []\n\n\ndef cast(scene, o, d):\n    if all(scene is not each for each in scenes):\n"
+        "        scenes.append(scene)\n    assert len(scenes) <= 4, 'each build of the contestant is one scene'\n"
+        "    hits = caster.cast(scene, o, d, t_min=1e-30)\n    return hits.t, hits.normal\n"
+    )
+    words = ["bench", "box.obj", "--size", "32", "--alternations", "2", "--json", "run.json", "--candidate"]
+    assert main([*words, "timed_caster:cast"]) == 0
+    data = json.loads((tmp_path / "run.json").read_text())
+    (scene,) = data["scenes"]
+    assert (scene["name"], scene["title"], scene["primitives"]) == ("box", "box.obj", 4)
+    assert data["settings"]["candidate"] == "timed_caster:cast"
+    ours, candidate = scene["rows"]
+    assert (candidate["key"], candidate["title"], candidate["why"]) == ("candidate", "timed_caster:cast", "")
+    assert candidate["rays"] == 32**2 == ours["rays"] and candidate["ratio"] > 0.0
+    assert candidate["score"]["masks"] == candidate["score"]["edge_masks"] == 0 == ours["score"]["masks"]
+    assert "timed_caster:cast" in capsys.readouterr().out
+
+
+def test_a_candidate_that_cannot_be_timed_is_no_result(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(run, "contestants_for", lambda asks, peers: [BY_KEY["ours"]])
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "untimed_caster.py").write_text(
+        "def cast(scene, o, d):\n    raise NotImplementedError('spheres')\n"
+    )
+    words = ["bench", "one-sphere", "--size", "8", "--alternations", "1", "--candidate"]
+    assert main([*words, "untimed_caster:cast"]) == 1
+    assert "untimed_caster:cast raised NotImplementedError: spheres" in capsys.readouterr().out
+    assert main([*words, "true {xml} -o {exr}"]) == 2
+    assert main(["bench", "nothing.obj"]) == 4
