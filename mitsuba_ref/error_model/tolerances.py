@@ -25,7 +25,8 @@ MIN_GROUPS = int(LARGEST_Z**2) + 1  # with fewer, no bias whatever could fail
 LARGEST_USEFUL_NORMAL_ERROR = 2.0**-4
 
 # A hypothesis of the diagnosis is reported where it predicts the number to this share of itself: far beyond rounding
-# in float32, far below any of the faults that are distinguished. No pixel passes or fails by it.
+# in float32, far below any of the faults that are distinguished. No pixel passes or fails by it; the check
+# `ray_conventions` fails where most rays of one length are off by more, and nearly all of length 1 are not.
 MATCH_RTOL = 1e-4
 DISTINCT_RTOL = 10 * MATCH_RTOL  # two numbers that are so far apart are not alike
 MAJORITY = 0.5  # what is reported of all wrong t at once has to be true of more of them than this

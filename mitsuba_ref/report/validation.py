@@ -31,6 +31,7 @@ from mitsuba_ref.judge.classification import Judge, judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges
 from mitsuba_ref.judge.independent_checks.mesh_files import check_mesh_files
+from mitsuba_ref.judge.independent_checks.ray_conventions import check_ray_conventions
 from mitsuba_ref.judge.independent_checks.routes import check_routes
 from mitsuba_ref.judge.independent_checks.scaling import check_scaling
 from mitsuba_ref.judge.scene_checks import (
@@ -40,7 +41,7 @@ from mitsuba_ref.judge.scene_checks import (
     CHECKS_OF_SHARED_INPUT,
     check_sensor,
 )
-from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import FAILING, SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -241,6 +242,8 @@ def _judge_window(
     if not ours:
         given = CHECKS_OF_SHARED_INPUT if rays is None else CHECKS_OF_RAY_LISTS
         checks = tuple(check(response.scene) for check in given)
+        if rays is None and whole_scene and subject.takes_rays and not judgement.is_class(*FAILING).any():
+            checks = (check_ray_conventions(subject, response.scene), *checks)
     checks = (*checks, *files)
     if whole_scene:
         checks = (*checks, check_mesh_files(response.scene, pair.result.answer.meshes))

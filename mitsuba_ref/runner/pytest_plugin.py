@@ -60,6 +60,7 @@ CANDIDATE_CHECKS = (
     "depth",
     "normal",
     "exact",
+    "ray_conventions",
     "placement",
     "geometry",
     "camera",

@@ -59,7 +59,12 @@ FAULTS = (
         'fcmp_ordered("<", a, b)',
         'fcmp_ordered(">", a, b)',
     ),
-    Fault("an equal sum does not reach", "any_sum_reaches", 'ordered(">=", total', 'ordered(">", total'),
+    Fault(
+        "an equal sum does not reach",
+        "any_sum_reaches",
+        'ordered(">=", total, vectors.all(arguments[3])',
+        'ordered(">", total, vectors.all(arguments[3])',
+    ),
     Fault("the last axis forgotten", "one ray", "for axis in (1, 2):", "for axis in (1,):"),
     Fault(
         "far sides unpadded",

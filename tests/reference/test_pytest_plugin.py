@@ -249,22 +249,41 @@ def declines(scene, o, d):
 """
 
 
-def test_the_checks_of_a_candidate_are_those_of_its_verdict(judged):
+def test_the_checks_of_a_candidate_are_those_of_its_verdict(send):
+    import caster
+    from mitsuba_ref.report.validation import validate_scene
+    from mitsuba_ref.subjects.function import FunctionSubject
+
+    def right(scene, o, d):
+        found = caster.cast(scene, o, d)
+        return found.t, found.normal
+
     plugin = import_module("mitsuba_ref.runner.pytest_plugin")
-    assert {*plugin.CANDIDATE_CHECKS} <= {*PIXEL_CHECKS, *SCENE_CHECKS}
+    found = validate_scene(
+        caster.Scene(
+            film=caster.Film(width=8, height=8),
+            camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)),
+            shapes=[caster.Sphere()],
+        ),
+        "scene",
+        subject=FunctionSubject("right", right),
+        send=send,
+    )
+    named = {*(check.name for check in found.checks), *found.ratios}
+    assert named <= {*plugin.CANDIDATE_CHECKS} and "ray_conventions" in named
 
 
 def test_a_candidate_is_judged_and_what_it_does_not_give_is_skipped(folder):
     folder.makepyfile(somebodys=CASTERS)
     words = ("--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6", "-rs")
     found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:right")
-    found.assert_outcomes(passed=10, skipped=2)
+    found.assert_outcomes(passed=11, skipped=2)
     text = found.stdout.str()
     assert "films of 8 x 6, candidate somebodys:right" in text
     assert "not judged: somebodys:right does not give it" in text
     found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:turned")
     text = found.stdout.str()
-    found.assert_outcomes(passed=7, failed=3, skipped=2)
+    found.assert_outcomes(passed=7, failed=3, skipped=3)
     assert "the normal is turned round" in text and " good: normal " in text
     assert "probe scenes/good.toml" in text and " --candidate somebodys:turned" in text
 
@@ -274,7 +293,7 @@ def test_a_candidate_that_declines_or_is_not_there_fails_every_test(folder):
     words = ("--mitsuba-ref", "scenes/good.toml")
     for name, says in (("somebodys:declines", "no spheres"), ("nobodys:caster", "cannot import nobodys")):
         found = run(folder, *words, "--mitsuba-ref-candidate", name)
-        found.assert_outcomes(failed=12)
+        found.assert_outcomes(failed=13)
         assert says in found.stdout.str()
 
 

@@ -1,0 +1,107 @@
+"""Rays of the camera with directions of other lengths, and mirrored: conventions that unit directions do not show."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from caster.scene.model import Scene
+from caster.system.atomic_files import ScratchFolder
+from mitsuba_ref.error_model.tolerances import MAJORITY, MATCH_RTOL, NEARLY_ALL
+from mitsuba_ref.judge.independent_checks.adversarial_rays import RayBatch
+from mitsuba_ref.judge.independent_checks.knife_edges import cast_by_culling
+from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32, shared_rays
+from mitsuba_ref.subjects.subject import CastRequest, NoAnswer, Subject, Unsupported
+
+NAME = "ray_conventions"
+LENGTHS = (1.0, 0.5, 2.0, 7.0)  # of d; two powers of two, and a number that is none
+RAYS, RAYS_TRIED = 16, 1024  # of each group, which hit something; of the film, to find them
+
+
+def check_ray_conventions(subject: Subject, scene: Scene) -> SceneCheck:
+    """A candidate that takes rays: t counts in lengths of d, whatever they are, and any direction is traced alike.
+
+    A group of rays is wrong where most of its t are off by more than MATCH_RTOL, far more than rounding: at edges few
+    may be. Where the rays of length 1 are not nearly all right, the image shows it, and the others are not judged.
+    """
+    packed = packed_float32(scene)
+    o, d = _hitting_rays(scene)
+    if not len(o):
+        return SceneCheck(NAME, 0.0, "no ray of the camera hits anything")
+    groups = dict(_groups(o, d))
+    rays = [np.concatenate(each).astype(np.float32) for each in zip(*groups.values(), strict=True)]
+    count = len(rays[0])
+    lines = rays[0].astype(np.float64), rays[1].astype(np.float64)
+    batch = RayBatch(*lines, np.zeros(count), np.full(count, np.inf))
+    t = cast_by_culling(packed, batch, "bvh").t.reshape(len(groups), -1)
+    shared = SharedRays(rays[0], rays[1], np.full(count, np.inf, np.float32), np.zeros(count))
+    try:
+        with ScratchFolder() as folder:
+            request = CastRequest(scene, model_of(scene, packed, shared), shared, Path(folder))
+            given = subject.answer(request).t.reshape(t.shape)
+    except Unsupported:
+        return SceneCheck(NAME, 0.0, "declined")
+    except NoAnswer as error:
+        return SceneCheck(NAME, np.inf, f"no answer to rays whose |d| is not 1: {error}")
+    right = _match(given, t).mean(axis=1)
+    wrong = [name for name, share in zip(groups, right, strict=True) if share < MAJORITY]
+    first = next(iter(groups))
+    if right[0] < NEARLY_ALL:
+        return SceneCheck(NAME, 0.0, f"not judged: rays of {first} are wrong already")
+    if not wrong:
+        return SceneCheck(NAME, 0.0, f"{count} rays")
+    rows = [i for i, name in enumerate(groups) if name in wrong]
+    length = np.linalg.norm(batch.d, axis=1).reshape(t.shape)[rows]
+    return SceneCheck(NAME, np.inf, f"{_cause(given[rows], t[rows], length)}: {_places(first, wrong)}")
+
+
+def _hitting_rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """o, d (m, 3) of at most RAYS rays of the camera that hit something."""
+    shared = shared_rays(scene)
+    there = np.flatnonzero(shared.t_max >= 0.0)
+    some = there[np.linspace(0, len(there) - 1, min(len(there), RAYS_TRIED)).astype(int)]
+    o, d, t_max = (a[some].astype(np.float64) for a in (shared.o, shared.d, shared.t_max))
+    t = cast_by_culling(packed_float32(scene), RayBatch(o, d, np.zeros(len(o)), t_max), "bvh").t
+    hits = np.flatnonzero(np.isfinite(t))
+    chosen = hits[np.linspace(0, len(hits) - 1, min(len(hits), RAYS)).astype(int)]
+    return o[chosen], d[chosen]
+
+
+def _groups(o: np.ndarray, d: np.ndarray) -> Iterator[tuple[str, tuple[np.ndarray, np.ndarray]]]:
+    """Name, and rays: of each length, then mirrored in each axis, about the middle of points on the rays."""
+    d = d / np.linalg.norm(d, axis=1, keepdims=True)
+    for length in LENGTHS:
+        yield f"|d| = {length:g}", (o, length * d)
+    middle = (o + d * np.linalg.norm(o, axis=1, keepdims=True)).mean(axis=0)
+    for axis, name in enumerate("xyz"):
+        sign = np.where(np.arange(3) == axis, -1.0, 1.0)
+        yield f"mirrored in {name}", (np.where(sign < 0.0, 2.0 * middle - o, o), sign * d)
+
+
+def _match(given: np.ndarray, t: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        near = np.isfinite(t) & (np.abs(given - t) <= MATCH_RTOL * np.abs(t))
+    return near | (np.isposinf(given) & np.isposinf(t))
+
+
+def _cause(given: np.ndarray, t: np.ndarray, length: np.ndarray) -> str:
+    """What nearly all of the wrong groups have in common."""
+    hit = np.isfinite(t)
+    for what, predicted in (
+        ("t is a distance, it has to count in lengths of d (divide it by |d|)", t * length),
+        ("t is divided by |d| once too often", t / length),
+        ("t is divided by |d|^2, it has to count in lengths of d", t / length**2),
+        ("nothing is hit", np.full_like(t, np.inf)),
+    ):
+        if hit.any() and _match(given, predicted)[hit].mean() >= NEARLY_ALL:
+            return what
+    return "other hits"
+
+
+def _places(first: str, wrong: list[str]) -> str:
+    lengths = [name.removeprefix("|d| = ") for name in wrong if name.startswith("|d|")]
+    mirrored = [name.removeprefix("mirrored in ") for name in wrong if name.startswith("mirrored")]
+    words = [f"for |d| = {', '.join(lengths)}"] if lengths else []
+    words += [f"for the same rays mirrored in {', '.join(mirrored)}"] if mirrored else []
+    return f"right for {first}, wrong {' and '.join(words)}"

@@ -1,0 +1,91 @@
+"""A candidate's conventions, from rays of other lengths and mirrored ones, which no image of unit directions shows."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import caster
+from caster.scene.files import load_scene
+from mitsuba_ref.judge.independent_checks.ray_conventions import RAYS, check_ray_conventions
+from mitsuba_ref.subjects.command import command_of
+from mitsuba_ref.subjects.function import FunctionSubject
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+
+
+def scene_of(name):
+    return load_scene(SCENES / f"{name}.toml").with_film(width=24, height=20)
+
+
+def length(d):
+    return np.linalg.norm(d, axis=1)
+
+
+def right(scene, o, d):
+    found = caster.cast(scene, o, d)
+    return found.t, found.normal
+
+
+def changed(change):
+    """The right caster, its t changed."""
+    return lambda scene, o, d: (change(d, right(scene, o, d)[0]), None)
+
+
+def of_unit_directions(scene, o, d):
+    return right(scene, o, d / length(d)[:, None])[0], None
+
+
+def only_of_unit_directions(scene, o, d):
+    if not np.allclose(length(d), 1.0, atol=1e-5):
+        raise ValueError("|d| has to be 1")
+    return right(scene, o, d)
+
+
+def declines(scene, o, d):
+    raise NotImplementedError("no such shape")
+
+
+def checked(call, name="one-sphere"):
+    return check_ray_conventions(FunctionSubject("candidate", call), scene_of(name))
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("path", sorted(SCENES.glob("*.toml")), ids=lambda path: path.stem)
+def test_a_right_candidate_passes_in_every_scene(path, dtype):
+    found = checked(lambda scene, o, d: (right(scene, o, d)[0].astype(dtype), None), path.stem)
+    assert found.ok and (found.what == f"{7 * RAYS} rays" or path.stem not in ("one-sphere", "triangles"))
+
+
+PLANTED = [
+    (of_unit_directions, "t is a distance, it has to count in lengths of d"),
+    (changed(lambda d, t: t / length(d)), "t is divided by |d| once too often"),
+    (changed(lambda d, t: t / length(d) ** 2), "t is divided by |d|^2"),
+    (changed(lambda d, t: np.where(np.abs(length(d) - 1.0) > 1e-5, np.inf, t)), "nothing is hit"),
+    (changed(lambda d, t: np.where(length(d) > 1.1, 0.9 * t, t)), "right for |d| = 1, wrong for |d| = 2, 7"),
+    (only_of_unit_directions, "no answer to rays whose |d| is not 1: candidate raised ValueError"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "says"), PLANTED)
+def test_a_wrong_convention_is_named(call, says):
+    found = checked(call)
+    assert not found.ok and says in found.what, found.what
+    assert "mirrored" not in found.what
+
+
+def test_a_caster_of_one_side_is_wrong_along_mirrored_rays():
+    """The camera of one-sphere looks along -z."""
+    found = checked(changed(lambda d, t: np.where(d[:, 2] > 0.0, np.inf, t)))
+    assert not found.ok and found.what.endswith("wrong for the same rays mirrored in z"), found.what
+
+
+def test_what_is_wrong_already_or_not_there_is_not_judged():
+    assert checked(changed(lambda d, t: 1.1 * t)).what == "not judged: rays of |d| = 1 are wrong already"
+    assert checked(declines).what == "declined"
+    away = scene_of("one-sphere").model_copy(update={"shapes": ()})
+    assert (
+        check_ray_conventions(FunctionSubject("candidate", right), away).what
+        == "no ray of the camera hits anything"
+    )
+    assert not command_of("true {xml} -o {exr}", None, 1.0).takes_rays  # so that it is not asked
