@@ -295,6 +295,8 @@ def run_case(case: Case, home: Path, said: int) -> NoReturn:
         resource.setrlimit(resource.RLIMIT_CPU, (2 * MAX_SECONDS, 2 * MAX_SECONDS + 2))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         if case.disk is not None:
+            # Python 3.11 takes bytecode that a full disk cut off for whole, in every later process.
+            sys.dont_write_bytecode, os.environ["PYTHONDONTWRITEBYTECODE"] = True, "1"
             resource.setrlimit(resource.RLIMIT_FSIZE, (case.disk, case.disk))
         if case.process:
             module = case.program.replace("-", "_")
