@@ -207,6 +207,11 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
         }
         for option in (option for option, given in alone.items() if given):
             raise SceneError(f"{option}: expected --candidate X beside it, whose {option[12:]} it is")
+        for name in READING_OPTIONS:
+            if getattr(args, name, None):
+                raise SceneError(
+                    f"--{name}: expected a --candidate with {{exr}} beside it, whose images it is about"
+                )
         return None
     if getattr(args, "resume", False):
         raise SceneError(
@@ -221,7 +226,29 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
             f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
             "a command with {rays} and {hits}, or --candidate-serve (docs/rays-and-hits.md)"
         )
-    return found
+    return reading_images(found, args)
+
+
+READING_OPTIONS = ("map", "depth", "miss", "near")  # of add_reading
+
+
+def reading_images(candidate: Subject, args: argparse.Namespace) -> Subject:
+    """The candidate; a command that writes images reads them as `compare` does. Raises SceneError."""
+    from dataclasses import replace
+    from functools import partial
+
+    from mitsuba_ref.exr_compare.foreign_files import Reading, candidate_image
+    from mitsuba_ref.subjects.command import CommandSubject
+
+    given = {name: getattr(args, name, None) for name in READING_OPTIONS}
+    if not isinstance(candidate, CommandSubject):
+        for name in (name for name, value in given.items() if value):
+            raise SceneError(
+                f"--{name}: expected a --candidate with {{exr}} beside it, whose images it is about"
+            )
+        return candidate
+    reading = Reading(tuple(given["map"] or ()), given["depth"], given["miss"], given["near"])
+    return replace(candidate, convert=partial(candidate_image, reading=reading))
 
 
 def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
@@ -234,6 +261,10 @@ def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
         words += ["--candidate-precision", args.candidate_precision]
     if args.candidate_timeout != CANDIDATE_SECONDS:
         words += ["--candidate-timeout", repr(args.candidate_timeout).removesuffix(".0")]
+    for name in READING_OPTIONS:
+        value = getattr(args, name, None)
+        values = value if isinstance(value, list) else [value] if value else []
+        words += [word for each in values for word in (f"--{name}", str(each))]
     return tuple(words)
 
 

@@ -14,7 +14,13 @@ from caster.cli.shared_arguments import OutputFile, add_pixel, add_scene, load
 from caster.description.errors import error_prefix
 from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import printable
-from mitsuba_ref.cli.options import add_candidate, add_timeout, candidate_words, requested_candidate
+from mitsuba_ref.cli.options import (
+    add_candidate,
+    add_reading,
+    add_timeout,
+    candidate_words,
+    requested_candidate,
+)
 
 if TYPE_CHECKING:
     from caster.scene.model import Scene
@@ -40,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_timeout(parser)
     add_candidate(parser, "one more witness: another ray caster (docs/candidates.md)")
+    add_reading(parser, "; with --candidate")
 
 
 def run(args: argparse.Namespace) -> int:

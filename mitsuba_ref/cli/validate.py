@@ -17,6 +17,7 @@ from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED,
 from mitsuba_ref.cli.options import (
     HTML_SUFFIX,
     add_candidate,
+    add_reading,
     add_selection,
     add_store,
     add_timeout,
@@ -76,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_timeout(parser)
     add_store(parser)
     add_candidate(parser)
+    add_reading(parser, "; with --candidate")
 
 
 def shard(text: str) -> Shard:

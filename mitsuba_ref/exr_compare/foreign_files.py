@@ -40,7 +40,14 @@ from mitsuba_ref.exr_compare.exr_pair import (
 )
 from mitsuba_ref.judge.scene_checks import pixel_centers
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.subject import FLOAT32, Answer, CastRequest, checked_answer
+from mitsuba_ref.subjects.subject import (
+    FLOAT32,
+    Answer,
+    CastRequest,
+    NoAnswer,
+    cast_ours,
+    checked_answer,
+)
 
 GEOMETRY = ("normal", "shading_normal", "position")  # groups whose values on a miss mean nothing
 
@@ -64,6 +71,9 @@ class Reading:
             except ValueError as error:
                 known = ", ".join(MISS_SENTINELS)
                 raise SceneError(f"--miss {self.miss!r}: expected a number, such as {known}") from error
+
+
+READ_BY_NAMES = Reading()
 
 
 class ConvertedFiles(NamedTuple):
@@ -114,6 +124,31 @@ def to_our_conventions(a: Exr, b: Exr, reading: Reading) -> ConvertedFiles:
     if left:
         stated.append(f"not compared, since only one file has them: {', '.join(left)}")
     return ConvertedFiles(files[0], files[1], tuple(stated), tuple(left))
+
+
+def candidate_image(
+    exr: Exr, request: CastRequest, reading: Reading = READ_BY_NAMES
+) -> tuple[Exr, tuple[str, ...]]:
+    """What a candidate's command wrote, in our names and conventions, and the steps.
+
+    An image with a channel depth.Z in one part is used as it is, unless the reading says otherwise. What depth is, is
+    told by ours where the reading does not state it. Raises NoAnswer where two readings fit, or none.
+    """
+    reading = replace(reading, scene=request.scene)
+    if "depth.Z" in exr.channels and not exr.parts and reading == replace(READ_BY_NAMES, scene=reading.scene):
+        return exr, ()
+    try:
+        check_maps(reading.maps, exr.channels)
+        exr, names = _renamed(exr, _channel_names(exr, mapped(reading.maps, exr.channels)))
+        rays = request.rays
+        t = cast_ours(request.scene, rays).nearest.t
+        known = rays.start + t * np.linalg.norm(rays.d.astype(np.float64), axis=1)
+        shape = next(iter(exr.channels.values())).shape if exr.channels else (0, 0)
+        ours = exr._replace(channels={"depth.Z": known.astype(np.float32).reshape(shape[:2])}, provenance={})
+        exr, steps = _converted(exr, ours, reading, alone=True)
+    except (AmbiguousChannel, AmbiguousConvention, SceneError) as question:
+        raise NoAnswer(f"its image: {question}") from question
+    return exr, (*names, *steps)
 
 
 def _describe_parts(exr: Exr) -> list[str]:

@@ -5,7 +5,7 @@ import shlex
 import shutil
 import string
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -110,6 +110,8 @@ class CommandSubject:
     precision: str | None
     seconds: float
     takes_rays: bool = False
+    # (image, request) -> the image in our names and conventions, and what was done; None: it has to be so already
+    convert: Callable[[Exr, CastRequest], tuple[Exr, tuple[str, ...]]] | None = None
 
     def answer(self, request: CastRequest) -> Answer:
         """Write the scene, run the program, read its image. Raises NoAnswer."""
@@ -122,7 +124,9 @@ class CommandSubject:
             (folder / "scene.toml").write_text(request.traced.to_toml(), encoding="utf-8")
         run_program([word.format(**names) for word in self.words], self.seconds)
         exr = self._picture(folder / "candidate.exr", request)
-        return answer_from_exr(exr, request, precision=self.precision, as_exported=self.reads_xml)
+        exr, steps = self.convert(exr, request) if self.convert else (exr, ())
+        found = answer_from_exr(exr, request, precision=self.precision, as_exported=self.reads_xml)
+        return replace(found, notes=(*found.notes, *steps))
 
     def _xml(self, request: CastRequest) -> Path:
         camera = request.scene.camera

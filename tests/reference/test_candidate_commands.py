@@ -17,6 +17,7 @@ from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
+from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.validation import validate_scene
@@ -295,3 +296,61 @@ def test_a_program_that_leaves_another_behind_is_not_waited_for(tmp_path):
     (tmp_path / "leaves.sh").write_text("sleep 600 &\necho said\nexit 3\n")
     with pytest.raises(NoAnswer, match=r"(?s)exit code 3.*said"):
         run_program(["sh", str(tmp_path / "leaves.sh")], 60.0)
+
+
+# ---- an image in another program's names and conventions ----
+
+BLENDER = """
+import subprocess, sys
+import numpy as np
+import caster
+from caster.image.exr import read_exr, write_exr
+from caster.rendering.images import camera_rays
+factor, words = float(sys.argv[3]), ["-o", sys.argv[2], "--aov", "depth,normal"]
+subprocess.run([sys.executable, "-m", "caster", "render", sys.argv[1], *words], check=True)
+exr, scene = read_exr(sys.argv[2]), caster.load_scene(sys.argv[1])
+d = camera_rays(scene).d
+axis = np.array(scene.camera.direction)
+cosine = d @ axis / np.linalg.norm(axis) / np.linalg.norm(d, axis=1)
+depth = exr.channels["depth.Z"]
+z = np.where(np.isinf(depth), 1e10, factor * depth * cosine.reshape(depth.shape)).astype(np.float32)
+channels = {"ViewLayer." + name.replace("normal", "Normal"): a for name, a in exr.channels.items() if "normal" in name}
+write_exr(sys.argv[2], channels | {sys.argv[4]: z})
+"""
+
+
+def blender(tmp_path, capsys, *options, factor="1", depth="ViewLayer.Depth.Z", scene="cornell-box"):
+    (tmp_path / "blender.py").write_text(BLENDER)
+    command = f"{PYTHON} {tmp_path / 'blender.py'} {{toml}} {{exr}} {factor} {depth}"
+    words = ["validate", str(SCENES / f"{scene}.toml"), "--size", "16", "12", "--candidate", command]
+    code = main([*words, *options])
+    found = capsys.readouterr()
+    return code, found.out, found.err
+
+
+def test_depth_along_z_and_names_of_another_program_are_read_as_compare_reads_them(tmp_path, capsys):
+    code, out, _ = blender(tmp_path, capsys)
+    assert code == 0, out
+    code, out, _ = blender(tmp_path, capsys, "--depth", "z", "--miss", "1e10")
+    assert code == 0, out
+    code, out, _ = blender(tmp_path, capsys, "--map", "depth=somewhere.V", depth="somewhere.V")
+    assert code == 0, out
+    code, out, _ = blender(tmp_path, capsys, depth="somewhere.V")
+    assert code == 1 and "has no channel depth.Z" in out
+
+
+def test_what_is_read_so_is_judged_all_the_same(tmp_path, capsys):
+    """A depth off by a ten thousandth fails, and the replay reads its image in the same way."""
+    code, out, _ = blender(tmp_path, capsys, "--depth", "z", factor="1.0001")
+    assert code == 1 and " --depth z" in next(line for line in out.splitlines() if "replay:" in line)
+    code, out, _ = blender(tmp_path, capsys, "--depth", "distance")
+    assert code == 1
+
+
+def test_options_about_images_need_a_command_that_writes_some(capsys):
+    assert main(["validate", str(SCENES / "one-sphere.toml"), "--depth", "z"]) == 2
+    assert "--depth: expected a --candidate with {exr} beside it" in capsys.readouterr().err
+    assert (
+        main(["validate", str(SCENES / "one-sphere.toml"), "--map", "a=b", "--candidate", "os:getcwd"]) == 2
+    )
+    assert "--map: expected a --candidate with {exr} beside it" in capsys.readouterr().err
