@@ -131,8 +131,8 @@ def candidate_image(
 ) -> tuple[Exr, tuple[str, ...]]:
     """What a candidate's command wrote, in our names and conventions, and the steps.
 
-    An image with a channel depth.Z in one part is used as it is, unless the reading says otherwise. What depth is follows
-    from our distances where the reading does not state it. Raises NoAnswer where two readings fit, or none.
+    An image with a channel depth.Z in one part is used as it is, unless the reading says otherwise. The convention of
+    depth follows from our distances where the reading does not state it. Raises NoAnswer where two fit, or none.
     """
     reading = replace(reading, scene=request.scene)
     if "depth.Z" in exr.channels and not exr.parts and reading == replace(READ_BY_NAMES, scene=reading.scene):
