@@ -36,8 +36,10 @@ UNSUPPORTED_SCENE = (
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
+    from mitsuba_ref.runner.scene_runner import SceneSource
     from mitsuba_ref.runner.shards import Shard
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
+    from mitsuba_ref.subjects.subject import Subject
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -101,6 +103,8 @@ def run(args: argparse.Namespace) -> int:
     start = time.perf_counter()
     running = ValidationRun(entries, run_options(args), candidate)
     try:
+        if candidate is not None and candidate.takes_rays:
+            print_conventions(candidate, entries[0])
         print_rows(running)
     finally:  # whatever ends the work, the results so far are written
         verdict = running.verdict()
@@ -112,6 +116,19 @@ def run(args: argparse.Namespace) -> int:
             if removed := running.finish_report(verdict):
                 print(removed, file=sys.stderr)
     return exit_code(verdict, running.errors)
+
+
+def print_conventions(candidate: Subject, entry: SceneSource) -> None:
+    """What a few rays of the first scene show of a candidate's conventions, before all scenes are judged."""
+    from mitsuba_ref.judge.independent_checks.ray_conventions import check_ray_conventions
+    from mitsuba_ref.report.results import print_lines
+
+    try:
+        found = check_ray_conventions(candidate, entry.load().scene)
+    except (SceneError, MemoryError):  # which the row of the scene names
+        return
+    if not found.ok:
+        print_lines(f"conventions: {found.what} ({entry.name})\n", sys.stdout)
 
 
 def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:

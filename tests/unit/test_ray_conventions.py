@@ -7,6 +7,7 @@ import pytest
 
 import caster
 from caster.scene.files import load_scene
+from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.independent_checks.ray_conventions import RAYS, check_ray_conventions
 from mitsuba_ref.subjects.command import command_of
 from mitsuba_ref.subjects.function import FunctionSubject
@@ -78,6 +79,37 @@ def test_a_caster_of_one_side_is_wrong_along_mirrored_rays():
     """The camera of one-sphere looks along -z."""
     found = checked(changed(lambda d, t: np.where(d[:, 2] > 0.0, np.inf, t)))
     assert not found.ok and found.what.endswith("wrong for the same rays mirrored in z"), found.what
+
+
+def test_a_function_of_whole_films_alone_is_not_judged():
+    def of_a_film(scene, o, d):
+        return right(scene, o, d)[0].reshape(20, 24).ravel(), None
+
+    assert checked(of_a_film).what.startswith("not judged: no answer to 16 rays: candidate raised ValueError")
+
+
+def test_validate_says_a_convention_before_the_first_row(tmp_path, monkeypatch, capsys):
+    (tmp_path / "distances.py").write_text(
+        "import caster\nimport numpy as np\n\n\ndef cast(scene, o, d):\n    length = np.linalg.norm(d, axis=1)\n"
+        "    hits = caster.cast(scene, o, d)\n"
+        "    return np.where(abs(length - 1) < 1e-6, hits.t, hits.t * length), hits.normal\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    words = [
+        "validate",
+        str(SCENES / "one-sphere.toml"),
+        "--size",
+        "24",
+        "20",
+        "--candidate",
+        "distances:cast",
+    ]
+    assert main(words) == 1
+    out = capsys.readouterr().out
+    expected = "conventions: t is a distance, it has to count in lengths of d (divide it by |d|): right for |d| = 1, "
+    assert out.startswith(expected + "wrong for |d| = 0.5, 2, 7 (one-sphere)")
+    assert "FAIL  one-sphere  ray_conventions: " in out
 
 
 def test_what_is_wrong_already_or_not_there_is_not_judged():
