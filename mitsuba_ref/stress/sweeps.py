@@ -78,6 +78,7 @@ class SweepResult:
     misses: bool  # whether exact misses are expected; not from inside a closed mesh
     settings: tuple[SettingResult, ...]
     seconds: float = 0.0
+    declined: str = ""  # the candidate's own words, where it declined every setting
 
     @property
     def witnesses(self) -> tuple[Witness, ...]:
@@ -91,9 +92,11 @@ class SweepResult:
         return (CANDIDATE.key,) if self.witnesses is BESIDE_CANDIDATE else OUR_KEYS
 
     @classmethod
-    def of(cls, family: Family, settings: Sequence[SettingResult], seconds: float = 0.0) -> "SweepResult":
+    def of(
+        cls, family: Family, settings: Sequence[SettingResult], seconds: float = 0.0, declined: str = ""
+    ) -> "SweepResult":
         words = (family.name, family.title, family.quantity, family.error)
-        return cls(*words, family.easiest, family.misses, tuple(settings), round(seconds, 3))
+        return cls(*words, family.easiest, family.misses, tuple(settings), round(seconds, 3), declined)
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -104,9 +107,8 @@ class SweepResult:
     @property
     def problems(self) -> list[str]:
         """Why the sweep fails, in lines."""
-        absent = self.absence(self.judged[0])
-        if absent and absent.status == "not applicable":
-            return [f"{self.name}: {self.judged[0]} declined every setting: {absent.why}"]
+        if self.declined:
+            return [f"{self.name}: the candidate declined every setting: {self.declined}"]
         return [
             line for setting in self.settings for line in (*self._vacuous(setting), *self._faults(setting))
         ]
@@ -163,12 +165,18 @@ class StressRun:
     versions: Mapping[str, str]
     requested: tuple[str, ...]
     families: tuple[SweepResult, ...]
+    skip_unsupported: bool = (
+        False  # families that the candidate declined do not fail the run, others being judged
+    )
     format: int = JSON_FORMAT
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def ok(self) -> bool:
-        return all(sweep.ok for sweep in self.families) and len(self.families) == len(self.requested)
+        judged = [sweep for sweep in self.families if not (self.skip_unsupported and sweep.declined)]
+        return (
+            all(sweep.ok for sweep in judged) and bool(judged) and len(self.families) == len(self.requested)
+        )
 
 
 def sweep(
@@ -185,6 +193,8 @@ def sweep(
     start = time.perf_counter()
     on_progress("aiming")
     settings = [score.prepare_setting(setting) for setting in family.settings(seed, rays)]
+    if candidate and (declined := declined_words(candidate, settings)):
+        return SweepResult.of(family, (), time.perf_counter() - start, declined)
     results = []
     for i, (ready, observations) in enumerate(
         zip(settings, observe(settings, on_progress, candidate), strict=True)
@@ -192,6 +202,17 @@ def sweep(
         on_progress(f"exact answers {i + 1}/{len(settings)}")
         results.append(score_setting(ready, observations))
     return SweepResult.of(family, results, time.perf_counter() - start)
+
+
+def declined_words(candidate: Subject, settings: Sequence[PreparedSetting]) -> str:
+    """Why a candidate declines every setting, of the first; "" where it answers one, before anything else is done."""
+    words = ""
+    for ready in settings:
+        found = score.ask_candidate(candidate, ready)
+        if not isinstance(found, Absent) or found.status != "not applicable":
+            return ""
+        words = words or found.why
+    return words
 
 
 def observe(
@@ -245,8 +266,11 @@ def score_setting(ready: PreparedSetting, observations: Observations) -> Setting
 # A sweep as a table: its cells, and the text for a terminal.
 
 
-def as_text(sweep: SweepResult) -> str:
-    """Head, one row a setting, the breakdowns of each witness, and the failures of ours."""
+def as_text(sweep: SweepResult, skip_unsupported: bool = False) -> str:
+    """Head, one row a setting, the breakdowns of each witness, and the failures; a line where all is declined."""
+    if sweep.declined:
+        mark, why = "SKIP" if skip_unsupported else "FAIL", sweep.declined.partition("\n")[0]
+        return f"{mark}  {sweep.name}: {sweep.title}; the candidate declined every setting: {why}"
     mark = "PASS" if sweep.ok else "FAIL"
     head = f"{mark}  {sweep.name}: {sweep.title}; {sweep.error}, wrong hits or misses   {sweep.seconds:.1f} s"
     problems = (f"FAIL  {line}" for line in sweep.problems)

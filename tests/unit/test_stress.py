@@ -66,10 +66,13 @@ def run(name: str, *places: int) -> SweepResult:
 
 
 def shortened(monkeypatch, name: str, *places: int) -> None:
-    """Let a family have some of its settings only."""
+    """Let a family be the only one, with some of its settings."""
+    monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", (short(name, *places),))
+
+
+def short(name: str, *places: int):
     family = BY_NAME[name]
-    short = replace(family, values=tuple(family.values[i] for i in places))
-    monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", (short,))
+    return replace(family, values=tuple(family.values[i] for i in places))
 
 
 @pytest.mark.parametrize("word", STRESSED)
@@ -280,13 +283,12 @@ def test_the_json_has_its_keys_and_the_same_numbers_again(monkeypatch, capsys):
         texts.append(json.loads(shown.out))
         assert shown.err.startswith("PASS  film-size")
     first = texts[0]
-    assert (
-        set(first) == {"format", "seed", "versions", "requested", "ok", "families"} and first["format"] == 1
-    )
+    keys = {"format", "seed", "versions", "requested", "skip_unsupported", "ok", "families"}
+    assert set(first) == keys and first["format"] == 1
     (family,) = first["families"]
     assert set(family) == {
         *("name", "title", "quantity", "error", "easiest", "misses"),
-        *("ok", "problems", "seconds", "breakdowns", "settings"),
+        *("ok", "problems", "seconds", "declined", "breakdowns", "settings"),
     }
     setting = family["settings"][0]
     assert set(setting) == {"x", "rays", "exact", "bound", "witnesses"}
@@ -487,6 +489,41 @@ def test_a_candidate_that_declines_or_raises_is_no_pass():
     assert not sweep.ok and "no answer: candidate raised ZeroDivisionError" in sweep.problems[0]
     sweep = of_candidate("tangency", declines)
     assert not sweep.ok and "declined every setting" in sweep.problems[0]
+
+
+def test_families_that_a_candidate_declines_are_skipped_where_that_is_requested(
+    tmp_path, monkeypatch, capsys
+):
+    families = (short("sliver", 0, -1), short("tangency", 0, -1))
+    monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", families)
+    (tmp_path / "triangles_alone.py").write_text(
+        "import caster\n"
+        "def cast(scene, o, d):\n"
+        "    if any(shape.type != 'mesh' for shape in scene.shapes):\n"
+        "        raise NotImplementedError('no spheres')\n"
+        "    hits = caster.cast(scene, o, d)\n"
+        "    return hits.t, hits.normal\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    words = ["--rays", "25", "--candidate", "triangles_alone:cast", "--json", "run.json"]
+
+    assert main(["stress", "sliver", "tangency", *words]) == 1
+    out = capsys.readouterr().out
+    assert "FAIL  tangency" in out and "they fail the run without --skip-unsupported" in out
+    assert not json.loads((tmp_path / "run.json").read_text())["ok"]
+
+    assert main(["stress", "sliver", "tangency", "--skip-unsupported", *words]) == 0
+    out = capsys.readouterr().out
+    assert (
+        "SKIP  tangency" in out and "PASS  sliver" in out and "1 declined by the candidate: tangency" in out
+    )
+    run = json.loads((tmp_path / "run.json").read_text())
+    assert run["ok"] and [bool(each["declined"]) for each in run["families"]] == [False, True]
+
+    assert main(["stress", "tangency", "--skip-unsupported", *words]) == 5
+    assert "nothing judged: the candidate declined every family" in capsys.readouterr().err
+    assert not json.loads((tmp_path / "run.json").read_text())["ok"]
 
 
 def test_the_command_judges_a_candidate_and_refuses_one_without_rays(tmp_path, monkeypatch, capsys):
