@@ -89,6 +89,29 @@ TESTS = (
     "tests/reference/test_error_models_hold.py",
     "tests/reference/test_detection_power.py",
 )
+# Of modules of the judge, for which the caster is compiled: what asks Mitsuba gets its stored answers.
+_COMPILED_TESTS = {
+    "tests/unit": """
+        bias bracket broad_phase camera_references candidate_aimed candidate_scene common_traits
+        description_round_trip error_models exact_kernels explanations exr_files fuzz_findings
+        geometry_checked_in_both_precisions independent_transform judge_at_extremes judge_checks
+        knife_edges known_defects lambert_and_shadow_rays mesh_files_check ray_camera ray_conventions
+        registries report_arrays report_files result_schemas scaling scene_options scene_rows stress
+    """,
+    "tests/exact": """
+        edge_cases edge_cases_mitsuba oracle_filter oracle_kinds oracle_roots oracle_scenes
+    """,
+    "tests/reference": """
+        adjudication bands candidate_probe candidates detection_power error_models_hold excused_classes
+        hypotheses judge_classes mistakes new_shape probe_witnesses ray_lists
+    """,
+    "tests/report": """
+        pages candidate_record
+    """,
+}
+COMPILED_TESTS = tuple(
+    f"{folder}/test_{name}.py" for folder, names in _COMPILED_TESTS.items() for name in names.split()
+)
 SLOWEST_TEST_S = 4.0  # CPU seconds without the compiler, lines recorded; a slower test is not used
 FILE_LIMIT_S = (
     60.0  # CPU seconds for the measurement of one file of tests; what comes later in it is not used
@@ -144,6 +167,7 @@ class Settings:
     root: Path = ROOT
     sources: dict[str, tuple[str, ...]] = field(default_factory=lambda: dict(GROUPS))
     tests: Sequence[str] = (END_TO_END, SMALL_AGREEMENT, *TESTS)
+    compiled_tests: Sequence[str] = (END_TO_END, *COMPILED_TESTS)
 
 
 class Tree:
@@ -168,13 +192,20 @@ def copied_tree(source: Path, folder: Path) -> Tree:
     return Tree(folder)
 
 
-def measured(settings: Settings, tree: Tree) -> list[Test]:
+def is_compiled(settings: Settings, group: str) -> bool:
+    """Whether no mutant of a group edits the caster, whose kernels may then come from the cache."""
+    return not any(pattern.startswith("caster/") for pattern in settings.sources[group])
+
+
+def measured(settings: Settings, tree: Tree, compiled: bool) -> list[Test]:
     """Every test that passes in the copy, with its time and lines; measured once for each state of the sources."""
+    os.environ["CASTER_JIT"] = str(int(compiled))
+    patterns = settings.compiled_tests if compiled else settings.tests
     tests = set(tree.folder.glob("tests/**/test_*.py"))
     shared = {path for name in (*PACKAGES, "tests") for path in tree.folder.glob(f"{name}/**/*.py")} - tests
-    folder = settings.out / "measured" / digest(shared)
+    folder = settings.out / ("measured-compiled" if compiled else "measured") / digest(shared)
     folder.mkdir(parents=True, exist_ok=True)
-    files = sorted({path for pattern in settings.tests for path in tree.folder.glob(pattern)})
+    files = sorted({path for pattern in patterns for path in tree.folder.glob(pattern)})
     parallel(settings.jobs, files, lambda path, job: _measure(tree, path, folder))
     found = []
     for path in files:
@@ -329,13 +360,12 @@ def run(settings: Settings) -> dict[str, Any]:
     settings.out = out
     out.mkdir(parents=True, exist_ok=True)
     (out / "mitsuba").mkdir(exist_ok=True)
-    os.environ.update(
-        CASTER_JIT="0", MUTANTS_MEMORY=str(out / "mitsuba"), OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1"
-    )
+    os.environ.update(MUTANTS_MEMORY=str(out / "mitsuba"), OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     load_libraries()
     shutil.rmtree(out / "trees", ignore_errors=True)
     first = copied_tree(settings.root, out / "trees" / "0")
-    tests = measured(settings, first)
+    ways = {is_compiled(settings, group) for group in settings.groups}
+    tests = {compiled: measured(settings, first, compiled) for compiled in ways}
     trees = [first, *(copied_tree(first.folder, out / "trees" / str(job)) for job in range(1, settings.jobs))]
     populations, jobs = {}, []
     done = {row["key"] for row in results(out) if not (settings.again and row["status"] in SURVIVED)}
@@ -357,7 +387,9 @@ def run(settings: Settings) -> dict[str, Any]:
             mutant.old,
             mutant.new,
         )
-        executing, others = covering(tests, module, mutant)
+        compiled = is_compiled(settings, group)
+        os.environ["CASTER_JIT"] = str(int(compiled))
+        executing, others = covering(tests[compiled], module, mutant)
         kills = kills_in(out)
         order = [*ranked(executing, kills, module), *ranked(others, kills, module)]
         tried(trees[job], source, outcome, mutant, batches(order, settings.budget), out)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from caster.jit.kernel_cache import COMPILED
 from caster.scene.files import load_scene
 from mitsuba_ref.fuzz.campaign import check_example
 from mitsuba_ref.fuzz.families import FAMILIES, example
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.filterwarnings(
 )  # NumPy's scalars warn where machine code does not
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = 2  # of each family and group
-GROUPS = 2
+GROUPS = 6 if COMPILED else 2
 FILM = (9, 7)
 SEED = 11
 LARGE = (
@@ -28,8 +29,8 @@ LARGE = (
     "transforms",
 )
 SCENES = sorted(
-    path for path in (ROOT / "scenes").glob("*.toml") if path.stem not in LARGE
-)  # slow without the compiler
+    path for path in (ROOT / "scenes").glob("*.toml") if COMPILED or path.stem not in LARGE
+)  # the large ones are slow without the compiler
 
 
 @pytest.mark.parametrize("group", range(GROUPS))

@@ -1,8 +1,9 @@
 """Tests run in a fork of this process, in a copy of the tree: to measure what they execute, or to try a mutant.
 
 The process loads the libraries once; the packages under test and the tests are loaded by each fork from its tree, so
-that constants of a module and what others import from it are the mutant's as well. Without the compiler: plain Python
-runs the same source, and an edit costs no compilation. Mitsuba's answers are kept by the bytes of the request.
+that constants of a module and what others import from it are the mutant's as well. Edits of the caster run without the
+compiler: plain Python runs the same source, and an edit costs no compilation. Edits of the judge run beside the caster
+as it is compiled. Mitsuba's answers are kept by the bytes of the request.
 """
 
 import contextlib
@@ -88,7 +89,7 @@ def _in_child(tree: Path, files: Sequence[str], plugin: Any, cpu: float) -> int:
     for number in (0, 1, 2):
         os.dup2(nowhere, number)
     os.chdir(tree)
-    os.environ.update(PYTHONPATH=str(tree), CASTER_JIT="0")
+    os.environ["PYTHONPATH"] = str(tree)
     sys.path.insert(0, str(tree))
     return int(
         pytest.main(

@@ -262,12 +262,11 @@ def _is_kept(f: WrongPixels, stay: np.ndarray) -> bool:
 
 
 class OtherRay(NamedTuple):
-    """Another ray (o, d) -> (o, d) and what it does to t."""
+    """Another ray and what it does to t."""
 
     what: str
     remedy: str
-    o: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    d: Callable[[np.ndarray], np.ndarray]
+    lines: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # (o, d) -> (o, d)
     t_factor: float = 1.0
 
 
@@ -275,38 +274,30 @@ def _signs(which: tuple[int, ...]) -> np.ndarray:
     return np.where(np.isin(np.arange(3), which), -1.0, 1.0)
 
 
-def _same(a: np.ndarray, _: np.ndarray) -> np.ndarray:
-    return a
-
-
 def _other_rays() -> Iterator[OtherRay]:
-    yield OtherRay("the directions are reversed: -d in place of d", "turn the sign of d", _same, np.negative)
+    what = "the directions are reversed: -d in place of d"
+    yield OtherRay(what, "turn the sign of d", lambda o, d: (o, -d))
     for axis, name in enumerate("xyz"):
         signs = _signs((axis,))
         what = f"the {name} axis of directions is turned round"
-        yield OtherRay(what, f"turn the sign of d.{name}", _same, signs.__mul__)
+        yield OtherRay(what, f"turn the sign of d.{name}", lambda o, d, s=signs: (o, d * s))  # type: ignore[misc]
         what = f"the {name} axis is turned round, of another handedness"
         remedy = f"use the same axes for rays and scene: turn the sign of {name}"
-        yield OtherRay(what, remedy, lambda o, d, s=signs: o * s, signs.__mul__)  # type: ignore[misc]
+        yield OtherRay(what, remedy, lambda o, d, s=signs: (o * s, d * s))  # type: ignore[misc]
     for order in permutations(range(3)):
         if order != (0, 1, 2):
-            for both in (False, True):
-                names = ", ".join("xyz"[i] for i in order)
-                who = "of rays" if both else "of directions"
-                moved = (lambda o, d, p=order: o[:, p]) if both else _same
-                yield OtherRay(
-                    f"the axes {who} are exchanged: ({names}) in place of (x, y, z)",
-                    "use the same axes for rays and scene (y up or z up?)",
-                    moved,
-                    lambda d, p=order: d[:, p],  # type: ignore[misc]
-                )
+            names = ", ".join("xyz"[i] for i in order)
+            what = f"are exchanged: ({names}) in place of (x, y, z)"
+            remedy = "use the same axes for rays and scene (y up or z up?)"
+            yield OtherRay(f"the axes of directions {what}", remedy, lambda o, d, p=order: (o, d[:, p]))  # type: ignore[misc]
+            yield OtherRay(f"the axes of rays {what}", remedy, lambda o, d, p=order: (o[:, p], d[:, p]))  # type: ignore[misc]
     what, remedy = "the rays' origin is taken for (0, 0, 0)", "subtract, or add, the ray's origin"
-    yield OtherRay(what, remedy, lambda o, d: 0.0 * o, lambda d: d)
-    yield OtherRay("origin and direction are exchanged", "o comes first", lambda o, d: d, lambda d: d)
+    yield OtherRay(what, remedy, lambda o, d: (0.0 * o, d))
+    yield OtherRay("origin and direction are exchanged", "o comes first", lambda o, d: (d, o))
     for scale in (0.001, 0.01, 0.0254, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0):
         what = f"the scene is {scale:g} times as large as it should be"
         remedy = "use vertices in the units of the rays"
-        yield OtherRay(what, remedy, lambda o, d, s=scale: o / s, lambda d: d, scale)  # type: ignore[misc]
+        yield OtherRay(what, remedy, lambda o, d, s=scale: (o / s, d), scale)  # type: ignore[misc]
 
 
 OTHER_RAYS = tuple(_other_rays())
@@ -324,7 +315,7 @@ def other_rays(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
 
 def _first_hit_along(f: WrongPixels, ray: OtherRay, *, or_exact: bool = False) -> np.ndarray:
     """(m,) bool: right under first hits along these rays."""
-    return _first_hits(f, ray.o(f.o, f.d), ray.d(f.d), ray.t_factor, or_exact=or_exact)
+    return _first_hits(f, *ray.lines(f.o, f.d), ray.t_factor, or_exact=or_exact)
 
 
 def _first_hits(
@@ -549,7 +540,7 @@ def first_one_missed(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
         t = f.given_t[f.roots.ray]
         with np.errstate(invalid="ignore"):
             on_one = np.abs(t - f.roots.at.t) <= np.maximum(f.roots.at.t_error, MATCH_RTOL * np.abs(t))
-            farther = f.given_t > f.t * (1.0 + DISTINCT_RTOL)
+            farther = f.given_hit & (f.given_t > f.t * (1.0 + DISTINCT_RTOL))
         behind[f.roots.ray[on_one]] = True
         behind &= farther & f.hit
     if missed.any() and behind.any():

@@ -1,0 +1,487 @@
+"""The class of a pixel as a table: answers that are altered by a share of a bound, and what the judge makes of them.
+
+Mitsuba answers once; each row of a table alters the answer of one side, at some pixels of every kind of primitive.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import caster
+from caster.aovs import Aovs
+from caster.scene.model import Scene
+from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.judge.aggregate import (
+    class_counts,
+    decisive_check,
+    defect_counts,
+    failing_by_check,
+    failure_at,
+    findings,
+    largest_ratios,
+    listed_failures,
+    worst_first,
+)
+from mitsuba_ref.judge.classification import Judge, Judgement, scene_judge
+from mitsuba_ref.judge.diagnosis import diagnose, failing_rows
+from mitsuba_ref.judge.explanations import open_reason
+from mitsuba_ref.judge.verdict import CLASSES
+from mitsuba_ref.subjects.function import FunctionSubject
+
+INSIDE, OUTSIDE = 0.98, 1.02
+TURN = {"rotate": {"axis": [1, 2, 3], "degrees": 37}}
+SHAPES = (
+    caster.Sphere(name="ball", center=(-0.9, 0.3, 0), radius=0.6),
+    caster.Disk(name="lid", to_world=[{"scale": 0.6}, TURN, {"translate": [0.5, 0.7, 0]}]),
+    caster.Cylinder(name="tube", to_world=[{"scale": 0.4}, TURN, {"translate": [0.8, -0.6, 0]}]),
+    caster.Torus(
+        name="ring", to_world=[{"scale": 0.4}, TURN, {"translate": [-0.5, -0.7, 0.4]}], segments=9, sides=5
+    ),
+    caster.Rectangle(name="wall", to_world=[{"scale": 1.4}, {"translate": [0, 0, -1]}]),
+)
+LIGHTS = (
+    caster.Point(position=(2, 5, 3), intensity=(30, 30, 30)),
+    caster.Directional(direction=(0.3, -1, -0.6), irradiance=(1, 1, 1)),
+    caster.Ambient(radiance=(0.1, 0.2, 0.3)),
+)
+
+
+def scene_of(*shapes: Any, **more: Any) -> Scene:
+    camera = caster.Pinhole(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), fov=40)
+    usual = {"film": caster.Film(width=24, height=16), "camera": camera, "lights": LIGHTS}
+    return Scene(**(usual | more), shapes=shapes or SHAPES)
+
+
+@pytest.fixture(scope="module")
+def one(brought) -> Judge:
+    return brought(scene_of())
+
+
+@pytest.fixture(scope="module")
+def first(one) -> Judgement:
+    found = one.judge()
+    shapes = aov_rows(one.pair.subject, "shape_id")
+    assert found.is_class("agree").all() and set(np.unique(shapes)) == {-1, 0, 1, 2, 3, 4}
+    return found
+
+
+def altered(judge: Judge) -> Judge:
+    """The same, of arrays that a test may alter; `again` judges what was made of them."""
+    pair = judge.pair
+
+    def images(aovs: Aovs) -> Aovs:
+        return Aovs({name: image.copy() for name, image in aovs.items()}, aovs.hit.copy())
+
+    def copies(record: Any) -> Any:
+        arrays = {name: np.array(each) for name, each in vars(record).items() if isinstance(each, np.ndarray)}
+        return replace(record, **arrays)
+
+    answer, result = copies(pair.answer), copies(pair.result)
+    wide = {name: getattr(result.answer, name).astype(np.float64) for name in ("t", "uv")}
+    result = replace(result, answer=replace(copies(result.answer), **wide))
+    subject = images(pair.subject)
+    if answer.images is not None:
+        answer = replace(answer, images=subject)
+    made = replace(pair, subject=subject, reference=images(pair.reference), answer=answer, result=result)
+    return Judge(judge.scene, judge.model, made, judge.view)
+
+
+def again(judge: Judge) -> Judge:
+    return Judge(judge.scene, judge.model, judge.pair, judge.view)
+
+
+def directions(count: int) -> np.ndarray:
+    axes = np.random.default_rng(7).normal(size=(count, 3))
+    return axes / np.linalg.norm(axes, axis=1, keepdims=True)
+
+
+def classes_at(judgement: Judgement, rows: np.ndarray) -> set[str]:
+    return {CLASSES[code] for code in judgement.classes[rows]}
+
+
+# ---- one quantity, by a share of its bound
+
+QUANTITIES = ("depth", "position", "normal", "shading_normal", "uv", "diffuse")
+
+
+def move_reference(judge: Judge, name: str, share: float) -> np.ndarray:
+    """Mitsuba's value is ours, and a share of the bound beside it, wherever both hit; the rows."""
+    pair, at = judge.pair, judge.bounds.at
+    rows = np.flatnonzero(judge.hit & at.certain)
+    ours, theirs = (aov_rows(images, name) for images in (pair.subject, pair.reference))
+    if name == "depth":
+        off = share * at.t_error[rows]
+        theirs[rows] = ours[rows] + off * pair.length[rows]
+        pair.result.t[rows] = pair.result.answer.t[rows] = judge.answer.t[rows] + off
+    elif name == "uv":
+        step, points = np.array([1e-6, 0.0]), judge.model.uv_points
+        moved = points(judge.prim, ours + step, ours=False) - points(judge.prim, ours, ours=True)
+        per_step = np.linalg.norm(moved, axis=1)
+        rows = rows[(per_step[rows] > 1e-9) & judge.model.reference_has_uv(judge.prim)[rows]]
+        theirs[rows] = ours[rows] + step * (share * at.uv_error[rows] / per_step[rows])[:, None]
+        pair.result.answer.uv[rows] = theirs[rows]
+    else:
+        error = {"position": at.p_error, "normal": at.n_error, "shading_normal": at.sh_error}[name]
+        theirs[rows] = ours[rows] + share * error[rows, None] * directions(len(rows))
+    return rows
+
+
+def move_subject(judge: Judge, name: str, share: float) -> np.ndarray:
+    """Our value is a share of float64's bound beside that of the primitive that we name; the rows."""
+    pair, own = judge.pair, judge.bounds.own
+    rows, ours = np.flatnonzero(judge.hit), aov_rows(pair.subject, name)
+    if name == "depth":
+        t = judge.answer.t[rows] = own.t[rows] + share * own.t_error[rows]
+        ours[rows] = t * pair.length[rows]
+        aov_rows(pair.subject, "position")[rows] = judge.o[rows] + t[:, None] * judge.d[rows]
+        return rows
+    value, error = {
+        "position": (judge.point, own.p_error),
+        "normal": (own.n, own.n_error),
+        "shading_normal": (own.sh_n, own.sh_error),
+    }[name]
+    ours[rows] = value[rows] + share * error[rows, None] * directions(len(rows))
+    return rows
+
+
+@pytest.mark.parametrize("name", QUANTITIES[:5])
+def test_mitsubas_value_may_be_off_by_its_bound_and_no_more(one, first, name):
+    inside, outside = altered(one), altered(one)
+    for judge, share in ((inside, INSIDE), (outside, OUTSIDE)):
+        rows = move_reference(judge, name, share)
+        found = again(judge).judge()
+        assert len(rows) > 200 and not set(np.flatnonzero(first.ratio(name) != found.ratio(name))) - set(rows)
+        assert found.ratio(name)[rows] == pytest.approx(np.full(len(rows), share), rel=0.01)
+        # Ours is exactly right, no rounding allows Mitsuba's answer, and no defect that is known is like it.
+        expected = {"agree"} if share == INSIDE else {"reference_wrong"}
+        assert classes_at(found, rows) == expected
+        assert set(found.cases.values()) == (set() if share == INSIDE else {None})
+        failing = failing_rows(found)
+        assert failing.tolist() == ([] if share == INSIDE else rows.tolist())
+        assert defect_counts(found) == ({} if share == INSIDE else {"unlisted": len(rows)})
+
+
+@pytest.mark.parametrize("name", ["position", "normal", "shading_normal"])
+def test_our_value_may_be_off_by_float64s_bound_and_no_more(one, name):
+    inside, outside = altered(one), altered(one)
+    rows = move_subject(inside, name, 0.9)
+    judge = again(inside)
+    (check,) = (each for each in judge.self_checks if each.name == name)
+    assert check.counts[rows].all() and check.error[rows] / check.bound[rows] == pytest.approx(0.9, rel=0.08)
+    assert classes_at(judge.judge(), rows) == {"agree"}
+    move_subject(outside, name, 1.1)
+    judge = again(outside)
+    found = judge.judge()
+    assert classes_at(found, rows) == {"wrong"} and failing_rows(found).tolist() == rows.tolist()
+    (check,) = (each for each in judge.self_checks if each.name == name)
+    assert check.fails[rows].all() and all(check.fails_at(row) for row in rows)
+    what = "the normal is off by" if name == "normal" else f"at the primitive that is hit, in {name}"
+    assert all(what in cause.what for cause in diagnose(judge, found).causes)
+
+
+def test_our_t_may_be_off_by_float64s_bound_and_no_more(one):
+    """Exact arithmetic is asked at some pixels; nearly all of its bound may be used up by its own value of t."""
+    judge = altered(one)
+    rows = move_subject(judge, "depth", 0.5)
+    found = again(judge).judge()
+    assert (found.ratio("exact") <= 1.0).all() and (found.ratio("on_surface") <= 0.8).all()
+    judge = altered(one)
+    move_subject(judge, "depth", 1.6)
+    judge = again(judge)
+    found = judge.judge()
+    asked = np.intersect1d(rows, found.exact.rows)
+    assert len(asked) == len(rows) and classes_at(found, rows) == {"wrong"}
+    assert (found.ratio("exact")[rows] > 1.0).all() and (found.ratio("on_surface")[rows] > 1.0).all()
+    assert (found.ratio("depth")[rows] < 1.0).all()  # float32 would not see it
+
+
+@pytest.mark.parametrize("side", ["subject", "reference"])
+def test_light_is_wrong_where_float64_does_not_give_it_and_else_it_is_mitsubas(one, first, side):
+    judge = altered(one)
+    rows = np.flatnonzero(judge.hit)
+    if side == "subject":
+        aov_rows(judge.pair.subject, "diffuse")[rows] *= 1.0 + 1e-4
+    else:
+        judge.pair.result.ambient[rows] += 0.01
+    found = again(judge).judge()
+    lit = rows[aov_rows(one.pair.subject, "diffuse")[rows].any(axis=1)]
+    assert len(lit) > 200 and classes_at(found, lit) == {"wrong" if side == "subject" else "reference_wrong"}
+    ratio = found.ratio("diffuse")[lit]
+    assert np.isinf(ratio).all() if side == "subject" else ((ratio > 1.0) & np.isfinite(ratio)).all()
+    rest = np.setdiff1d(np.arange(len(judge.hit)), lit)
+    assert np.array_equal(found.classes[rest], first.classes[rest])
+
+
+# ---- other hits
+
+
+def miss(judge: Judge, rows: np.ndarray) -> None:
+    """Ours misses at these rows, in all that it gives."""
+    judge.answer.t[rows], judge.answer.prim[rows] = np.inf, -1
+    for name in judge.pair.subject:
+        aov_rows(judge.pair.subject, name)[rows] = {"depth": np.inf, "shape_id": -1, "prim_id": -1}.get(
+            name, 0
+        )
+    judge.pair.subject.hit.ravel()[rows] = False
+
+
+def reference_misses(judge: Judge, rows: np.ndarray) -> None:
+    judge.pair.result.t[rows] = judge.pair.result.answer.t[rows] = np.inf
+    judge.pair.result.shape_id[rows] = -1
+    for name in judge.pair.reference:
+        aov_rows(judge.pair.reference, name)[rows] = {"depth": np.inf, "shape_id": -1, "prim_id": -1}.get(
+            name, 0
+        )
+    judge.pair.reference.hit.ravel()[rows] = False
+
+
+def some_of_each_shape(judge: Judge, count: int = 3) -> np.ndarray:
+    """Rows away from edges, of every shape."""
+    shapes = aov_rows(judge.pair.subject, "shape_id")
+    rows = [
+        np.flatnonzero((shapes == shape) & judge.bounds.at.certain)[:count] for shape in range(len(SHAPES))
+    ]
+    return np.sort(np.concatenate(rows))
+
+
+HIT_FAULTS = {
+    "ours misses": (miss, "wrong", {"mask", "shape_id", "exact"}, "missed; exact arithmetic hits"),
+    "Mitsuba misses": (
+        reference_misses,
+        "reference_wrong",
+        {"mask", "shape_id"},
+        "Mitsuba wrong in no known way",
+    ),
+    "both miss": (
+        lambda judge, rows: (miss(judge, rows), reference_misses(judge, rows)),
+        "wrong",
+        {"exact"},
+        "missed; exact arithmetic hits",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", HIT_FAULTS)
+def test_another_hit_or_miss_is_the_fault_of_who_is_not_exact(one, first, fault):
+    plant, expected, checks, what = HIT_FAULTS[fault]
+    judge = altered(one)
+    rows = some_of_each_shape(judge)
+    plant(judge, rows)
+    judge = again(judge)
+    found = judge.judge()
+    assert classes_at(found, rows) == {expected} and failing_rows(found).tolist() == rows.tolist()
+    rest = np.setdiff1d(np.arange(len(judge.hit)), rows)
+    assert np.array_equal(found.classes[rest], first.classes[rest])
+    by = failing_by_check(found)
+    assert set(by) == checks | {"exact"} - ({"exact"} if "exact" not in checks else set())
+    assert all(sorted(each) == rows.tolist() for each in by.values())
+    assert all(np.isinf(found.ratio(name)[rows]).all() for name in checks)
+    diagnosis = diagnose(judge, found)
+    assert all(what in cause.what for cause in diagnosis.causes)
+    assert sorted(diagnosis.by_row()) == rows.tolist()
+    counts = class_counts(found, judge.pair.any_hit)
+    assert counts[expected] == len(rows) and sum(counts.values()) == judge.pair.any_hit.sum() + (
+        len(rows) if fault == "both miss" else 0
+    )
+    listed = listed_failures(judge, found, diagnosis)
+    assert len(listed) == 10 and {each.verdict for each in listed} == {expected}
+    assert [(each.x, each.y) for each in listed] == [(row % 24, row // 24) for row in rows[:10].tolist()]
+
+
+def name_another(judge: Judge, rows: np.ndarray) -> None:
+    """The next triangle of the same torus, in all that ours gives."""
+    judge.answer.prim[rows] += 1
+    aov_rows(judge.pair.subject, "prim_id")[rows] += 1
+
+
+def test_another_primitive_than_the_one_that_is_hit_is_wrong(one):
+    judge = altered(one)
+    rows = np.flatnonzero((aov_rows(judge.pair.subject, "shape_id") == 3) & judge.bounds.at.certain)
+    rows = rows[aov_rows(judge.pair.subject, "prim_id")[rows] < 88]
+    name_another(judge, rows)
+    found = again(judge).judge()
+    assert (
+        len(rows) >= 5
+        and classes_at(found, rows) == {"wrong"}
+        and np.isinf(found.ratio("on_surface")[rows]).any()
+    )
+
+
+# Our image contradicts our own hit: no rounding excuses it, and no exact answer makes it right.
+CONTRADICTIONS = {
+    "depth": lambda images: images["depth"] * (1.0 + 1e-13),
+    "position": lambda images: images["position"] * np.nan,
+    "normal": lambda images: images["normal"] * np.nan,
+    "shading_normal": lambda images: images["shading_normal"] * np.nan,
+    "uv": lambda images: images["uv"] * np.inf,
+    "diffuse": lambda images: images["diffuse"] * np.nan,
+    "prim_id": lambda images: images["prim_id"] + 1,
+    "hit": lambda images: 1 - images["hit"],
+    "albedo": lambda images: images["albedo"] * 0.999,
+}
+REPORTED_AS = {"prim_id": "shape_id", "hit": "mask", "albedo": "diffuse"}
+
+
+@pytest.mark.parametrize("where", ["hits", "misses"])
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+def test_an_image_that_contradicts_its_hit_is_undecided(one, name, where):
+    judge = altered(one)
+    rows = some_of_each_shape(judge) if where == "hits" else np.flatnonzero(~judge.hit)[:12]
+    image = aov_rows(judge.pair.subject, name)
+    if where == "hits":
+        kept = image.copy()
+        with np.errstate(invalid="ignore"):
+            changed = CONTRADICTIONS[name]({name: kept})
+        image[rows] = changed[rows]
+    else:
+        image[rows] = {"hit": True, "depth": 1.0}.get(name, 1)
+    judge = again(judge)
+    found = judge.judge()
+    reported = REPORTED_AS.get(name, name)
+    assert classes_at(found, rows) == {"undecided"}
+    assert np.isinf(found.ratio(reported)[rows]).all() and judge.inconsistent[reported][rows].all()
+    assert sum(each.sum() for each in judge.inconsistent.values()) == len(rows)
+    expected = f"our image contradicts our own hit: {reported}"
+    assert {open_reason(judge, found, int(row)) for row in rows} == {expected}
+    assert [cause.what for cause in diagnose(judge, found).causes] == [expected]
+    assert not judge.consistent[rows].any() and judge.consistent.sum() == len(judge.hit) - len(rows)
+
+
+# ---- what is made of a judgement
+
+
+def test_failures_are_ordered_by_what_they_exceed(one):
+    judge = altered(one)
+    rows = some_of_each_shape(judge)
+    own = judge.bounds.own
+    share = np.linspace(2.0, 60.0, len(rows))
+    position = aov_rows(judge.pair.subject, "position")
+    position[rows] += (share * own.p_error[rows])[:, None] * directions(len(rows))
+    judge = again(judge)
+    found = judge.judge()
+    order = worst_first(found, rows)
+    assert order == rows[np.argsort(-found.ratio("position")[rows], kind="stable")].tolist() != rows.tolist()
+    assert {decisive_check(found, row) for row in order} == {"position"}
+    assert failing_by_check(found)["position"].tolist() == order
+    (finding,) = findings(judge, diagnose(judge, found))
+    assert (finding.pixels, finding.x, finding.y) == (len(rows), rows[0] % 24, rows[0] // 24)
+    failure = failure_at(judge, found, diagnose(judge, found).by_row(), order[0])
+    assert failure.check == "position" and failure.ratio == found.ratio("position")[order[0]]
+    assert failure.subject != failure.reference and ", position (" in failure.subject
+    assert failure_at(judge, found, {order[0]: "planted"}, order[0], "depth").ratio < 1.0
+    ratios = largest_ratios(found)
+    assert ratios["position"] <= 1.0 and set(ratios) == set(found.names)
+    for name, ratio in ratios.items():
+        assert ratio == found.ratio(name)[found.is_class("agree")].max()
+
+
+def test_a_share_that_the_scene_allows_is_the_bound(one, brought):
+    strict = brought(scene_of(checks={"normal": {"ratio": 0.5}}))
+    judge = altered(strict)
+    rows = move_reference(judge, "normal", 0.51)
+    judge = again(judge)
+    found = judge.judge()
+    assert classes_at(found, rows) == {"undecided"} and found.allowed["normal"] == 0.5
+    assert found.excess("normal")[rows] == pytest.approx(np.full(len(rows), 1.02), rel=0.01)
+    said = {open_reason(judge, found, int(row)) for row in rows}
+    assert said == {"beyond the share of the bound that [check.normal] allows"}
+    judge = altered(strict)
+    assert classes_at(again(judge).judge(), move_reference(judge, "normal", 0.49)) == {"agree"}
+
+
+# ---- candidates: t and normals, of float64 or float32, and numbers of what is hit
+
+
+def cast(scene, o, d):
+    hits = caster.cast(scene, o, d)
+    return hits.t.copy(), hits.normal.copy()
+
+
+@pytest.fixture(scope="module", params=["float64", "float32"])
+def candidate(request, send) -> Judge:
+    subject = FunctionSubject("right", cast, request.param)
+    return scene_judge(scene_of(), subject, send=send)
+
+
+@pytest.mark.parametrize("what", ["t", "normal"])
+def test_a_candidate_may_be_off_by_its_own_bound_and_no_more(candidate, what):
+    own = candidate.bounds.own
+    rows = some_of_each_shape_hit(candidate)
+    name = "depth" if what == "t" else "normal"
+    for share in (0.9, 1.1):
+        judge = altered(candidate)
+        if what == "t":
+            judge.answer.t[rows] = own.t[rows] + share * own.t_error[rows]
+        else:
+            judge.answer.n[rows] = own.n[rows] + share * own.n_error[rows, None] * directions(len(rows))
+        found = again(judge).judge()
+        assert found.ratio(name)[rows] == pytest.approx(np.full(len(rows), share), rel=0.08)
+        expected = {"agree"} if share < 1.0 else {"wrong"}
+        assert classes_at(found, rows) <= expected | ({"explained"} if what == "t" else set())
+        assert (classes_at(found, rows) & expected) == expected
+        rest = np.setdiff1d(np.arange(len(judge.hit)), rows)
+        assert classes_at(found, rest) <= {"agree", "explained", "tie"}
+
+
+def some_of_each_shape_hit(judge: Judge, count: int = 5) -> np.ndarray:
+    shapes = judge.result.shape_id
+    certain = judge.bounds.at.certain & judge.bounds.own.certain & np.isfinite(judge.bounds.own.n_error)
+    rows = [np.flatnonzero((shapes == shape) & certain)[:count] for shape in range(len(SHAPES))]
+    return np.sort(np.concatenate(rows))
+
+
+@pytest.mark.parametrize("misses", [True, False])
+def test_a_candidate_that_misses_or_hits_in_place_of_it_is_wrong(candidate, misses):
+    judge = altered(candidate)
+    hit = judge.hit
+    rows = some_of_each_shape_hit(judge) if misses else np.flatnonzero(~hit)[:12]
+    judge.answer.t[rows] = np.inf if misses else 5.0
+    judge.answer.n[rows] = 0.0 if misses else (0.0, 0.0, 1.0)
+    judge.pair.subject.hit.ravel()[rows] = not misses
+    found = again(judge).judge()
+    assert classes_at(found, rows) == {"wrong"} and np.isinf(found.ratio("mask")[rows]).all()
+    assert np.isinf(found.ratio("exact")[rows]).all() and not found.is_right(int(rows[0]))
+
+
+@pytest.mark.parametrize("side", ["shape_id", "prim_id"])
+def test_a_number_that_a_candidate_names_has_to_be_that_of_what_is_hit(candidate, side):
+    judge = altered(candidate)
+    packed, prim = judge.model.packed, judge.reference_prim
+    numbers = {
+        "shape_id": np.where(prim >= 0, packed.shape_of(np.maximum(prim, 0)), -1),
+        "prim_id": np.where(prim >= 0, packed.index_in_shape(np.maximum(prim, 0)), -1),
+    }
+    rows = some_of_each_shape_hit(judge)
+
+    def judged(ids: dict[str, np.ndarray]) -> Judgement:
+        images = Aovs(
+            dict(judge.pair.subject) | {name: each.reshape(judge.pair.shape) for name, each in ids.items()},
+            judge.pair.subject.hit,
+        )
+        answer = replace(judge.answer, **ids)
+        pair = replace(judge.pair, answer=answer, subject=images)
+        return Judge(judge.scene, judge.model, pair, judge.view).judge()
+
+    right = judged(numbers)
+    assert not right.is_class("wrong", "undecided").any() and right.ratio(side).max() == 0.0
+    wrong = numbers[side].copy()
+    wrong[rows] += 1
+    found = judged(numbers | {side: wrong})
+    assert classes_at(found, rows) == {"wrong"} and found.is_class("wrong").sum() == len(rows)
+    assert np.isinf(found.ratio(side)[rows]).all()
+
+
+def test_an_answer_that_is_none_is_wrong_everywhere_it_stands(candidate):
+    judge = altered(candidate)
+    rows = some_of_each_shape_hit(judge)
+    broken = np.isin(np.arange(len(judge.hit)), rows)
+    pair = replace(judge.pair, answer=replace(judge.answer, broken={"t is planted": broken}))
+    judge = Judge(judge.scene, judge.model, pair, judge.view)
+    found = judge.judge()
+    assert classes_at(found, rows) == {"wrong"} and found.is_class("wrong").sum() == len(rows)
+    assert all(np.isinf(found.ratio(name)[rows]).all() for name in found.names)
+    assert [(cause.what, cause.rows.tolist()) for cause in diagnose(judge, found).causes] == [
+        ("no answer: t is planted", rows.tolist())
+    ]

@@ -1,0 +1,468 @@
+"""Each check that is made once a scene, given one input just inside of its bound and one just outside."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import caster
+from caster.aovs import Aovs
+from caster.scene.model import Scene
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
+from mitsuba_ref.judge import scene_checks
+from mitsuba_ref.judge.independent_checks import exr_round_trip, routes
+from mitsuba_ref.judge.independent_checks.exr_round_trip import WrittenImage, check_exr_files, stored_planes
+from mitsuba_ref.judge.independent_checks.routes import check_routes, route_differences
+from mitsuba_ref.judge.scene_checks import (
+    BRUTE_FORCE_TESTS,
+    PRECISIONS,
+    Shares,
+    check_camera,
+    check_culling,
+    check_materials,
+    check_placement,
+    check_render,
+    check_sensor,
+    worst_pixel,
+)
+from mitsuba_ref.judge.verdict import SceneCheck
+
+INSIDE, OUTSIDE = 0.97, 1.03
+EYE, LOOK_AT = (1.0, 2.0, 6.0), (0.0, 0.5, 0.0)
+# Written out here a second time: 8 roundings of the camera, of 2 * 4 units of float64; 4 units of float32.
+CAMERA_BOUND, SENSOR_BOUND = 8 * 8 * 2.0**-53, 4 * 2.0**-24
+CROP = (3, 2, 11, 8)
+
+
+def scene_of(*shapes, **more) -> Scene:
+    shapes = shapes or (
+        caster.Sphere(name="ball", center=(0, 0.4, 0)),
+        caster.Disk(name="lid", to_world=[{"translate": [1, 0, 0.5]}]),
+    )
+    camera = caster.Pinhole(eye=EYE, look_at=LOOK_AT, up=(0, 1, 1), fov=40, near=2.5, far=50.0)
+    usual = {"film": caster.Film(width=14, height=10, crop=CROP), "camera": camera}
+    usual["lights"] = [caster.Point(position=(2, 5, 3), intensity=(30, 30, 30))]
+    return Scene(**(usual | more), shapes=shapes)
+
+
+def up_sine() -> float:
+    view = np.subtract(LOOK_AT, EYE)
+    view = view / np.linalg.norm(view)
+    up = np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0)
+    return float(np.sqrt(1.0 - (view @ up) ** 2))
+
+
+# ---- what is recorded
+
+
+def test_a_second_value_of_one_name_is_refused_and_the_worst_is_the_largest():
+    shares = Shares()
+    assert shares.worst() == ("nothing to look at", 0.0)
+    for what, share in (("a", 0.5), ("b", 2.0), ("c", 1.0)):
+        shares.add(what, share)
+    assert shares.worst() == ("b", 2.0)
+    with pytest.raises(ValueError, match="b is checked twice"):
+        shares.add("b", 0.0)
+
+
+@pytest.mark.parametrize("value", [0.5, 3.0, np.inf, np.nan])
+def test_the_worst_pixel_is_reported_at_its_place_on_the_film(value):
+    scene = scene_of()
+    count, width = 48, 8
+    table = {"one": np.zeros(count), "two": np.zeros(count)}
+    table["one"][5], table["two"][2 * width + 3] = 0.25, value
+    found = worst_pixel("name", table, np.ones(count, bool), scene)
+    assert (found.name, found.what) == ("name", "two at (6, 4)")
+    assert found.ratio == (np.inf if np.isnan(value) else value) and found.ok is (value == 0.5)
+    among = np.arange(count) != 2 * width + 3
+    assert worst_pixel("name", table, among, scene).what == "one at (8, 2)"
+    assert worst_pixel("name", {}, among, scene).ratio == 0.0
+
+
+# ---- camera and sensor
+
+CAMERA_PARTS = {
+    "origin": lambda rays, i: (rays.o[i], CAMERA_BOUND * max(map(abs, EYE))),
+    "direction": lambda rays, i: (rays.d[i], CAMERA_BOUND),
+    "near": lambda rays, i: (rays.t_min[i : i + 1], CAMERA_BOUND * rays.t_min[i]),
+    "far": lambda rays, i: (rays.t_max[i : i + 1], CAMERA_BOUND * rays.t_max[i]),
+}
+
+
+@pytest.mark.parametrize("share", [INSIDE, OUTSIDE])
+@pytest.mark.parametrize("part", CAMERA_PARTS)
+def test_a_camera_ray_may_be_off_by_its_bound_and_no_more(monkeypatch, part, share):
+    scene = scene_of()
+    x, y = scene_checks.pixel_centers(scene)
+    rays = scene_checks.reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
+    rays = scene_checks.camera_rays(scene)._replace(o=rays.o, d=rays.d, t_min=rays.t_min, t_max=rays.t_max)
+    rays = rays._replace(**{name: np.array(getattr(rays, name)) for name in ("o", "d", "t_min", "t_max")})
+    values, bound = CAMERA_PARTS[part](rays, 13)
+    axis = np.ones(len(values)) / np.sqrt(len(values))
+    values += share * bound / up_sine() * axis
+    monkeypatch.setattr(scene_checks, "camera_rays", lambda scene: rays)
+    found = check_camera(scene)
+    assert found.what == f"{part} at (8, 3)" and found.ratio == pytest.approx(share, abs=0.02)
+    assert found.ok is (share == INSIDE)
+
+
+def test_pixel_centres_are_those_of_the_window():
+    x, y = scene_checks.pixel_centers(scene_of())
+    assert (x[0], y[0], x[7], y[8], x[-1], y[-1]) == (3.5, 2.5, 10.5, 3.5, 10.5, 7.5) and len(x) == 48
+    x, y = scene_checks.pixel_centers(scene_of(film=caster.Film(width=3, height=2)))
+    assert (x.tolist(), y.tolist()) == ([0.5, 1.5, 2.5] * 2, [0.5] * 3 + [1.5] * 3)
+
+
+def witness_of(scene, **change) -> SimpleNamespace:
+    """Mitsuba's own rays, as ours are: they begin at the near plane, and their t_max counts from there."""
+    rays = scene_checks.camera_rays(scene)
+    o = rays.o + rays.t_min[:, None] * rays.d
+    sensor = {"sensor_o": o, "sensor_d": rays.d.copy(), "sensor_t_max": rays.t_max - rays.t_min}
+    return SimpleNamespace(answer=SimpleNamespace(**(sensor | change)))
+
+
+def size_at(scene, i, along) -> float:
+    return float(np.linalg.norm(EYE) + abs(along) + max(map(abs, EYE)))
+
+
+@pytest.mark.parametrize("share", [INSIDE, OUTSIDE])
+@pytest.mark.parametrize("part", ["direction", "origin", "near", "far"])
+def test_mitsubas_sensor_may_be_off_by_its_bound_and_no_more(monkeypatch, part, share):
+    scene, i = scene_of(), 13
+    camera = scene_checks.reference_of_camera(scene.camera)
+    fixed = replace(camera, amplification=lambda camera, film: 3.0)
+    monkeypatch.setattr(scene_checks, "reference_of_camera", lambda camera: fixed)
+    bound, answer = 3.0 * SENSOR_BOUND, witness_of(scene).answer
+    rays = scene_checks.camera_rays(scene)
+    t_min, t_max, d = float(rays.t_min[i]), float(rays.t_max[i]), rays.d[i]
+    size = size_at(scene, i, t_min)
+    across = np.cross(d, [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    if part == "direction":
+        answer.sensor_d[i] += share * bound * across
+    if part == "origin":
+        answer.sensor_o[i] += share * bound * size * across
+    if part == "near":
+        answer.sensor_o[i] += share * bound * (size + t_min) * d
+        answer.sensor_t_max[i] -= share * bound * (size + t_min)
+    if part == "far":
+        answer.sensor_t_max[i] += share * bound * (size + t_max)
+    found = check_sensor(scene, SimpleNamespace(answer=answer))
+    assert found.what == f"{part} at (8, 3)" and found.ratio == pytest.approx(share, abs=0.01)
+    assert found.ok is (share == INSIDE)
+
+
+def test_a_sensor_without_near_and_far_is_held_to_its_line_alone():
+    camera = caster.Pinhole(eye=EYE, look_at=LOOK_AT, fov=40)
+    scene = scene_of(camera=camera)
+    shifted = witness_of(scene)
+    shifted.answer.sensor_o += 3.0 * shifted.answer.sensor_d
+    assert check_sensor(scene, shifted).ok
+    shifted.answer.sensor_o[5] += [0.0, 0.0, 0.01]
+    assert check_sensor(scene, shifted).what == "origin at (8, 2)"
+
+
+def test_missing_rays_of_the_sensor_fail_unless_mitsuba_has_no_such_camera():
+    scene = scene_of()
+    for name in ("sensor_o", "sensor_d", "sensor_t_max"):
+        found = check_sensor(scene, witness_of(scene, **{name: None}))
+        assert (found.ratio, found.what) == (np.inf, "the answer lacks its rays")
+    few = witness_of(scene, sensor_d=np.zeros((3, 3)))
+    assert check_sensor(scene, few).ratio == np.inf and "3 rays, we 48" in check_sensor(scene, few).what
+    round_one = scene_of(camera=caster.Fisheye(eye=EYE, look_at=LOOK_AT, fov=100))
+    found = check_sensor(round_one, witness_of(scene, sensor_o=None))
+    assert (found.ratio, found.what) == (0.0, "Mitsuba has no fisheye camera")
+
+
+# ---- shapes
+
+
+@pytest.mark.parametrize("precision", PRECISIONS, ids=lambda each: each.name)
+@pytest.mark.parametrize("share", [INSIDE, OUTSIDE])
+def test_a_packed_number_may_be_off_by_sixteen_roundings_of_its_size(share, precision):
+    unit = {"float64": 2.0**-53, "float32": 2.0**-24}[precision.name]
+    given = precision.unit_roundoff, precision.smallest_normal
+
+    def ratio(size, off, *, rounded=True, shape=(2, 3)):
+        expected = np.zeros((2, 3))
+        packed = np.zeros(shape)
+        packed[1, 2:] = off
+        return scene_checks._packing_error_ratio(
+            ExpectedNumbers("what", packed, expected, size, rounded), *given
+        )
+
+    assert ratio(5.0, share * 16 * unit * 5.0) == pytest.approx(share)
+    tiny = precision.smallest_normal / 1024
+    least = 16 * unit * precision.smallest_normal  # some multiples of the smallest number there is
+    assert (ratio(tiny, least / 2), ratio(tiny, 2 * least)) == (0.5, 2.0)
+    assert ratio(tiny, least, rounded=False) > 1000.0
+    assert ratio(np.inf, 1.0) == 0.0 and ratio(5.0, np.nan) == np.inf
+    assert ratio(5.0, 0.0, shape=(2, 4)) == np.inf
+
+
+def test_a_placement_and_a_material_are_checked_at_every_shape(monkeypatch):
+    ball, lid = scene_of().shapes
+    plain = caster.Sphere(name="plain")
+    assert check_placement(scene_of(plain)).what == "no shape has a to_world"
+    scene = scene_of(plain, lid, caster.Disk(name="other", to_world=[{"scale": 2}]))
+    ratios = {"lid": 0.25, "other": 7.0}
+    monkeypatch.setattr(scene_checks, "transform_error_ratio", lambda shape: ratios[shape.name])
+    found = check_placement(scene)
+    assert (found.ratio, found.what, found.ok) == (7.0, "to_world of other", False)
+    red = {"red": {"reflectance": (0.9, 0.1, 0.1)}}
+    scene = scene_of(ball, caster.Disk(name="lid", material="red"), materials=red)
+    assert check_materials(scene).ok
+    assert check_materials(scene_of(ball, lid).model_copy(update={"shapes": ()})).what == "no shape"
+    monkeypatch.setattr(Scene, "material_of", lambda self, shape: caster.Diffuse())
+    found = check_materials(scene)
+    assert (found.ratio, found.what) == (np.inf, "material of lid")
+
+
+# ---- images: one bit of one pixel, by each route
+
+
+def flipped(images: Aovs, name: str, row: int) -> Aovs:
+    """The same images but for the last bit of one value."""
+    copies = {each: np.array(image) for each, image in images.items()}
+    rows = copies[name].reshape(images.hit.size, -1)
+    bits = rows.view(f"u{rows.itemsize}")
+    bits[row, -1] ^= 1
+    return Aovs(copies, images.hit)
+
+
+@pytest.mark.parametrize(
+    "name", ["depth", "normal", "shading_normal", "position", "shape_id", "prim_id", "diffuse"]
+)
+def test_one_other_bit_of_render_fails_culling_and_behind_a_near_plane_render(monkeypatch, name):
+    scene = scene_of()
+    assert check_culling(scene).ratio == 0.0 and check_render(scene).ratio == 0.0
+    real, row = scene_checks.render, 27
+    monkeypatch.setattr(scene_checks, "render", lambda *given: flipped(real(*given), name, row))
+    found = check_culling(scene)
+    assert (found.name, found.ratio, found.what) == ("culling", np.inf, "bits at (6, 5)")
+    far = {"shape_id": 1, "prim_id": 1}.get(name)
+    found = check_render(scene)
+    assert (found.ratio == np.inf) is bool(far) and found.name == "render"
+
+
+@pytest.mark.parametrize("name", ["depth", "normal", "shading_normal", "position", "shape_id", "diffuse"])
+def test_render_behind_a_near_plane_is_held_to_float64(monkeypatch, name):
+    """Its rays are not those that are judged: other bits pass, what float64 does not allow fails."""
+    scene, row = scene_of(), 27
+    real = scene_checks.render
+
+    def spoiled(*given):
+        images = real(*given)
+        image = images[name].reshape(images.hit.size, -1)
+        image[row, -1] = 1 - image[row, -1] if name == "shape_id" else image[row, -1] * (1.0 + 1e-9) + 1e-9
+        return images
+
+    monkeypatch.setattr(scene_checks, "render", spoiled)
+    found = check_render(scene)
+    assert (found.ratio, found.what) == (np.inf, "pixel at (6, 5)")
+    without = scene_of(camera=caster.Pinhole(eye=EYE, look_at=LOOK_AT, fov=40))
+    assert check_render(without).ratio == 0.0 and "no near plane" in check_render(without).what
+
+
+@pytest.mark.parametrize("field", ["t", "prim"])
+def test_a_ray_that_brute_force_finds_otherwise_fails_culling(monkeypatch, field):
+    scene = scene_of()
+    real, row = scene_checks.find_nearest, 27
+
+    def other(packed, rays, culling, *more):
+        found = real(packed, rays, culling, *more)
+        values = getattr(found, field).copy()
+        values[row] += 1
+        return found._replace(**{field: values})
+
+    monkeypatch.setattr(scene_checks, "find_nearest", other)
+    assert check_culling(scene).what == "bits at (6, 5)" and not check_culling(scene).ok
+
+
+def test_rays_are_tried_against_every_primitive_as_far_as_there_is_time():
+    for rays, prims, count in (
+        (5000, 1, 5000),
+        (5000, 0, 5000),
+        (5000, BRUTE_FORCE_TESTS // 100, 100),
+        (5000, BRUTE_FORCE_TESTS, 64),
+        (40, BRUTE_FORCE_TESTS, 40),
+    ):
+        found = scene_checks._sampled_rays(rays, prims)
+        assert len(found) == count == len(np.unique(found)) and (np.diff(found) > 0).all()
+        assert found[0] >= 0 and found[-1] < rays and (count == rays or found[-1] > rays // 2)
+
+
+Route = tuple[str, str]
+ROUTES = {
+    "depth alone": ("render", lambda names, film, options: names == ("depth",)),
+    "normal alone": ("render", lambda names, film, options: names == ("normal",)),
+    "depth and normal": ("render", lambda names, film, options: names == ("depth", "normal")),
+    "one AOV": ("render", lambda names, film, options: len(names) == 1),
+    "a pair": ("render", lambda names, film, options: len(names) == 2 and "depth" not in names),
+    "one thread": ("render", lambda names, film, options: options.get("threads") == 1),
+    "two threads": ("render", lambda names, film, options: options.get("threads") == 2),
+    "three threads": ("render", lambda names, film, options: options.get("threads") == 3),
+    "float32": ("render", lambda names, film, options: options.get("dtype") is np.float32),
+    "a crop": ("render", lambda names, film, options: film.width == 40 and film.crop is not None),
+    "a wide film": ("render", lambda names, film, options: max(film.width, film.height) >= 127),
+}
+
+
+def larger() -> Scene:
+    return scene_of(film=caster.Film(width=40, height=30))
+
+
+def test_all_routes_agree():
+    taken = []
+    assert not route_differences(larger(), lambda: taken.append(1))
+    assert check_routes(larger()) == SceneCheck("routes", 0.0, f"{len(taken)} routes") and len(taken) > 30
+
+
+@pytest.mark.parametrize("route", ROUTES)
+def test_one_other_bit_by_any_way_to_render_fails_routes(monkeypatch, route):
+    scene = larger()
+    real, (_, spoils) = routes.render, ROUTES[route]
+    spoilt = []
+
+    def render(film, names, **options):
+        images = real(film, names, **options)
+        other = tuple(names) != routes.ALL_AOVS or options or film.film.window != scene.film.window
+        if other and spoils(tuple(names), film.film, options):
+            x0, y0, x1, _ = film.film.window
+            row = images.hit.size - 1
+            spoilt.append((names[-1], x0 + row % (x1 - x0), y0 + row // (x1 - x0)))
+            return flipped(images, names[-1], row)
+        return images
+
+    monkeypatch.setattr(routes, "render", render)
+    found = route_differences(scene)
+    assert spoilt and [(each.aov, each.x, each.y, each.pixels) for each in found] == [(*s, 1) for s in spoilt]
+    check = check_routes(scene, "some.toml")
+    assert check.ratio == np.inf and f"{spoilt[0][0]} at ({spoilt[0][1]}, {spoilt[0][2]})" in check.what
+    assert "again: python -c" in check.what and 'load_scene("some.toml")' in check.what
+
+
+@pytest.mark.parametrize(
+    "field", ["t", "shape_id", "prim_id", "normal", "surface.n", "surface.p", "surface.sh_n", "surface.uv"]
+)
+def test_one_other_bit_of_a_field_of_hits_fails_routes(monkeypatch, field):
+    real = routes.cast
+
+    class Spoilt:
+        def __init__(self, hits, below=""):
+            self.hits, self.below = hits, below
+
+        def __getattr__(self, name):
+            path = f"{self.below}{name}"
+            values = getattr(self.hits, name)
+            if path == "surface":
+                return Spoilt(values, "surface.")
+            if path != field:
+                return values
+            changed = np.array(values)
+            changed.reshape(len(changed), -1).view(f"u{changed.itemsize}")[0, -1] ^= 1
+            return changed
+
+    monkeypatch.setattr(routes, "cast", lambda *given, **limits: Spoilt(real(*given, **limits)))
+    found = route_differences(larger())
+    assert found and all(f").{field}" in str(each) and each.pixels == 1 for each in found)
+    check = check_routes(larger(), "some.toml").what
+    assert "camera_rays(scene)[:2]" in check and "print(caster.cast(scene, o, d" in check
+
+
+def test_an_occluded_ray_that_cast_finds_free_fails_routes(monkeypatch):
+    scene, real = larger(), routes.occluded
+    for number in range(5):  # each of the limits alone
+        calls = []
+
+        def occluded(*given, number=number, calls=calls, **limits):
+            calls.append((given[3], limits["t_min"]))
+            found = real(*given, **limits)
+            return ~found if len(calls) == number + 1 else found
+
+        monkeypatch.setattr(routes, "occluded", occluded)
+        (found,) = route_differences(scene)
+        assert found.aov == "t" and found.pixels > 16 and f"{calls[number][0]!r}, t_min=" in found.route
+        assert len(calls) == 5
+    t_max, t_min = zip(*calls, strict=True)
+    assert (t_max[0], t_min[0], t_min[1], t_min[2], t_max[3]) == (np.inf, 0.0, 0.0, 0.0, np.inf)
+    assert t_max[1] == t_min[3] == np.nextafter(t_max[2], np.inf) and 0.0 < t_min[4] < t_max[4] < np.inf
+
+
+def test_what_probe_casts_is_compared_with_the_image(monkeypatch):
+    scene, real = larger(), routes.trace_film
+    asked = []
+
+    def trace_film(one, **options):
+        asked.append(one.film.crop)
+        view = real(one, **options)
+        return replace(view, nearest=view.nearest._replace(t=view.nearest.t * (1.0 + 2.0**-50)))
+
+    monkeypatch.setattr(routes, "trace_film", trace_film)
+    found = route_differences(scene)
+    assert len(asked) >= 2 and all(x1 - x0 == y1 - y0 == 1 for x0, y0, x1, y1 in asked)
+    hit = [each for each in found if each.aov == "depth"]
+    assert all(each.route == f"caster probe SCENE {each.x} {each.y}" for each in found)
+    assert {(each.x, each.y) for each in hit} <= {crop[:2] for crop in asked}
+
+
+# ---- files
+
+
+def written(tmp_path, images: Aovs, window=CROP, film=(14, 10)) -> WrittenImage:
+    import OpenEXR
+
+    planes = stored_planes(images)
+    x0, y0, x1, y1 = window
+    header = {
+        "dataWindow": (np.array([x0, y0], np.int32), np.array([x1 - 1, y1 - 1], np.int32)),
+        "displayWindow": (np.array([0, 0], np.int32), np.array([film[0] - 1, film[1] - 1], np.int32)),
+    }
+    path = tmp_path / "image.exr"
+    with OpenEXR.File(header, dict(planes)) as file:
+        file.write(str(path))
+    return WrittenImage(path, planes, window, film)
+
+
+def test_a_file_is_what_is_in_memory_or_the_difference_is_named(tmp_path):
+    scene = scene_of()
+    images = caster.render(scene, tuple(exr_round_trip.CHANNELS))
+    good = written(tmp_path, images)
+    assert check_exr_files([good]).ok and check_exr_files([good]).what == "1 files read back"
+
+    def told(**change) -> str:
+        found = check_exr_files([good, good._replace(**change)])
+        assert found.name == "files" and found.ratio == np.inf and found.what.startswith("image.exr: ")
+        return found.what.removeprefix("image.exr: ")
+
+    assert told(window=(3, 2, 12, 8)).startswith("dataWindow ((3, 2), (10, 7)), expected ((3, 2), (11, 7))")
+    assert told(film=(15, 10)).startswith("displayWindow ((0, 0), (13, 9))")
+    planes = dict(good.planes)
+    del planes["uv.U"]
+    assert "uv.U" in told(planes=planes).partition("expected")[0]
+    for name in good.planes:
+        plane = good.planes[name].copy()
+        plane.view(np.uint32)[4, 6] ^= 1
+        what = told(planes={**good.planes, name: plane})
+        assert what.startswith(f"{name} at (9, 6) is ") and what.endswith("; 1 pixels")
+    plane = good.planes["A"].astype(np.uint32)
+    assert told(planes={**good.planes, "A": plane}).startswith("A is (6, 8) float32, expected (6, 8) uint32")
+
+
+def test_numbers_are_stored_as_the_page_of_channels_states():
+    hit = np.array([[True, False]])
+    images = Aovs(
+        {
+            "depth": np.array([[1e300, np.inf]]),
+            "position": np.array([[[-1e300, 0.1, -np.inf], [0.0, 0.0, 0.0]]]),
+            "shape_id": np.array([[7, -1]], np.int32),
+        },
+        hit,
+    )
+    planes = stored_planes(images)
+    largest = np.finfo(np.float32).max
+    assert planes["A"].tolist() == [[1.0, 0.0]] and planes["id.shape"].tolist() == [[7, 2**32 - 1]]
+    assert planes["depth.Z"].tolist() == [[largest, np.inf]] and planes["depth.Z"].dtype == np.float32
+    assert planes["position.X"][0, 0] == -largest and planes["position.Z"][0, 0] == -np.inf
+    assert planes["position.Y"][0, 0] == np.float32(0.1) and planes["id.shape"].dtype == np.uint32

@@ -1,0 +1,290 @@
+"""Mesh files read a second and a third time: each reader by small files, and each comparison by one wrong number."""
+
+import struct
+
+import numpy as np
+import pytest
+
+import caster
+from caster.geometry.mesh_files import load_mesh
+from caster.scene.model import Scene
+from mitsuba_ref.judge.independent_checks import mesh_files
+from mitsuba_ref.judge.independent_checks.mesh_files import (
+    READ_ONCE,
+    check_mesh_files,
+    files_of,
+    for_mitsuba,
+    obj_statements,
+    read_plainly,
+)
+from mitsuba_ref.reference.messages import LoadedMesh
+
+# A quadrilateral, a triangle and a pentagon; numbers that float32 rounds.
+POINTS = [(0.1, 0, 0), (1, 0.2, 0), (1, 1, 0.3), (0, 1, 0), (2.7, 0.5, 0.5), (3.1, 2, 0), (0.5, 3.3, 1)]
+POLYGONS = [(0, 1, 2, 3), (1, 4, 2), (2, 4, 5, 6, 3)]
+TRIANGLES = [(0, 1, 2), (0, 2, 3), (1, 4, 2), (2, 4, 5), (2, 5, 6), (2, 6, 3)]
+CORNERS = np.array(POINTS, float)[np.array(TRIANGLES)]
+
+
+def obj(polygons=POLYGONS, corner="{0}", before="") -> bytes:
+    lines = [f"v {x} {y} {z}" for x, y, z in POINTS]
+    lines += ["f " + " ".join(corner.format(i + 1, i - len(POINTS)) for i in each) for each in polygons]
+    return (before + "\n".join(lines) + "\n").encode()
+
+
+HEADER = (
+    "ply\nformat {0} 1.0\ncomment end of nothing\nelement edge 2\nproperty uchar kind\n"
+    "element vertex 7\nproperty double x\nproperty short flag\nproperty double y\nproperty double z\n"
+    "element face {1}\nproperty list uchar int {2}\nproperty uchar red\nend_header\n"
+)
+
+
+def ply(encoding, polygons=POLYGONS, name="vertex_indices", newline="\n") -> bytes:
+    head = HEADER.format(encoding, len(polygons), name).replace("\n", newline).encode()
+    if encoding == "ascii":
+        rows = ["3", "4", *(f"{x} -7 {y} {z}" for x, y, z in POINTS)]
+        rows += [f"{len(each)} {' '.join(map(str, each))} 9" for each in polygons]
+        return head + (newline.join(rows) + newline).encode()
+    order = "<" if "little" in encoding else ">"
+    body = bytes([3, 4]) + b"".join(struct.pack(f"{order}dhdd", x, -7, y, z) for x, y, z in POINTS)
+    return (
+        head
+        + body
+        + b"".join(struct.pack(f"{order}B{len(each)}iB", len(each), *each, 9) for each in polygons)
+    )
+
+
+def stl_binary() -> bytes:
+    facets = b"".join(struct.pack("<12fH", 7, 7, 7, *each.ravel(), 5) for each in CORNERS)
+    return b"solid of this name".ljust(80, b" ") + struct.pack("<I", len(CORNERS)) + facets
+
+
+def stl_text() -> bytes:
+    facets = [
+        "facet normal 0 0 1\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in each.tolist())
+        + "endloop\nendfacet"
+        for each in CORNERS
+    ]
+    return ("solid a\n" + "\n".join(facets) + "\nendsolid a\n").encode()
+
+
+def off() -> bytes:
+    lines = ["OFF # a comment", "7 3 0", *(f"{x} {y} {z}" for x, y, z in POINTS), ""]
+    lines += [f"{len(each)} {' '.join(map(str, each))} 1.0 0.5 # colour" for each in POLYGONS]
+    return "\n".join(lines).encode()
+
+
+# file -> (name, content, whether Mitsuba's loader supports all that is in it)
+FILES = {
+    "obj": ("a.obj", obj(), True),
+    "obj with a byte order mark": ("a.obj", b"\xef\xbb\xbf" + obj(), True),
+    "obj, indices from the end": ("a.obj", obj(corner="{1}"), False),
+    "obj, a line continued": ("a.obj", obj().replace(b"f 1 2 ", b"f 1\\\n 2  "), False),
+    "obj, vertex continued": ("a.obj", obj().replace(b"v 1 0.2 0", b"v 1 \\\n0.2 \\\n 0"), False),
+    "obj, faces as fo": ("a.obj", obj().replace(b"f 2", b"fo 2"), False),
+    "obj, comments and other words": ("a.obj", obj(before="# v 1 2 3\nvp 1 2\ng f 1 2 3\n\n"), True),
+    "obj, a comment behind": ("a.obj", obj().replace(b"f 2 5 3", b"f 2 5 3 # f 1"), True),
+    "ply": ("a.ply", ply("ascii"), False),
+    "ply of triangles": ("a.ply", ply("ascii", TRIANGLES), True),
+    "ply, little": ("a.ply", ply("binary_little_endian"), False),
+    "ply, big": ("a.ply", ply("binary_big_endian", TRIANGLES), True),
+    "ply, vertex_index": ("a.ply", ply("binary_little_endian", TRIANGLES, "vertex_index"), True),
+    "ply, carriage returns": ("a.ply", ply("binary_little_endian", TRIANGLES, newline="\r\n"), True),
+    "stl": ("a.stl", stl_binary(), False),
+    "stl in text": ("a.stl", stl_text(), False),
+    "off": ("a.off", off(), False),
+}
+
+
+@pytest.fixture(params=FILES)
+def file(request, tmp_path):
+    name, content, _ = FILES[request.param]
+    path = tmp_path / name
+    path.write_bytes(content)
+    return path, request.param
+
+
+def test_plain_python_reads_the_faces_of_every_kind_of_file(file):
+    path, name = file
+    found = read_plainly(path)
+    expected = CORNERS.astype(np.float32).astype(float) if name == "stl" else CORNERS
+    assert np.array_equal(found.corners, expected) and found.plain is FILES[name][2] and not found.mixed
+    if path.suffix in (".obj", ".ply"):  # the others are trimesh's, which need not be here
+        mesh = load_mesh(path)
+        assert np.array_equal(mesh.vertices[mesh.faces], found.corners)
+
+
+def test_mitsuba_gets_the_file_or_the_same_faces_in_one_that_it_supports(file, tmp_path):
+    path, name = file
+    given = for_mitsuba(path, tmp_path, 3)
+    if FILES[name][2]:
+        assert given == path
+        return
+    assert given == tmp_path / "mesh-file-3.obj"
+    mesh = load_mesh(given)
+    assert np.array_equal(mesh.vertices[mesh.faces], read_plainly(path).corners)
+    assert all(plain for _, plain in obj_statements(given.read_bytes())) and b"\\" not in given.read_bytes()
+
+
+def test_a_large_file_and_one_of_another_kind_are_not_read_in_plain_python(tmp_path, monkeypatch):
+    path = tmp_path / "a.OBJ"
+    path.write_bytes(obj())
+    monkeypatch.setattr(mesh_files, "MAX_PLAIN_BYTES", len(obj()))
+    assert read_plainly(path) is not None
+    monkeypatch.setattr(mesh_files, "MAX_PLAIN_BYTES", len(obj()) - 1)
+    assert read_plainly(path) is None and for_mitsuba(path, tmp_path, 0) == path
+    assert read_plainly(tmp_path / "a.glb") is None
+
+
+def test_corners_with_and_without_normals_are_mixed():
+    whole = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvt 0 0\n"
+    for faces, mixed in (
+        (b"f 1 2 3\n", False),
+        (b"f 1//1 2//1 3//1\n", False),
+        (b"f 1/1/1 2/1/1 3/1/1\n", False),
+        (b"f 1//1 2//1 3//1\nf 1 2 3\n", True),
+        (b"f 1/1 2 3\n", True),
+    ):
+        assert mesh_files.plain_obj(whole + faces).mixed is mixed
+    last = list(obj_statements(b"v 1 2 3\nvt 0 0\nvn 0 0 1\nf -1/-1/-1\n"))[-1]
+    assert last == ([b"f", b"1/1/1"], False)
+
+
+# ---- comparison
+
+NORMALS = [(0.36, 0.48, 0.8), (0, 0, 1), (0.6, 0, 0.8), (0, 1, 0), (1, 0, 0), (0, 0.6, 0.8), (0.8, 0.6, 0)]
+
+
+def scene_with(path) -> Scene:
+    camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
+    film = caster.Film(width=2, height=2)
+    return Scene(film=film, camera=camera, shapes=[{"type": "mesh", "file": str(path)}])
+
+
+@pytest.fixture
+def smooth(tmp_path):
+    """A file with normals and uv, and what Mitsuba's loader gives of it."""
+    lines = [f"v {x} {y} {z}" for x, y, z in POINTS] + [f"vn {x} {y} {z}" for x, y, z in NORMALS]
+    lines += [f"vt {0.1 * i} {3.0 - 0.7 * i}" for i in range(7)]
+    lines += ["f " + " ".join(f"{i + 1}/{i + 1}/{i + 1}" for i in each) for each in POLYGONS]
+    path = tmp_path / "smooth.obj"
+    path.write_text("\n".join(lines) + "\n")
+    mesh = load_mesh(path)
+    corners, normals, uv = (
+        values[mesh.faces].astype(np.float32) for values in (mesh.vertices, mesh.normals, mesh.uv)
+    )
+    return path, LoadedMesh(corners.astype(float), normals.astype(float), uv.astype(float))
+
+
+def verdict(path, loaded):
+    found = check_mesh_files(scene_with(path), (loaded,))
+    assert found.name == "mesh_files"
+    return found
+
+
+def test_what_mitsuba_reads_is_what_the_caster_has_read(smooth):
+    path, loaded = smooth
+    assert verdict(path, loaded).ratio < 1.0
+    half = np.array(POINTS).astype(np.float32)[4, 0]
+    moved = loaded.corners.copy()
+    moved[2, 1, 0] = np.nextafter(half, np.float32(9))
+    assert verdict(path, loaded._replace(corners=moved)).what == "corners of smooth.obj"
+    assert verdict(path, loaded._replace(corners=moved)).ratio == np.inf
+    assert not verdict(path, loaded._replace(corners=loaded.corners[:-1])).ok
+    assert not verdict(path, loaded._replace(corners=loaded.corners[:, [1, 2, 0]])).ok
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_normals_and_uv_may_be_off_by_their_roundings_and_no_more(smooth, share):
+    """8 roundings of float32 of a unit normal, 2 of 1 + |uv|."""
+    path, loaded = smooth
+    mesh = load_mesh(path)
+    at = mesh.faces[3, 2]
+    normals = mesh.normals[mesh.faces].copy() * 5.0
+    across = np.cross(mesh.normals[at], [0.0, 0.3, 1.0])
+    across /= np.abs(across).max()
+    normals[3, 2] += 5.0 * share * 8 * 2.0**-24 * across
+    found = verdict(path, loaded._replace(normals=normals))
+    assert found.what == "normals of smooth.obj" and found.ratio == pytest.approx(share, rel=0.05)
+    uv = mesh.uv[mesh.faces].copy()
+    uv[3, 2, 1] += share * 2 * 2.0**-24 * (1.0 + abs(uv[3, 2, 1]))
+    found = verdict(path, loaded._replace(uv=uv, normals=mesh.normals[mesh.faces]))
+    assert found.what == "uv of smooth.obj" and found.ratio == pytest.approx(share, rel=0.02)
+    assert found.ok is (share < 1.0)
+    for part in ("normals", "uv"):
+        other = getattr(loaded, part)
+        assert verdict(path, loaded._replace(**{part: other[:-1]})).ratio == np.inf
+        assert verdict(path, loaded._replace(**{part: np.nan * other})).ratio == np.inf
+
+
+def test_where_float64_lies_between_two_float32_either_is_right(tmp_path):
+    path = tmp_path / "tie.obj"
+    middle = 1.0 + 2.0**-24
+    path.write_text(f"v {middle!r} 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n")
+    corners = np.array([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]])
+    nothing = np.zeros((1, 3, 3)), np.zeros((1, 3, 2))
+    for value, right in (
+        (1.0, True),
+        (1.0 + 2.0**-23, True),
+        (1.0 + 2.0**-22, False),
+        (1.0 - 2.0**-24, False),
+    ):
+        corners[0, 0, 0] = value
+        assert verdict(path, LoadedMesh(corners.copy(), *nothing)).ok is right
+
+
+def test_another_float64_than_plain_pythons_is_found_where_float32_is_the_same(smooth, monkeypatch):
+    path, loaded = smooth
+    read = mesh_files.read_plainly
+
+    def off(file):
+        found = read(file)
+        found.corners[5, 0, 1] = np.nextafter(found.corners[5, 0, 1], 2.0)
+        return found
+
+    monkeypatch.setattr(mesh_files, "read_plainly", off)
+    found = verdict(path, loaded)
+    assert (found.what, found.ratio) == ("float64 of smooth.obj", np.inf)
+
+
+def test_every_file_is_compared_once_and_has_to_be_read(smooth, tmp_path):
+    path, loaded = smooth
+    scene = scene_with(path)
+    twice = scene.model_copy(update={"shapes": scene.shapes * 2})
+    assert list(files_of(twice)) == [path] and check_mesh_files(twice, (loaded,)).ok
+    for given in ((), (loaded, loaded)):
+        found = check_mesh_files(scene, given)
+        assert found.ratio == np.inf and f"1 files, Mitsuba has read {len(given)}" in found.what
+    assert check_mesh_files(scene.model_copy(update={"shapes": ()}), ()).what == "no mesh file"
+
+
+def test_a_file_that_neither_reads_fails(smooth, monkeypatch):
+    path, loaded = smooth
+    refused = loaded._replace(problem="cannot", corners=loaded.corners[:0])
+    found = verdict(path, refused)
+    assert found.ok and "not compared: Mitsuba's loader says 'cannot'" in found.what
+    monkeypatch.setattr(mesh_files, "MAX_PLAIN_BYTES", 10)
+    assert verdict(path, refused).ratio == np.inf and verdict(path, loaded).ratio < 1.0
+    mesh = load_mesh(path)
+    for ending, ratio in ((".glb", 0.0), (".obj", np.inf), (".ply", np.inf)):
+        found = mesh_files._against_mitsuba(mesh, refused, None, ending)
+        assert list(found.values()) == [ratio] and (READ_ONCE in found) is (ending == ".glb")
+
+
+def test_normals_are_compared_where_the_file_itself_was_read(smooth, tmp_path):
+    """The copy of a PLY has positions alone; that of an OBJ has all. Mixed corners have normals of their own rule."""
+    path, loaded = smooth
+    wrong = loaded._replace(normals=-loaded.normals, uv=loaded.uv + 1.0)
+    mesh, plain = load_mesh(path), read_plainly(path)
+
+    def compared(found, ending) -> set[str]:
+        return set(mesh_files._against_mitsuba(mesh, wrong, found, ending)) - {"corners"}
+
+    both = {"normals", "uv"}
+    assert compared(plain, ".obj") == compared(plain._replace(plain=False), ".obj") == both
+    assert compared(None, ".ply") == compared(plain, ".ply") == both
+    assert compared(plain._replace(plain=False), ".ply") == set()
+    assert compared(plain._replace(mixed=True), ".obj") == set()
+    bare = mesh._replace(normals=None, uv=None)
+    assert set(mesh_files._against_mitsuba(bare, wrong, plain, ".obj")) == {"corners"}
