@@ -2,7 +2,8 @@
 
     python benchmarks/performance_page.py RUN.json FOLDER
 
-`make bench` runs both. Every number on the page comes from the run; FOLDER/performance-notes.md is included.
+`make bench` runs both. Every number on the page comes from the run; FOLDER/performance-notes.md is included. The tables
+of README.md beside FOLDER are those of the run as well.
 """
 
 import sys
@@ -14,14 +15,16 @@ import performance_plots
 import performance_targets as targets
 from pages import WIDTH, write_page
 
-from mitsuba_ref.bench.contestants import BY_KEY
-from mitsuba_ref.bench.entries import SHADING
+from caster.system.atomic_files import write_text
+from mitsuba_ref.bench.contestants import ALL_TASKS, BY_KEY
+from mitsuba_ref.bench.entries import AOVS
 from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
-from mitsuba_ref.bench.result import COLUMNS, Row, Run, SceneResult, Sweep, rows
+from mitsuba_ref.bench.result import COLUMNS, Row, Run, SceneResult, Sweep, overview, processes, rows
 from mitsuba_ref.bench.scoring import EXACT_RAYS_PER_SORT
 from mitsuba_ref.report.results import markdown, number, read_result
 
 PAGE, IMAGE_FOLDER, NOTES = "performance.md", "performance", "performance-notes.md"
+README, README_SECTION = "README.md", "## How fast\n"  # whose tables are those of the run
 MIN_ROUNDS = 7  # alternations; a page of fewer has a note
 RIGHT_ALIGNED = "|---|" + "---:|" * (len(COLUMNS) - 1)
 
@@ -35,14 +38,20 @@ Each contestant has a process of its own; they take turns, so that what else the
 
 READING = """## How to read it
 
-- **What is timed**: an image of depth and normal, delivered as float32 arrays in memory; or t and normal along rays
+- **What is timed**: an image of some AOVs, depth and normal unless others are named, delivered as float32 arrays in
+  memory; or t and normal along rays
   that were on hand, or whether anything lies on them. All have loaded the scene and built what they build before; ours
   makes the rays and sorts the primitives onto the film in every image, while for `ray_intersect`, Open3D and embreex
   the rays were made before, too. All that has to be compiled has been compiled. Shadow rays go through
   `caster.occluded`, Mitsuba's `ray_test`, and what others have in its place.
 - **ours, as planned** is `caster.render`: by the screen for pinhole and orthographic cameras, by the tree for others;
-  for rays that are handed over, `caster.cast` with the surface of each hit. **by the tree** is the same
+  for rays that are handed over, `caster.cast` with the surface of each hit. **by BVH** is the same
   image through the tree. **plain Python** runs the same source without Numba.
+- **diffuse** is light with shadows. `ray_intersect` is followed by a shadow ray to each emitter and the BSDF's value,
+  written by hand; the AOV integrator has `direct` inside. Ours adds ambient light to it. Other casters give depth and
+  normal alone.
+- **whole processes** begin with Python and end with an EXR file, or with the verdicts of the installed scenes; byte
+  code and kernels are compiled before.
 - **rays** of one cast: images of those who would take longer than {longest:g} s are made smaller.
 - **build**: seconds from the numbers to where rays can be cast, the second time it is done in a process; Mitsuba reads
   its own files, and for the others the numbers are in memory.
@@ -75,15 +84,40 @@ def write_report(run: Run, folder: Path) -> None:
     by_hand = notes.read_text(encoding="utf-8") if notes.exists() else ""
     files = {f"{name}.{performance_plots.PLOT_FORMAT}": content for name, content in plots.items()}
     write_page(folder, PAGE, lines(run, set(plots), by_hand), IMAGE_FOLDER, files)
+    readme = folder.parent / README
+    if readme.exists():
+        write_text(readme, with_tables(readme.read_text(encoding="utf-8"), run))
+
+
+def with_tables(text: str, run: Run) -> str:
+    """The README with the tables of a run in place of those that stand in its section."""
+    before, head, rest = text.partition(README_SECTION)
+    section, rule, after = rest.partition("\n## ")
+    blocks = section.split("\n\n")
+    kept = [block for block in blocks if not block.startswith("|")]
+    place = next((i for i, block in enumerate(blocks) if block.startswith("|")), len(kept))
+    new = [*kept[:place], *(markdown_table(table) for table in tables(run)), *kept[place:]]
+    return before + head + "\n\n".join(new) + rule + after
+
+
+def tables(run: Run) -> list[list[list[str]]]:
+    """Everything that was asked for, and whole processes; tables without a line are left out."""
+    return [table for table in (overview(run), processes(run)) if len(table) > 1]
+
+
+def markdown_table(table: list[list[str]]) -> str:
+    return markdown(table, rule="|---|---|" + "---:|" * (len(table[0]) - 2))
 
 
 def lines(run: Run, drawn: set[str], by_hand: str) -> Iterator[str]:
     yield HEAD
     yield from conditions(run)
+    for table in tables(run):
+        yield markdown_table(table) + "\n"
     yield from of_targets(run)
     if by_hand:
         yield by_hand.strip() + "\n"
-    yield from overview(run)
+    yield from all_ratios(run)
     yield from image_link(drawn, "pareto", "Error against time, for each scene")
     for scene in run.scenes:
         yield from section(scene)
@@ -142,12 +176,12 @@ OVERVIEW = (
 )
 
 
-def overview(run: Run) -> Iterator[str]:
+def all_ratios(run: Run) -> Iterator[str]:
     """How many times as fast as each of the others ours is, scene by scene."""
     rows = {
         scene.name: [scene.ratio(key) for key in OVERVIEW]
         for scene in run.scenes
-        if scene.workload != SHADING
+        if scene.workload in ALL_TASKS and scene.aovs in ((), AOVS)
     }
     if not rows:
         return
@@ -162,7 +196,9 @@ def overview(run: Run) -> Iterator[str]:
 
 def section(scene: SceneResult) -> Iterator[str]:
     yield f"## {scene.name}\n"
-    yield f"{scene.title[0].upper()}{scene.title[1:]}; {scene.primitives:,} primitives.\n"
+    details = [f"{scene.primitives:,} primitives"] if scene.primitives else []
+    details += [", ".join(scene.aovs)] if scene.aovs else []
+    yield "; ".join([f"{scene.title[0].upper()}{scene.title[1:]}", *details]) + ".\n"
     yield markdown(rows(scene), rule=RIGHT_ALIGNED)
     yield ""
 

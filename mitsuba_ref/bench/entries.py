@@ -9,11 +9,15 @@ from __future__ import annotations
 import json
 import os
 import pickle
-from collections.abc import Mapping
+import resource
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -22,9 +26,10 @@ if TYPE_CHECKING:
     from mitsuba_ref.reference.shared_input import SharedRays
     from mitsuba_ref.subjects.subject import Answer, CastRequest
 
-# Tasks: an image of depth and normal; t and normal along given rays; whether given rays hit anything; a shaded
-# image, of our caster alone.
+# Tasks: an image of some AOVs; t and normal along given rays; whether given rays hit anything; a shaded image, of our
+# caster alone; a whole process that renders an image into a file; one that validates the installed scenes.
 FILM, NEAREST, ANY, SHADING = "film", "nearest", "any", "shading"
+PROCESS, VALIDATION = "process", "validation"
 
 SCENE_FILE, MESH_FILE, RAYS_FILE = "scene.pickle", "mesh.npz", "rays.npz"  # files of a folder
 ROBUST, DEFAULT = "robust", "default"  # folders within: a scene for Mitsuba in Embree's two modes
@@ -101,7 +106,7 @@ def blocked(hit: np.ndarray) -> np.ndarray:
 
 # ---- our caster, and the copying of its images as a lower bound of time ----
 
-AOVS = ("depth", "normal")
+AOVS = ("depth", "normal")  # of a film, unless others are asked for
 CHANNELS = 4  # of these: depth and the three of a normal
 BYTES_PER_CHANNEL = 4  # float32, as EXR stores them and the other contestants return them
 WARM_UP_SIDE = 8  # pixels: enough to make everything that is made before rays are cast
@@ -240,6 +245,112 @@ class Copying:
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         """It has no t to be wrong about."""
         return np.full(len(o), np.nan)
+
+
+# ---- scenes of Mitsuba ----
+
+# Our AOVs by the names of its AOV integrator; `diffuse` is light, of an integrator within.
+INTEGRATOR_AOVS = {
+    "depth": "depth",
+    "normal": "geo_normal",
+    "shading_normal": "sh_normal",
+    "position": "position",
+    "uv": "uv",
+    "albedo": "albedo",
+    "prim_id": "prim_index",
+    "shape_id": "shape_index",
+}
+LIT = "diffuse"
+XML = Path(ROBUST) / "scene.xml"
+
+
+def integrator_element(aovs: Sequence[str]) -> ElementTree.Element:
+    """The AOV integrator for these, with `direct` inside for light: one sample of an emitter, none of a BSDF."""
+    root = ElementTree.Element("integrator", type="aov")
+    missing = [name for name in aovs if name not in INTEGRATOR_AOVS and name != LIT]
+    if missing:
+        raise CannotRun(f"the AOV integrator has no {missing[0]}")
+    names = ",".join(f"{name}:{INTEGRATOR_AOVS[name]}" for name in aovs if name != LIT)
+    ElementTree.SubElement(root, "string", name="aovs", value=names)
+    if LIT in aovs:
+        direct = ElementTree.SubElement(root, "integrator", type="direct", name="radiance")
+        ElementTree.SubElement(direct, "integer", name="emitter_samples", value="1")
+        ElementTree.SubElement(direct, "integer", name="bsdf_samples", value="0")
+    return root
+
+
+def sized(xml: Path, size: int, aovs: Sequence[str]) -> Path:
+    """The same scene with a film of size x size and an integrator for these AOVs, in a file beside it."""
+    tree = ElementTree.parse(xml)
+    root = tree.getroot()
+    for element in root.findall("./integrator"):
+        root.remove(element)
+    root.insert(0, integrator_element(aovs))
+    for name in ("width", "height"):
+        for element in tree.iterfind(f"./sensor/film/integer[@name='{name}']"):
+            element.set("value", str(size))
+    path = xml.with_name(f"scene-{size}-{'-'.join(aovs)}.xml")
+    tree.write(path)
+    return path
+
+
+# ---- whole processes ----
+
+
+class WholeProcess:
+    """A command from its start to its end. options: program; of `mitsuba` a variant, of `validate` whether a store."""
+
+    def __init__(self, work: Work) -> None:
+        self.folder, self.options, self.aovs = Path(work.folder), work.options, work.options.get("aovs", AOVS)
+        kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+        store = str(self.folder / "store") if self.options.get("store") else "off"
+        self.environment = kept | {"MITSUBA_REF_STORE": store}
+
+    def build(self, size: int) -> None:
+        """The scene as a file, and the command."""
+        make = {"caster": self._caster, "mitsuba": self._mitsuba, "validate": self._validate}
+        self.command, self.count = make[self.options["program"]](size)
+
+    def _caster(self, size: int) -> tuple[list[str], int]:
+        from caster.scene.export import to_toml
+
+        scene = pickle.loads((self.folder / SCENE_FILE).read_bytes()).with_film(width=size, height=size)
+        file = self.folder / "scene.toml"
+        file.write_text(to_toml(scene, self.folder), encoding="utf-8")
+        names = ["--aov", ",".join(self.aovs), "-o", str(self.folder / "ours.exr")]
+        return [sys.executable, "-m", "caster", "render", str(file), *names], size * size
+
+    def _mitsuba(self, size: int) -> tuple[list[str], int]:
+        program = Path(sys.executable).with_name("mitsuba")
+        if not program.exists():
+            raise CannotRun(f"no command {program}")
+        xml, out = sized(self.folder / XML, size, self.aovs), str(self.folder / "theirs.exr")
+        return [str(program), "-m", self.options["variant"], str(xml), "-o", out], size * size
+
+    def _validate(self, size: int) -> tuple[list[str], int]:
+        folder = Path(__file__).parents[1] / "runner" / "builtin"
+        scenes = len(list(folder.rglob("*.toml")))
+        words = ["-m", "mitsuba_ref", "validate", "--builtin", "all", "--size", str(size), str(size)]
+        return [sys.executable, *words], scenes * size * size
+
+    def take_rays(self) -> None:
+        """It makes its own."""
+
+    def cast(self) -> int:
+        done = subprocess.run(self.command, env=self.environment, capture_output=True, text=True, check=False)
+        if done.returncode:
+            last = (done.stderr.splitlines() or [""])[-1]
+            raise CannotRun(f"{self.options['program']} ended with exit code {done.returncode}: {last}")
+        return self.count
+
+    def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        """Its image is a file."""
+        return np.full(len(o), np.nan)
+
+    def peak_memory(self) -> int:
+        """Bytes, of the largest of its processes."""
+        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+        return peak if sys.platform == "darwin" else peak * 1024
 
 
 # ---- peers: embreex, trimesh and Open3D, each imported by its own class ----

@@ -4,7 +4,8 @@ import json
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,7 +14,7 @@ import numpy as np
 
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.bench.contestants import Contestant
-from mitsuba_ref.bench.entries import SHADING, Work
+from mitsuba_ref.bench.entries import FILM, PROCESS, SHADING, VALIDATION, Work
 from mitsuba_ref.bench.result import Row, SceneResult, Score
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
@@ -75,7 +76,7 @@ def _end_text(end: ProcessEnd, timeout: float) -> str:
 Progress = Callable[[str], None]
 
 MIN_TURN_S = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
-MAX_CAST_S = 0.5  # seconds of a slow contestant's cast; its film is made smaller until it fits
+MAX_CAST_S = 0.2  # seconds of a slow contestant's cast; its film is made smaller until it fits
 WARM_UP_CASTS = 3  # casts before the first that counts, of which the first ones may compile
 REQUEST_TIMEOUT_S = 300.0  # seconds of any single request, compilation included
 
@@ -138,10 +139,9 @@ class ContestantRun:
             self.why = f"not timed with more than {most:,} primitives"
         if not self.why:
             self.process = start(self.contestant, folder, workload, self.settings.threads)
-            self.go(self._warm_up)
 
-    def _warm_up(self, process: Requester) -> None:
-        """Compile everything, find a film size for a slow contestant, then build again to time it."""
+    def compile(self, process: Requester) -> None:
+        """Build and cast for the first time; find a film size for a slow contestant."""
         request = self._request
         if self.contestant.first:
             request(process, do="build", size=self.contestant.first)
@@ -151,9 +151,12 @@ class ContestantRun:
         else:
             request(process, do="build", size=self.size)
             request(process, do="cast", least=0.0)
-        self.build = float(request(process, do="build", size=self.size)["seconds"])
+
+    def warm_up(self, process: Requester) -> None:
+        """Build again to time it, and cast a few times."""
+        self.build = float(self._request(process, do="build", size=self.size)["seconds"])
         for _ in range(WARM_UP_CASTS):
-            request(process, do="cast", least=0.0)
+            self._request(process, do="cast", least=0.0)
 
     def time_cast(self, process: Requester) -> None:
         found = self._request(process, do="cast", least=MIN_TURN_S)
@@ -215,26 +218,33 @@ def time_scene(
 ) -> SceneResult:
     """Rows of all contestants, cast in turns. judged: whether errors are measured as well."""
     begun = time.perf_counter()
+    whole = scene.workload in (PROCESS, VALIDATION)  # processes, each of which begins anew
+    settings = replace(settings, size=min(settings.size, scene.side or settings.size))
     with ScratchFolder() as name:
         on_progress("making the scene")
         ready = write_scene(scene, Path(name), settings.size)
         runs = [ContestantRun(contestant, settings) for contestant in contestants]
         try:
-            for run in runs:
-                on_progress(f"warming up: {run.contestant.title}")
+            on_progress("starting the contestants")
+            for run in runs:  # in this thread: where it ends, Linux ends what it started
                 run.begin(start, ready, name, scene.workload)
-            alternate(runs, settings.alternations, on_progress)
+            with ThreadPoolExecutor(1 if whole else settings.threads) as pool:
+                list(pool.map(lambda run: run.go(run.compile), runs))
+            for run in () if whole else runs:
+                on_progress(f"warming up: {run.contestant.title}")
+                run.go(run.warm_up)
+            alternate(runs, min(settings.alternations, scene.turns or settings.alternations), on_progress)
             for run in runs:
                 run.go(run.record_memory)
-            if judged and scene.workload != SHADING:
+            if judged and scene.workload != SHADING and not whole:
                 judge(runs, ready, scene.workload, settings, Path(name), on_progress)
         finally:
             for run in runs:
                 run.close()
     rows = tuple(run.row for run in runs)
-    return SceneResult(
-        scene.name, scene.title, scene.workload, ready.primitives, rows, time.perf_counter() - begun
-    )
+    seconds, primitives = time.perf_counter() - begun, 0 if scene.workload == VALIDATION else ready.primitives
+    aovs = scene.aovs if scene.workload in (FILM, PROCESS) else ()
+    return SceneResult(scene.name, scene.title, scene.workload, primitives, rows, seconds, aovs)
 
 
 def alternate(runs: Sequence[ContestantRun], alternations: int, on_progress: Progress) -> None:

@@ -1,39 +1,48 @@
 """Mitsuba: its AOV integrator, `ray_intersect` of arrays of rays, and the scalar variant ray by ray."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
-from mitsuba_ref.bench.entries import ANY, SHADOW_END, CannotRun, Work, blocked, given_rays
+from mitsuba_ref.bench.entries import ANY, AOVS, LIT, SHADOW_END, CannotRun, Work, blocked, given_rays, sized
 from mitsuba_ref.reference.mitsuba_calls import dr, mi
 
-INTEGRATOR_AOVS = "depth:depth,normal:geo_normal"
+# Our AOVs of one of its interactions.
+OF_INTERACTION: dict[str, Callable[[Any], Any]] = {
+    "hit": lambda si: si.is_valid(),
+    "depth": lambda si: si.t,
+    "normal": lambda si: si.n,
+    "shading_normal": lambda si: si.sh_frame.n,
+    "position": lambda si: si.p,
+    "uv": lambda si: si.uv,
+    "prim_id": lambda si: si.prim_index,
+}
 LLVM_VARIANT, SCALAR_VARIANT = "llvm_ad_rgb", "scalar_rgb"
 
 
 class Integrator:
-    """The AOV integrator: Mitsuba's own sensor, one sample per pixel centre. options: variant; mode, a folder."""
+    """The AOV integrator: Mitsuba's own sensor, one sample per pixel centre. options: variant; mode, a folder; aovs."""
 
     def __init__(self, work: Work) -> None:
         self.variant: str = work.options["variant"]
         mi.set_variant(self.variant)
         mi.set_log_level(mi.LogLevel.Error)
         self.xml = Path(work.folder) / work.options["mode"] / "scene.xml"
+        self.aovs = tuple(work.options.get("aovs", AOVS))
 
     def build(self, size: int) -> None:
-        self.scene = mi.load_file(str(sized(self.xml, size)), optimize=False)
+        self.scene = mi.load_file(str(sized(self.xml, size, self.aovs)), optimize=False)
         if not self.scene.sensors():
             raise CannotRun("Mitsuba has no such sensor")
-        self.integrator = mi.load_dict({"type": "aov", "aovs": INTEGRATOR_AOVS})
         self.size = size
 
     def take_rays(self) -> None:
         """The sensor makes them."""
 
     def cast(self) -> int:
-        image = mi.render(self.scene, integrator=self.integrator, spp=1)
+        image = mi.render(self.scene, spp=1)
         dr.eval(image)
         dr.sync_thread()
         return self.size * self.size
@@ -57,19 +66,8 @@ def one_by_one(scene: Any, o: np.ndarray, d: np.ndarray) -> np.ndarray:
     return np.array([scene.ray_intersect(mi.Ray3f(a, b)).t for a, b in pairs], np.float64)
 
 
-def sized(xml: Path, size: int) -> Path:
-    """The same scene with a film of size x size, in a file beside it."""
-    tree = ElementTree.parse(xml)
-    for name in ("width", "height"):
-        for element in tree.iterfind(f"./sensor/film/integer[@name='{name}']"):
-            element.set("value", str(size))
-    path = xml.with_name(f"scene-{size}.xml")
-    tree.write(path)
-    return path
-
-
 class RayIntersect:
-    """`ray_intersect` and `ray_test` of the LLVM variant. options: mode, a folder; coherent, Mitsuba's hint."""
+    """`ray_intersect` and `ray_test` of the LLVM variant. options: mode, a folder; coherent, Mitsuba's hint; aovs."""
 
     def __init__(self, work: Work) -> None:
         mi.set_variant(LLVM_VARIANT)
@@ -77,6 +75,10 @@ class RayIntersect:
         self.work = work
         self.xml = Path(work.folder) / work.options["mode"] / "scene.xml"
         self.coherent = bool(work.options.get("coherent", True))
+        self.aovs = tuple(work.options.get("aovs", AOVS))
+        missing = [name for name in self.aovs if name not in OF_INTERACTION and name != LIT]
+        if missing:
+            raise CannotRun(f"not written for {missing[0]}")
 
     def build(self, size: int) -> None:
         self.scene = mi.load_file(str(self.xml), optimize=False)
@@ -90,14 +92,29 @@ class RayIntersect:
         dr.sync_thread()
 
     def cast(self) -> int:
-        """Evaluates only t and the normal of each interaction."""
+        """Evaluates only what is asked for of each interaction."""
         if self.work.workload == ANY:
             dr.eval(self.scene.ray_test(self.rays, coherent=self.coherent))
         else:
-            si = self.scene.ray_intersect(self.rays, int(mi.RayFlags.All), coherent=self.coherent)
-            dr.eval(si.t, si.n)
+            dr.eval(*self.values(self.rays).values())
         dr.sync_thread()  # evaluation is asynchronous
         return self.count
+
+    def values(self, rays: Any) -> dict[str, Any]:
+        """The AOVs of the first hits, not evaluated yet."""
+        si = self.scene.ray_intersect(rays, int(mi.RayFlags.All), coherent=self.coherent)
+        return {name: self._light(si) if name == LIT else OF_INTERACTION[name](si) for name in self.aovs}
+
+    def _light(self, si: Any) -> Any:
+        """Radiance by hand: a shadow ray to each emitter and the cosine; ours adds ambient light to it."""
+        context, bsdf, total = mi.BSDFContext(), si.bsdf(), mi.Color3f(0.0)
+        for emitter in self.scene.emitters():
+            sample, weight = emitter.sample_direction(si, mi.Point2f(0.5))
+            value = weight * bsdf.eval(context, si, si.to_local(sample.d), si.is_valid())
+            bright = dr.any(value > 0.0, axis=0)
+            shadowed = self.scene.ray_test(si.spawn_ray_to(sample.p), coherent=self.coherent, active=bright)
+            total += dr.select(bright & ~shadowed, value, 0.0)
+        return total
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         rays = self._rays(o, d)

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import SerializerFunctionWrapHandler, computed_field, model_serializer
 from pydantic.dataclasses import dataclass
 
-from mitsuba_ref.bench.entries import FILM, SHADING
+from mitsuba_ref.bench.entries import ANY, AOVS, FILM, NEAREST, PROCESS, SHADING, VALIDATION
 from mitsuba_ref.report.results import NOTHING, aligned, number
 
 JSON_FORMAT = 1  # goes up when a key changes its meaning or goes away
@@ -81,6 +81,7 @@ class SceneResult:
     primitives: int
     rows: tuple[Row, ...]
     seconds: float = 0.0  # that all of it took
+    aovs: tuple[str, ...] = ()  # of an image
 
     @model_serializer(mode="wrap")
     def _with_ratios(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -152,7 +153,8 @@ class Run:
 
     @property
     def films(self) -> list[SceneResult]:
-        return [scene for scene in self.scenes if scene.workload == FILM]
+        """Images of depth and normal."""
+        return [scene for scene in self.scenes if scene.workload == FILM and scene.aovs in ((), AOVS)]
 
 
 def fitted_slope(x: Sequence[float], y: Sequence[float]) -> float | None:
@@ -184,7 +186,7 @@ def _cells(scene: SceneResult, row: Row) -> list[str]:
         errors = [number(score.ulps, 2), number(score.bounds, 2), *wrong]
     return [
         f"{row.title} ({row.why})" if row.why else row.title,
-        f"{row.size}^2" if scene.workload in (FILM, SHADING) else f"{row.rays:,}",
+        f"{row.size}^2" if scene.workload in (FILM, SHADING, PROCESS) else f"{row.rays:,}",
         number(None if row.build is None else 1e3 * row.build, 1),
         number(row.ns, 2),
         number(row.mrays, 1),
@@ -199,9 +201,59 @@ def _masks_text(masks: int, beyond: int) -> str:
     return f"{masks}+{beyond}" if beyond else str(masks)
 
 
+# Columns of the table of everything that was asked for: how many times as fast as these ours is.
+OVERVIEW_COLUMNS = ("raw-robust", "aov-robust", "open3d", "trimesh", "candidate")
+OVERVIEW_TITLES = ("`ray_intersect`", "AOV integrator", "Open3D", "trimesh + embreex", "candidate")
+
+
+def overview(run: Run) -> list[list[str]]:
+    """Head and a line for each image and each kind of rays: what, of which AOVs, our milliseconds and the ratios."""
+    scenes = [scene for scene in run.scenes if (row := scene.row(REFERENCE_ROW)) and row.ran]
+    pairs = zip(OVERVIEW_COLUMNS, OVERVIEW_TITLES, strict=True)
+    columns = [pair for pair in pairs if any(scene.ratio(pair[0]) is not None for scene in scenes)]
+    found = [["scene", "AOVs", "ours, ms", *(title for _, title in columns)]]
+    for scene in scenes:
+        what = ", ".join(scene.aovs or AOVS) if scene.workload == FILM else RAYS_OF[scene.workload]
+        ratios = [number(scene.ratio(key), 2) for key, _ in columns]
+        found.append([scene.name, what, _milliseconds(scene, REFERENCE_ROW), *ratios])
+    return found
+
+
+RAYS_OF = {NEAREST: "t, normal of any rays", ANY: "any rays: hit or not"}
+
+
+def processes(run: Run) -> list[list[str]]:
+    """Head and a line for each row of a whole process: its time and that of the others over it."""
+    found = [["whole process", "command", "s", "times as long as the first"]]
+    for scene in run.scenes:
+        if scene.workload in (PROCESS, VALIDATION):
+            for row in scene.rows:
+                seconds = number(median(row.seconds), 2) if row.ran else row.why
+                found.append([scene.name, row.title, seconds, number(scene.ratio(row.key), 2)])
+    return found
+
+
+def _milliseconds(scene: SceneResult, key: str) -> str:
+    row = scene.row(key)
+    return number(1e3 * median(row.seconds) if row and row.ran else None, 1)
+
+
+def overview_text(run: Run) -> str:
+    """Both tables, where they have lines."""
+    parts = []
+    if len(table := overview(run)) > 1:
+        table = [[cell.replace("`", "") for cell in line] for line in table]
+        parts.append(["What you asked for: times as fast as the others", *aligned(table, left=2)])
+    if len(table := processes(run)) > 1:
+        parts.append(aligned(table, left=2))
+    return "\n\n".join("\n".join(lines) for lines in parts)
+
+
 def as_text(scene: SceneResult) -> str:
     """The table under a line with the scene."""
-    head = f"{scene.name}: {scene.title} ({scene.primitives:,} primitives)"
+    aovs = f"; {', '.join(scene.aovs)}" if scene.aovs not in ((), AOVS) else ""
+    count = f" ({scene.primitives:,} primitives{aovs})" if scene.primitives else ""
+    head = f"{scene.name}: {scene.title}{count}"
     return "\n".join([head, *(f"  {line}" for line in aligned(rows(scene), left=1))])
 
 

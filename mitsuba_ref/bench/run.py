@@ -13,13 +13,14 @@ from caster import __version__
 from caster.scene.model import Scene
 from mitsuba_ref.bench import scenes
 from mitsuba_ref.bench.contestants import (
+    ALL_TASKS,
     BY_KEY,
     Contestant,
     candidate_contestant,
     contestants_for,
     processors,
 )
-from mitsuba_ref.bench.entries import BYTES_PER_CHANNEL, CHANNELS, SHADING
+from mitsuba_ref.bench.entries import AOVS, BYTES_PER_CHANNEL, CHANNELS
 from mitsuba_ref.bench.measuring import Progress, Settings, Start, start_process, time_scene
 from mitsuba_ref.bench.result import Run, SceneResult, Series, Sweep
 from mitsuba_ref.bench.scenes import BenchScene
@@ -180,12 +181,14 @@ class BenchmarkRun:
         """on_result: called with each scene's result as soon as it is there."""
         for scene in self.scenes:
             given = self.settings
-            contestants = contestants_for(scene.workload, peers=given.peers)
-            if given.candidate and scene.workload != SHADING:
+            contestants = contestants_for(scene.workload, peers=given.peers, aovs=scene.aovs)
+            casts = scene.workload in ALL_TASKS and scene.aovs == AOVS
+            if given.candidate and casts:
                 served, precision = given.candidate_served, given.candidate_precision
                 contestants.append(candidate_contestant(given.candidate, precision, served=served))
             words = f"{len(self.run.scenes) + 1}/{len(self.scenes)} {scene.name}"
-            result = time_scene(scene, contestants, self.settings, prefixed(on_progress, words), self.start)
+            report = prefixed(on_progress, words)
+            result = time_scene(scene, contestants, given, report, self.start, judged=scene.aovs == AOVS)
             self.run = replace(self.run, scenes=(*self.run.scenes, result))
             on_result(result)
 

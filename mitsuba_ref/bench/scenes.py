@@ -1,21 +1,24 @@
 """Scenes of the benchmark, made of float32 numbers here, so that all contestants cast the same ones."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from caster.aovs import BY_NAME
 from caster.cameras import Fisheye, Orthographic, Pinhole
+from caster.description.errors import FileMissing, SceneError, suggestion
+from caster.geometry.mesh_files import MESH_SUFFIXES
 from caster.geometry.packing import Triangles
 from caster.scene.files import load_scene
 from caster.scene.model import Ambient, Diffuse, Point, Scene
-from caster.shapes import MeshFile, Sphere
+from caster.shapes import Cylinder, Disk, MeshFile, Plane, Sphere, Teapot
 from caster.shapes.heightfield import tessellate_heightfield
 from caster.shapes.torus import tessellate_torus
 from caster.system.atomic_files import write_bytes
-from mitsuba_ref.bench.entries import ANY, FILM, NEAREST, SHADING
+from mitsuba_ref.bench.entries import ANY, AOVS, FILM, NEAREST, PROCESS, SHADING, VALIDATION
 from mitsuba_ref.reference.shared_input import packed_float32, shared_rays
 from mitsuba_ref.scene_xml.elements import ply_bytes
 from mitsuba_ref.subjects.subject import scene_as_traced
@@ -98,8 +101,9 @@ Rays = tuple[np.ndarray, np.ndarray]  # o, d: (n, 3) float32 each
 class BenchScene:
     """One scene of the benchmark.
 
-    workload: FILM an image of depth and normal; NEAREST t and normal along rays that are handed over; ANY whether
-    something lies on them; SHADING a shaded image, by our caster alone.
+    workload: FILM an image of `aovs`; NEAREST t and normal along rays that are handed over; ANY whether something lies
+    on them; SHADING a shaded image, by our caster alone; PROCESS an image into a file, by a whole process; VALIDATION
+    the scenes that are installed, judged.
     """
 
     name: str
@@ -107,6 +111,9 @@ class BenchScene:
     make: Callable[[Path], Scene]  # writes its meshes into the folder
     workload: str = FILM
     rays: Callable[[Scene], Rays] | None = None  # None: the camera's
+    aovs: tuple[str, ...] = AOVS
+    side: int = 0  # pixels a side, where the run's are more; 0: those of the run
+    turns: int = 0  # alternations, where the run's are more; 0: those of the run
 
 
 def scene_from_front(*shapes: Any, **more: Any) -> Scene:
@@ -210,6 +217,37 @@ def unit(v: np.ndarray) -> np.ndarray:
     return rows
 
 
+def lit_teapot(folder: Path) -> Scene:
+    """A smooth mesh of 6,320 triangles, lit."""
+    return as_traced(scene_from_front(teapot(), **LIT), folder)
+
+
+def teapot() -> Teapot:
+    smaller = [{"scale": 0.45}, {"translate": (0.0, 0.0, -0.6)}]
+    return Teapot(subdivisions=10, to_world=smaller, material="grey")
+
+
+def several_kinds(folder: Path) -> Scene:
+    """A teapot, forty spheres, cylinders and disks on a plane, lit."""
+    rng = np.random.default_rng(4)
+    around = [(1.7 * np.cos(a), 1.7 * np.sin(a), z) for a, z in zip(*rng.uniform(0, 6, (2, 40)), strict=True)]
+    shapes: list[Any] = [teapot(), Plane(point=(0.0, 0.0, -0.6), normal=(0.0, 0.0, 1.0))]
+    shapes += [Sphere(center=(x, y, 0.15 * z - 0.5), radius=0.08) for x, y, z in around]
+    for x, y, z in around[:8]:
+        shapes.append(Cylinder(p0=(0.6 * x, 0.6 * y, -0.6), p1=(0.6 * x, 0.6 * y, 0.1 * z), radius=0.05))
+        shapes.append(Disk(to_world=[{"scale": 0.12}, {"translate": (0.8 * x, 0.8 * y, 0.1 * z)}]))
+    lit = [shape.model_copy(update={"material": "grey"}) for shape in shapes]
+    return as_traced(scene_from_front(*lit, **LIT), folder)
+
+
+def as_traced(scene: Scene, folder: Path) -> Scene:
+    return scene_as_traced(scene, packed_float32(scene), folder)
+
+
+def teapot_as_described(folder: Path) -> Scene:
+    return scene_from_front(teapot(), **LIT)
+
+
 def rays_of(scene: BenchScene, sized: Scene) -> Rays:
     """What is handed to those who take rays, and in a scene of rays to everybody; one for each pixel."""
     if scene.rays:
@@ -222,11 +260,39 @@ def rays_of(scene: BenchScene, sized: Scene) -> Rays:
 def scene_of_file(path: str, mesh_dirs: Sequence[str] = ()) -> BenchScene:
     """A scene or mesh file, in the float32 numbers that all contestants cast. Raises SceneError, FileMissing."""
     scene = load_scene(path, mesh_dirs)
+    return BenchScene(Path(path).stem, path, lambda folder: as_traced(scene, folder))
 
-    def make(folder: Path) -> Scene:
-        return scene_as_traced(scene, packed_float32(scene), folder)
 
-    return BenchScene(Path(path).stem, path, make)
+# AOVs that an image is timed with, by what they add to the scene's name; `diffuse` has the scene's lights and shadows.
+AOV_SETS = {"": AOVS, "smooth": (*AOVS, "shading_normal"), "lit": (*AOVS, "diffuse")}
+
+
+def in_each_set(scene: BenchScene) -> Iterator[BenchScene]:
+    """An image in each set of AOV_SETS."""
+    for name, aovs in AOV_SETS.items():
+        yield replace(scene, name=f"{scene.name}-{name}" if name else scene.name, aovs=aovs)
+
+
+def with_aovs(scene: BenchScene, aovs: Sequence[str]) -> BenchScene:
+    """The image in other AOVs. Raises SceneError for a name that is none."""
+    for name in aovs:
+        if name not in BY_NAME:
+            hint = suggestion(name, BY_NAME)
+            raise SceneError(f"--aov {name}: unknown{hint} (known: {', '.join(BY_NAME)})")
+    names = tuple(aovs)
+    return scene if names == AOVS else replace(scene, name=f"{scene.name}:{','.join(names)}", aovs=names)
+
+
+MESHES_VARIABLE = "MITSUBA_REF_MESHES"  # a folder of mesh files
+
+
+def scenes_of_meshes(folder: str) -> Iterator[BenchScene]:
+    """An image of each mesh file of a folder, one of each name, in each set. Raises FileMissing, SceneError."""
+    if not Path(folder).is_dir():
+        raise FileMissing(f"{folder}: expected a folder of mesh files")
+    files = sorted(path for path in Path(folder).iterdir() if path.suffix.lower() in MESH_SUFFIXES)
+    for path in {path.stem: path for path in reversed(files)}.values():
+        yield from in_each_set(replace(scene_of_file(str(path)), title=f"the mesh {path.name}"))
 
 
 SCENES = (
@@ -251,4 +317,11 @@ SCENES = (
     ),
     BenchScene("lit-mesh", "shading the mesh of 70,224 triangles by one point light", lit_ring, SHADING),
     BenchScene("lit-spheres", "shading 200 spheres by one point light", lit_spheres, SHADING),
+    BenchScene(
+        "lit-teapot", "shading a smooth teapot of 6,320 triangles by one point light", lit_teapot, SHADING
+    ),
+    *in_each_set(BenchScene("kinds", "a teapot, spheres, cylinders and disks on a plane", several_kinds)),
+    BenchScene("process", "the teapot from a file to an EXR file", teapot_as_described, PROCESS),
+    BenchScene("process-256", "the same in 256 x 256 pixels", teapot_as_described, PROCESS, side=256),
+    BenchScene("validate", "the installed scenes judged", one_sphere, VALIDATION, side=256, turns=3),
 )

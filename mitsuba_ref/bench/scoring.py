@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from caster.geometry.packing import Triangles, primitive_count
+from caster.shapes.sphere import Spheres
 from mitsuba_ref.bench.entries import (
     ANY,
     DEFAULT,
@@ -17,12 +18,14 @@ from mitsuba_ref.bench.entries import (
     SCENE_FILE,
     SHADING,
     SHADOW_END,
+    VALIDATION,
 )
 from mitsuba_ref.bench.result import Score
 from mitsuba_ref.bench.scenes import BenchScene, rays_of, unit
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference.shared_input import export
 from mitsuba_ref.report.results import largest
+from mitsuba_ref.shapes import kind_of
 
 Rng = np.random.Generator
 RayArrays = tuple[np.ndarray, np.ndarray]
@@ -36,7 +39,7 @@ def write_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
     made = scene.make(folder).with_film(width=size, height=size)
     ready = prepare_scene(made, *rays_of(scene, made))
     (folder / SCENE_FILE).write_bytes(pickle.dumps(made))
-    if scene.workload != SHADING:
+    if scene.workload not in (SHADING, VALIDATION):
         for name in (ROBUST, DEFAULT):
             export(made, ready.model, robust=name == ROBUST).write(folder / name)
         np.savez(folder / RAYS_FILE, o=ready.o, d=ready.d)
@@ -80,8 +83,14 @@ def features(
     for shape in np.unique(which):
         rows = np.flatnonzero(which == shape)
         part = ready.packed.parts[shape]
-        place = on_edges if hasattr(part, "faces") else points_on_silhouettes
-        places[rows] = place(rng, part, o[rows], None if d is None else d[rows])
+        along = None if d is None else d[rows]
+        if isinstance(part, Triangles):
+            places[rows] = on_edges(rng, part, o[rows], along)
+        elif isinstance(part, Spheres):
+            places[rows] = points_on_silhouettes(rng, part, o[rows], along)
+        else:
+            k = rng.integers(primitive_count(part), size=len(rows))
+            places[rows] = kind_of(part).surface_points(part, k, rng, "edge").p
     return places
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from mitsuba_ref.cli import options
 
 if TYPE_CHECKING:
     from mitsuba_ref.bench.result import Run, SceneResult
+    from mitsuba_ref.bench.scenes import BenchScene
     from mitsuba_ref.stress.family import Family
     from mitsuba_ref.stress.sweeps import SweepResult
     from mitsuba_ref.subjects.subject import Subject
@@ -104,6 +106,20 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add = parser.add_argument
     add(
+        "--aov",
+        metavar="LIST",
+        type=str,
+        action="append",
+        help="AOVs of images, such as depth,normal,diffuse; again: another set. Default: depth,normal; of files also "
+        "with shading_normal, and with diffuse",
+    )
+    add(
+        "--meshes",
+        metavar="DIR",
+        type=str,
+        help="also time each mesh file of this folder; default: what MITSUBA_REF_MESHES names, if it is set",
+    )
+    add(
         "--peers",
         action="store_true",
         help="also time Open3D, embreex and trimesh; pip install 'ray-reference[peers]'",
@@ -146,18 +162,14 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_bench(args: argparse.Namespace) -> int:
     """Time the selected scenes; 0, 1 where ours did not run, 2 unknown scene, 5 nothing selected, 130 interrupted."""
-    from mitsuba_ref.bench.scenes import SCENES, scene_of_file
-
-    files = [word for word in args.scenes if Path(word).suffix]
-    named = [word for word in args.scenes if word not in files]
-    scenes = options.select(SCENES, "scene", named, args.expression) if named or not files else []
-    scenes += [scene_of_file(file, args.mesh_dir) for file in files]
+    scenes = requested_scenes(args)
     candidate = options.requested_candidate(args, takes_rays=True)
     if not scenes:
         print(f"nothing selected: no scene matches -k {args.expression!r}", file=sys.stderr)
         return NOTHING_SELECTED
     if args.list:
-        print("\n".join(f"{scene.name:18}{scene.title}" for scene in scenes))
+        width = max(len(scene.name) for scene in scenes) + 2
+        print("\n".join(f"{scene.name:{width}}{scene.title}" for scene in scenes))
         return OK
     options.check_json(args)
     if args.before:
@@ -185,6 +197,33 @@ def run_bench(args: argparse.Namespace) -> int:
         report_run(work.run, args)
     ran = all(ours_ran(scene) for scene in work.run.scenes)
     return OK if ran and (candidate is None or candidate_ran(work.run)) else DIFFERENCES
+
+
+def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
+    """Those of the standard set, of --meshes and of files, in the AOVs of --aov. Raises SceneError, FileMissing."""
+    from mitsuba_ref.bench.entries import AOVS, FILM
+    from mitsuba_ref.bench.scenes import (
+        MESHES_VARIABLE,
+        SCENES,
+        in_each_set,
+        scene_of_file,
+        scenes_of_meshes,
+        with_aovs,
+    )
+
+    files = [word for word in args.scenes if Path(word).suffix]
+    named = [word for word in args.scenes if word not in files]
+    folder = args.meshes or os.environ.get(MESHES_VARIABLE)
+    known = [*SCENES, *(scenes_of_meshes(folder) if folder else ())]
+    chosen = options.select(known, "scene", named, args.expression) if named or not files else []
+    chosen += [each for file in files for each in in_each_set(scene_of_file(file, args.mesh_dir))]
+    if args.candidate and not args.aov:  # it gives depth and normal
+        chosen = [scene for scene in chosen if scene.aovs == AOVS]
+    if args.aov:
+        sets = [[name.strip() for name in words.split(",") if name.strip()] for words in args.aov]
+        images = [scene for scene in chosen if scene.workload == FILM and scene.aovs == AOVS]
+        chosen = [with_aovs(scene, aovs) for scene in images for aovs in sets]
+    return chosen
 
 
 def ours_ran(scene: SceneResult) -> bool:
@@ -219,9 +258,11 @@ def show_earlier(args: argparse.Namespace) -> int:
 
 def report_run(done: Run, args: argparse.Namespace) -> None:
     """The JSON file, if any, and a last line."""
-    from mitsuba_ref.bench.result import summary
+    from mitsuba_ref.bench.result import overview_text, summary
     from mitsuba_ref.report.results import write_result
 
     if args.json:
         write_result(done, args.json)
+    if table := overview_text(done):
+        print(f"{table}\n", file=options.table_stream(args))
     print(summary(done), file=options.table_stream(args))

@@ -1,6 +1,10 @@
 """`mitsuba-ref bench` from end to end: ours and Mitsuba's scalar variant, a small picture, one alternation."""
 
 import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
 
 import pytest
 
@@ -9,6 +13,8 @@ from mitsuba_ref.bench import run
 from mitsuba_ref.bench.contestants import BY_KEY
 from mitsuba_ref.bench.measuring import Settings, time_scene
 from mitsuba_ref.bench.scenes import SCENES
+from mitsuba_ref.bench.scoring import write_scene
+from mitsuba_ref.reference.subprocess_runner import import_path
 from mitsuba_ref.reference.variants import usable_variants
 
 ASKED = ("ours", "scalar-aov", "scalar-loop")
@@ -16,7 +22,7 @@ SIDE = 64
 
 
 def test_a_small_image_is_timed_and_judged(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(run, "contestants_for", lambda asks, peers: [BY_KEY[key] for key in ASKED])
+    monkeypatch.setattr(run, "contestants_for", lambda asks, **more: [BY_KEY[key] for key in ASKED])
     file = tmp_path / "run.json"
     words = ["bench", "cornell-box", "--size", str(SIDE), "--alternations", "1", "--json", str(file)]
     assert main(words) == 0
@@ -57,7 +63,7 @@ def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
 
 
 def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(run, "contestants_for", lambda asks, peers: [BY_KEY["ours"]])
+    monkeypatch.setattr(run, "contestants_for", lambda asks, **more: [BY_KEY["ours"]])
     monkeypatch.chdir(tmp_path)
     (tmp_path / "box.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
@@ -81,7 +87,7 @@ def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monke
 
 
 def test_a_candidate_that_cannot_be_timed_is_no_result(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(run, "contestants_for", lambda asks, peers: [BY_KEY["ours"]])
+    monkeypatch.setattr(run, "contestants_for", lambda asks, **more: [BY_KEY["ours"]])
     monkeypatch.chdir(tmp_path)
     (tmp_path / "untimed_caster.py").write_text(
         "def cast(scene, o, d):\n    raise NotImplementedError('spheres')\n"
@@ -91,3 +97,48 @@ def test_a_candidate_that_cannot_be_timed_is_no_result(tmp_path, monkeypatch, ca
     assert "untimed_caster:cast raised NotImplementedError: spheres" in capsys.readouterr().out
     assert main([*words, "true {xml} -o {exr}"]) == 2
     assert main(["bench", "nothing.obj"]) == 4
+
+
+VALUES = """
+import json, sys
+import numpy as np
+from mitsuba_ref.bench.entries import Ours, Work
+from mitsuba_ref.bench.mitsuba_entries import Integrator, RayIntersect, mi
+
+aovs = ("depth", "normal", "shading_normal", "diffuse")
+work = Work(sys.argv[1], "film", 1, "", {"mode": "robust", "variant": "llvm_ad_rgb", "aovs": aovs})
+ours, raw, aov = Ours(work), RayIntersect(work), Integrator(work)
+for each in (ours, raw, aov):
+    each.build(64)
+    each.take_rays()
+images = ours.caster.render(ours.scene, aovs)
+hit = images.hit.ravel()
+drawn = np.array(mi.render(aov.scene, spp=1)).reshape(64 * 64, -1)
+found = {"hit": float(hit.mean()), "lit": float((images["diffuse"] > 0.1).mean())}
+columns = {"depth": 4, "normal": slice(5, 8), "shading_normal": slice(8, 11), "diffuse": slice(0, 3)}
+for name, value in raw.values(raw.rays).items():
+    mine = np.asarray(images[name]).reshape(64 * 64, -1)[hit]
+    for kind, theirs in (("raw", np.array(value).T), ("aov", drawn[:, columns[name]])):
+        off = np.abs(np.array(theirs, float).reshape(64 * 64, -1)[hit] - mine).max(axis=1) > 1e-3
+        found[f"{kind} {name}"] = float(off.mean())
+print(json.dumps(found))
+"""
+
+
+def test_mitsuba_is_timed_with_the_image_that_ours_is(tmp_path):
+    """A cosine or a shadow ray that is left out would be fast, and another image; pixels on edges may differ."""
+    if not usable_variants().llvm:
+        return  # the rows are empty then, which the test above has
+    (scene,) = (scene for scene in SCENES if scene.name == "kinds-lit")
+
+    def lamp_alone(folder):
+        made = scene.make(folder)
+        return made.model_copy(update={"lights": made.lights[:1]})
+
+    write_scene(replace(scene, make=lamp_alone), tmp_path, 64)
+    environment = BY_KEY["raw-robust"].settings() | {"PYTHONPATH": import_path()}
+    command = [sys.executable, "-c", VALUES, str(tmp_path)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | environment)
+    found = json.loads(told.stdout)
+    assert found.pop("hit") > 0.5 and 0.2 < found.pop("lit") < 0.9
+    assert len(found) == 8 and max(found.values()) < 0.02, found
