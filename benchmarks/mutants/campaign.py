@@ -102,7 +102,7 @@ _COMPILED_TESTS = {
         edge_cases edge_cases_mitsuba oracle_filter oracle_kinds oracle_roots oracle_scenes
     """,
     "tests/reference": """
-        adjudication bands candidate_probe candidates detection_power error_models_hold excused_classes
+        adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold excused_classes
         hypotheses judge_classes mistakes new_shape probe_witnesses ray_lists
     """,
     "tests/report": """

@@ -392,12 +392,19 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str
     rows = np.concatenate([wrong, right])
     is_wrong = np.arange(len(rows)) < len(wrong)
     features = tuple(_features(judge, rows, prim[rows]))
+    opposite = ""  # of a property that right pixels have, if no property of wrong ones is found
     for name, values in features:
         found = best_split(values, is_wrong, tried=len(features))
-        if found is not None:
-            k, m = found.wrong, int(is_wrong.sum())
-            shares = f"{k} of {m} wrong pixels, {found.right} of {len(right)} right ones"
+        if found is None:
+            continue
+        m, is_property = int(is_wrong.sum()), "{" not in name
+        shares = f"{found.wrong} of {m} wrong pixels, {found.right} of {len(right)} right ones"
+        if is_property and found.words.startswith("below"):
+            opposite = opposite or f"where {_negation(name)}: {shares}"
+        elif is_property or not opposite:
             return f"where {name.format(found.words)}: {shares}"
+    if opposite:
+        return opposite
     for name, values in features:
         if "{" not in name and (share := necessary_share(values == 1.0, is_wrong, len(features))) is not None:
             return (
@@ -525,6 +532,13 @@ def _features(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tupl
     if not judge.pair.rays.is_list:
         yield "the pixel's x is {}", (rows % width).astype(np.float64)
         yield "the pixel's y is {}", (rows // width).astype(np.float64)
+
+
+def _negation(name: str) -> str:
+    """The sentence of a property, where it does not hold."""
+    if name.startswith("a component "):
+        return name.replace("a ", "no ", 1)
+    return name.replace(" has no ", " has some ") if " has no " in name else name.replace(" is ", " is not ")
 
 
 def _flag(values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,320 @@
+"""The diagnosis of planted errors: every failing row has a cause, and what separates wrong pixels is found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import caster
+from caster.geometry.packing import packed
+from caster.scene.model import Scene
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge, scene_judge
+from mitsuba_ref.judge.comparison import pair_images
+from mitsuba_ref.judge.diagnosis import diagnose, failing_rows, separator_text
+from mitsuba_ref.subjects.function import FunctionSubject
+from mitsuba_ref.subjects.subject import Answer
+
+WIDTH, HEIGHT = 24, 16
+TURN = {"rotate": {"axis": [1, 2, 3], "degrees": 37}}
+CAMERA = caster.Pinhole(eye=(0.3, 0.2, 2.5), look_at=(0, 0, 0), fov=60)
+SHAPES = (
+    caster.Sphere(name="room", center=(0.7, -0.4, 1.1), radius=4.0),
+    caster.Sphere(name="ball", center=(-0.7, 0.3, 0.2), radius=0.5),
+    caster.Torus(
+        name="ring", to_world=[{"scale": 0.6}, TURN, {"translate": [0.5, -0.4, 0]}], segments=9, sides=5
+    ),
+    caster.Rectangle(name="wall", to_world=[{"scale": 0.6}, {"translate": [0.5, 0.6, -0.5]}]),
+)
+
+
+def cast(scene, o, d):
+    hits = caster.cast(scene, o, d)
+    return hits.t.copy(), hits.normal.copy()
+
+
+@pytest.fixture(scope="module")
+def right(send) -> Judge:
+    scene = Scene(film=caster.Film(width=WIDTH, height=HEIGHT), camera=CAMERA, shapes=SHAPES)
+    return scene_judge(scene, FunctionSubject("right", cast, "float64"), send=send)
+
+
+@pytest.fixture(scope="module")
+def agreed(right):
+    found = right.judge()
+    assert not len(failing_rows(found))
+    return found
+
+
+def answering(judge: Judge, **change) -> Judge:
+    answer: Answer = replace(judge.answer, **change)
+    return Judge(
+        judge.scene, judge.model, pair_images(judge.scene, judge.pair.rays, answer, judge.result), judge.view
+    )
+
+
+def causes_of(judge: Judge):
+    judgement = judge.judge()
+    found = diagnose(judge, judgement)
+    assert sorted(found.by_row()) == failing_rows(judgement).tolist()
+    firsts = [row for cause in found.causes if not cause.second for row in cause.rows.tolist()]
+    assert len(firsts) == len(set(firsts))  # a row has one first cause
+    assert all(np.array_equal(cause.rows, np.unique(cause.rows)) for cause in found.causes)
+    return found.causes
+
+
+def shape_of(judge: Judge) -> np.ndarray:
+    return judge.result.shape_id
+
+
+# ---- what is off, without a hypothesis
+
+
+def uneven(count: int) -> np.ndarray:
+    return np.random.default_rng(11).uniform(0.002, 0.02, count)
+
+
+def some_hits(judge: Judge, share: int = 3) -> np.ndarray:
+    chosen = np.random.default_rng(12).integers(share, size=WIDTH * HEIGHT) == 0
+    return np.flatnonzero(judge.result.hit & chosen & judge.bounds.at.certain)
+
+
+@pytest.mark.parametrize(("sign", "word"), [(1.0, "behind"), (-1.0, "before")])
+def test_t_that_is_off_by_no_rule_is_described_by_its_range(right, sign, word):
+    rows = some_hits(right)
+    t = right.answer.t.copy()
+    share = uneven(len(rows))
+    t[rows] *= 1.0 + sign * share
+    (cause,) = causes_of(answering(right, t=t))
+    words = f"t is off: {word} what is hit, by {share.min():.2g} to {share.max():.2g} of itself"
+    assert cause.what == words and cause.rows.tolist() == rows.tolist() and not cause.remedy
+
+
+def test_misses_in_place_of_hits_and_both_ways_of_t_are_causes_of_their_own(right):
+    rows = some_hits(right)
+    t, n = right.answer.t.copy(), right.answer.n.copy()
+    missed, before, behind = rows[::3], rows[1::3], rows[2::3]
+    t[missed], n[missed] = np.inf, 0.0
+    t[before] *= 1.0 - uneven(len(before))
+    t[behind] *= 1.0 + uneven(len(behind))
+    found = {
+        cause.what.split(" what")[0]: cause.rows.tolist() for cause in causes_of(answering(right, t=t, n=n))
+    }
+    assert found == {
+        "missed; exact arithmetic hits": missed.tolist(),
+        "t is off: before": before.tolist(),
+        "t is off: behind": behind.tolist(),
+    }
+
+
+def test_answers_that_are_none_are_their_own_cause(right):
+    rows = some_hits(right)
+    one, two = np.zeros((2, WIDTH * HEIGHT), bool)
+    one[rows[:9]], two[rows[7:20]] = True, True
+    found = causes_of(answering(right, broken={"t is this": one, "n is that": two}))
+    assert [(cause.what, cause.rows.tolist()) for cause in found] == [
+        ("no answer: t is this", rows[:9].tolist()),
+        ("no answer: n is that", rows[9:20].tolist()),
+    ]
+
+
+def test_wrong_normals_are_a_second_cause_where_t_is_wrong_in_a_known_way(right):
+    t, n = 100.0 * right.answer.t, -right.answer.n
+    first, second = causes_of(answering(right, t=t, n=n))
+    assert (first.what, second.what) == ("t is 100 times what it should be", "the normal is turned round")
+    assert not first.second and second.second and len(first.rows) == len(second.rows) == first.of == second.of
+
+
+def test_a_mistake_of_most_pixels_is_the_first_cause_and_the_rest_is_described(right):
+    every = np.arange(WIDTH * HEIGHT)
+    t = right.answer.t * 1.5
+    rest = every[::20]
+    t[rest] = right.answer.t[rest] * (1.0 + uneven(len(rest)))
+    first, other = causes_of(answering(right, t=t))
+    assert first.what == "t is 1.5 times what it should be" and first.of == len(every) == len(
+        first.rows
+    ) + len(rest)
+    assert other.what.startswith("t is off: behind what is hit") and other.rows.tolist() == rest.tolist()
+
+
+# ---- numbers of what is hit
+
+
+def numbers(judge: Judge) -> dict[str, np.ndarray]:
+    prim, packed = judge.reference_prim, judge.model.packed
+    hit = prim >= 0
+    at = np.maximum(prim, 0)
+    return {
+        "shape_id": np.where(hit, packed.shape_of(at), -1),
+        "prim_id": np.where(hit, packed.index_in_shape(at), -1),
+    }
+
+
+@pytest.mark.parametrize(("step", "remedy"), [(1, "subtract 1"), (-1, "add 1")])
+@pytest.mark.parametrize(("column", "name"), [("shape_id", "shape"), ("prim_id", "primitive")])
+def test_numbers_that_are_off_by_one_are_named(right, column, name, step, remedy):
+    ids = numbers(right)
+    ids[column] = ids[column] + step
+    (cause, *rest) = causes_of(answering(right, **ids))
+    assert cause.what == f"the {name}'s number is off by one ({step:+d})" and cause.of == WIDTH * HEIGHT
+    assert cause.remedy == f"numbers count from 0: {remedy}" and not rest and len(cause.rows) == cause.of
+
+
+def test_numbers_that_are_all_the_same_are_named_once(right):
+    ids = {name: 0 * each for name, each in numbers(right).items()}
+    (cause,) = causes_of(answering(right, **ids))
+    assert cause.what == f"the same primitive is named at all {WIDTH * HEIGHT} hits"
+    both = numbers(right)
+    assert cause.rows.tolist() == np.flatnonzero((both["shape_id"] != 0) | (both["prim_id"] != 0)).tolist()
+    two = {"shape_id": np.arange(WIDTH * HEIGHT) % 2, "prim_id": 0 * both["prim_id"]}
+    (cause,) = causes_of(answering(right, **two))
+    assert cause.what == f"no more than 2 primitives are named at all {WIDTH * HEIGHT} hits"
+
+
+def test_numbers_of_what_lies_behind_and_of_anything(right):
+    ids = numbers(right)
+    rows = np.flatnonzero(ids["shape_id"] == 2)  # the room is behind everything
+    behind = {name: np.where(ids["shape_id"] == 2, 0, each) for name, each in ids.items()}
+    (cause, *_) = causes_of(answering(right, **behind))
+    assert cause.what == "the shape's number is that of another surface along the ray, t that of the first"
+    assert cause.rows.tolist() == rows.tolist() and "smallest t" in cause.remedy
+    any_prim = ids["prim_id"].copy()
+    rows = np.flatnonzero((ids["shape_id"] == 2) & right.bounds.at.certain)
+    any_prim[rows] = (any_prim[rows] + 7 + np.arange(len(rows)) * 11) % 90
+    found = causes_of(answering(right, shape_id=ids["shape_id"], prim_id=any_prim))
+    assert "another primitive than the first one, at the same t" in {cause.what for cause in found}
+
+
+# ---- what separates wrong pixels from right ones
+
+
+def where(judge: Judge, judgement, rows: np.ndarray) -> str:
+    classes = judgement.classes.copy()
+    classes[rows] = CLASS_CODE["wrong"]
+    return separator_text(judge, replace(judgement, classes=classes), rows)
+
+
+def corners(judge: Judge, shape: int) -> np.ndarray:
+    """(n, 3, 3) of the triangle of a mesh that is hit at each pixel; NaN elsewhere."""
+    mesh, ids = packed(judge.scene).parts[shape], numbers(judge)
+    found = np.full((WIDTH * HEIGHT, 3, 3), np.nan)
+    rows = np.flatnonzero(ids["shape_id"] == shape)
+    found[rows] = mesh.vertices[mesh.faces[ids["prim_id"][rows]]]
+    return found
+
+
+FEATURES = {
+    "t is": lambda judge: judge.answer.t,
+    "the cosine of ray and normal is": lambda judge: np.abs((judge.bounds.own.n * judge.d).sum(1)),
+    "the pixel's x is": lambda judge: np.arange(WIDTH * HEIGHT) % WIDTH,
+    "the pixel's y is": lambda judge: np.arange(WIDTH * HEIGHT) // WIDTH,
+}
+
+
+@pytest.mark.parametrize("side", ["below", "above"])
+@pytest.mark.parametrize("feature", FEATURES)
+def test_a_threshold_of_one_quantity_is_found(right, agreed, feature, side):
+    values = FEATURES[feature](right)
+    low, middle, high = np.quantile(values, [0.0, 0.3 if side == "below" else 0.7, 1.0])
+    wrong = values < middle if side == "below" else values > middle
+    text = where(right, agreed, np.flatnonzero(wrong))
+    m, rest = int(wrong.sum()), int((~wrong).sum())
+    head, words = f"where {feature} {side} ", f": {m} of {m} wrong pixels, 0 of {rest} right ones"
+    assert text.startswith(head) and text.endswith(words), text
+    threshold = float(text.removeprefix(head).removesuffix(words))
+    found = values < threshold if side == "below" else values > threshold
+    assert low < threshold <= high and (found == wrong).mean() > 0.99
+
+
+PROPERTIES = {
+    "a Spheres is hit": lambda judge: shape_of(judge) < 2,
+    "a Triangles is hit": lambda judge: shape_of(judge) >= 2,
+    "ring is hit": lambda judge: shape_of(judge) == 2,
+    "ball is hit": lambda judge: shape_of(judge) == 1,
+    "room is not hit": lambda judge: shape_of(judge) != 0,
+    "ball is not hit": lambda judge: shape_of(judge) != 1,
+    "the surface is not seen from behind": lambda judge: (judge.bounds.own.n * judge.d).sum(1) < 0.0,
+}
+
+
+@pytest.mark.parametrize("what", PROPERTIES)
+def test_a_property_of_wrong_pixels_is_found(right, agreed, what):
+    flags = PROPERTIES[what](right)
+    text = where(right, agreed, np.flatnonzero(flags))
+    m = int(flags.sum())
+    alike = {"the surface is not seen from behind": "room is not hit"}  # the only one seen from behind
+    assert text == f"where {alike.get(what, what)}: {m} of {m} wrong pixels, 0 of {len(flags) - m} right ones"
+
+
+def test_a_property_of_all_wrong_pixels_and_few_others_is_found(right, agreed):
+    rows = np.flatnonzero(shape_of(right) == 1)[::2]
+    others = np.flatnonzero(shape_of(right) == 1)[1::2]
+    share = 100.0 * len(others) / (WIDTH * HEIGHT - len(rows))
+    text = f"only where ball is hit: all {len(rows)} wrong pixels, {share:.2g} % of the right ones"
+    assert where(right, agreed, rows) == text
+
+
+TRIANGLE_FEATURES = {
+    "the determinant |d . (e1 x e2)| is": lambda judge, c: np.abs((area(c) * judge.d).sum(1)),
+    "twice the area of the triangle is": lambda judge, c: np.linalg.norm(area(c), axis=1),
+    "the size of the primitive is": lambda judge, c: np.linalg.norm(np.ptp(c, axis=1), axis=1),
+    "the smallest extent of the primitive's box is": lambda judge, c: np.ptp(c, axis=1).min(axis=1),
+    "the distance to the triangle's outline is": lambda judge, c: outline(judge, c),
+    "the distance to the triangle's nearest corner is": lambda judge, c: np.linalg.norm(
+        c - hit_points(judge)[:, None], axis=2
+    ).min(axis=1),
+    "the number of the primitive in its shape is": lambda judge, c: numbers(judge)["prim_id"].astype(float),
+}
+
+
+def area(c: np.ndarray) -> np.ndarray:
+    return np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])
+
+
+def hit_points(judge: Judge) -> np.ndarray:
+    return judge.o + judge.answer.t[:, None] * judge.d
+
+
+def outline(judge: Judge, c: np.ndarray) -> np.ndarray:
+    p, found = hit_points(judge), []
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        edge = c[:, b] - c[:, a]
+        away = p - c[:, a]
+        along = np.clip((away * edge).sum(1) / (edge * edge).sum(1), 0.0, 1.0)
+        found.append(np.linalg.norm(away - along[:, None] * edge, axis=1))
+    return np.min(found, axis=0)
+
+
+@pytest.fixture(scope="module")
+def meshes(send):
+    """A large torus alone, with a right judgement."""
+    ring = caster.Torus(name="ring", to_world=[{"scale": 1.4}, TURN], segments=23, sides=11)
+    scene = Scene(film=caster.Film(width=WIDTH, height=HEIGHT), camera=CAMERA, shapes=(ring,))
+    judge = scene_judge(scene, FunctionSubject("right", cast, "float64"), send=send)
+    return judge, judge.judge()
+
+
+@pytest.mark.parametrize("side", ["below", "above"])
+@pytest.mark.parametrize("feature", TRIANGLE_FEATURES)
+def test_a_threshold_of_a_triangles_quantity_is_found(meshes, feature, side):
+    judge, judgement = meshes
+    hit = np.flatnonzero(shape_of(judge) == 0)
+    values = TRIANGLE_FEATURES[feature](judge, corners(judge, 0))[hit]
+    middle = np.sort(values)[int(len(hit) * (0.3 if side == "below" else 0.7))]
+    wrong = values < middle if side == "below" else values > middle
+    text = where(judge, judgement, hit[wrong])
+    head = f"where {feature} {side} "
+    assert text.startswith(head), text
+    words = text.removeprefix(head)
+    threshold = float(words.split(":")[0])
+    found = values < threshold if side == "below" else values > threshold
+    assert (found == wrong).mean() > 0.96
+    m = int(wrong.sum())
+    assert "area" in feature or (  # of a torus, many are alike
+        words.split(": ")[1]
+        == f"{(found & wrong).sum()} of {m} wrong pixels, {(found & ~wrong).sum()} of {len(hit) - m} right ones"
+    )
+
+
+def test_what_is_hit_at_random_has_no_threshold(right, agreed):
+    rows = some_hits(right)
+    assert where(right, agreed, rows) == "" and where(right, agreed, rows[:7]) == ""
