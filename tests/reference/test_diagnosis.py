@@ -318,4 +318,10 @@ def test_a_threshold_of_a_triangles_quantity_is_found(meshes, feature, side):
 
 def test_what_is_hit_at_random_has_no_threshold(right, agreed):
     rows = some_hits(right)
-    assert where(right, agreed, rows) == "" and where(right, agreed, rows[:7]) == ""
+    assert where(right, agreed, rows) == ""
+
+
+def test_a_threshold_needs_eight_wrong_pixels(right, agreed):
+    nearest = np.argsort(right.answer.t, kind="stable")
+    assert where(right, agreed, nearest[:8]).startswith("where t is below ")
+    assert where(right, agreed, nearest[:7]) == ""

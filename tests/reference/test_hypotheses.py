@@ -4,6 +4,7 @@ The mistakes are computed here a second time, from the answers of a right caster
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from mitsuba_ref.judge.hypotheses import (
     OTHER_RAYS,
     WrongPixels,
     explain_normals,
+    out_of_range,
     range_text,
 )
 from mitsuba_ref.judge.scene_checks import pixel_centers
@@ -363,6 +365,27 @@ def test_what_lies_behind_the_first_surface_is_described(brought_candidate):
     both = "the first surface is missed, and what lies behind it is hit, if anything"
     assert found[both] == ((some | missed).sum(), "") and len(found) == 2
     assert found["a surface that lies behind the first one"] == ((some & ~missed).sum(), "")
+
+
+def test_hits_outside_of_a_ray_are_named_where_rays_have_ends():
+    t = np.array([0.4, 0.5, 2.0, 3.0, 3.1, np.inf])
+    rays = SimpleNamespace(is_list=True)
+    judge = SimpleNamespace(
+        answer=SimpleNamespace(hits_only=False),
+        pair=SimpleNamespace(rays=rays),
+        t_min=np.full(6, 0.5),
+        t_max=np.full(6, 3.0),
+    )
+    f = SimpleNamespace(judge=judge, rows=np.arange(6), given_t=t)
+    before, beyond = out_of_range(f, f)
+    assert before.what == "a hit before t_min, where the ray begins" and before.single
+    assert before.remedy == "leave out hits with t <= t_min" and before.fits.tolist() == [True] + [False] * 5
+    assert beyond.what == "a hit beyond t_max, where the ray ends" and beyond.single
+    assert beyond.remedy == "leave out hits with t > t_max" and np.flatnonzero(beyond.fits).tolist() == [4]
+    rays.is_list = False
+    assert not list(out_of_range(f, f))
+    rays.is_list, judge.answer.hits_only = True, True
+    assert not list(out_of_range(f, f))
 
 
 # ---- normals

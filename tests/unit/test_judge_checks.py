@@ -338,6 +338,9 @@ def test_one_other_bit_by_any_way_to_render_fails_routes(monkeypatch, route):
     monkeypatch.setattr(routes, "render", render)
     found = route_differences(scene)
     assert spoilt and [(each.aov, each.x, each.y, each.pixels) for each in found] == [(*s, 1) for s in spoilt]
+    image = real(scene, routes.ALL_AOVS)
+    same = [each for each in found if "width=" not in each.route and "float32" not in each.route]
+    assert all(each.expected == repr(image[each.aov][each.y, each.x].tolist()) != each.got for each in same)
     check = check_routes(scene, "some.toml")
     assert check.ratio == np.inf and f"{spoilt[0][0]} at ({spoilt[0][1]}, {spoilt[0][2]})" in check.what
     assert "again: python -c" in check.what and 'load_scene("some.toml")' in check.what
@@ -367,6 +370,10 @@ def test_one_other_bit_of_a_field_of_hits_fails_routes(monkeypatch, field):
     monkeypatch.setattr(routes, "cast", lambda *given, **limits: Spoilt(real(*given, **limits)))
     found = route_differences(larger())
     assert found and all(f").{field}" in str(each) and each.pixels == 1 for each in found)
+    image = caster.render(larger(), routes.ALL_AOVS)
+    for each in found:
+        value = image[each.aov][each.y, each.x]
+        assert each.expected == repr(value.tolist()) != each.got
     check = check_routes(larger(), "some.toml").what
     assert "camera_rays(scene)[:2]" in check and "print(caster.cast(scene, o, d" in check
 

@@ -1,0 +1,385 @@
+"""What is said about a pixel, by its class and by what was found there: tables of every branch."""
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from caster.aovs import Aovs
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
+from mitsuba_ref.judge import explanations
+from mitsuba_ref.judge.adjudication import Adjudication
+from mitsuba_ref.judge.aggregate import (
+    defect_counts,
+    failing_by_check,
+    failure_hints,
+    findings,
+    listed_failures,
+    quantities_not_given,
+)
+from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
+from mitsuba_ref.judge.comparison import SelfCheck
+from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED, Cause, Diagnosis, failing_rows
+from mitsuba_ref.judge.explanations import (
+    error_ratios,
+    exact_answer,
+    format_answer,
+    format_exact,
+    format_exact_hit,
+    format_primitive,
+    full_reason,
+    not_judged,
+    open_reason,
+    reason,
+    tie_members,
+)
+from mitsuba_ref.judge.verdict import CLASSES, VERDICT_FORMAT
+from mitsuba_ref.subjects.subject import Answer
+
+INF = np.inf
+
+
+def judgement_of(*classes, ratios=None, right=(), answered=None, cases=None, allowed=None) -> Judgement:
+    """One row a class. right: rows where the subject is exactly right; answered: rows with an exact answer."""
+    count = len(classes)
+    rows = np.arange(count)
+    answered = rows if answered is None else answered
+    answers = [SimpleNamespace(t=1.0) if row in answered else None for row in rows]
+    exact = Adjudication(rows, answers, np.where(np.isin(rows, right), 0.0, INF))
+    given = {"depth": np.zeros(count), EXACT: np.zeros(count)} | (ratios or {})
+    codes = np.array([CLASS_CODE[name] for name in classes])
+    return Judgement(
+        codes,
+        {name: np.asarray(each, float) for name, each in given.items()},
+        allowed or {},
+        exact,
+        cases or {},
+        0.0,
+    )
+
+
+def subject(*, ours: bool, precision="float64") -> SimpleNamespace:
+    return SimpleNamespace(
+        answer=SimpleNamespace(exact_visibility=ours, precision=precision),
+        inconsistent={},
+        self_checks=(),
+        names_prims=ours,
+    )
+
+
+@pytest.mark.parametrize(
+    ("ours", "name", "right", "words"),
+    [
+        (True, "agree", True, "every quantity is within its bound"),
+        (
+            True,
+            "explained",
+            True,
+            "ours is exactly right, and rounding in float32 allows Mitsuba's answer, too",
+        ),
+        (True, "tie", True, "ours is the first of them, Mitsuba's is another"),
+        (True, "out_of_domain", True, "ours is exactly right; float32 cannot resolve this pixel"),
+        (
+            True,
+            "reference_wrong",
+            True,
+            "ours is right, and Mitsuba's answer is beyond what float32 allows; case 8: ",
+        ),
+        (False, "agree", True, "within the bounds of the candidate's arithmetic"),
+        (False, "tie", True, "any of them is a right answer"),
+        (
+            False,
+            "reference_wrong",
+            True,
+            "the candidate is right, and Mitsuba's answer is beyond what float32",
+        ),
+        (
+            False,
+            "explained",
+            True,
+            "the candidate is exactly right, and rounding in float32 allows Mitsuba's",
+        ),
+        (
+            False,
+            "explained",
+            False,
+            "rounding in float16 allows the candidate's answer, which is not the exact one",
+        ),
+        (
+            False,
+            "out_of_domain",
+            True,
+            "the candidate is exactly right; float32, in which Mitsuba computes, cannot",
+        ),
+        (
+            False,
+            "out_of_domain",
+            False,
+            "float16, in which the candidate computes, cannot resolve this pixel",
+        ),
+    ],
+)
+def test_every_class_has_its_reason(ours, name, right, words):
+    judgement = judgement_of("wrong", name, right=[1] if right else [], cases={1: 8})
+    judge = subject(ours=ours, precision="float16")
+    assert words in reason(judge, judgement, {0: "planted"}, 1)
+    assert reason(judge, judgement, {0: "planted"}, 0) == "planted"
+
+
+OPEN = {
+    "our image contradicts our own hit: a, c": {"inconsistent": {"a": [True], "b": [False], "c": [True]}},
+    "beyond the share of the bound that [check.depth] allows": {"ratios": {"depth": [0.6]}, "allowed": {"depth": 0.5}},
+    "exact arithmetic gave no answer": {"answered": []},
+    "no shadow that rounding allows gives this value, and nothing shows whose fault that is": {
+        "ratios": {"diffuse": [3.0], "depth": [0.6]}, "allowed": {"depth": 0.5},
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", OPEN)
+def test_why_a_pixel_is_undecided(words):
+    given = dict(OPEN[words])
+    judge = subject(ours=True)
+    judge.inconsistent = given.pop("inconsistent", {})
+    assert open_reason(judge, judgement_of("undecided", **given), 0) == words
+    if "share" in words:
+        just = judgement_of("undecided", ratios={"depth": [0.5]}, allowed={"depth": 0.5})
+        assert open_reason(judge, just, 0).startswith("no shadow")
+        beyond = judgement_of("undecided", ratios={"depth": [1.5]}, allowed={"depth": 0.5})
+        assert open_reason(judge, beyond, 0).startswith("no shadow")
+
+
+def test_the_larger_error_of_both_sides_is_said():
+    judge = subject(ours=True)
+    judge.self_checks = (
+        SelfCheck(
+            "depth", np.array([6.0, 1.0, 6.0]), np.array([2.0, 2.0, 0.0]), np.array([True, True, True])
+        ),
+        SelfCheck(
+            "normal", np.array([np.nan, 9.0, 0.0]), np.array([2.0, 3.0, 1.0]), np.array([True, False, True])
+        ),
+    )
+    judgement = judgement_of(
+        "wrong", "wrong", "wrong", ratios={"depth": [0.5, 0.75, 7.0], "normal": [0.25, 0.125, 0.0]}
+    )
+    assert error_ratios(judge, judgement, 0) == {"depth": 3.0, "normal": INF, EXACT: 0.0}
+    assert error_ratios(judge, judgement, 1) == {"depth": 0.75, "normal": 0.125, EXACT: 0.0}
+    assert error_ratios(judge, judgement, 2) == {"depth": INF, "normal": 0.0, EXACT: 0.0}
+    assert full_reason(judge, judgement, {0: "why"}, 0) == "why; beyond their bounds: depth 3x, normal"
+    assert full_reason(judge, judgement, {1: "why"}, 1) == "why"
+
+
+def test_what_was_not_compared_is_said_and_why():
+    either = [True, False]
+    for case in itertools.product(either, either, CLASSES, either, either, either):
+        assert_said(*case)
+
+
+def assert_said(ours, theirs, name, resolved, ray, answered):
+    judge = SimpleNamespace(
+        hit=np.array([ours]), t_max=np.array([INF if ray else -1.0]),
+        pair=SimpleNamespace(reference=SimpleNamespace(hit=np.array([[theirs]]))),
+        bounds=SimpleNamespace(own=SimpleNamespace(t_error=np.array([1.0 if resolved else INF]))),
+    )  # fmt: skip
+    zero = {
+        each: [0.0]
+        for each in ("depth", "position", "normal", "shading_normal", "uv", "on_surface", "diffuse", EXACT)
+    }
+    judgement = judgement_of(name, ratios=zero, answered=[0] if answered else [])
+    found = not_judged(judge, judgement, 0)
+    compared = ("depth", "position", "normal", "shading_normal", "uv")
+    if ours and theirs:
+        assert not set(compared) & set(found)
+    else:
+        why = "nothing is hit" if ours == theirs else "ours alone hits" if ours else "Mitsuba alone hits"
+        assert {found[each] for each in compared} == {why}
+    assert found.get("on_surface") == (None if ours else "ours hits nothing")
+    assert found.get(EXACT) == (
+        None if answered else "exact arithmetic gave no answer" if ray else "there is no ray"
+    )
+    light = found.get("diffuse", "")
+    if not ours:
+        assert light == "ours hits nothing"
+    elif name == "agree":
+        assert light == ""
+    elif name in ("wrong", "undecided"):
+        assert light == f"what is hit, or where, is {name} already"
+    else:
+        expected = (
+            "it is what float64 gives on ours" if resolved else "float64 does not resolve where the hit is"
+        )
+        assert expected in light
+    # what has a ratio was compared, whatever else was not
+    known = judgement_of(name, ratios=zero | {"depth": [0.25], "diffuse": [INF]}, answered=[])
+    assert not {"depth", "diffuse"} & set(not_judged(judge, known, 0))
+
+
+# ---- answers as text
+
+SCENE = SimpleNamespace(shape_names=lambda: ["ball", "mesh"])
+PACKED = SimpleNamespace(shape_of=lambda prim: prim // 10, index_in_shape=lambda prim: prim % 10)
+
+
+def exact(*prims, t=1.5, flags=()) -> SimpleNamespace:
+    ties = [SimpleNamespace(prim=prim, where="edge") for prim in prims]
+    return SimpleNamespace(ties=ties, t=t if prims else None, flags=frozenset(flags))
+
+
+def test_exact_answers_on_one_line():
+    assert format_exact(SCENE, PACKED, None) == format_exact_hit(SCENE, PACKED, None) == "no answer"
+    assert format_exact(SCENE, PACKED, exact()) == "miss"
+    assert format_exact(SCENE, PACKED, exact(flags=("b", "a"))) == "miss (a, b on the way)"
+    assert format_exact(SCENE, PACKED, exact(12)) == "mesh, prim 2 (edge) at t 1.5 0x1.8000000000000p+0"
+    two = "ball, prim 3 (edge) = mesh, prim 2 (edge)"
+    assert format_exact_hit(SCENE, PACKED, exact(3, 12, flags=["x"])) == f"{two} (x on the way)"
+    assert format_exact(SCENE, PACKED, exact(3, 12, flags=["x"])).endswith(
+        "x1.8000000000000p+0 (x on the way)"
+    )
+    six = format_exact_hit(SCENE, PACKED, exact(*range(6)))
+    assert six.count(" = ") == 5 and "more" not in six
+    eight = format_exact_hit(SCENE, PACKED, exact(*range(8)))
+    assert eight.endswith("ball, prim 5 (edge) = 2 more") and eight.count(" = ") == 6
+    assert [tuple(each) for each in tie_members(SCENE, PACKED, exact(3, 12))] == [
+        ("ball", 3, "edge"),
+        ("mesh", 2, "edge"),
+    ]
+
+
+def test_an_exact_answer_is_computed_where_there_is_a_ray():
+    asked = []
+
+    def first_hit(o, d, start, end):
+        asked.append((o.tolist(), d.tolist(), start, end))
+        return "new"
+
+    judge = SimpleNamespace(
+        t_max=np.array([INF, 5.0, -1.0]), t_min=np.array([0.0, 0.5, 0.0]), o=np.eye(3), d=2.0 * np.eye(3),
+        oracle=SimpleNamespace(first_hit=first_hit),
+    )  # fmt: skip
+    judgement = judgement_of("wrong", "wrong", "wrong", answered=[0])
+    assert exact_answer(judge, judgement, 0).t == 1.0 and not asked
+    assert exact_answer(judge, judgement, 1) == "new" and asked == [([0, 1, 0], [0, 2, 0], 0.5, 5.0)]
+    assert exact_answer(judge, judgement, 2) is None and len(asked) == 1
+
+
+def test_an_answer_of_a_candidate_with_what_is_wrong_of_it():
+    broken = {"t is odd": np.array([False, True, False])}
+    given = Answer(np.array([1.5, 2.0, INF]), np.array([[0.0, 0.6, 0.8]] * 3), "float64", broken)
+    assert format_answer(given, 0) == "t 1.5 0x1.8000000000000p+0, n (0, 0.6, 0.8)"
+    assert format_answer(given, 1).endswith("n (0, 0.6, 0.8), t is odd") and format_answer(given, 2) == "miss"
+    bare = Answer(np.array([1.5]), None, "float64", {})
+    assert format_answer(bare, 0) == "t 1.5 0x1.8000000000000p+0"
+
+
+def test_a_primitive_of_either_side():
+    judge = SimpleNamespace(
+        scene=SCENE, model=SimpleNamespace(packed=PACKED), reference_prim=np.array([12, -1]),
+        pair=SimpleNamespace(
+            prim=np.array([3, -1]), t=np.array([1.5, INF]), result=SimpleNamespace(t=np.array([2.5, INF])),
+        ),
+    )  # fmt: skip
+    assert format_primitive(judge, 0, subject=True) == "ball, prim 3 at t 1.5 0x1.8000000000000p+0"
+    assert format_primitive(judge, 0, subject=False) == "mesh, prim 2 at t 2.5 0x1.4000000000000p+1"
+    assert format_primitive(judge, 1, subject=True) == format_primitive(judge, 1, subject=False) == "miss"
+
+
+def test_mitsubas_answer_beside_that_of_a_candidate():
+    normals = Aovs({"normal": np.array([[[0.0, 0.6, 0.8]] * 2])}, np.array([[True, False]]))
+    judge = SimpleNamespace(
+        scene=SCENE, result=SimpleNamespace(shape_id=np.array([1, -1]), t=np.array([1.5, INF])),
+        pair=SimpleNamespace(reference=normals),
+    )  # fmt: skip
+    assert explanations._reference_text(judge, 0) == "mesh at t 1.5 0x1.8000000000000p+0, n (0, 0.6, 0.8)"
+    assert explanations._reference_text(judge, 1) == "miss"
+
+
+# ---- sums
+
+
+def test_which_quantities_a_subject_does_not_give():
+    t, n = np.zeros(2), np.zeros((2, 3))
+    ours = Answer(t, n, "float64", {}, images=Aovs({}, np.zeros((1, 2), bool)))
+    never = ("position", "shading_normal", "uv", "shape_id", "diffuse")
+    assert quantities_not_given(ours) == ()
+    assert quantities_not_given(Answer(t, n, "float64", {})) == never
+    assert quantities_not_given(Answer(t, None, "float64", {})) == ("normal", *never)
+    named = Answer(t, n, "float64", {}, shape_id=np.zeros(2, int))
+    assert quantities_not_given(named) == tuple(each for each in never if each != "shape_id")
+    assert quantities_not_given(Answer(t, None, "float64", {}, hits_only=True)) == ("depth", "normal", *never)
+
+
+@pytest.mark.parametrize(
+    ("classes", "ratios", "precision", "hints", "said"),
+    [
+        (["agree"], [0.0], "float64", ("mine",), False),
+        (["wrong"], [2.0], "float64", (), True),
+        (["wrong"], [KU / KU_OURS], "float64", (), True),
+        (["wrong"], [1.001 * KU / KU_OURS], "float64", (), False),
+        (["wrong", "wrong"], [2.0, INF], "float64", (), False),
+        (["wrong", "undecided"], [2.0, INF], "float64", (), True),
+        (["wrong"], [2.0], "float32", (), False),
+        (["wrong"], [2.0], "float64", ("mine",), False),
+        (["undecided"], [2.0], "float64", (), False),
+    ],
+)
+def test_float32_is_suggested_where_it_would_do(classes, ratios, precision, hints, said):
+    judgement = judgement_of(*classes)
+    judgement.exact.ratio[:] = ratios
+    found = failure_hints(Answer(np.zeros(1), None, precision, {}, hints=hints), judgement)
+    expected = hints if classes != ["agree"] else ()
+    assert ("--candidate-precision float32" in "".join(found)) is said and (said or found == expected)
+
+
+def test_failing_rows_are_those_of_failing_classes_and_unlisted_cases():
+    judgement = judgement_of(
+        "wrong", "agree", "undecided", "reference_wrong", "reference_wrong", "tie", cases={3: None, 4: 8}
+    )
+    assert failing_rows(judgement).tolist() == [0, 2, 3]
+    assert defect_counts(judgement) == {"8": 1, "unlisted": 1}
+    many = judgement_of(*["agree"] * 4, cases={0: 30, 1: 8, 2: 30, 3: None})
+    assert list(defect_counts(many).items()) == [("8", 1), ("30", 2), ("unlisted", 1)]
+
+
+def test_a_row_that_exceeds_nothing_fails_by_exact_arithmetic():
+    ratios = {"depth": [3.0, 0.5, np.nan, 5.0], "normal": [2.0, 0.5, 0.0, 0.0]}
+    judgement = judgement_of("wrong", "wrong", "wrong", "agree", ratios=ratios)
+    found = {name: rows.tolist() for name, rows in failing_by_check(judgement).items()}
+    assert found == {"depth": [0, 2], "normal": [0], EXACT: [1]} or found["depth"] == [2, 0]
+
+
+def test_findings_are_ordered_by_pixels_with_seconds_and_what_was_not_looked_at_last():
+    film = SimpleNamespace(window=(0, 0, 4, 4), width=4, height=4, crop=None)
+    judge = SimpleNamespace(scene=SimpleNamespace(film=film))
+
+    def cause(what, *rows, **more):
+        return Cause(what, np.array(rows), **more)
+
+    given = Diagnosis((
+        cause("few", 3), cause("second", 3, 4, 5, 6, 7, 9, second=True), cause(NOT_ADJUDICATED, *range(10, 16)),
+        cause("most", 5, 6, 7, of=9, remedy="mend", where="there"),
+    ))  # fmt: skip
+    found = findings(judge, given)
+    assert [each.what for each in found] == ["most", "few", "second", NOT_ADJUDICATED]
+    assert (found[0].pixels, found[0].x, found[0].y, found[0].of) == (3, 1, 1, 9)
+    assert (found[0].remedy, found[0].where) == ("mend", "there")
+
+
+def test_listed_failures_begin_with_one_of_each_cause(monkeypatch):
+    from mitsuba_ref.judge import aggregate
+
+    monkeypatch.setattr(aggregate, "failure_at", lambda judge, judgement, by_row, row: row)
+    ratio = np.array([5.0, 9.0, 7.0, 8.0, 2.0, 3.0, 6.0, 4.0, 1.5, 1.25, 1.2, 1.1])
+    judgement = judgement_of(*["wrong"] * 12, ratios={"depth": ratio})
+    causes = Diagnosis((Cause("a", np.array([0, 4, 5])), Cause("b", np.array([1, 2, 3, 6, 7])),
+                        Cause(NOT_ADJUDICATED, np.array([8, 9, 10, 11]))))  # fmt: skip
+    ours, theirs = SimpleNamespace(names_prims=True), SimpleNamespace(names_prims=False)
+    assert listed_failures(ours, judgement, causes) == (1, 0, 8, 3, 2, 6, 7, 5, 4, 9)
+    assert listed_failures(theirs, judgement, causes) == (1, 0, 8, 3, 2, 6, 7, 5, 4, 9)
+    ratio[:] = ratio[::-1].copy()
+    assert listed_failures(ours, judgement, causes)[:3] == (6, 5, 10)
+    assert listed_failures(theirs, judgement, causes)[:3] == (1, 0, 8)
+
+
+def test_the_format_of_a_verdict_is_raised_by_hand():
+    assert VERDICT_FORMAT == 3
