@@ -1,6 +1,7 @@
 """Error bounds that kernels state, against inputs moved by as much as they are off; small parts by formula."""
 
 import math
+from fractions import Fraction
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from caster.kernels.bvh.build import open_largest
 from caster.kernels.bvh.traversal import cast_packets_brute_force, cast_rays_singly
 from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
 from caster.kernels.math.vec import permanent
+from caster.kernels.nearest import ALL_IN_RANGE, OUT_OF_RANGE, find_invalid_ray
 from caster.kernels.protocol import intersect, load, normal, prepare
 from caster.kernels.raster.tile import PRIM, T_ERROR, UNCERTAIN, T, lane, new_tile, start_ray
 from caster.kernels.raster.tile_casting import bounds_in_tile, row_bounds
@@ -74,6 +76,48 @@ def test_roots_of_a_sphere_hold_for_every_centre_and_direction_within_their_erro
                     off <= np.array([found.near_error, found.far_error]) + SLACK * np.abs(roots).max()
                 ).all()
     assert min(said.values()) >= 60
+
+
+def test_a_sphere_is_met_or_missed_at_its_rim_as_exact_arithmetic_decides_and_not_otherwise():
+    """Lines that pass the centre at the radius, up to some units of float64: where rounding decides."""
+    rng, said = np.random.default_rng(163), {"met": 0, "missed": 0, "neither": 0}
+    for number in range(900):
+        f = rng.normal(size=3) * 10.0 ** rng.uniform(-1.0, 3.0)
+        d = rng.normal(size=3) * 10.0 ** rng.uniform(-2.0, 2.0)
+        aside = np.linalg.norm(np.cross(f, d)) / np.linalg.norm(d)
+        r = float(aside * (1.0 + rng.uniform(-1.0, 1.0) * 10.0 ** rng.uniform(-16.0, -12.0)))
+        f_error = 0.0 if number % 2 else r * 1e-13
+        found = quadric_roots(quadric_setup(tuple(f), r, f_error), tuple(d), 0.0)
+        fx, dx = ([Fraction(float(x)) for x in v] for v in (f, d))
+        a, b = sum(x * x for x in dx), sum(x * y for x, y in zip(fx, dx, strict=True))
+        inside = (Fraction(r) ** 2 - sum(x * x for x in fx)) * a + b * b  # a quarter of the discriminant
+        assert not (found.met and inside <= 0) and not (found.missed and inside >= 0)
+        away = abs(float(inside / a)) / (r * r)  # of the squared radius
+        if f_error == 0.0:
+            said["met"] += found.met
+            said["missed"] += found.missed
+            said["neither"] += not (found.met or found.missed)
+            assert found.met or found.missed or away < 1e-14 * (1.0 + (f @ f) / (r * r)) * 10.0
+        elif not (found.met or found.missed):
+            assert away < 1e-11 * (1.0 + np.linalg.norm(f) / r)
+    assert min(said.values()) > 40, said
+
+
+def test_a_ray_is_none_where_any_number_is_not_finite_or_no_direction_is_there():
+    o, d = np.zeros((6, 3)), np.ones((6, 3))
+    for bad in (np.nan, np.inf, -np.inf):
+        for rows in (o, d):
+            for axis in range(3):
+                rows[3, axis], kept = bad, rows[3, axis]
+                assert find_invalid_ray(o, d, 0, 6) == 3 and find_invalid_ray(o, d, 4, 6) == ALL_IN_RANGE
+                assert find_invalid_ray(o, d, 0, 3) == ALL_IN_RANGE
+                rows[3, axis] = kept
+    assert find_invalid_ray(o, d, 0, 6) == ALL_IN_RANGE
+    d[4] = 0.0
+    assert find_invalid_ray(o, d, 0, 6) == 4
+    for length, expected in ((5e-324, OUT_OF_RANGE), (1e300, OUT_OF_RANGE), (-1.0, ALL_IN_RANGE)):
+        d[4] = (0.0, length, 0.0)
+        assert find_invalid_ray(o, d, 0, 6) == expected
 
 
 def test_a_disk_is_hit_or_missed_for_every_input_within_its_errors_and_both_occur():
@@ -328,6 +372,26 @@ def test_an_aov_of_another_type_or_without_channels_is_refused(changed):
         register(aov(**changed))
 
 
+@pytest.mark.parametrize(
+    "changed",
+    [{"NAME": "depth"}, {"CHANNELS": ("new.X", "depth.Z")}, {"CHANNELS": ("A",)}, {"CHANNELS": ("R",)}],
+)
+def test_an_aov_whose_name_or_channel_is_taken_is_refused(changed):
+    with pytest.raises(ValueError, match=r"this name or one of its channels .* is taken"):
+        register(aov(**changed))
+
+
+@pytest.mark.parametrize("name", ["NAME", "CHANNELS", "DTYPE", "MISS", "NEEDS", "PREVIEW", "evaluate"])
+def test_an_aov_that_does_not_declare_all_is_refused(name):
+    incomplete = aov()
+    delattr(incomplete, name)
+    with pytest.raises(ValueError, match=f"does not declare {name}"):
+        register(incomplete)
+    with pytest.raises(ValueError, match=r"needs \['what'\]; known are "):
+        register(aov(NEEDS=("normal", "what")))
+
+
 def test_the_class_of_an_aov_belongs_to_the_module_that_declares_it():
     for each in AOVS:
         assert type(kernel_of(each.NAME)).__module__ == each.__name__
+        assert getattr(each, type(kernel_of(each.NAME)).__name__) is type(kernel_of(each.NAME))

@@ -113,6 +113,32 @@ def test_the_distance_from_a_rim_is_that_of_the_nearest_point(name, center, radi
         assert unit * found.inside == pytest.approx(expected, rel=1e-9, abs=1e-11)
 
 
+def test_the_distance_from_an_edge_is_that_of_two_lines_with_the_sign_of_the_inside():
+    rng = np.random.default_rng(153)
+    signs = set()
+    for number in range(60):
+        corners = rng.normal(size=(3, 3))
+        (kind,) = pack(scene_of(Triangle(vertices=corners.tolist()))).kinds
+        inner = rng.dirichlet([1.0, 1.0, 1.0]) if number % 2 else rng.normal(size=3)
+        o = 3.0 * rng.normal(size=3)
+        d = inner @ corners / inner.sum() - o
+        n = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        t = (corners[0] - o) @ n / (d @ n)
+        found = edge_distances(kind.prims, 0, o, d)
+        assert [each.of for each in found] == ["edge 0-1", "edge 1-2", "edge 2-0"]
+        for i, each in enumerate(found):
+            a, b, c = np.roll(corners, -i, axis=0)
+            across = np.cross(d, b - a)
+            apart = abs((o - a) @ across) / np.linalg.norm(across)
+            within = np.cross(b - a, o + t * d - a) @ np.cross(b - a, c - a) > 0.0
+            assert each.inside == pytest.approx(apart if within else -apart, rel=1e-9)
+            signs.add(within)
+    assert signs == {True, False}
+    (kind,) = pack(scene_of(Triangle(vertices=[[0, 0, 0], [1, 0, 0], [0, 1, 0]]))).kinds
+    (edge_on,) = edge_distances(kind.prims, 0, np.array([5.0, 1.0, 0.0]), np.array([-1.0, 0.0, 0.0]))
+    assert edge_on.inside == 0.0 and edge_on.of not in ("edge 0-1", "edge 1-2", "edge 2-0")
+
+
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda cls: cls.__name__)
 def test_near_is_less_than_far(camera):
     if not {"near", "far"} <= set(camera.model_fields):
