@@ -64,6 +64,11 @@ def first(one) -> Judgement:
     found = one.judge()
     shapes = aov_rows(one.pair.subject, "shape_id")
     assert found.is_class("agree").all() and set(np.unique(shapes)) == {-1, 0, 1, 2, 3, 4}
+    assert all((found.ratio(name)[shapes < 0] == 0.0).all() for name in found.names)
+    assert all(
+        (found.ratio(name)[shapes >= 0] > 0.0).any()
+        for name in ("depth", "position", "normal", "uv", "diffuse")
+    )
     return found
 
 
@@ -212,6 +217,52 @@ def test_light_is_wrong_where_float64_does_not_give_it_and_else_it_is_mitsubas(o
     assert np.isinf(ratio).all() if side == "subject" else ((ratio > 1.0) & np.isfinite(ratio)).all()
     rest = np.setdiff1d(np.arange(len(judge.hit)), lit)
     assert np.array_equal(found.classes[rest], first.classes[rest])
+
+
+@pytest.mark.parametrize("light", [0, 1])
+def test_a_shadow_that_is_not_there_or_missing_is_the_fault_of_who_has_it(one, light):
+    """Mitsuba's answer for one light turned round, then ours: no rounding allows either away from a shadow's edge."""
+    judge = altered(one)
+    unlit = judge.pair.result.unshadowed[light]
+    rows = np.flatnonzero(judge.hit & judge.bounds.at.certain & (unlit > 1e-3).any(axis=1))
+    both = judge.pair.result.visible[light, rows]
+    assert both.any() and not both.all()
+    judge.pair.result.visible[light, rows] ^= True
+    found = again(judge).judge()
+    assert (classes_at(found, rows) - {"explained"}) == {"reference_wrong"}
+    assert found.is_class("reference_wrong")[rows].mean() > 0.9
+    ours = altered(one)
+    value = aov_rows(ours.pair.subject, "diffuse")
+    value[rows] += np.where(both[:, None], -1.0, 1.0) * unlit[rows]
+    found = again(ours).judge()
+    assert (classes_at(found, rows) - {"explained", "agree"}) == {"wrong"}
+    assert found.is_class("wrong")[rows].mean() > 0.9
+
+
+def test_without_shadows_no_light_is_hidden(brought):
+    judge = brought(scene_of(shading={"shadows": False}))
+    assert judge.judge().is_class("agree").all() and judge.pair.result.visible.all()
+    shaded = altered(judge)
+    rows = np.flatnonzero(judge.hit & (judge.pair.result.unshadowed[0] > 1e-3).any(axis=1))
+    aov_rows(shaded.pair.subject, "diffuse")[rows] -= judge.pair.result.unshadowed[0, rows]
+    assert classes_at(again(shaded).judge(), rows) == {"wrong"}
+
+
+@pytest.mark.parametrize("part", ["unshadowed", "ambient"])
+def test_mitsubas_light_is_held_to_a_few_roundings(one, part):
+    """Neither a thousandth of what is allowed is a difference, nor does a thousandth of the light pass."""
+    for share, expected in ((2.0**-26, "agree"), (1e-3, "reference_wrong")):
+        judge = altered(one)
+        light = getattr(judge.pair.result, part)
+        total = judge.pair.result.diffuse
+        light *= 1.0 + share
+        changed = np.abs(judge.pair.result.diffuse - total).max(axis=1)
+        rows = np.flatnonzero(
+            judge.hit & (changed > 0.3 * share * total.max(axis=1)) & (total > 0.0).all(axis=1)
+        )
+        found = again(judge).judge()
+        assert len(rows) > 50 and classes_at(found, rows) == {expected}
+        assert (found.ratio("diffuse")[rows] > 0.0).all()
 
 
 # ---- other hits
