@@ -78,7 +78,7 @@ def test_roots_of_a_sphere_hold_for_every_centre_and_direction_within_their_erro
     assert min(said.values()) >= 60
 
 
-def test_a_sphere_is_met_or_missed_at_its_rim_as_exact_arithmetic_decides_and_not_otherwise():
+def test_a_sphere_is_hit_or_missed_at_its_rim_as_exact_arithmetic_decides():
     """Lines that pass the centre at the radius, up to some units of float64: where rounding decides."""
     rng, said = np.random.default_rng(163), {"met": 0, "missed": 0, "neither": 0}
     for number in range(900):
