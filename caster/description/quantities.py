@@ -1,10 +1,12 @@
 """Validated field types (numbers, vectors, colours), and the base class of all descriptions."""
 
+import contextlib
 import math
 import numbers
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -16,7 +18,7 @@ from pydantic import (
     GetCoreSchemaHandler,
     ValidationError,
 )
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from caster.description import transform
 from caster.description.errors import SceneError, diagnostics_of, expectation_error, field_error, format_value
@@ -37,13 +39,15 @@ class Quantity:
     def read(self, value: Any) -> float:
         """Parse a number; raises an error that names `what` was expected."""
         number = _as_float(value, self.what)
-        if not (math.isfinite(number) and self._holds(number)):
+        if not (math.isfinite(number) and self.holds(number)):
             raise expectation_error(self.what, value)
         return number + 0.0  # -0.0 becomes 0.0, so that equal scenes have equal text
 
-    def _holds(self, x: float) -> bool:
-        above = (self.gt is None or x > self.gt) and (self.ge is None or x >= self.ge)
-        return above and (self.lt is None or x < self.lt) and (self.le is None or x <= self.le)
+    def holds(self, x: float | np.ndarray) -> bool:
+        """Whether a number, or each of an array, is in the range."""
+        above = (self.gt is None or np.all(x > self.gt)) and (self.ge is None or np.all(x >= self.ge))
+        below = (self.lt is None or np.all(x < self.lt)) and (self.le is None or np.all(x <= self.le))
+        return bool(above and below)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         return core_schema.no_info_before_validator_function(self.read, core_schema.float_schema())
@@ -77,6 +81,59 @@ def _is_quoted_number(value: Any) -> bool:
         return False
 
 
+@dataclass(frozen=True)
+class NumberList:
+    """A list of many numbers, or of rows of them, checked as one array and kept as tuples.
+
+    what: of the list, in messages; each: its numbers; width: numbers of a row, 0 for a list of plain numbers.
+    """
+
+    what: str
+    each: Quantity
+    width: int = 0
+
+    def read(self, value: Any) -> tuple[Any, ...]:
+        """Parse a list; raises an error that gives the index of the first bad item."""
+        items = value.tolist() if isinstance(value, np.ndarray) else value
+        if not isinstance(items, (list, tuple)) or not items:
+            raise expectation_error(f"a list of {self.what}", value)
+        if self._are_plain(items):
+            with contextlib.suppress(OverflowError):  # a whole number beyond float64
+                array = np.array(items, np.float64) + 0.0  # as Quantity.read
+                if np.isfinite(array).all() and self.each.holds(array):
+                    rows = array.tolist()
+                    return tuple(map(tuple, rows)) if self.width else tuple(rows)
+        return tuple(self._item(items, i) for i in range(len(items)))
+
+    def _are_plain(self, items: Sequence[Any]) -> bool:
+        """Whether these are rows of the right length of Python's own numbers, no strings, no booleans."""
+        if not self.width:
+            return set(map(type, items)) <= {int, float}
+        if not set(map(type, items)) <= {list, tuple} or set(map(len, items)) != {self.width}:
+            return False
+        return set(map(type, chain.from_iterable(items))) <= {int, float}
+
+    def _item(self, items: Sequence[Any], i: int) -> Any:
+        value = items[i].tolist() if isinstance(items[i], np.ndarray) else items[i]
+        try:
+            if not self.width:
+                return self.each.read(value)
+            if isinstance(value, (list, tuple)) and len(value) == self.width:
+                return tuple(map(self.each.read, value))
+        except PydanticCustomError:
+            pass  # the message below says what the whole list has to be
+        raise field_error(f"must be a list of {self.what}, got {format_value(value)} as number {i}")
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self.read, core_schema.any_schema())
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
+        item = self.each.__get_pydantic_json_schema__(schema, handler)
+        if self.width:
+            item = {"type": "array", "items": item, "minItems": self.width, "maxItems": self.width}
+        return {"type": "array", "items": item, "minItems": 1}
+
+
 def row(count: int, what: str) -> Callable[[Any], Any]:
     """A validator for `count` items, run before those of the items."""
 
@@ -106,6 +163,11 @@ Fraction01 = Annotated[float, Quantity("a number from 0 to 1", ge=0.0, le=1.0)]
 FieldOfView = Annotated[float, Quantity("an angle > 0 and < 180 degrees", gt=0.0, lt=180.0)]
 WideFieldOfView = Annotated[float, Quantity("an angle > 0 and <= 360 degrees", gt=0.0, le=360.0)]
 
+Points = Annotated[
+    tuple[tuple[float, float, float], ...],
+    NumberList("points [x, y, z] of finite numbers", Quantity("a finite number"), width=3),
+]
+Lengths = Annotated[tuple[float, ...], NumberList("lengths > 0", Quantity("a length > 0", gt=0.0))]
 Vec2 = Annotated[tuple[Number, Number], BeforeValidator(row(2, "2 numbers [x, y]"))]
 Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(row(3, "3 numbers [x, y, z]"))]
 UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]

@@ -118,7 +118,7 @@ def _shapes() -> list[Any]:
     """Each registered shape, as it is and stretched, often enough that its kind gets a tree."""
     found: list[Any] = []
     for shape in SHAPES:
-        if not hasattr(shape, "load"):  # triangles from files are triangles as well
+        if not hasattr(shape, "load"):  # what is read from files is of the same kinds
             for placed in ({}, {"to_world": [STRETCHED]}):
                 found += [shape(**shape.MINIMAL, **placed)] * (LEAF_SIZE + 1)
     return found

@@ -105,7 +105,7 @@ def _resolve_mesh_file(
         where = reach.resolve(file)
         if where is None:
             return shape, [value_diagnostic(path, reach.refusal(file), data, model)], False
-        mesh_shape.model_construct(file=str(where)).load()
+        mesh_shape.model_construct(**(shape | {"file": str(where)})).load()
     except (SceneError, ValueError, OSError) as error:
         text = str(error).removeprefix(f"{where}: ").replace(str(where), file)
         text += reach.paths_tried(file) if isinstance(error, FileMissing) else ""

@@ -10,7 +10,7 @@ from caster.shapes.icosphere import Icosphere
 from caster.shapes.mesh import MeshFile
 from caster.shapes.plane import Plane
 from caster.shapes.rectangle import Rectangle
-from caster.shapes.sphere import Sphere
+from caster.shapes.sphere import Sphere, SphereCloud
 from caster.shapes.teapot import Teapot
 from caster.shapes.torus import Torus
 from caster.shapes.triangle import Triangle
@@ -26,6 +26,7 @@ __all__ = [
     "Plane",
     "Rectangle",
     "Sphere",
+    "SphereCloud",
     "Teapot",
     "Torus",
     "Triangle",
@@ -44,4 +45,5 @@ SHAPES: Registry[Shape] = Registry(
     Torus,
     Heightfield,
     Teapot,
+    SphereCloud,
 )

@@ -17,6 +17,7 @@ import numpy as np
 
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
+from mitsuba_ref.scene_xml.elements import shape_and_part
 
 LLVM_PREFIX = "llvm"  # of variants that are vectorised
 SCALAR_RAYS_PER_CHUNK = 16384  # whose hits are held at a time: a hit takes 500 bytes
@@ -45,8 +46,20 @@ def trace_request(request: TraceRequest) -> TraceResponse:
     scene = mi.load_file(str(request.xml), optimize=False)  # optimising merges meshes and loses their ids
     arrays: dict[str, Any] = _trace(scene, request) | _sensor_rays(scene, request) | _meshes(request)
     seconds = time.perf_counter() - start
-    names = [shape.id() for shape in scene.shapes()]
+    names = _in_scene_shapes([shape.id() for shape in scene.shapes()], arrays)
     return TraceResponse(names=names, versions=_versions(request.variant), seconds=seconds, **arrays)
+
+
+def _in_scene_shapes(ids: list[str], arrays: dict[str, Any]) -> list[str]:
+    """The names of the scene's shapes; where one is many of Mitsuba's, `prim` becomes the number of the part."""
+    if not any(each.endswith("}") for each in ids):
+        return ids
+    names, parts = zip(*map(shape_and_part, ids), strict=True)
+    index = {name: i for i, name in enumerate(dict.fromkeys(names))}
+    part = np.array([*parts, -1], np.int32)[arrays["shape"]]
+    arrays["prim"] = np.where(part < 0, arrays["prim"], part)
+    arrays["shape"] = np.array([*(index[name] for name in names), -1], np.int32)[arrays["shape"]]
+    return list(index)
 
 
 def _set_log_level(strict: bool) -> None:

@@ -163,8 +163,11 @@ def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExpo
 
 
 def shape_ids(scene: Scene) -> list[str]:
-    """One id per shape: its name, unless Mitsuba would read a parameter in it."""
-    return [f"shapes[{i}]" if "$" in name else name for i, name in enumerate(scene.shape_names())]
+    """One id per shape: its name, unless Mitsuba would read a parameter in it, or this program a part."""
+    return [
+        f"shapes[{i}]" if "$" in name or name.endswith("}") else name
+        for i, name in enumerate(scene.shape_names())
+    ]
 
 
 def clip_range(scene: Scene, model: SceneModel) -> ClipRange:

@@ -1,14 +1,19 @@
 """Elements of Mitsuba scenes that are written, and PLY files, in the float32 numbers that both sides trace."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element, SubElement, tostring
+from xml.sax.saxutils import escape
 
 import numpy as np
 
 from caster.description.errors import SceneError
-from caster.description.fields import Shape
+
+if TYPE_CHECKING:  # Mitsuba's process reads part ids, and needs no descriptions
+    from caster.description.fields import Shape
 
 
 class MissingReferenceError(SceneError, LookupError):
@@ -20,6 +25,20 @@ def missing_reference(name: str, kind: str) -> str:
         f"{name} has no reference: write mitsuba_ref/{kind}/{name.lower()}.py and add its line to "
         f"mitsuba_ref/{kind}/__init__.py (docs/adding-a-shape.md)"
     )
+
+
+# A shape of the scene that is many of Mitsuba's has ids NAME{0}, NAME{1} ...; no other id ends in a brace.
+
+
+def part_id(name: str, part: object) -> str:
+    """The id of one of many shapes of Mitsuba's that are one of the scene."""
+    return f"{name}{{{part}}}"
+
+
+def shape_and_part(shape_id: str) -> tuple[str, int]:
+    """The inverse: (name, part), or (shape_id, -1) for the id of a shape that is one on both sides."""
+    name, brace, part = shape_id[:-1].rpartition("{")
+    return (name, int(part)) if brace and shape_id[-1] == "}" and part.isdecimal() else (shape_id, -1)
 
 
 def ply_bytes(part: Any) -> bytes:
@@ -78,6 +97,39 @@ class ShapeWriter:
         element.append(matrix_element(part.center[0], part.to_world[0]))
         self.notes.append(f"{self.name}: an instance of a {plugin}, which Mitsuba itself does not stretch")
         return [group, element]
+
+    def native_many(
+        self, shape: Shape, plugin: str, centers: np.ndarray, linear: np.ndarray
+    ) -> list[XmlElement]:
+        """As many of `native` as there are rows in centers (n, 3) and linear (n, 3, 3), with one material.
+
+        They are a file that the scene includes, written as text: an element tree of a million takes a minute and 2 GB.
+        """
+        bsdf = self.material(shape)
+        bsdf.set("id", part_id(self.name, "material"))
+        return self._include(tostring(bsdf, encoding="unicode"), f'type="{plugin}"', bsdf, centers, linear)
+
+    def instances(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
+        """As many of `instance` as there are rows, of one group."""
+        group, _ = self.instance(shape, plugin, part)
+        text = tostring(group, encoding="unicode")
+        return self._include(text, 'type="instance"', group, part.center, part.to_world)
+
+    def _include(
+        self, shared: str, attributes: str, referred: XmlElement, centers: np.ndarray, linear: np.ndarray
+    ) -> list[XmlElement]:
+        """<include> of a file of shapes that refer to one element. shared: the text of that element."""
+        name, shared_id = (
+            escape(each, {'"': "&quot;", "%": "%%"}) for each in (self.name, referred.attrib["id"])
+        )
+        shape = f'<shape {attributes} id="{part_id(name, "%d")}"><ref id="{shared_id}"/>'
+        matrix = " ".join(["%r"] * 12)
+        row = f'{shape}<transform name="to_world"><matrix value="{matrix} 0 0 0 1"/></transform></shape>'
+        rows = np.concatenate([linear, centers[:, :, None]], axis=2).reshape(-1, 12).tolist()
+        text = "\n".join([row % (i, *numbers) for i, numbers in enumerate(rows)])
+        file = f"meshes/{len(self.meshes):04d}-{safe_name(self.name)}.xml"
+        self.meshes[file] = f'<scene version="3.0.0">\n{shared}\n{text}\n</scene>\n'.encode()
+        return [Element("include", filename=file)]
 
     def mesh(self, shape: Shape, part: Any) -> XmlElement:
         """Triangles as a PLY file with its corners in world space."""

@@ -57,6 +57,7 @@ for _reference in (
     triangle_meshes.TORUS,
     triangle_meshes.HEIGHTFIELD,
     triangle_meshes.TEAPOT,
+    sphere.CLOUD,
 ):
     register(_reference)
 load_plugins("mitsuba_ref.plugins")

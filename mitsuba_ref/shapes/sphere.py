@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.shapes.sphere import Ellipsoids, Sphere, Spheres
+from caster.shapes.sphere import Ellipsoids, Sphere, SphereCloud, Spheres
 from mitsuba_ref.error_model.defect_conditions import (
     FAR_IN_SIZES,
     STARTS_ON_CURVED,
@@ -69,6 +69,13 @@ def to_xml(out: ShapeWriter, shape: Sphere, part: Any) -> list[XmlElement]:
         return out.instance(shape, "sphere", part)
     scale = part.radius[0] * np.eye(3)
     return [out.native(shape, "sphere", part.center[0], scale)]
+
+
+def cloud_to_xml(out: ShapeWriter, shape: SphereCloud, part: Any) -> list[XmlElement]:
+    """The same for each sphere: as many of Mitsuba's."""
+    if isinstance(part, Ellipsoids):
+        return out.instances(shape, "sphere", part)
+    return out.native_many(shape, "sphere", part.center, part.radius[:, None, None] * np.eye(3))
 
 
 def intersect(
@@ -169,16 +176,35 @@ def expected_sphere(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     linear = shape.matrix[:3, :3]
     yield expected_point(shape, "center", part.center[0], np.array(shape.center))
     if hasattr(part, "radius"):
-        largest = np.abs(linear).max()
-        scale = largest * np.cbrt(abs(np.linalg.det(linear / largest)))
-        radius = shape.radius * scale
-        yield ExpectedNumbers("radius", part.radius[0], radius, radius)
-        columns = linear / scale
-        size = np.full((3, 3), SIMILARITY_ROUNDINGS / TRANSFORM_ROUNDINGS)
-        yield ExpectedNumbers("similarity", columns.T @ columns, np.eye(3), size)
-        yield ExpectedNumbers("turn", part.turn[0], np.swapaxes(linear / scale, 0, 1), np.ones((3, 3)))
+        yield from similarity_numbers(linear, np.array([shape.radius]), part)
     else:
         yield up_to_rounding("to_world", part.to_world[0], shape.radius * linear)
+
+
+def expected_cloud(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """The same for each sphere. What a file holds is checked by judge/independent_checks/mesh_files.py."""
+    centers, radii = (np.array(shape.centers), shape.radii) if shape.file is None else shape.load()
+    radii = np.full(len(centers), shape.radius or 1.0) if radii is None else np.array(radii)
+    linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
+    size = np.abs(centers) @ np.abs(linear).T + np.abs(move)
+    yield ExpectedNumbers("center", part.center, centers @ linear.T + move, size)
+    if hasattr(part, "radius"):
+        yield from similarity_numbers(linear, radii, part)
+    else:
+        yield up_to_rounding("to_world", part.to_world, np.einsum("k,ij->kij", radii, linear))
+
+
+def similarity_numbers(linear: np.ndarray, radii: np.ndarray, part: Any) -> Iterator[ExpectedNumbers]:
+    """Radii and turns of spheres under a similarity, whose volumes are stretched by the cube of its scale."""
+    largest = np.abs(linear).max()
+    scale = largest * np.cbrt(abs(np.linalg.det(linear / largest)))
+    radius = radii * scale
+    yield ExpectedNumbers("radius", part.radius, radius, radius)
+    columns = linear / scale
+    size = np.full((3, 3), SIMILARITY_ROUNDINGS / TRANSFORM_ROUNDINGS)
+    yield ExpectedNumbers("similarity", columns.T @ columns, np.eye(3), size)
+    turns = np.tile(np.swapaxes(columns, 0, 1), (len(radii), 1, 1))
+    yield ExpectedNumbers("turn", part.turn, turns, np.ones((1, 3, 3)))
 
 
 def on_spheres(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
@@ -207,6 +233,15 @@ def random_fields(rng: Rng, lattice: bool) -> Fields:
         if coin_flip(rng)
         else {}
     )
+
+
+def random_cloud(rng: Rng, lattice: bool) -> Fields:
+    """One to eight spheres, with a radius each or one for all."""
+    count = int(rng.integers(1, 9))
+    centers = [random_point(rng, lattice) for _ in range(count)]
+    if coin_flip(rng):
+        return {"centers": centers, "radius": random_length(rng, lattice)}
+    return {"centers": centers, "radii": [random_length(rng, lattice) for _ in range(count)]}
 
 
 def view_ellipsoid(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
@@ -290,6 +325,15 @@ ELLIPSOIDS = PrimitiveReference(
     rounding_groups=(by_matrix,),
     known_defects=(*DEFECTS, STRETCHED),
     defect_view=view_ellipsoid,
+)
+CLOUD = ShapeReference(
+    SphereCloud,
+    cloud_to_xml,
+    (SPHERES, ELLIPSOIDS),
+    expected_cloud,
+    random_cloud,
+    groups=frozenset({"quadric"}),
+    analytic=True,
 )
 REFERENCE = ShapeReference(
     Sphere,

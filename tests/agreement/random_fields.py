@@ -106,7 +106,23 @@ GROUPS: dict[str, tuple[set[str], Draw]] = {
             {"point": point(rng, size)} if rng.random() < 0.5 else {"offset": rng.normal() * size}
         ),
     ),
+    "spheres": (
+        {"file", "centers", "radii", "radius"},
+        lambda rng, size: some_spheres(rng, size),
+    ),
 }
+
+
+def some_spheres(rng: Rng, size: float) -> dict[str, Any]:
+    """One to seven spheres, with a radius each, one for all, or the default."""
+    count = int(rng.integers(1, 8))
+    centers = {"centers": [point(rng, size) for _ in range(count)]}
+    match int(rng.integers(3)):
+        case 0:
+            return centers | {"radii": [0.4 * length(rng, size) for _ in range(count)]}
+        case 1:
+            return centers | {"radius": 0.4 * length(rng, size)}
+    return centers
 
 
 def own_fields(cls: type[Shape] | type[Camera], rng: Rng, size: float) -> dict[str, Any]:

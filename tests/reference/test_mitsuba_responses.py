@@ -11,9 +11,14 @@ import numpy as np
 import pytest
 from mitsuba_scenes import VARIANTS, film, job, point_light, random_mesh, rays_at, shape, sun, write
 
+import caster
+from caster.scene.files import load_scene
+from mitsuba_ref.importers.mitsuba_xml import import_xml
 from mitsuba_ref.reference import session, variants
-from mitsuba_ref.reference.messages import TraceResponse
+from mitsuba_ref.reference.messages import Crash, TraceResponse
+from mitsuba_ref.reference.rendering import render_reference
 from mitsuba_ref.reference.session import SendRequest
+from mitsuba_ref.reference.shared_input import export_scene, packed_float32
 
 HERE = VARIANTS if variants.usable_variants().llvm else VARIANTS[:1]  # the run's header says which
 ROOT = Path(__file__).resolve().parents[2]
@@ -258,3 +263,40 @@ def test_the_child_process_prints_nothing(tmp_path, variant, stretch):
     command = [sys.executable, "-c", PRINTS, xml, variant]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("variant", HERE)
+@pytest.mark.parametrize("stretch", [1.0, 0.8])
+def test_spheres_of_one_shape_answer_as_its_primitives(variant, stretch):
+    """Mitsuba has as many shapes, of ids with a number; names may hold what XML and formats give a meaning."""
+    rng = np.random.default_rng(4)
+    placed = {"to_world": {"scale": [1, stretch, 1]}}
+    names = ("a{1}", 'b "&<%d>', "c$x", "a", "shapes[0]{")
+    centers = np.array([[x, y, 0.0] for x in range(-2, 3) for y in range(-2, 3)]) + rng.uniform(
+        -0.1, 0.1, (25, 3)
+    )
+    order = rng.permutation(25).reshape(5, 5)
+    shapes = [
+        caster.SphereCloud(name=name, centers=centers[rows], radius=0.3, **placed)
+        for name, rows in zip(names, order, strict=True)
+    ]
+    scene = caster.Scene(
+        film={"width": 40, "height": 40},
+        camera=caster.Orthographic(eye=(0, 0, 9), look_at=(0, 0, 0), width=5.5),
+        shapes=[caster.Sphere(name="x", center=(0, 0, -5), radius=0.5), *shapes],
+    )
+    found = render_reference(scene, ("hit", "shape_id", "prim_id"), variant=variant)
+    assert not isinstance(found, Crash), found
+    theirs, ours = found[0], caster.render(scene, ("hit", "shape_id", "prim_id"))
+    assert all(np.array_equal(theirs[name], ours[name]) for name in ("hit", "shape_id", "prim_id"))
+    assert len(np.unique(ours["shape_id"] * 10 + ours["prim_id"])) == 27
+
+
+def test_the_file_of_spheres_in_an_export_comes_back_by_import(tmp_path):
+    scene = load_scene(ROOT / "scenes/sphere-clouds.toml")
+    back = import_xml(str(export_scene(scene).write(tmp_path))).scene
+    one, other = packed_float32(scene), packed_float32(back)
+    assert [len(kind.ids) for kind in one.kinds] == [len(kind.ids) for kind in other.kinds]
+    assert np.array_equal(one.kinds[0].prims.center, other.kinds[0].prims.center)
+    assert np.array_equal(one.kinds[0].prims.radius, other.kinds[0].prims.radius)
+    assert np.array_equal(one.kinds[1].prims.to_world, other.kinds[1].prims.to_world)

@@ -36,6 +36,7 @@ def shapes_of(cls: type, folder) -> Iterator[caster.Sphere]:
             "normals": [[1, 2, 9], [3, 1, 8], [0, 1, 5]],
         },
         "mesh": {"file": str(folder / "mesh.ply")},
+        "spheres": {"centers": [[0.1, 2, 3], [-1, 0.7, 0]], "radii": [0.3, 1.7]},
         "heightfield": {},
     }.get(cls.model_fields["type"].default, {})
     yield from (cls(**own, to_world=place) for place in (TURN, STRETCH))

@@ -70,10 +70,12 @@ BLOCKS = re.findall(r"```toml\n(.*?)```", DOCUMENT, re.DOTALL)
 @pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.splitlines()[1])
 def test_every_example_is_a_scene(block, tmp_path):
     (tmp_path / "meshes").mkdir()
-    (tmp_path / "meshes/bunny.ply").write_text(
+    text = (
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
         "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
     )
+    for name in ("bunny", "points"):
+        (tmp_path / f"meshes/{name}.ply").write_text(text)
     scene_from_text(block if "[camera]" in block else CAMERA + block, folder=tmp_path)
 
 

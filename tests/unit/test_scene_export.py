@@ -11,9 +11,10 @@ from caster.description.errors import FileMissing
 from caster.geometry.world_space import MeshShape
 from caster.scene.files import load_scene, scene_from_text
 from caster.scene.model import Ambient, Check, Diffuse, Directional, Film, Point, Scene, Shading
-from caster.shapes import SHAPES, MeshFile, Sphere
+from caster.shapes import SHAPES, MeshFile, Sphere, SphereCloud
 
 NEEDS = {  # what a shape cannot do without
+    "spheres": {"centers": [[0.1, 1 / 3, 5], [2, 3, 4]], "radii": [1e-300, 1 / 7]},
     "triangle": {"vertices": [[0, 0, 0], [1, 0, 0.1], [0, 1, 1e-30]], "uv": [[0, 0], [1, 0], [0, 1]]},
     "plane": {"normal": [1, 2, 3], "offset": "0x1.999999999999ap-4"},
     "mesh": {"file": "triangle.obj"},
@@ -125,7 +126,7 @@ def test_the_fingerprint_is_that_of_the_meshes_too_and_not_of_their_place(folder
         scene.sha256()
 
 
-def test_only_the_mesh_file_names_a_file():
+def test_only_meshes_and_spheres_name_a_file():
     """canonical_json and sha256 treat the key `file` as a path."""
-    assert [shape for shape in SHAPES if "file" in shape.model_fields] == [MeshFile]
+    assert [shape for shape in SHAPES if "file" in shape.model_fields] == [MeshFile, SphereCloud]
     assert issubclass(MeshFile, MeshShape)

@@ -1,19 +1,22 @@
 """Readers of mesh files: OBJ and PLY, strict, since a face lost silently is a wrong image; others by trimesh."""
 
 import io
+import os
 from collections.abc import Callable
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from caster.description.errors import SceneError
 from caster.description.input_files import MAX_MESH_BYTES, read_input
 from caster.geometry.mesh_files.obj import parse_obj
-from caster.geometry.mesh_files.ply import parse_ply
+from caster.geometry.mesh_files.ply import Points, parse_ply, parse_ply_points
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 
-__all__ = ["MESH_SUFFIXES", "load_mesh"]
+__all__ = ["MESH_SUFFIXES", "load_mesh", "load_once", "load_points"]
 
 FORMATS: dict[str, Callable[[bytes, str], Mesh]] = {".obj": parse_obj, ".ply": parse_ply}
 TRIMESH_SUFFIXES = (".stl", ".off", ".glb", ".gltf")
@@ -36,6 +39,34 @@ def load_mesh(path: str | PathLike[str]) -> Mesh:
     mesh = parse(data, where)
     check_mesh(mesh, where)
     return mesh if mesh.normals is None else mesh._replace(normals=normalize_rows(mesh.normals))
+
+
+def load_points(path: str | PathLike[str]) -> Points:
+    """Read the vertices of a PLY file, and their radii if it has the property `radius`; faces are not needed.
+
+    Raises FileMissing for a file that cannot be read, SceneError with the number of a vertex that is no sphere.
+    """
+    where = str(path)
+    if Path(where).suffix.lower() != ".ply":
+        raise SceneError(f"{where}: unknown format of points '{Path(where).suffix}': expected .ply")
+    return parse_ply_points(read_input(where, "file of points", MAX_MESH_BYTES), where)
+
+
+Loaded = TypeVar("Loaded")
+
+
+def load_once(load: Callable[[str], Loaded], path: str) -> Loaded:
+    """load(path); the result is kept until the file changes."""
+    try:
+        stamp = os.stat(path)
+    except OSError:
+        return load(path)  # raises the error
+    return cast(Loaded, _loaded(load, path, stamp.st_mtime_ns, stamp.st_size))
+
+
+@lru_cache(maxsize=16)
+def _loaded(load: Callable[[str], Any], path: str, changed: int, size: int) -> Any:
+    return load(path)
 
 
 def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:

@@ -1,6 +1,6 @@
 """Reader of PLY files, binary and ascii: the elements `vertex` and `face` become a mesh; others are ignored."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -263,6 +263,13 @@ UV = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"))
 CORNERS = ("vertex_indices", "vertex_index")
 
 
+class Points(NamedTuple):
+    """Vertices of a file as centres of spheres."""
+
+    centers: Floats  # (n, 3)
+    radii: Floats | None  # (n,); None: the file has none
+
+
 def parse_ply(data: bytes, where: str) -> Mesh:
     """Bytes of a PLY file -> Mesh, with the file's vertices in its order. Raises SceneError with `where`."""
     header = parse_header(data, where)
@@ -278,6 +285,37 @@ def parse_ply(data: bytes, where: str) -> Mesh:
         _normals(tables["vertex"], where),
         _uv(tables["vertex"], where),
     )
+
+
+def parse_ply_points(data: bytes, where: str) -> Points:
+    """Bytes of a PLY file -> its vertices, and their property `radius`, if any. Raises SceneError with `where`.
+
+    Other elements and properties are ignored.
+    """
+    header = parse_header(data, where)
+    vertex = (read_binary if header.byte_order else read_ascii)(data, header, where).get("vertex")
+    if vertex is None or not len(next(iter(vertex.columns.values()), ())):
+        raise SceneError(f"{where}: expected at least one row of an element 'vertex', got none")
+    points = _floats(vertex, POSITION, where)
+    _check_rows(points, np.isfinite(points).all(axis=1), "vertex {} must be finite numbers", vertex, where)
+    if "radius" not in vertex.columns:
+        return Points(points, None)
+    column = vertex.columns["radius"]
+    if isinstance(column, Lists):
+        raise SceneError(f"{where}: expected a number as property radius of element 'vertex', got a list")
+    radii = np.asarray(column, np.float64)
+    good = np.isfinite(radii) & (radii > 0.0)
+    _check_rows(radii[:, None], good, "radius of vertex {} must be a length > 0", vertex, where)
+    return Points(points, radii)
+
+
+def _check_rows(rows: Floats, good: Any, text: str, table: Table, where: str) -> None:
+    """Raise SceneError for the first row that is not good; text: with {} for its number."""
+    bad = np.flatnonzero(~good)
+    if len(bad):
+        got = format_row(rows[bad[0]]) if rows.shape[1] > 1 else f"{rows[bad[0], 0]:g}"
+        place = table.place(where, int(bad[0]))
+        raise SceneError(f"{place}: {text.format(bad[0])}, got {got} ({len(bad)} of {len(rows)} are wrong)")
 
 
 def _floats(table: Table, names: tuple[str, ...], where: str) -> Floats:

@@ -7,9 +7,10 @@ later. Both agree, but where that float64 lies in the middle between two float32
 same faces by Python's `float` and `struct` show what float32 does not: they are the caster's to the bit.
 """
 
+import re
 import struct
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,12 +18,14 @@ import numpy as np
 
 from caster.scene.model import Scene
 from caster.shapes.mesh import MeshFile
+from caster.shapes.sphere import SphereCloud
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.messages import LoadedMesh
 
 MAX_PLAIN_BYTES = 2_000_000  # of files that plain Python reads, too: a second
+PLAIN_SPHERES = 50_000  # of a file of spheres, from its beginning: half a second
 REFUSED = "not compared: Mitsuba's loader says"
 READ_ONCE = "not compared, read by trimesh alone: triangles"
 
@@ -76,8 +79,21 @@ def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck
         if found is not None:
             claims["float64"] = _same(mesh.vertices[mesh.faces], found.corners)
         shares |= {f"{what} of {file.name}": share for what, share in claims.items()}
+    shares |= {f"spheres of {file.name}": share for file, share in _files_of_spheres(scene)}
     worst = max(shares, key=lambda name: shares[name], default="no mesh file")
     return SceneCheck("mesh_files", shares.get(worst, 0.0), worst)
+
+
+def _files_of_spheres(scene: Scene) -> Iterator[tuple[Path, float]]:
+    """Each file that spheres are read from, and 0 if plain Python reads the same numbers, else inf."""
+    for shape in scene.shapes:
+        if isinstance(shape, SphereCloud) and shape.file is not None:
+            centers, radii = shape.load()
+            expected, sizes = plain_ply_spheres(Path(shape.file).read_bytes(), PLAIN_SPHERES)
+            given = np.zeros((len(centers), 0)) if radii is None else radii[:, None]
+            complete = len(expected) == min(len(centers), PLAIN_SPHERES)
+            same = _same(centers[:PLAIN_SPHERES], expected) + _same(given[:PLAIN_SPHERES], sizes)
+            yield Path(shape.file), same if complete else float("inf")
 
 
 def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, ending: str) -> dict[str, float]:
@@ -180,12 +196,33 @@ PLY_TYPES = {
 
 def plain_ply(data: bytes) -> PlainMesh:
     """Faces of a PLY file, number by number; polygons as fans around their first corner."""
+    points: list[list[float]] = []
+    polygons: list[list[int]] = []
+    for element, row in plain_ply_rows(data):
+        if element == "vertex":
+            points.append([float(row[axis][0]) for axis in "xyz"])
+        elif element == "face":
+            polygons.append([int(i) for i in row.get("vertex_indices", row.get("vertex_index", []))])
+    triangles = [triangle for polygon in polygons for triangle in _fan(polygon)]
+    return PlainMesh(np.array(points)[np.array(triangles)], all(len(polygon) == 3 for polygon in polygons))
+
+
+def plain_ply_spheres(data: bytes, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """(centres (n, 3), radii (n, 1) or (n, 0)) of the first vertices of a PLY file, at most so many."""
+    rows = (row for element, row in plain_ply_rows(data) if element == "vertex")
+    found = [
+        ([float(row[axis][0]) for axis in "xyz"], list(map(float, row.get("radius", []))))
+        for row in islice(rows, most)
+    ]
+    return np.array([center for center, _ in found]), np.array([radius for _, radius in found])
+
+
+def plain_ply_rows(data: bytes) -> Iterator[tuple[str, dict[str, list[float]]]]:
+    """(element, its properties) of each row of a PLY file, in order; numbers are read as they are asked for."""
     end = data.index(b"\n" if b"\n" in data[:6] else b"\r", data.index(b"end_header")) + 1
     header = [line.split() for line in data[:end].decode("ascii", "replace").splitlines()]
     encoding = next(words[1] for words in header if words[:1] == ["format"])
     read = _ascii_numbers(data[end:]) if encoding == "ascii" else _binary_numbers(data, end, encoding)
-    points: list[list[float]] = []
-    polygons: list[list[int]] = []
     for at, words in enumerate(header):
         if words[:1] != ["element"]:
             continue
@@ -193,18 +230,15 @@ def plain_ply(data: bytes) -> PlainMesh:
         last = next((k for k, each in enumerate(following) if each[:1] in (["element"], ["end_header"])), 0)
         properties = [each for each in following[:last] if each[:1] == ["property"]]
         for _ in range(int(words[2])):
-            row = {
-                each[-1]: [read(each[3]) for _ in range(int(read(each[2])))]
-                if each[1] == "list"
-                else [read(each[1])]
-                for each in properties
-            }
-            if words[1] == "vertex":
-                points.append([float(row[axis][0]) for axis in "xyz"])
-            elif words[1] == "face":
-                polygons.append([int(i) for i in row.get("vertex_indices", row.get("vertex_index", []))])
-    triangles = [triangle for polygon in polygons for triangle in _fan(polygon)]
-    return PlainMesh(np.array(points)[np.array(triangles)], all(len(polygon) == 3 for polygon in polygons))
+            yield (
+                words[1],
+                {
+                    each[-1]: [read(each[3]) for _ in range(int(read(each[2])))]
+                    if each[1] == "list"
+                    else [read(each[1])]
+                    for each in properties
+                },
+            )
 
 
 def plain_stl(data: bytes) -> PlainMesh:
@@ -245,8 +279,8 @@ PLAIN_READERS: dict[str, Callable[[bytes], PlainMesh]] = {
 
 
 def _ascii_numbers(body: bytes) -> Any:
-    words = iter(body.split())
-    return lambda kind: float(next(words))
+    words = re.finditer(rb"\S+", body)
+    return lambda kind: float(next(words)[0])
 
 
 def _binary_numbers(data: bytes, at: int, encoding: str) -> Any:

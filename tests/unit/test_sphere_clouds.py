@@ -1,0 +1,215 @@
+"""Many spheres as one shape: the bits of single spheres, their files, and what is refused."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import caster
+from caster.aovs import BY_NAME
+from caster.description.errors import FileMissing, SceneError
+from caster.geometry.packing import pack
+from caster.geometry.world_space import as_float32, as_given
+from caster.rendering.images import render
+from caster.scene.files import load_scene, scene_from_text
+from caster.scene.model import Scene
+from mitsuba_ref.judge.independent_checks.mesh_files import check_mesh_files
+from mitsuba_ref.judge.scene_checks import check_geometry
+
+CAMERA = caster.Pinhole(eye=(0.3, 0.7, 6.1), look_at=(0, 0, 0), fov=40)
+TURN = [{"scale": 1.3}, {"rotate": {"axis": [1, 2, 3], "degrees": 37}}, {"translate": [0.3, 0.1, -0.4]}]
+PLACES = {
+    "as it is": [],
+    "turned": TURN,
+    "mirrored": [{"scale": -0.7}],
+    "stretched": [{"scale": [1, 0.8, 1.7]}, *TURN],
+}
+
+
+def some_spheres(count: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(11)
+    return rng.uniform(-1.2, 1.2, (count, 3)), 10.0 ** rng.uniform(-1.5, -0.4, count)
+
+
+def scene_of(shapes) -> Scene:
+    return Scene(film={"width": 72, "height": 64}, camera=CAMERA, shapes=shapes)
+
+
+def write_ply(path, centers, radii, kind: str = "ascii") -> str:
+    """A PLY file with its properties in an unusual order, and another element in front."""
+    names = ["id", "z", "x", "y"] + (["radius"] if radii is not None else [])
+    columns = [np.arange(len(centers)), centers[:, 2], centers[:, 0], centers[:, 1], radii][: len(names)]
+    rows = np.column_stack(columns)
+    header = f"ply\nformat {kind} 1.0\nelement camera 1\nproperty double a\nelement vertex {len(rows)}\n"
+    header += "".join(f"property double {name}\n" for name in names) + "end_header\n"
+    if kind == "ascii":
+        body = ("7.5\n" + "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())).encode()
+    else:
+        order = "<f8" if "little" in kind else ">f8"
+        body = np.array([7.5], order).tobytes() + rows.astype(order).tobytes()
+    path.write_bytes(header.encode() + body)
+    return str(path)
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_cloud_has_the_bits_of_single_spheres(place):
+    centers, radii = some_spheres()
+    cloud = scene_of([caster.SphereCloud(centers=centers, radii=radii, to_world=PLACES[place])])
+    alone = scene_of(
+        [
+            caster.Sphere(center=c, radius=r, to_world=PLACES[place])
+            for c, r in zip(centers, radii, strict=True)
+        ]
+    )
+    for rounded in (as_given, as_float32):
+        for one, other in zip(
+            pack(cloud, rounded).kinds[0].prims, pack(alone, rounded).kinds[0].prims, strict=True
+        ):
+            assert one.tobytes() == other.tobytes()
+    names = set(BY_NAME) - {"shape_id", "prim_id"}
+    one, other = render(cloud, tuple(names | {"prim_id"})), render(alone, tuple(names | {"shape_id"}))
+    assert all(one[name].tobytes() == other[name].tobytes() for name in names)
+    assert np.array_equal(one["prim_id"], other["shape_id"]) and len(np.unique(one["prim_id"])) > 20
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_a_file_has_the_bits_of_the_same_lists(tmp_path, kind):
+    centers, radii = some_spheres()
+    listed = caster.SphereCloud(centers=centers, radii=radii)
+    from_file = caster.SphereCloud(file=write_ply(tmp_path / "a.ply", centers, radii, kind))
+    without = caster.SphereCloud(file=write_ply(tmp_path / "b.ply", centers, None, kind), radius=0.25)
+    for one, other in ((listed, from_file), (caster.SphereCloud(centers=centers, radius=0.25), without)):
+        for a, b in zip(one.pack(as_given), other.pack(as_given), strict=True):
+            assert a.tobytes() == b.tobytes()
+    assert check_mesh_files(scene_of([from_file, without]), ()).ratio == 0.0
+
+
+def test_the_default_radius_is_that_of_a_sphere():
+    packed = caster.SphereCloud(centers=[[0, 0, 0]]).pack(as_given)
+    assert packed.radius.tolist() == [1.0] == caster.Sphere().pack(as_given).radius.tolist()
+
+
+def test_clouds_survive_text_and_pickle(tmp_path):
+    centers, radii = some_spheres(5)
+    write_ply(tmp_path / "a.ply", centers, radii)
+    text = (
+        'camera = {type = "pinhole", eye = [0, 0, 5], look_at = [0, 0, 0]}\nshape = ['
+        '{type = "spheres", file = "a.ply"}, '
+        '{type = "spheres", centers = [[1, 2, "0x1.8p0"], [0.1, -0.0, 3]], radii = [1, 0.3]}]\n'
+    )
+    scene = scene_from_text(text, folder=tmp_path)
+    assert scene.shapes[1].centers == ((1.0, 2.0, 1.5), (0.1, 0.0, 3.0))
+    for again in (
+        scene_from_text(scene.to_toml(), folder=tmp_path),
+        scene_from_text(scene.canonical_json(), "json", folder=tmp_path),
+        pickle.loads(pickle.dumps(scene)),
+    ):
+        assert again == scene and again.sha256() == scene.sha256()
+    before = scene.sha256()
+    write_ply(tmp_path / "a.ply", centers, 2.0 * radii)
+    assert scene.sha256() != before
+    assert scene.shapes[0].pack(as_given).radius.tolist() == (2.0 * radii).tolist()
+
+
+REFUSED = {
+    "{}": "needs either file or centers, got neither",
+    '{file = "a.ply", centers = [[0, 0, 0]]}': "needs either file or centers, got both",
+    "{centers = []}": "centers must be a list of points [x, y, z] of finite numbers, got []",
+    "{centers = [[0, 0, 0], [1, 2]]}": "of finite numbers, got [1, 2] as number 1",
+    "{centers = [[0, 0, true]]}": "of finite numbers, got [0, 0, true] as number 0",
+    "{centers = [[0, 0, 0], [0, inf, 0]]}": "of finite numbers, got [0, inf, 0] as number 1",
+    '{centers = [[0, 0, 0], [0, "1", 0]]}': 'of finite numbers, got [0, "1", 0] as number 1',
+    "{centers = [[0, 0, 0]], radii = [-1]}": "radii must be a list of lengths > 0, got -1 as number 0",
+    "{centers = [[0, 0, 0]], radii = [1, 2]}": "needs one of radii for each of centers, got 2 and 1 centers",
+    '{file = "a.ply", radii = [1]}': "needs one of radii for each of centers, got 1 and no centers",
+    "{centers = [[0, 0, 0]], radii = [1], radius = 2}": "needs either radii or radius, got both",
+    '{file = "a.ply", radius = 2}': "expected vertices without a property radius, since the shape has the key",
+    '{file = "no.ply"}': "cannot be used: cannot read this file of points",
+    '{file = "a.obj"}': "unknown format of points '.obj': expected .ply",
+}
+
+
+@pytest.mark.parametrize("fields", REFUSED)
+def test_wrong_clouds_are_refused_with_the_reason(tmp_path, fields):
+    write_ply(tmp_path / "a.ply", *some_spheres(3))
+    (tmp_path / "a.obj").write_text("v 0 0 0\n")
+    shape = fields.replace("{", '{type = "spheres", name = "balls", ', 1).replace(", }", "}")
+    text = f'shape = [{shape}]\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
+    with pytest.raises(SceneError) as found:
+        scene_from_text(text, origin="s.toml", folder=tmp_path)
+    assert "s.toml:1:" in str(found.value) and 'shapes[0] (spheres "balls")' in str(found.value)
+    assert REFUSED[fields] in str(found.value)
+    assert isinstance(found.value, FileMissing) == ("no.ply" in fields)
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
+def test_a_bad_vertex_is_named_with_its_number(tmp_path, kind):
+    centers, radii = some_spheres(9)
+    radii[[4, 6]] = -0.5, np.nan
+    where = write_ply(tmp_path / "a.ply", centers, radii, kind)
+    line = ":17" if kind == "ascii" else ""
+    with pytest.raises(SceneError) as found:
+        caster.SphereCloud(file=where).load()
+    assert str(found.value) == (
+        f"{where}{line}: radius of vertex 4 must be a length > 0, got -0.5 (2 of 9 are wrong)"
+    )
+    centers[7, 1] = np.inf
+    where = write_ply(tmp_path / "b.ply", centers, None, kind)
+    with pytest.raises(
+        SceneError, match=r"vertex 7 must be finite numbers, got \(.*inf.*\(1 of 9 are wrong\)"
+    ):
+        caster.SphereCloud(file=where).load()
+
+
+def test_a_file_without_vertices_is_refused(tmp_path):
+    where = write_ply(tmp_path / "a.ply", np.zeros((0, 3)), np.zeros(0))
+    with pytest.raises(SceneError, match="expected at least one row of an element 'vertex', got none"):
+        caster.SphereCloud(file=where).load()
+
+
+def test_the_judge_finds_a_file_that_is_read_wrongly(tmp_path, monkeypatch):
+    """Both sides trace what the caster reads, so no pixel shows it."""
+    centers, radii = some_spheres()
+    shape = caster.SphereCloud(file=write_ply(tmp_path / "a.ply", centers, radii))
+    scene = scene_of([shape])
+    for wrong in (
+        (centers[:, [0, 2, 1]], radii),
+        (centers, np.roll(radii, 1)),
+        (centers, None),
+        (centers[:-1], radii[:-1]),
+    ):
+        monkeypatch.setattr(caster.SphereCloud, "load", lambda self, wrong=wrong: wrong)
+        found = check_mesh_files(scene, ())
+        assert np.isposinf(found.ratio) and found.what == "spheres of a.ply"
+
+
+def test_the_judge_finds_a_cloud_that_is_packed_wrongly(monkeypatch):
+    centers, radii = some_spheres()
+    for place in ("turned", "stretched"):
+        shape = caster.SphereCloud(centers=centers, radii=radii, to_world=PLACES[place])
+        assert check_geometry(scene_of([shape])).ratio <= 1.0
+        right = shape.pack
+        wrong = {
+            "center": lambda array: np.concatenate([array[1:], array[:1]]),
+            "radius": lambda array: array * (1.0 + 2.0**-20),
+            "to_world": lambda array: array[::-1],
+        }
+        for name, change in wrong.items():
+            if name in right(as_given)._fields:
+                with monkeypatch.context() as patch:
+                    patch.setattr(
+                        caster.SphereCloud,
+                        "pack",
+                        lambda self, rounded, name=name, change=change, right=right: (
+                            part := right(rounded)
+                        )._replace(**{name: change(getattr(part, name))}),
+                    )
+                    assert check_geometry(scene_of([shape])).ratio > 1.0, (place, name)
+
+
+def test_a_scene_file_of_a_cloud_is_loaded_relative_to_its_folder(tmp_path):
+    write_ply(tmp_path / "a.ply", *some_spheres())
+    text = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
+    text += '[[shape]]\ntype = "spheres"\nfile = "a.ply"\n'
+    (tmp_path / "s.toml").write_text(text)
+    assert 'file = "a.ply"' in load_scene(tmp_path / "s.toml").to_toml()
