@@ -91,7 +91,7 @@ def error_over_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
 def row_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Euclidean distance of rows (n, c); NaN where either is not finite."""
     squares, finite = np.zeros(len(a)), np.ones(len(a), bool)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         for one, other in zip(a.T, b.T, strict=True):  # a sum over an axis of three takes five times as long
             squares += (one - other) ** 2
             finite &= np.isfinite(one) & np.isfinite(other)

@@ -692,9 +692,11 @@ def _normal_hypotheses(f: WrongPixels, n: np.ndarray, off: np.ndarray) -> Iterat
 
 
 def _rotation(a: np.ndarray, b: np.ndarray) -> np.ndarray | None:
-    """The rotation that turns rows a nearest to rows b (Kabsch); None where they do not determine it."""
-    u, s, vt = np.linalg.svd(b.T @ a)
-    if not np.isfinite(s).all() or s[1] <= DISTINCT_RTOL * s[0]:
+    """The rotation that turns rows a nearest to rows b (Kabsch), of those that are finite; None where they do not
+    determine it."""
+    finite = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    u, s, vt = np.linalg.svd(b[finite].T @ a[finite])
+    if s[1] <= DISTINCT_RTOL * s[0]:
         return None
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     turned: np.ndarray = u @ flip @ vt

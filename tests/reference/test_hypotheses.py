@@ -12,6 +12,7 @@ import pytest
 import caster
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.classification import Judge, scene_judge
 from mitsuba_ref.judge.comparison import pair_images
 from mitsuba_ref.judge.hypotheses import (
@@ -19,11 +20,14 @@ from mitsuba_ref.judge.hypotheses import (
     HYPOTHESES,
     OTHER_RAYS,
     WrongPixels,
+    _rotation,
     explain_normals,
+    float32_inside,
     out_of_range,
     range_text,
 )
 from mitsuba_ref.judge.scene_checks import pixel_centers
+from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.subjects.function import FunctionSubject
 
 WIDTH, HEIGHT = 16, 12
@@ -475,6 +479,61 @@ def test_normals_of_float32_are_no_mistake_of_a_candidate_of_float32(brought_can
     _, found = normals_explained(judge, tilted)
     (what,) = found
     assert what.startswith("the normal is off by 0.00") and what.endswith(" of its length")
+
+
+def test_normals_of_corners_minus_the_origin_lose_digits(send):
+    """Seen from 40 sizes away; of a candidate of float32, whose bounds hold for the edges of the face."""
+    camera = caster.Pinhole(eye=(30.3, 20.2, 40.1), look_at=(0, 0, 0), fov=1.6)
+    ring = caster.Torus(to_world=[{"scale": 0.6}, TURN], segments=29, sides=17)
+    scene = Scene(film=caster.Film(width=WIDTH, height=HEIGHT), camera=camera, shapes=(ring,))
+    judge = scene_judge(scene, FunctionSubject("right", cast, "float32"), send=send)
+    mesh, prim = packed_float32(scene).parts[0], judge.reference_prim
+    rows = np.flatnonzero(prim >= 0)
+    seen = (
+        mesh.vertices[mesh.faces[prim[rows]]].astype(np.float32) - judge.o[rows].astype(np.float32)[:, None]
+    )
+    n = judge.answer.n.copy()
+    n[rows] = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
+    n[rows] /= np.linalg.norm(n[rows], axis=1, keepdims=True)
+    count, found = normals_explained(judge, n, rows)
+    what = "the normal is computed from corners minus the ray's origin, and lost digits there"
+    assert count > 30 and found[what][0] > 0.9 * count and "the edges of the face" in found[what][1], (
+        found,
+        count,
+    )
+    third = rows[::3]
+    other = judge.answer.n.copy()
+    other[rows] += 1e-3 * np.roll(other[rows], 1, axis=1)
+    other[third] = n[third]
+    _, found = normals_explained(judge, other, rows)
+    assert what not in found
+
+
+def test_t_that_was_stored_in_float32_may_be_off_by_that_as_well(brought_candidate):
+    judge = brought_candidate()
+    own = judge.bounds.own
+    single = own.t_error * (KU / KU_OURS)
+    for share, fits in ((0.9, True), (1.1, False)):
+        wrong = answering(judge, judge.answer.t + share * (single + 1e-3))
+        wrong = Judge(
+            wrong.scene,
+            wrong.model,
+            replace(wrong.pair, answer=replace(wrong.answer, t_rounding=1e-3)),
+            wrong.view,
+        )
+        f = pixels(wrong, np.arange(WIDTH * HEIGHT))
+        (found,) = float32_inside(f, f)
+        assert found.fits.all() if fits else not found.fits.any()
+
+
+def test_one_direction_or_none_determines_no_rotation():
+    a = unit(np.random.default_rng(14).normal(size=(30, 3)))
+    turn = rotation([1, 2, 3], 40)
+    assert _rotation(a, a @ turn.T) == pytest.approx(turn, abs=1e-12)
+    mirrored = _rotation(a, -a)
+    assert np.linalg.det(mirrored) == pytest.approx(1.0)  # a rotation, not what mirrors
+    same = np.tile(a[:1], (30, 1))
+    assert _rotation(same, same @ turn.T) is None and _rotation(a, np.nan * a) is None
 
 
 def test_a_range_is_one_number_where_its_ends_look_alike():

@@ -400,6 +400,20 @@ def test_an_image_that_contradicts_its_hit_is_undecided(one, name, where):
     assert not judge.consistent[rows].any() and judge.consistent.sum() == len(judge.hit) - len(rows)
 
 
+@pytest.mark.parametrize("normal", [np.nan, np.inf, -np.inf, 1e300])
+def test_normals_that_are_no_numbers_beside_a_wrong_t_are_diagnosed(one, normal):
+    judge = altered(one)
+    rows = np.flatnonzero(judge.hit)
+    t = judge.answer.t[rows] = 1.5 * judge.answer.t[rows]
+    aov_rows(judge.pair.subject, "depth")[rows] = t * judge.pair.length[rows]
+    aov_rows(judge.pair.subject, "position")[rows] = judge.o[rows] + t[:, None] * judge.d[rows]
+    aov_rows(judge.pair.subject, "normal")[rows[::2], 1] = normal
+    judge = again(judge)
+    found = judge.judge()
+    assert not found.is_class("agree")[rows].any()
+    assert sorted(diagnose(judge, found).by_row()) == rows.tolist()
+
+
 # ---- what is made of a judgement
 
 
