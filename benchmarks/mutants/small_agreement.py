@@ -18,6 +18,7 @@ from caster.shapes import SHAPES
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 FILM = (9, 7)
 COUNT = 3  # shapes a scene
+MISSES = {"depth": np.inf, "shape_id": -1, "prim_id": -1}  # all others hold 0 there
 
 
 @pytest.mark.parametrize("camera", VIEWS, ids=name)
@@ -28,6 +29,8 @@ def test_each_way_to_an_aov_gives_the_same_bits(shape, camera):
     rng = np.random.default_rng([60, SHAPES.index(shape), VIEWS.index(camera)])
     scene = random_scene(rng, [shape], camera, count=COUNT, film=FILM)
     expected = render(scene, tuple(BY_NAME), threads=1, culling="brute-force")
+    for aov, image in expected.items():
+        assert (image[~expected.hit] == MISSES.get(aov, 0)).all(), aov
     for culling in cullings_for(scene):
         assert_same_bits(expected, render(scene, tuple(BY_NAME), threads=1, culling=culling), culling)
     for aov in BY_NAME:
