@@ -124,6 +124,16 @@ def same(x, y):
     )  # unequal ones of this size are farther apart
 
 
+def test_the_sign_of_a_surd_is_that_of_the_number():
+    roots = {0: 0.0, 1: 1.0, 2: 2.0**0.5, 4: 2.0, 7: 7.0**0.5, 9: 3.0}
+    for a in range(-4, 5):
+        for b in range(-4, 5):
+            for r, root in roots.items():
+                number = a + b * root  # exactly 0 or far from it
+                expected = (number > 1e-9) - (number < -1e-9)
+                assert big.sign_of_surd(as_digits(a), as_digits(b), as_digits(r)) == expected, (a, b, r)
+
+
 def test_roots_are_in_order():
     roots = some_roots(250)
     equal = 0

@@ -71,6 +71,9 @@ def test_the_hull_of_a_primitive_holds_its_surface_and_touches_it(name):
     assert len(p) >= HITS // 2
     size = np.linalg.norm(high - low)
     assert (p >= low - 1e-12 * size).all() and (p <= high + 1e-12 * size).all()
+    u = rng.normal(size=(3, 200))  # a convex hull holds what it reaches as far as in every direction
+    u /= np.linalg.norm(u, axis=0)
+    assert ((p @ u).max(axis=0) <= (hull @ u).max(axis=0) + 1e-12 * (size + np.abs(hull).max())).all()
     assert (p.min(axis=0) - low).max() < 0.05 * size and (high - p.max(axis=0)).max() < 0.05 * size
 
 
@@ -111,6 +114,24 @@ def test_the_distance_from_a_rim_is_that_of_the_nearest_point(name, center, radi
         expected = radius - np.linalg.norm(o + t * d - center)
         (found,) = edge_distances(kind.prims, 0, o, d)
         assert unit * found.inside == pytest.approx(expected, rel=1e-9, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    "axis", [(0, 0, 2), (0, 0, -2), (0, 3, 0), (0.5, 0, 0), (1, -2, 2), (1e-9, 0, 1), (0, 1e-9, -1)]
+)
+def test_the_axes_of_a_cylinder_are_perpendicular_and_those_of_the_world_where_they_can_be(axis):
+    p0, axis = np.array([0.5, -0.25, 1.0]), np.array(axis, float)
+    (kind,) = pack(scene_of(Cylinder(p0=tuple(p0), p1=tuple(p0 + axis), radius=0.75))).kinds
+    columns = kind.prims.to_world[0]
+    lengths = [0.75, 0.75, np.linalg.norm(axis)]
+    gram = columns.T @ columns
+    assert (
+        gram == pytest.approx(np.diag(np.square(lengths)), rel=1e-12, abs=1e-12)
+        and np.linalg.det(columns) > 0.0
+    )
+    assert columns[:, 2] == pytest.approx(axis, abs=1e-15)
+    if axis.tolist() == [0.0, 0.0, 2.0]:
+        assert np.array_equal(columns, np.diag(lengths))
 
 
 def test_the_distance_from_an_edge_is_that_of_two_lines_with_the_sign_of_the_inside():
