@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from mutants.campaign import GROUPS, ROOT, SURVIVED, Settings, equivalents, run
+from mutants.campaign import GROUPS, ROOT, SURVIVED, Settings, equivalents, run, stale
 from mutants.page import write_page
 
 
@@ -38,6 +38,8 @@ def main() -> int:
     )
     result = run(settings)
     known = equivalents()
+    for key in stale(known):
+        print(f"equivalents.toml: {key}: its line has changed; drop it, or judge the new mutant")
     for row in result["outcomes"]:
         if row["status"] in SURVIVED and row["key"] not in known:
             place = f"{row['module']}:{row['line']}"

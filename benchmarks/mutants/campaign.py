@@ -431,3 +431,12 @@ def equivalents(path: Path = EQUIVALENTS) -> dict[str, str]:
     """Key of a mutant -> why no input can tell it from the original."""
     entries = tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     return {key: entry["reason"] for entry in entries.get("equivalent", []) for key in entry["keys"]}
+
+
+def stale(known: Iterable[str], root: Path = ROOT) -> list[str]:
+    """Keys of listed equivalents that are mutants no more: their line has changed, or is gone."""
+    made: dict[str, set[str]] = {}
+    for module in {key.split()[0] for key in known}:
+        source = (root / module).read_bytes() if (root / module).is_file() else b""
+        made[module] = set(keys_of(source, mutants_of(source)))
+    return [key for key in known if key.split()[1] not in made[key.split()[0]]]
