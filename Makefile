@@ -14,7 +14,7 @@ INSTALLED := .venv/installed-$(HERE)
 # Without bytecode every process would compile every module that it loads: tests start hundreds.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
-.PHONY: help install validate test lint docs stress bench guard fuzz faults hostile mutants nightly clean
+.PHONY: help install validate test lint docs stress bench guard wheel fuzz faults hostile mutants nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -59,6 +59,9 @@ bench: $(INSTALLED) ## run time against error: writes docs/performance.md and it
 	@mkdir -p docs/performance
 	@$(BIN)/mitsuba-ref bench --sweeps --json docs/performance/run.json $(ARGS)
 	@$(BIN)/python benchmarks/performance_page.py docs/performance/run.json docs
+
+wheel: $(INSTALLED) ## a wheel with object code of all kernels for x86-64-v3 and v4: dist/, in some minutes
+	@$(BIN)/python tools/wheel_with_kernels.py $(ARGS)
 
 docs: $(INSTALLED) ## pages and pictures that are made from sources: API, packages, an edge case, every shape, scenes
 	@$(BIN)/python docs/api.py

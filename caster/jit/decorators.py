@@ -11,7 +11,6 @@ import inspect
 import threading
 from collections.abc import Callable, Iterator
 from functools import cache, update_wrapper
-from pathlib import Path
 from typing import Any, TypeVar
 
 from caster.jit import machine_code
@@ -181,20 +180,26 @@ class Kernel:
         key = signature_key(args)
         return key if key is None or self._kept(args) else f"{key} {_class_ids(args)}"
 
-    def _place(self, key: str) -> tuple[str, Path]:
-        """Name of the entry, and the file it is kept in."""
-        words = "\n".join([self.__module__, self.__qualname__, key, machine_code.target_description()])
+    def _place(self, key: str, target: str) -> tuple[str, str]:
+        """Name of the entry, and of the file it is kept in."""
+        words = "\n".join([self.__module__, self.__qualname__, key, target])
         symbol = f"caster_{hashlib.sha256(words.encode()).hexdigest()[:32]}"
-        return symbol, cache_folder() / f"{self.__name__}-{symbol}.o"
+        return symbol, f"{self.__name__}-{symbol}.o"
 
     def _kept(self, args: tuple[Any, ...]) -> bool:
         return _is_own(self.function.__module__) and _all_cacheable(args)
 
     def _found(self, key: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
-        """Machine code from the cache; None if there is none that can be loaded."""
-        symbol, path = self._place(key)
-        code = machine_code.read(path) if self._kept(args) else None
-        call = _loaded(code, args) if code is not None and code.symbol == symbol else None
+        """Machine code from the cache, or else of the wheel; None if there is none that can be loaded."""
+        if not self._kept(args):
+            return None
+        symbol, file = self._place(key, machine_code.target_description())
+        call = _loaded(machine_code.read(cache_folder() / file), symbol, args)
+        installed = machine_code.installed_code() if call is None else None
+        if installed is not None:
+            folder, target = installed
+            symbol, file = self._place(key, target)
+            call = _loaded(machine_code.read(folder / file, installed=True), symbol, args)
         if call is not None:
             COMPILATION_LOG.loaded.append(_named(self.__name__, args))
         return call
@@ -205,12 +210,12 @@ class Kernel:
         gives = GIVES.get(str(result.signature.return_type))
         if gives is None:
             return None
-        symbol, path = self._place(key)
+        symbol, file = self._place(key, machine_code.target_description())
         function = result.fndesc.llvm_func_name
         code = machine_code.extract_object_code(result.library, function, symbol, argument_forms(args), gives)
         if code is not None and self._kept(args):
-            code.write(path)
-        return None if code is None else _loaded(code, args)
+            code.write(cache_folder() / file)
+        return _loaded(code, symbol, args)
 
     def _compiled(self, args: tuple[Any, ...]) -> Any:
         """Numba's result for such arguments, counted once."""
@@ -245,8 +250,12 @@ def _announcing(numba: Any, name: str) -> Iterator[None]:
         yield
 
 
-def _loaded(code: machine_code.ObjectCode, args: tuple[Any, ...]) -> Callable[..., Any] | None:
-    """Machine code in this process, to be called with such arguments; None where LLVM cannot load it."""
+def _loaded(
+    code: machine_code.ObjectCode | None, symbol: str, args: tuple[Any, ...]
+) -> Callable[..., Any] | None:
+    """Machine code in this process, to be called with such arguments; None where it is none that LLVM can load."""
+    if code is None or code.symbol != symbol:
+        return None
     try:
         return checked_call(args, code.entry(), code.gives)
     except (RuntimeError, OSError, KeyError):

@@ -1,4 +1,4 @@
-"""The cache of compiled kernels: its folder, named after the sources, and its files, each sealed by a digest."""
+"""Folders of compiled kernels, named after the sources: the cache, and what a wheel brings. Files have a digest."""
 
 import atexit
 import contextlib
@@ -23,6 +23,7 @@ WITHOUT_KERNELS = (
     "image",
     "system",
 )  # folders that no kernel, and no argument of one, comes from
+INSTALLED = PACKAGE / "jit" / "object_code"  # in wheels that bring object code (tools/wheel_with_kernels.py)
 NOWHERE = Path(os.devnull) / "kernels"  # a folder that cannot exist: nothing is read, nothing written
 
 
@@ -38,18 +39,25 @@ def compiler_version() -> str:
 COMPILED = os.environ.get("CASTER_JIT", "1") != "0" and compiler_version() != ""
 
 
-def source_hash(version: str) -> str:
-    """A name for this source and this compiler.
+def source_hash(version: str, sources: bytes | None = None) -> str:
+    """A name for these sources, by default those of now, and this compiler.
 
     Numba does not see an edit in a file that a cached kernel calls into, and a stale kernel is a wrong
     answer: the cache folder changes its name with every source file that could have to do with one instead.
     """
-    digest = hashlib.sha256(version.encode())
+    return hashlib.sha256(version.encode() + (sources or source_digest())).hexdigest()[:16]
+
+
+def source_digest() -> bytes:
+    digest = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         if path.relative_to(PACKAGE).parts[0] in WITHOUT_KERNELS:
             continue
         digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()[:16]
+    return digest.digest()
+
+
+_digest_at_start = cache(source_digest)  # of the sources that this process runs
 
 
 # Why kernels compiled by this process are not kept: "FOLDER: what is wrong with it".
@@ -66,7 +74,7 @@ def cache_folder() -> Path:
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "caster"
     parents = [Path(chosen)] if chosen else [home, home / "kernels"]
-    folder = parents[-1] / source_hash(compiler_version())
+    folder = parents[-1] / source_hash(compiler_version(), _digest_at_start())
     try:
         for each in (*parents, folder):
             each.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -79,6 +87,27 @@ def cache_folder() -> Path:
     if not chosen:
         _drop_old_caches(folder.parent)
     return folder
+
+
+@cache
+def installed_folder() -> Path | None:
+    """What the wheel brought for these very sources, a folder for each level of processors; None: nothing.
+
+    The compiler that made it need not be the installed one: object code calls nothing of it.
+    """
+    if not INSTALLED.is_dir():
+        return None
+    folder = INSTALLED / source_hash("", _digest_at_start())
+    return folder if folder.is_dir() and not distrust_installed(folder.stat()) else None
+
+
+def distrust_installed(found: os.stat_result) -> str:
+    """Why somebody may have written an installed file who cannot write the program itself; "" if nobody."""
+    program = os.stat(__file__)
+    if found.st_uid != program.st_uid:
+        return "it belongs to another user than the program"
+    more = found.st_mode & ~program.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return "more users may write it than the program" if more else ""
 
 
 def distrust(found: os.stat_result) -> str:
@@ -126,13 +155,13 @@ def write_sealed(path: Path, data: bytes) -> None:
     write_atomically(path, _seal(path, data) + b"\n" + data)
 
 
-def read_sealed(path: Path) -> bytes:
+def read_sealed(path: Path, distrusted: Callable[[os.stat_result], str] = distrust) -> bytes:
     """The content of a file as `write_sealed` wrote it under this name.
 
     Raises OSError where it cannot be read or another user may have written it, ValueError where any byte differs.
     """
     with path.open("rb") as file:
-        if why := distrust(os.fstat(file.fileno())):
+        if why := distrusted(os.fstat(file.fileno())):
             raise PermissionError(f"{path}: {why}")
         seal, _, data = file.read().partition(b"\n")
     if seal != _seal(path, data):

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from caster.jit.arguments import ARRAY, BOOLEAN, INTEGER, NONE, REAL, C, Form
-from caster.jit.kernel_cache import read_sealed, write_sealed
+from caster.jit.kernel_cache import distrust, distrust_installed, installed_folder, read_sealed, write_sealed
 
 # A record as Numba's code reads it: count of references, two fields for others, address of the data, size of the data.
 RECORD = 64  # bytes, of which it reads 40
@@ -122,9 +122,69 @@ def is_supported() -> bool:
     return at[0] == probe.ctypes.data and [tuple(f) for f in found] == [probe.shape, probe.strides]
 
 
+# Levels of x86-64 that wheels bring object code for, the best first, by what LLVM is to use of each
+# (NUMBA_CPU_FEATURES), all of which a processor must have. Vectors of 512 bits are eight numbers, as the kernels are
+# written; LLVM would rather take 256 of them for this level.
+_V3 = [
+    "64bit",
+    "avx",
+    "avx2",
+    "bmi",
+    "bmi2",
+    "cmov",
+    "crc32",
+    "cx16",
+    "cx8",
+    "f16c",
+    "fma",
+    "fxsr",
+    "lzcnt",
+    "mmx",
+    "movbe",
+    "popcnt",
+    "sahf",
+    "sse",
+    "sse2",
+    "sse3",
+    "sse4.1",
+    "sse4.2",
+    "ssse3",
+    "xsave",
+]
+LEVELS = {
+    "x86-64-v4": [*_V3, "avx512bw", "avx512cd", "avx512dq", "avx512f", "avx512vl"],
+    "x86-64-v3": _V3,
+}
+TUNING = {"x86-64-v4": ",-prefer-256-bit"}
+
+
+def level_settings(level: str) -> dict[str, str]:
+    """Environment variables with which Numba compiles for a level, whatever processor this is."""
+    features = ",".join(f"+{feature}" for feature in LEVELS[level]) + TUNING.get(level, "")
+    return {"NUMBA_CPU_NAME": level, "NUMBA_CPU_FEATURES": features}
+
+
+def level_description(level: str) -> str:
+    """What object code of a wheel is made for: Python and NumPy, which it calls nothing of, are of no account."""
+    return f"{platform.system()} {platform.machine()} {level}"
+
+
+@cache
+def best_level() -> str:
+    """The best level of LEVELS that this processor has all features of; "" for none."""
+    import llvmlite.binding as llvm
+
+    found = llvm.get_host_cpu_features()
+    fitting = (level for level, needed in LEVELS.items() if all(found.get(feature) for feature in needed))
+    return next(fitting, "") if platform.machine() == "x86_64" else ""
+
+
 @cache
 def target_description() -> str:
     """What machine code is made for: another processor in the same home needs its own."""
+    level = os.environ.get("NUMBA_CPU_NAME", "")
+    if level in LEVELS and level_settings(level).items() <= os.environ.items():
+        return level_description(level)
     import llvmlite.binding as llvm
 
     settings = [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith("NUMBA_")]
@@ -151,10 +211,19 @@ class ObjectCode:
         write_sealed(path, head.encode() + b"\n" + self.data)
 
 
-def read(path: Path) -> ObjectCode | None:
+def installed_code() -> tuple[Path, str] | None:
+    """Folder and description of the wheel's object code for this processor; None where it brought none that fits."""
+    folder, level = installed_folder(), ""
+    if folder is not None:
+        level = best_level()
+    return (folder / level, level_description(level)) if folder is not None and level else None
+
+
+def read(path: Path, *, installed: bool = False) -> ObjectCode | None:
     """What was written; None if it is not there, not what was written, or may be by another user."""
     try:
-        head, _, data = read_sealed(path).partition(b"\n")
+        content = read_sealed(path, distrust_installed if installed else distrust)
+        head, _, data = content.partition(b"\n")
         return ObjectCode(**json.loads(head), data=data)
     except (OSError, ValueError, TypeError):
         return None

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from caster.jit import machine_code
+from caster.jit import kernel_cache, machine_code
 from caster.jit.arguments import MISMATCH, checked_call, signature_key
 from caster.jit.kernel_cache import COMPILED, compiler_version, read_sealed, source_hash
 
@@ -38,10 +38,10 @@ print("compiled", len(COMPILATION_LOG.compiled), "loaded", len(COMPILATION_LOG.l
 """
 
 
-def run(home: Path, *command: str, **more: str) -> subprocess.CompletedProcess[str]:
+def run(home: Path, *command: str, tree: Path = ROOT, **more: str) -> subprocess.CompletedProcess[str]:
     env = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    env |= {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(ROOT), **more}
-    return subprocess.run([sys.executable, *command], cwd=ROOT, env=env, capture_output=True, text=True)
+    env |= {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(tree), **more}
+    return subprocess.run([sys.executable, *command], cwd=tree, env=env, capture_output=True, text=True)
 
 
 def test_kernels_are_compiled_once_and_then_run_without_numba(tmp_path):
@@ -182,3 +182,104 @@ def test_a_call_made_for_some_classes_of_arguments_takes_no_others():
     ):
         assert call(*other) is MISMATCH, other
         assert signature_key(other) != signature_key(args), other
+
+
+# ---- object code that a wheel brings
+
+LEVEL = machine_code.best_level() if COMPILED else ""
+needs_level = pytest.mark.skipif(not LEVEL, reason="object code is shipped for x86-64-v3 and v4 alone")
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """The package with object code of the three kernels, as tools/wheel_with_kernels.py puts it into a wheel."""
+    tree, home = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("home")
+    without = shutil.ignore_patterns("__pycache__", "object_code")
+    shutil.copytree(ROOT / "caster", tree / "caster", ignore=without)
+    assert run(home, "-c", SMALL, tree=tree, **machine_code.level_settings(LEVEL)).returncode == 0
+    folder = tree / "caster/jit/object_code" / source_hash("") / LEVEL
+    folder.mkdir(parents=True)
+    for path in home.rglob("*.o"):
+        shutil.copy(path, folder)
+    return tree
+
+
+@pytest.fixture
+def tree(built, tmp_path):
+    return shutil.copytree(built, tmp_path / "tree")
+
+
+def installed_files(tree: Path) -> list[Path]:
+    found = sorted((tree / "caster/jit/object_code").rglob("*.o"))
+    assert len(found) == 3
+    return found
+
+
+@needs_level
+def test_a_wheel_with_object_code_compiles_nothing(tree, tmp_path):
+    done = run(tmp_path / "home", "-c", SMALL, tree=tree)
+    assert done.returncode == 0 and done.stdout == "compiled 0 loaded 3 False\n", done.stdout + done.stderr
+    assert not list((tmp_path / "home").rglob("*.o"))
+
+
+def damaged(tree: Path) -> None:
+    """A bit of the code, the name, and the end of the file."""
+    flipped_one, renamed, cut = installed_files(tree)
+    data = flipped_one.read_bytes()
+    flipped_one.write_bytes(data[:-40] + bytes([data[-40] ^ 1]) + data[-39:])
+    renamed.write_bytes(flipped_one.read_bytes())
+    cut.write_bytes(cut.read_bytes()[:-1])
+
+
+def of_other_sources(tree: Path) -> None:
+    """An edit of any file of the caster, as in a checkout over an old build."""
+    path = tree / "caster/kernels/math/vec.py"
+    path.write_text(path.read_text() + "# edited\n")
+
+
+def of_another_level(tree: Path) -> None:
+    """Files of one level in the folder of the other."""
+    (folder,) = {path.parent for path in installed_files(tree)}
+    other = next(level for level in machine_code.LEVELS if level != LEVEL)
+    words = f"import caster.jit.machine_code as m; m.best_level = lambda: {other!r}\n"
+    folder.rename(folder.with_name(other))
+    (tree / "sitecustomize.py").write_text(words)
+
+
+def for_a_better_processor(tree: Path) -> None:
+    """This processor lacks one feature of each level."""
+    (tree / "sitecustomize.py").write_text(
+        "import llvmlite.binding as llvm\nfound = dict(llvm.get_host_cpu_features(), bmi2=False)\n"
+        "llvm.get_host_cpu_features = lambda: type('Features', (dict,), {'flatten': lambda self: ''})(found)\n"
+    )
+
+
+def open_to_others(tree: Path) -> None:
+    for path in installed_files(tree):
+        path.chmod(0o666)
+
+
+UNFIT = (damaged, of_other_sources, of_another_level, for_a_better_processor, open_to_others)
+
+
+@needs_level
+@pytest.mark.parametrize("spoil", UNFIT, ids=lambda spoil: spoil.__name__)
+def test_object_code_that_does_not_fit_is_compiled_anew(tree, tmp_path, spoil):
+    """Each kernel, and with the same answers, which the program checks."""
+    spoil(tree)
+    done = run(tmp_path / "home", "-c", SMALL, tree=tree)
+    assert done.returncode == 0 and done.stdout.endswith("compiled 3 loaded 0 True\n"), (
+        done.stdout + done.stderr
+    )
+
+
+def test_the_owner_of_the_program_may_own_its_object_code(tmp_path, monkeypatch):
+    """Installed by root and run by another user, it is trusted as the program is; one that this user wrote is not."""
+    path = tmp_path / "kernel.o"
+    machine_code.ObjectCode("symbol", "i", "", b"code").write(path)
+    assert machine_code.read(path, installed=True) is not None
+    me, program = os.geteuid(), os.stat(machine_code.__file__)
+    monkeypatch.setattr(os, "geteuid", lambda: me + 1)
+    assert machine_code.read(path, installed=True) is not None and machine_code.read(path) is None
+    other = os.stat_result((program.st_mode, 0, 0, 1, program.st_uid + 1, 0, 0, 0, 0, 0))
+    assert kernel_cache.distrust_installed(other) == "it belongs to another user than the program"
