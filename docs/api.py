@@ -80,7 +80,7 @@ def code(text: str) -> str:
 def member_lines(value: type) -> list[str]:
     """What a class has beside its fields: public properties and methods with docstrings of their own."""
     lines = []
-    for name, member in vars(value).items():
+    for name, member in [*vars(value).items()]:  # the first use of a model adds to them
         thing = member.fget if isinstance(member, property) else member
         thing = getattr(thing, "func", thing)  # a cached property
         if not name.startswith(("_", "model_")) and inspect.isfunction(thing) and thing.__doc__:

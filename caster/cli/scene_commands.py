@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 # ---- render: a scene file in, an EXR file out ----
 
+COMPRESSIONS = ("zip", "zips", "piz", "none")  # as in caster/image/exr.py, which takes long to load
 CROP_METAVARS = ("X0", "Y0", "X1", "Y1")
 
 
@@ -56,6 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="render these pixels only; X1 and Y1 are exclusive",
     )
     add_threads(parser)
+    add(
+        "--compression",
+        choices=COMPRESSIONS,
+        default=COMPRESSIONS[0],
+        help="of the file, without loss: zip, the smallest; zips and piz; none, the fastest to write",
+    )
     add("--explain", action="store_true", help="print how the image was computed, and what was skipped")
     add("--json", action="store_true", help="print the same as JSON, with counts of the work done")
     add(
@@ -81,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
     output = output_path(args)
     from caster.image.channels import write_render
     from caster.rendering.images import check_names, render_film
+    from caster.rendering.threads import thread_count
     from caster.system.atomic_files import check_writable
 
     aovs = tuple(comma_separated(DEFAULT_AOV_LIST if args.aov is None else args.aov))
@@ -90,7 +98,8 @@ def run(args: argparse.Namespace) -> int:
     with error_prefix(args.scene), announce_compilation(type_names(scene)), closing(bar_for(scene)) as bar:
         rendered = render_film(scene, aovs, threads=args.threads, on_progress=bar.add)
     images = rendered.aovs
-    write_render(output, scene, images, args.scene)
+    threads = thread_count(args.threads)
+    write_render(output, scene, images, args.scene, compression=args.compression, threads=threads)
     if args.preview is not None:
         save_preview(args.preview, images, shown)
     if args.json:

@@ -177,9 +177,16 @@ RGB = Annotated[tuple[NonNegative, NonNegative, NonNegative], BeforeValidator(_r
 Reflectance = Annotated[tuple[Fraction01, Fraction01, Fraction01], BeforeValidator(_rgb)]
 
 
+# By their address, and kept, so that no other gets it: the schema of a scene has those of all shapes, again and again.
+_SEEN: dict[int, Any] = {}
+
+
 def _take_as_given(schema: Any) -> None:
     """Disable conversions to integers and booleans: no true for 1, no 3.0 for 3, no "yes" for true."""
     if isinstance(schema, dict):
+        if id(schema) in _SEEN:
+            return
+        _SEEN[id(schema)] = schema
         if schema.get("type") in ("int", "bool"):
             schema["strict"] = True
         for part in schema.values():
@@ -200,7 +207,7 @@ class Description(BaseModel):
     Raises SceneError with all validation errors.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, defer_build=True)
 
     # Number of path steps that name an element in messages: two for shapes[3], one for camera.
     ELEMENTS: ClassVar[Mapping[str, int]] = {}

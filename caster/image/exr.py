@@ -40,7 +40,9 @@ NO_ID = 0xFFFFFFFF
 
 MAGIC = 20000630  # first four bytes of an EXR file, little endian
 DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four bytes
-ZIP_ROWS = 16  # of a chunk
+# Rows of a chunk by compression, all without loss. ZIP is small and slow, the default; `none` is fast and large.
+COMPRESSIONS = {"zip": 16, "zips": 1, "piz": 32, "none": 1}
+OPENEXR_NAMES = {"none": "NO"}  # elsewhere the same in capitals
 
 
 class Exr(NamedTuple):
@@ -63,13 +65,16 @@ def write_exr(
     *,
     data_window: Window | None = None,
     display_window: Window | None = None,
+    compression: str = "zip",
+    threads: int = 1,
 ) -> None:
-    """Write a single-part scanline EXR, ZIP, float32; the same input gives the same bytes.
+    """Write a single-part scanline EXR, float32; the same input gives the same bytes.
 
     channels: name -> (h, w), any strides; uint32 stays UINT, floats of any width and bools become float32.
     provenance: string attributes `caster/<key>`; a key without `caster/` gets it.
     data_window: where the arrays lie on the film, default (0, 0, w, h).
     display_window: the whole film, default the data window.
+    compression: one of COMPRESSIONS. threads: that compress, beside this one; there are none after it.
     Raises SceneError for what an EXR cannot hold (another shape, a finite value that float32 cannot),
     OutputError if the file cannot be written; an older file of that name is then still there, untouched.
     """
@@ -81,7 +86,7 @@ def write_exr(
     if (window[2] - window[0], window[3] - window[1]) != (width, height):
         raise SceneError(f"data_window {window} does not fit channels of {width} x {height} pixels")
     header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
+        "compression": getattr(OpenEXR, f"{OPENEXR_NAMES.get(compression, compression.upper())}_COMPRESSION"),
         "type": OpenEXR.scanlineimage,
         "lineOrder": OpenEXR.INCREASING_Y,
         "dataWindow": _inclusive(window),
@@ -92,11 +97,27 @@ def write_exr(
     # given: it is given fresh contiguous copies in a dict of its own.
     copies = {name: to_storable(name, channels[name], window) for name in sorted(channels)}
     with atomic_write(path) as part:
-        OpenEXR.File(header, copies).write(str(part))
-        _check_whole(part, height)
+        with compressing_threads(threads):
+            OpenEXR.File(header, copies).write(str(part))
+        _check_whole(part, -(-height // COMPRESSIONS[compression]))
 
 
-def _check_whole(path: Path, height: int) -> None:
+@contextlib.contextmanager
+def compressing_threads(count: int) -> Iterator[None]:
+    """Threads of OpenEXR while a file is written; none stay, since a fork of this process would wait for them."""
+    import OpenEXR
+
+    if count < 2:
+        yield
+        return
+    OpenEXR.set_global_thread_count(count)
+    try:
+        yield
+    finally:
+        OpenEXR.set_global_thread_count(0)
+
+
+def _check_whole(path: Path, chunk_count: int) -> None:
     """Raise OSError for a file that ends early: the library does not look whether its last buffer was written."""
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
@@ -105,7 +126,7 @@ def _check_whole(path: Path, height: int) -> None:
                 name = data.find(b"\0", at)
                 kind = data.find(b"\0", name + 1)
                 at = kind + 5 + struct.unpack_from("<I", data, kind + 1)[0]
-            chunks = struct.unpack_from(f"<{-(-height // ZIP_ROWS)}Q", data, at + 1)
+            chunks = struct.unpack_from(f"<{chunk_count}Q", data, at + 1)
             (size,) = struct.unpack_from("<4xi", data, max(chunks))
             whole = min(chunks) > at and max(chunks) + 8 + size == len(data)
     except (ValueError, IndexError, struct.error):
