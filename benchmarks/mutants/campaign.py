@@ -163,7 +163,7 @@ class Settings:
     seed: int = 1
     budget: float = 10.0  # CPU seconds of tests a mutant
     jobs: int = 2
-    again: bool = False  # survivors of an earlier run are tried once more
+    again: bool = False  # survivors of an earlier run, but for equivalents, are tried once more
     root: Path = ROOT
     sources: dict[str, tuple[str, ...]] = field(default_factory=lambda: dict(GROUPS))
     tests: Sequence[str] = (END_TO_END, SMALL_AGREEMENT, *TESTS)
@@ -368,7 +368,9 @@ def run(settings: Settings) -> dict[str, Any]:
     tests = {compiled: measured(settings, first, compiled) for compiled in ways}
     trees = [first, *(copied_tree(first.folder, out / "trees" / str(job)) for job in range(1, settings.jobs))]
     populations, jobs = {}, []
-    done = {row["key"] for row in results(out) if not (settings.again and row["status"] in SURVIVED)}
+    known = equivalents()
+    open_ones = {row["key"] for row in results(out) if row["status"] in SURVIVED and row["key"] not in known}
+    done = {row["key"] for row in results(out)} - (open_ones if settings.again else set())
     for group in settings.groups:
         populations[group], chosen = sampled(settings, group)
         jobs += [(group, *each) for each in chosen if f"{each[0]} {each[2]}" not in done]
