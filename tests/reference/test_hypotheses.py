@@ -20,6 +20,7 @@ from mitsuba_ref.judge.hypotheses import (
     HYPOTHESES,
     OTHER_RAYS,
     WrongPixels,
+    _image_orders,
     _rotation,
     explain_normals,
     float32_inside,
@@ -369,6 +370,20 @@ def test_what_lies_behind_the_first_surface_is_described(brought_candidate):
     both = "the first surface is missed, and what lies behind it is hit, if anything"
     assert found[both] == ((some | missed).sum(), "") and len(found) == 2
     assert found["a surface that lies behind the first one"] == ((some & ~missed).sum(), "")
+
+
+def test_answers_of_a_list_may_be_in_reverse_order_or_moved():
+    found = {what: (remedy, order.ravel().tolist()) for what, remedy, order in _image_orders((2, 3), True)}
+    remedy = "return them in the order of the rays"
+    assert found == {
+        "the answers are in reverse order": (remedy, [5, 4, 3, 2, 1, 0]),
+        "the answers are moved by 1 ray": (remedy, [5, 0, 1, 2, 3, 4]),
+        "the answers are moved by -1 ray": (remedy, [1, 2, 3, 4, 5, 0]),
+    }
+    square = {what: order.ravel().tolist() for what, _, order in _image_orders((2, 2), False)}
+    assert square["the image is turned by a quarter to the left"] == [1, 3, 0, 2]
+    assert square["the image is turned by a quarter to the right"] == [2, 0, 3, 1]
+    assert square["the image is transposed, x for y"] == [0, 2, 1, 3]
 
 
 def test_hits_outside_of_a_ray_are_named_where_rays_have_ends():

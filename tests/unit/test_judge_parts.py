@@ -668,14 +668,19 @@ def test_a_run_adds_up_its_scenes():
     assert replace(run, names=("a", "b", "z")).not_judged == ("z",) and run.candidate == ""
     assert replace(run, requested_candidate="mine").candidate == "mine"
     stored = replace(PASSED, reference_stored=True)
-    assert Verdict((stored, PASSED, stored), 3).references_stored == 2
+    kept = Verdict((stored, PASSED, stored), 3)
+    said = "2 of 3 scenes: answered in earlier runs, taken from the store"
+    assert kept.references_stored == 2 and any(said in each for each in kept.versions)
+    assert not any("earlier runs" in each for each in Verdict((PASSED,)).versions)
 
 
 def test_a_place_is_a_pixel_or_a_ray_of_its_list():
     rays = scene_with(rays=(100, 140), size=(8, 5))
     assert rays.ray_at(3, 2) == 119 and rays.place(3, 2) == "ray 119"
     assert scene_with(size=(8, 5)).ray_at(3, 2) is None and scene_with().place(3, 2) == "(3, 2)"
-    assert scene_with(ratios={"a": 0.5, "b": 0.75}).worst == ("b", 0.75) and scene_with().worst == ("", 0.0)
+    for ratios in ({"a": 0.5, "b": 0.75}, {"b": 0.75, "a": 0.5}, {"b": 0.5, "a": 0.75}):
+        assert scene_with(ratios=ratios).worst == max(ratios.items(), key=lambda each: each[1])
+    assert scene_with().worst == ("", 0.0)
 
 
 def test_a_finding_states_its_cause_with_remedy_or_place():
