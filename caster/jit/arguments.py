@@ -129,6 +129,45 @@ def _unfold(
         flat.append(f"id({name})")
 
 
+def bound_call(
+    args: tuple[Any, ...], given: tuple[int, ...], entry: Callable[[int], int], gives: str
+) -> Callable[..., Any]:
+    """A function that calls a kernel with these arguments, but takes those at the places `given`, integers or tuples.
+
+    It looks at nothing else any more, and is one thread's at a time.
+    entry: takes the address of a block (machine_code.ObjectCode.block_entry).
+    """
+    answer = C[gives or INTEGER]()
+    words, places = [ctypes.addressof(answer)], []
+    for n, arg in enumerate(args):
+        start = len(words)
+        words += _words_of(arg)
+        if n in given:
+            places.append(slice(start, len(words)))
+    block = (ctypes.c_int64 * len(words))(*words)
+    address = ctypes.addressof(block)
+
+    def call(*numbers: int | tuple[int, ...], kept: Any = args) -> Any:  # whose addresses are in the block
+        for place, those in zip(places, numbers, strict=True):
+            block[place] = list(those) if isinstance(those, tuple) else [those]
+        if entry(address) not in DONE:
+            _failed()
+        return answer.value if gives else None
+
+    return call
+
+
+def _words_of(arg: Any) -> list[int]:
+    """An argument as eight bytes each for what an entry takes of it."""
+    if isinstance(arg, tuple):
+        return [word for member in arg for word in _words_of(member)]
+    if isinstance(arg, np.ndarray):
+        return [id(arg)]
+    if arg is None:
+        return []
+    return [np.float64(arg).view(np.int64).item() if SCALARS[type(arg)] == REAL else int(arg)]
+
+
 def _failed() -> None:
     raise RuntimeError("a kernel failed: it counted with a number beyond its range")
 

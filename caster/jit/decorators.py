@@ -19,6 +19,7 @@ from caster.jit.arguments import (
     MISMATCH,
     REAL,
     argument_forms,
+    bound_call,
     checked_call,
     named_tuple_names,
     signature_key,
@@ -126,6 +127,7 @@ class Kernel:
         update_wrapper(self, function)
         self.function = function
         self.options = {**OPTIONS, **options}
+        self._codes: dict[str | None, machine_code.ObjectCode] = {}  # by `signature_key` the arguments
         self._calls: dict[str | None, Callable[..., Any]] = {}  # by `signature_key` the arguments
         self._latest: dict[type, Callable[..., Any]] = {}  # by the class of the first argument
         self._dispatcher: Any = None
@@ -175,6 +177,15 @@ class Kernel:
             self._latest[type(args[0])] = call
         return call
 
+    def bound(self, args: tuple[Any, ...], given: tuple[int, ...]) -> Callable[..., Any] | None:
+        """`arguments.bound_call` of this kernel; None where only Numba can call it."""
+        key = self._key(args)
+        if key not in self._codes:
+            self._prepared(args)
+        with _LOCK:
+            code = self._codes.get(key)
+            return None if code is None else bound_call(args, given, code.block_entry, code.gives)
+
     def _key(self, args: tuple[Any, ...]) -> str | None:
         """Key of machine code: in all processes, or, with classes from elsewhere, in this one."""
         key = signature_key(args)
@@ -194,12 +205,12 @@ class Kernel:
         if not self._kept(args):
             return None
         symbol, file = self._place(key, machine_code.target_description())
-        call = _loaded(machine_code.read(cache_folder() / file), symbol, args)
+        call = self._loaded(key, machine_code.read(cache_folder() / file), symbol, args)
         installed = machine_code.installed_code() if call is None else None
         if installed is not None:
             folder, target = installed
             symbol, file = self._place(key, target)
-            call = _loaded(machine_code.read(folder / file, installed=True), symbol, args)
+            call = self._loaded(key, machine_code.read(folder / file, installed=True), symbol, args)
         if call is not None:
             COMPILATION_LOG.loaded.append(_named(self.__name__, args))
         return call
@@ -215,7 +226,16 @@ class Kernel:
         code = machine_code.extract_object_code(result.library, function, symbol, argument_forms(args), gives)
         if code is not None and self._kept(args):
             code.write(cache_folder() / file)
-        return _loaded(code, symbol, args)
+        return self._loaded(key, code, symbol, args)
+
+    def _loaded(
+        self, key: str, code: machine_code.ObjectCode | None, symbol: str, args: tuple[Any, ...]
+    ) -> Callable[..., Any] | None:
+        """Machine code in this process, kept for bound calls."""
+        call = _loaded(code, symbol, args)
+        if call is not None and code is not None:
+            self._codes[key] = code
+        return call
 
     def _compiled(self, args: tuple[Any, ...]) -> Any:
         """Numba's result for such arguments, counted once."""
@@ -275,6 +295,27 @@ def jit(function: Function) -> Function:
 def inlined(function: Function) -> Function:
     """The same for a function that is too large for LLVM to put it in the place of its call unasked."""
     return Kernel(function, {"forceinline": True}) if COMPILED else function  # type: ignore[return-value]  # likewise
+
+
+def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> Callable[..., Any]:
+    """A function that calls a kernel with these arguments, but takes those at the places `given`.
+
+    Those are integers or tuples of integers. A call takes a tenth of the time of others, and is one thread's at a time.
+    """
+    call = function.bound(args, given) if isinstance(function, Kernel) else None
+    return call or _partly(function, args, given)
+
+
+def _partly(
+    function: Callable[..., Any], args: tuple[Any, ...], given: tuple[int, ...]
+) -> Callable[..., Any]:
+    def call(*numbers: int | tuple[int, ...]) -> Any:
+        every = list(args)
+        for n, those in zip(given, numbers, strict=True):
+            every[n] = those
+        return function(*every)
+
+    return call
 
 
 def _overload_lanes(numba: Any) -> None:

@@ -10,7 +10,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +107,8 @@ C_LIBRARY_SYMBOLS = {*MATHEMATICS.split(" "), "trunc", "malloc", "free", "memcpy
 
 # Where a NumPy array object (PyArrayObject_fields, part of its stable binary interface) keeps them.
 DATA, SHAPE, STRIDES = 16, 32, 40
+
+BLOCK = "_block"  # at the end of the symbol of an entry that takes a block
 
 LLVM = {INTEGER: "i64", REAL: "double", BOOLEAN: "i8", ARRAY: "i64"}
 
@@ -206,6 +208,13 @@ class ObjectCode:
         prototype = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64, *types)
         return prototype(_load(self.symbol, self.data))
 
+    @cached_property
+    def block_entry(self) -> Callable[[int], int]:
+        """An entry that takes the address of a block of all of these, eight bytes each; once `entry` has loaded it."""
+        return ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(
+            int(_engine().get_function_address(self.symbol + BLOCK))
+        )
+
     def write(self, path: Path) -> None:
         head = json.dumps({"symbol": self.symbol, "taken": self.taken, "gives": self.gives})
         write_sealed(path, head.encode() + b"\n" + self.data)
@@ -246,7 +255,7 @@ def _load(symbol: str, data: bytes) -> int:
     engine.add_object_file(llvm.ObjectFileRef.from_data(data))
     engine.finalize_object()
     address = int(engine.get_function_address(symbol))
-    if not address:
+    if not (address and engine.get_function_address(symbol + BLOCK)):
         raise RuntimeError(f"no {symbol} in this object code")
     return address
 
@@ -286,7 +295,7 @@ def _keep_only(module: Any, symbol: str, target: Any) -> None:
     import llvmlite.binding as llvm
 
     for thing in [*module.functions, *module.global_variables]:
-        if not thing.is_declaration and thing.name != symbol:
+        if not thing.is_declaration and thing.name not in (symbol, symbol + BLOCK):
             thing.linkage = "internal"
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
@@ -335,7 +344,19 @@ def _entry(module: Any, function: str, symbol: str, taken: list[Form], gives: st
         f"{_head(module)}{declared}define i32 @{symbol}({', '.join(parameters)}) {{\n"
         + "\n".join(body)
         + "\n}\n"
+        + _block_entry(symbol, [LLVM[kind] for kind, _, _ in taken if kind != NONE])
     )
+
+
+def _block_entry(symbol: str, types: list[str]) -> str:
+    """LLVM's language for an entry whose arguments, the address for its answer first, lie in a block."""
+    lines, passed = [], []
+    for n, type_ in enumerate(["i64", *types]):
+        lines += [f"%at{n} = getelementptr i64, ptr %block, i64 {n}", f"%v{n} = load {type_}, ptr %at{n}"]
+        passed.append(f"{type_} %v{n}")
+    call = f"%status = call i32 @{symbol}({', '.join(passed)})"
+    body = ["%block = inttoptr i64 %address to ptr", *lines, call, "ret i32 %status"]
+    return f"define i32 @{symbol}{BLOCK}(i64 %address) {{\n" + "\n".join(body) + "\n}\n"
 
 
 def _head(module: Any) -> str:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
+from caster.jit.decorators import bind
 from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.build import LEAF_SIZE, STACK_SIZE
 from caster.kernels.bvh.fans import (
@@ -175,23 +176,37 @@ class ShadowCaster:
         self._bounds: dict[tuple[int, int], FanBounds] = {}
         self._lock = threading.Lock()
 
-    def __call__(self, count: int, tile: np.ndarray, groups: RayGroups) -> None:
-        """The first `count` rays of a tile, whole rows of it."""
-        groups.taken[:], groups.counts[:] = 0, (0, count)
-        for number, fan in enumerate(self._fans):
-            group_rays(fan, tile, count // WIDTH, groups)
-            if groups.counts[0]:
-                for n, (kind, base) in enumerate(self._kinds):
-                    bounds = self._bounds_of(number, n)
-                    cast_fan(fan, kind.prims, bvh_of(kind), bounds, base, tile, groups)
-            if not groups.counts[1]:
-                break
-        workspace = _new_workspace()
-        if groups.counts[1]:
-            for kind, base in self._kinds:
-                cast_left_runs(kind.prims, bvh_of(kind), base, count, tile, groups.taken, workspace)
-        for cast in self._others:
-            cast(count, tile, workspace)
+    def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
+        """What casts the first so many rays of this tile, whole rows of it."""
+        workspace, counts = _new_workspace(), groups.counts
+        find = [bind(group_rays, fan, tile, 0, groups, given=(2,)) for fan in self._fans]
+        casters: dict[int, list[Callable[[], None]]] = {}
+
+        def go(count: int) -> None:
+            groups.taken[:], counts[:] = 0, (0, count)
+            for number, group in enumerate(find):
+                group(count // WIDTH)
+                if counts[0]:
+                    if number not in casters:
+                        casters[number] = [
+                            self._fan_caster(number, n, tile, groups) for n in range(len(self._kinds))
+                        ]
+                    for cast in casters[number]:
+                        cast()
+                if not counts[1]:
+                    break
+            if counts[1]:
+                for kind, base in self._kinds:
+                    cast_left_runs(kind.prims, bvh_of(kind), base, count, tile, groups.taken, workspace)
+            for cast_others in self._others:
+                cast_others(count, tile, workspace)
+
+        return go
+
+    def _fan_caster(self, number: int, n: int, tile: np.ndarray, groups: RayGroups) -> Callable[[], None]:
+        kind, base = self._kinds[n]
+        about = kind.prims, bvh_of(kind), self._bounds_of(number, n), base, tile, groups
+        return bind(cast_fan, self._fans[number], *about, given=())
 
     def _bounds_of(self, number: int, n: int) -> FanBounds:
         """Kind n as the fan of that number sees it, found when a tile first needs it."""

@@ -1,6 +1,6 @@
 """Nearest hits of any rays: `cast`, `occluded`, and AOVs of what was hit."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -94,14 +94,20 @@ class RayHits:
             self.scene, self.packed, planned, images, start=self._start(window), exact_shadows=True
         )
 
-        def work(number: int, box: Box, workspace: TileWorkspace) -> None:
-            first = box[1] * WIDTH
-            stop = min(first + PIXELS, count)
-            load_hits(self.rays, self.nearest.t, prim, first, stop, workspace.tile)
-            clear_rays(workspace.tile, stop - first, (box[3] - box[1]) * WIDTH)
-            shader(workspace, box)
+        def begin() -> Callable[[int, Box], None]:
+            workspace = TileWorkspace()
+            shade = shader.begin(workspace)
 
-        parallel_for_tiles(work, window, self.threads, TileWorkspace)
+            def work(number: int, box: Box) -> None:
+                first = box[1] * WIDTH
+                stop = min(first + PIXELS, count)
+                load_hits(self.rays, self.nearest.t, prim, first, stop, workspace.tile)
+                clear_rays(workspace.tile, stop - first, (box[3] - box[1]) * WIDTH)
+                shade(box, None)
+
+            return work
+
+        parallel_for_tiles(begin, window, self.threads)
         return {name: image.reshape(-1, *image.shape[2:])[:count] for name, image in images.items()}
 
     def _prim_in_tile(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from caster.description.errors import SceneError, suggestion
 from caster.description.fields import Camera
 from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import Rounding, as_given
+from caster.jit.decorators import bind
 from caster.kernels.nearest import Rays, generate_rays, generate_rays_at, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import WIDTH, Box, generate_camera_rays
@@ -25,16 +26,16 @@ from caster.rendering.plan import Plan, culling_for, plan
 from caster.rendering.rasterization import (
     BinnedKind,
     bin_kinds,
-    cast_tile,
     find_nearest_on_film,
+    kinds_caster,
     parallel_for_tiles,
     release_workspace,
 )
 from caster.rendering.shading import (
+    NO_BOX,
     NO_START,
     UNUSED_SURFACE,
     TileShader,
-    TileWorkspace,
     new_image,
     spare_workspaces,
     unwritten_array,
@@ -203,26 +204,35 @@ class FilmRenderer:
         """Any AOVs of any scene. kinds: None for trees."""
         seek = self._seeker(kinds)
 
-        def work(number: int, box: Box, workspace: TileWorkspace) -> None:
-            present = None if kinds is None else [it.runs[number] < it.runs[number + 1] for it in kinds]
-            if present is not None and not any(present):
-                self.shader.fill_miss(box)
-                return
-            generate_camera_rays(self.camera, self.window, box, workspace.tile)
-            seek(number, box, workspace.tile)
-            self.shader(workspace, box, present)
-            store_hits(workspace.tile, box, self.hit, self.uncertain)  # last: shadows may be uncertain, too
+        def begin() -> Callable[[int, Box], None]:
+            workspace = take()
+            tile = workspace.tile
+            generate = bind(generate_camera_rays, self.camera, self.window, NO_BOX, tile, given=(2,))
+            cast, shade, miss = seek(tile), self.shader.begin(workspace), self.shader.begin_misses()
+            store = bind(store_hits, tile, NO_BOX, self.hit, self.uncertain, given=(1,))
+
+            def work(number: int, box: Box) -> None:
+                present = None if kinds is None else [it.runs[number] < it.runs[number + 1] for it in kinds]
+                if present is not None and not any(present):
+                    miss(box)
+                    return
+                generate(box)
+                cast(number, box)
+                shade(box, present)
+                store(box)  # last: shadows may be uncertain, too
+
+            return work
 
         with spare_workspaces() as take:
-            parallel_for_tiles(work, self.window, self.threads, take, self.on_progress)
+            parallel_for_tiles(begin, self.window, self.threads, self.on_progress)
 
-    def _seeker(self, kinds: list[BinnedKind] | None) -> Callable[[int, Box, np.ndarray], None]:
-        """Finds the hits of a tile, given its number, its box and its rays."""
+    def _seeker(self, kinds: list[BinnedKind] | None) -> Callable[[np.ndarray], Callable[[int, Box], None]]:
+        """Finds the hits of tiles in a workspace, given their numbers and boxes."""
         if kinds is not None:
             cast = cast_shared_origin if self.scene.camera.shares_origin else cast_own_origins
-            return partial(cast_tile, cast, kinds)
+            return partial(kinds_caster, cast, kinds)
         cast_rows = tile_caster(self.packed)
-        return lambda number, box, tile: cast_rows((box[3] - box[1]) * WIDTH, tile)
+        return lambda tile: lambda number, box: cast_rows((box[3] - box[1]) * WIDTH, tile)
 
     def _decide_uncertain(self) -> int:
         """The pixels that float64 leaves open, exactly; how many."""

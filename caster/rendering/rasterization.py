@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.jit.decorators import implements
+from caster.jit.decorators import bind, implements
 from caster.kernels.bvh.build import BOX_PADDING
 from caster.kernels.nearest import Nearest, Rays, no_hits
 from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere, tight_sphere
@@ -95,23 +95,41 @@ def find_nearest_on_film(
     nearest, uncertain = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
     ids = scene_prim_ids(packed)
 
-    def work(number: int, box: Box, tile: np.ndarray) -> None:
-        load_rays(rays, window.width, box, tile)
-        cast_tile(cast, kinds, number, box, tile)
-        store_nearest(tile, ids, window.width, box, nearest, uncertain)
+    def begin() -> Callable[[int, Box], None]:
+        tile = new_tile()
+        cast_tile = kinds_caster(cast, kinds, tile)
 
-    parallel_for_tiles(work, window, threads, new_tile)
+        def work(number: int, box: Box) -> None:
+            load_rays(rays, window.width, box, tile)
+            cast_tile(number, box)
+            store_nearest(tile, ids, window.width, box, nearest, uncertain)
+
+        return work
+
+    parallel_for_tiles(begin, window, threads)
     return decide_uncertain(packed, rays, nearest, uncertain, threads)
 
 
-def cast_tile(
-    cast: Callable[..., None], kinds: list[BinnedKind], number: int, box: Box, tile: np.ndarray
-) -> None:
-    """Test all primitives that may be visible in a tile."""
-    for it in kinds:
-        run = int(it.runs[number]), int(it.runs[number + 1])
-        if run[0] < run[1]:
-            cast(it.kind.prims, it.order, run, it.bounds, it.prim_range[0], box, tile)
+def kinds_caster(
+    cast: Callable[..., None], kinds: list[BinnedKind], tile: np.ndarray
+) -> Callable[[int, Box], None]:
+    """What tests all primitives that may be visible in the tile of that number and box."""
+    empty, box = (0, 0), (0, 0, 0, 0)
+    casters = [
+        (
+            it.runs,
+            bind(cast, it.kind.prims, it.order, empty, it.bounds, it.prim_range[0], box, tile, given=(2, 5)),
+        )
+        for it in kinds
+    ]
+
+    def cast_tile(number: int, box: Box) -> None:
+        for runs, test in casters:
+            run = int(runs[number]), int(runs[number + 1])
+            if run[0] < run[1]:
+                test(run, box)
+
+    return cast_tile
 
 
 def tile_boxes(window: Window) -> Iterator[Box]:
@@ -121,17 +139,13 @@ def tile_boxes(window: Window) -> Iterator[Box]:
             yield x, y, min(x + WIDTH, window.width), min(y + HEIGHT, window.height)
 
 
-Workspace = TypeVar("Workspace")
-
-
 def parallel_for_tiles(
-    work: Callable[[int, Box, Workspace], None],
+    begin: Callable[[], Callable[[int, Box], None]],
     window: Window,
     threads: int | None,
-    make_workspace: Callable[[], Workspace],
     on_progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Call work(number, box, workspace) for each tile of the window; each thread has a workspace of its own.
+    """Call work(number, box) for each tile of the window; `begin` returns the `work` of each thread.
 
     on_progress: called with the number of pixels of each tile that is done.
     """
@@ -141,13 +155,12 @@ def parallel_for_tiles(
         x0, y0, x1, y1 = piece[1]
         on_progress((x1 - x0) * (y1 - y0))
 
-    def begin() -> Callable[[tuple[int, Box]], None]:
-        workspace = make_workspace()
-        return lambda piece: work(*piece, workspace)
+    def begin_pieces() -> Callable[[tuple[int, Box]], None]:
+        work = begin()
+        return lambda piece: work(*piece)
 
-    parallel_for_pieces(
-        begin, list(enumerate(tile_boxes(window))), thread_count(threads), done if on_progress else None
-    )
+    pieces = list(enumerate(tile_boxes(window)))
+    parallel_for_pieces(begin_pieces, pieces, thread_count(threads), done if on_progress else None)
 
 
 def bin_kinds(

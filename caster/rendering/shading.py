@@ -17,7 +17,7 @@ import numpy as np
 
 from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
-from caster.jit.decorators import implements
+from caster.jit.decorators import bind, implements
 from caster.kernels.bvh.fans import RayGroups
 from caster.kernels.nearest import Rays
 from caster.kernels.protocol import fast_surface, fast_uv
@@ -43,6 +43,8 @@ from caster.kernels.surface.normals import normals_in_tile
 from caster.kernels.surface.per_hit import (
     NO_IDS,
     PrimitiveIds,
+    aovs_in_tile,
+    aovs_in_tile_by_lanes,
     fill_miss,
     new_surface_buffer,
     surfaces_in_tile,
@@ -147,7 +149,8 @@ def _give_back_block(block: np.ndarray) -> None:
 
 
 Present = Sequence[bool]  # by the place of a kind in Packed.kinds: whether it may be hit in a tile
-Step = Callable[[TileWorkspace, Box, Present], None]
+TileWork = Callable[[Box, Present], None]
+Step = Callable[["TileWorkspace"], TileWork]  # what is done with tiles in a workspace
 
 
 def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
@@ -181,41 +184,56 @@ class TileShader:
         self._shadow_rays: list[int] = []  # one a tile and light: threads only append
         self.normals_alone = plan.surfaces == ("normals",) and not start.size
         self.ids = _primitive_ids(packed, plan.needs)
-        self.steps: list[Step] = [partial(_fill_misses, images)]
+        self._fields = None if start.size else _single_fields(images, plan)
         self._anywhere = [True] * len(packed.kinds)
+        self.steps: list[Step] = [lambda workspace: _box_alone(self.begin_misses())]
         if packed.kinds:
             self.steps = self._surface_steps(packed, plan)
             if plan.needs & {"albedo", "radiance"}:
-                self.steps += self._material_steps(scene, packed)
+                self.steps.append(self._material_step(scene, packed))
             if "radiance" in plan.needs:
                 self.steps += self._light_steps(scene, packed, plan, exact_shadows)
-            self.steps += [self._writer(name, packed) for name in images]
+            self.steps += [self._writer(name, packed) for name in images if name not in (self._fields or ())]
 
     @property
     def shadow_rays(self) -> int:
         """Shadow rays cast so far."""
         return sum(self._shadow_rays)
 
-    def __call__(self, workspace: TileWorkspace, box: Box, present: Present | None = None) -> None:
-        """present: None: any kind may be hit."""
-        for step in self.steps:
-            step(workspace, box, present or self._anywhere)
+    def begin(self, workspace: TileWorkspace) -> Callable[[Box, Present | None], None]:
+        """What writes the AOVs of tiles of this workspace; present: None: any kind may be hit."""
+        work, anywhere = [step(workspace) for step in self.steps], self._anywhere
 
-    def fill_miss(self, box: Box) -> None:
-        """AOVs of a tile where nothing is hit."""
-        _fill_misses(self.images, None, box, ())
+        def go(box: Box, present: Present | None) -> None:
+            for each in work:
+                each(box, present or anywhere)
+
+        return go
+
+    def begin_misses(self) -> Callable[[Box], None]:
+        """What writes the AOVs of a box where nothing is hit; one thread's."""
+        work = [
+            bind(fill_miss, kernel_of(name), NO_BOX, image, given=(1,)) for name, image in self.images.items()
+        ]
+
+        def go(box: Box) -> None:
+            for each in work:
+                each(box)
+
+        return go
 
     def _surface_steps(self, packed: Packed, plan: Plan) -> list[Step]:
         if not plan.surfaces or self.normals_alone:
             return []
-        wants_uv = "uv" in plan.surfaces
-        return [partial(_find_surfaces, kind_ranges(packed), wants_uv)]
+        if self._fields is not None:
+            return [partial(_write_fields, kind_ranges(packed), self._fields, self.images)]
+        return [partial(_find_surfaces, kind_ranges(packed), "uv" in plan.surfaces)]
 
-    def _material_steps(self, scene: Scene, packed: Packed) -> list[Step]:
-        shapes, (reflectance, two_sided) = shape_by_primitive(packed), material_tables(scene)
-        return [
-            lambda ws, box, _: materials_in_tile(ws.tile, box, shapes, reflectance, two_sided, ws.surface)
-        ]
+    def _material_step(self, scene: Scene, packed: Packed) -> Step:
+        tables = shape_by_primitive(packed), *material_tables(scene)
+        return lambda ws: _box_alone(
+            bind(materials_in_tile, ws.tile, NO_BOX, *tables, ws.surface, given=(1,))
+        )
 
     def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
         pixels = max((math.prod(image.shape[:2]) for image in self.images.values()), default=0)
@@ -236,21 +254,46 @@ class TileShader:
             -1, 3
         )
         if len(ambient):
-            steps.append(lambda ws, box, _: add_ambient(ws.tile, box, ws.surface, ambient))
+            steps.append(
+                lambda ws: _box_alone(bind(add_ambient, ws.tile, NO_BOX, ws.surface, ambient, given=(1,)))
+            )
         return steps
 
     def _writer(self, name: str, packed: Packed) -> Step:
         kernel, image, ids, start = kernel_of(name), self.images[name], self.ids, self.start
         if self.normals_alone and "normal" in BY_NAME[name].NEEDS:
             return partial(_write_normals, kernel, kind_ranges(packed), self.reach, image)
-        if set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"}:
-            return lambda ws, box, _: write_aov(kernel, ws.tile, box, UNUSED_SURFACE, ids, start, image)
-        return lambda ws, box, _: write_aov(kernel, ws.tile, box, ws.surface, ids, start, image)
+        unused = set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"}
+
+        def begin(ws: TileWorkspace) -> TileWork:
+            surface = UNUSED_SURFACE if unused else ws.surface
+            return _box_alone(
+                bind(write_aov, kernel, ws.tile, NO_BOX, surface, ids, start, image, given=(2,))
+            )
+
+        return begin
 
 
-def _fill_misses(images: Mapping[str, np.ndarray], workspace: Any, box: Box, present: Present) -> None:
-    for name, image in images.items():
-        fill_miss(kernel_of(name), box, image)
+NO_BOX = (0, 0, 0, 0)
+
+
+def _box_alone(work: Callable[[Box], Any]) -> TileWork:
+    return lambda box, present: work(box)
+
+
+# AOVs that need one of these alone of a hit are written as soon as it is known.
+SINGLE_FIELDS = ("position", "normal", "shading_normal")
+
+
+def _single_fields(images: Mapping[str, np.ndarray], plan: Plan) -> list[str] | None:
+    """For each of SINGLE_FIELDS the AOV that needs it alone, "" for none; None where others need surfaces as well."""
+    if plan.shading.runs or not plan.surfaces or plan.surfaces == ("normals",):
+        return None
+    wanting = {
+        name: BY_NAME[name].NEEDS for name in images if {*SINGLE_FIELDS, "uv"} & {*BY_NAME[name].NEEDS}
+    }
+    found = {needs[0]: name for name, needs in wanting.items() if len(needs) == 1 and needs[0] != "uv"}
+    return [found.get(field, "") for field in SINGLE_FIELDS] if len(found) == len(wanting) else None
 
 
 KindRange = tuple[Any, tuple[int, int]]
@@ -270,44 +313,91 @@ def _add_light(
     shapes: np.ndarray,
     extents: np.ndarray,
     workspace: TileWorkspace,
-    box: Box,
-    present: Present,
-) -> None:
+) -> TileWork:
     """Radiance of what a light reaches; `counts` gets the number of shadow rays."""
     tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
-    count = shadow_rays_in_tile(light, tile, box, shapes, extents, surface, shadow_tile)
-    if count and cast:
-        counts.append(count)
-        cast((box[3] - box[1]) * WIDTH, shadow_tile, workspace.ray_groups)
-        if exact:
-            decide_shadows(exact, shadow_tile, (box[3] - box[1]) * WIDTH)
-    if count:
-        add_light(tile, box, surface, shadow_tile)
+    find = bind(shadow_rays_in_tile, light, tile, NO_BOX, shapes, extents, surface, shadow_tile, given=(2,))
+    add = bind(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,))
+    cast_tile = cast.begin(shadow_tile, workspace.ray_groups) if cast else None
+
+    def work(box: Box, present: Present) -> None:
+        count = find(box)
+        if count and cast_tile:
+            counts.append(count)
+            cast_tile((box[3] - box[1]) * WIDTH)
+            if exact:
+                decide_shadows(exact, shadow_tile, (box[3] - box[1]) * WIDTH)
+        if count:
+            add(box)
+
+    return work
 
 
-def _find_surfaces(
-    kinds: list[KindRange], wants_uv: bool, workspace: TileWorkspace, box: Box, present: Present
-) -> None:
-    for prims, numbers in compress(kinds, present):
+def _find_surfaces(kinds: list[KindRange], wants_uv: bool, workspace: TileWorkspace) -> TileWork:
+    def of_kind(prims: Any, numbers: tuple[int, int]) -> Callable[[Box], None]:
         tile, surface = workspace.tile, workspace.surface
         if implements(fast_surface, type(prims)) and (implements(fast_uv, type(prims)) or not wants_uv):
-            surfaces_in_tile_by_lanes(prims, numbers, tile, box, surface, workspace.lanes, wants_uv)
-        else:
-            surfaces_in_tile(prims, numbers, tile, box, surface, wants_uv)
+            about = prims, numbers, tile, NO_BOX, surface, workspace.lanes, wants_uv
+            return bind(surfaces_in_tile_by_lanes, *about, given=(3,))
+        return bind(surfaces_in_tile, prims, numbers, tile, NO_BOX, surface, wants_uv, given=(3,))
+
+    return _of_kinds([of_kind(*each) for each in kinds])
+
+
+def _of_kinds(work: Sequence[Callable[[Box], None]]) -> TileWork:
+    """Each for one kind, where that may be hit."""
+
+    def go(box: Box, present: Present) -> None:
+        for each in compress(work, present):
+            each(box)
+
+    return go
+
+
+def _write_fields(
+    kinds: list[KindRange], names: list[str], images: Mapping[str, np.ndarray], workspace: TileWorkspace
+) -> TileWork:
+    """AOVs of one field each (`_single_fields`), kind by kind."""
+    absent = np.empty((0, 0, 3), next(images[name].dtype for name in names if name))
+    out = tuple(
+        (kernel_of(name), images[name]) if name else (kernel_of(field), absent)
+        for field, name in zip(SINGLE_FIELDS, names, strict=True)
+    )
+
+    def of_kind(prims: Any, numbers: tuple[int, int], misses: bool) -> Callable[[Box], None]:
+        if implements(fast_surface, type(prims)):
+            about = prims, numbers, workspace.tile, NO_BOX, workspace.lanes, misses, out
+            return bind(aovs_in_tile_by_lanes, *about, given=(3,))
+        return bind(aovs_in_tile, prims, numbers, workspace.tile, NO_BOX, misses, out, given=(3,))
+
+    return _first_with_misses(kinds, of_kind)
+
+
+def _first_with_misses(
+    kinds: list[KindRange], of_kind: Callable[[Any, tuple[int, int], bool], Callable[[Box], None]]
+) -> TileWork:
+    """of_kind(prims, numbers, misses): what writes the hits on a kind; the first in a tile writes the misses, too."""
+    first, others = ([of_kind(*each, misses) for each in kinds] for misses in (True, False))
+
+    def go(box: Box, present: Present) -> None:
+        there = list(compress(range(len(first)), present))
+        first[there[0]](box)
+        for k in there[1:]:
+            others[k](box)
+
+    return go
 
 
 def _write_normals(
-    kernel: Any,
-    kinds: list[KindRange],
-    reach: float,
-    image: np.ndarray,
-    workspace: TileWorkspace,
-    box: Box,
-    present: Present,
-) -> None:
-    """An AOV of normals alone, kind by kind; the first writes the misses."""
-    for n, (prims, numbers) in enumerate(compress(kinds, present)):
-        normals_in_tile(kernel, prims, numbers, reach, workspace.tile, box, n == 0, image)
+    kernel: Any, kinds: list[KindRange], reach: float, image: np.ndarray, workspace: TileWorkspace
+) -> TileWork:
+    """An AOV of normals alone, kind by kind."""
+
+    def of_kind(prims: Any, numbers: tuple[int, int], misses: bool) -> Callable[[Box], None]:
+        about = kernel, prims, numbers, reach, workspace.tile, NO_BOX, misses, image
+        return bind(normals_in_tile, *about, given=(5,))
+
+    return _first_with_misses(kinds, of_kind)
 
 
 def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:

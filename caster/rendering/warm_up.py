@@ -91,7 +91,7 @@ def _warm_shadows(packed: Packed, scene: Scene) -> None:
         if light.type != "ambient":
             tile = new_tile()
             load_ray_range(rays, 0, WIDTH, tile, 0)
-            ShadowCaster(packed, light.pack(), MAX_PRIMITIVES)(WIDTH, tile, new_ray_groups())
+            ShadowCaster(packed, light.pack(), MAX_PRIMITIVES).begin(tile, new_ray_groups())(WIDTH)
 
 
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes

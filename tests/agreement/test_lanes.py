@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from caster.aovs import kernel_of
 from caster.jit import simd
 from caster.jit.decorators import jit
 from caster.jit.kernel_cache import COMPILED
@@ -12,6 +13,8 @@ from caster.kernels.raster import tile as tiles
 from caster.kernels.raster.tile import new_lanes
 from caster.kernels.surface.per_hit import (
     STRIDE,
+    aovs_in_tile,
+    aovs_in_tile_by_lanes,
     new_surface_buffer,
     surfaces_in_tile,
     surfaces_in_tile_by_lanes,
@@ -123,10 +126,10 @@ def hard_triangles(rng, count):
     return Triangles(vertices, faces, normals, rng.random((3 * count, 2)), smooth, textured)
 
 
-def hit_tile(rng, prims, count):
+def hit_tile(rng, prims, count, longest_run=40):
     """Rays of a tile with what they meet, in runs: towards a point of that triangle, some along its plane."""
     tile, pixels = tiles.new_tile(), tiles.PIXELS
-    hit = np.repeat(rng.integers(-1, count, pixels), rng.integers(1, 40, pixels))[:pixels]
+    hit = np.repeat(rng.integers(-1, count, pixels), rng.integers(1, longest_run, pixels))[:pixels]
     corners = prims.vertices.reshape(-1, 3, 3)[np.maximum(hit, 0)]
     size = np.abs(corners).max(axis=(1, 2))[:, None] + 1e-300
     p = (corners * rng.dirichlet((1, 1, 1), pixels)[:, :, None]).sum(axis=1)
@@ -147,7 +150,7 @@ def hit_tile(rng, prims, count):
 def test_surfaces_of_several_pixels_are_those_of_one_at_a_time(seed, wants_uv):
     rng = np.random.default_rng(seed)
     prims, box = hard_triangles(rng, 300), (0, 0, 101, 64)
-    tile = hit_tile(rng, prims, 300)
+    tile = hit_tile(rng, prims, 300, longest_run=4 if seed % 2 else 40)  # each way of gathering
     for numbers in ((0, 300), (20, 320)):  # the second: others are of another kind
         one, several = new_surface_buffer(), new_surface_buffer()
         surfaces_in_tile(prims, numbers, tile, box, one, wants_uv)
@@ -157,6 +160,40 @@ def test_surfaces_of_several_pixels_are_those_of_one_at_a_time(seed, wants_uv):
             rows = slice(field * STRIDE, field * STRIDE + tiles.PIXELS)
             np.testing.assert_array_equal(one[rows][inside], several[rows][inside], str(field))
             assert np.array_equal(np.signbit(one[rows][inside]), np.signbit(several[rows][inside]))
+
+
+@pytest.mark.parametrize("fields", [(0, 1, 2), (2,), (0, 1)])
+@pytest.mark.parametrize("longest_run", [4, 40, 300])
+def test_aovs_of_single_fields_are_those_of_the_surfaces(fields, longest_run):
+    """By lanes and pixel by pixel, in an image that reaches beyond the tile; other kinds stay as they were."""
+    rng = np.random.default_rng([7, longest_run])
+    prims, box = hard_triangles(rng, 300), (9, 3, 110, 60)
+    tile = hit_tile(rng, prims, 300, longest_run)
+    names = [name if n in fields else "" for n, name in enumerate(("position", "normal", "shading_normal"))]
+    for numbers, misses in (((0, 300), True), ((20, 320), True), ((20, 320), False)):
+        buffer, found = new_surface_buffer(), []
+        surfaces_in_tile(prims, numbers, tile, box, buffer, False)
+        for by_lanes in (False, True):
+            images = [np.full((64, 128, 3) if name else (0, 0, 3), 7.0) for name in names]
+            out = tuple(
+                (kernel_of(name or "normal"), image) for name, image in zip(names, images, strict=True)
+            )
+            if by_lanes:
+                aovs_in_tile_by_lanes(prims, numbers, tile, box, new_lanes(), misses, out)
+            else:
+                aovs_in_tile(prims, numbers, tile, box, misses, out)
+            found.append(images)
+        prim = tile[int(tiles.PRIM) : int(tiles.PRIM) + tiles.PIXELS].reshape(tiles.HEIGHT, tiles.WIDTH)
+        mine = ((prim >= numbers[0]) & (prim < numbers[1]))[: box[3] - box[1], : box[2] - box[0]]
+        for n in fields:
+            expected = np.full((64, 128, 3), 7.0)
+            inside = expected[box[1] : box[3], box[0] : box[2]]
+            inside[~mine] = 0.0 if misses else 7.0
+            for c in range(3):
+                rows = buffer[(3 * n + c) * STRIDE :][: tiles.PIXELS].reshape(tiles.HEIGHT, tiles.WIDTH)
+                inside[mine, c] = rows[: mine.shape[0], : mine.shape[1]][mine]
+            for images in found:
+                np.testing.assert_array_equal(images[n], expected)
 
 
 def hard_spheres(rng, count):

@@ -70,7 +70,7 @@ def tile_of(rays):
 def shadowed(caster, arrays, rays):
     """(n,) bool, by fans; uncertain ones exactly."""
     tile = tile_of(rays)
-    caster(COUNT, tile, new_ray_groups())
+    caster.begin(tile, new_ray_groups())(COUNT)
     decide_shadows(arrays, tile, COUNT)
     field = int(lane(T))
     return tile[field : field + COUNT] < np.inf
@@ -129,7 +129,7 @@ def test_rays_of_any_direction_are_taken_by_some_fan(place):
     arrays, light = cubes(rng), PointLight(place, WHITE)
     caster, rays = ShadowCaster(arrays, light, COUNT), shadow_rays(light, arrays, rng, 1.0)
     groups = new_ray_groups()
-    caster(COUNT, tile_of(rays), groups)
+    caster.begin(tile_of(rays), groups)(COUNT)
     assert groups.taken[: COUNT // LANES].mean() > 0.8
 
 

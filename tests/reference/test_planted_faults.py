@@ -37,7 +37,7 @@ ONE_NAN = """
 
 def one_nan(aov: str) -> Fault:
     """A single pixel that is not a number."""
-    old = "        parallel_for_tiles(work, window, self.threads, TileWorkspace)\n"
+    old = "        parallel_for_tiles(begin, window, self.threads)\n"
     return Fault(f"one NaN in {aov}", "one-sphere", aov, HITS, old, old + ONE_NAN.format(aov=aov)[1:])
 
 
@@ -656,8 +656,8 @@ FAULTS = (
         "coarse-silhouettes",
         "diffuse",
         LIGHT,
-        "get(buffer, SH_N + i), d,",
-        "get(buffer, N + i), d,",
+        "get(buffer, SH_N + i), NOWHERE",
+        "get(buffer, N + i), NOWHERE",
     ),
     Fault(
         "only some kinds of shape cast shadows",

@@ -119,7 +119,11 @@ def test_a_kind_that_no_tile_has_is_not_looked_for(monkeypatch):
             Sphere(),
         ],
     )
-    for aovs, name in ((("normal",), "normals_in_tile"), (("shading_normal",), "surfaces_in_tile_by_lanes")):
+    for aovs, name in (
+        (("normal",), "normals_in_tile"),
+        (("shading_normal",), "aovs_in_tile_by_lanes"),
+        (("shading_normal", "uv"), "surfaces_in_tile_by_lanes"),
+    ):
         kinds, original = [], getattr(shading, name)
 
         def counted(*args, kinds=kinds, original=original):

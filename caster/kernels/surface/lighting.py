@@ -6,7 +6,18 @@ from typing import Any, NamedTuple
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
 from caster.kernels.math.vec import dot, max_norm, point_at, row, scaled, sub
 from caster.kernels.protocol import Vec3
-from caster.kernels.raster.tile import PRIM, T_MAX, UNCERTAIN, WIDTH, Box, T, clear_rays, lane, start_ray
+from caster.kernels.raster.tile import (
+    PRIM,
+    T_MAX,
+    T_MIN,
+    UNCERTAIN,
+    WIDTH,
+    Box,
+    T,
+    clear_rays,
+    lane,
+    start_ray,
+)
 from caster.kernels.surface.per_hit import ALBEDO, FLUX, ONE, RADIANCE, SH_N, SIDES, N, P, get, put, ray_of
 
 # A computed hit lies within 16 u (|o| + t + |p|) of the surface (caster/kernels/math/quadric_roots.py, triangles.py)
@@ -120,12 +131,15 @@ def materials_in_tile(
     """ALBEDO and SIDES of the hits, from tables by shape; shapes[prim] is a primitive's. RADIANCE: 0."""
     for y in range(box[3] - box[1]):
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-            prim = int(tile[PRIM + i])
-            if prim >= 0:
-                shape = shapes[prim]
-                put(buffer, ALBEDO + i, (reflectance[shape, 0], reflectance[shape, 1], reflectance[shape, 2]))
-                buffer[SIDES + i] = two_sided[shape]
-                put(buffer, RADIANCE + i, (0.0, 0.0, 0.0))
+            prim = tile[PRIM + i]
+            shape = lane(shapes[lane(prim if prim >= 0.0 else 0.0)])
+            put(buffer, ALBEDO + i, (reflectance[shape, 0], reflectance[shape, 1], reflectance[shape, 2]))
+            buffer[SIDES + i] = 1.0 if two_sided[shape] else 0.0
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
+            put(buffer, RADIANCE + i, (0.0, 0.0, 0.0))
+
+
+NOWHERE = (0.0, 0.0, 0.0)
 
 
 @jit
@@ -138,25 +152,39 @@ def shadow_rays_in_tile(
     """
     width, count = box[2] - box[0], 0
     for y in range(box[3] - box[1]):
-        for i in range(lane(y * WIDTH), lane(y * WIDTH + width)):
-            faces = False
-            if tile[PRIM + i] >= 0.0:
-                o, d = ray_of(tile, i)
-                p = get(buffer, P + i)
-                faces, flux = received_irradiance(
-                    light, p, get(buffer, SH_N + i), d, buffer[SIDES + i] != 0.0
-                )
-                if faces:
-                    put(buffer, FLUX + i, flux)
-                    extent = extents[shapes[int(tile[PRIM + i])]]
-                    start_ray(
-                        shadow_tile, i, shadow_ray(light, p, get(buffer, N + i), o, d, tile[T + i], extent)
-                    )
-                    count += 1
-            if not faces:
-                start_ray(shadow_tile, i, ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0))
+        row_start, row_stop = lane(y * WIDTH), lane(y * WIDTH + width)
+        for i in range(row_start, row_stop):
+            prim = tile[PRIM + i]
+            shadow_tile[T_MIN + i] = extents[shapes[lane(prim if prim >= 0.0 else 0.0)]]
+        # without a branch, so that several pixels are done at once; of misses, numbers that nobody reads
+        for i in range(row_start, row_stop):
+            (o, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
+            p, n, sh_n = (
+                select(hit, get(buffer, P + i), NOWHERE),
+                select(hit, get(buffer, N + i), NOWHERE),
+                select(hit, get(buffer, SH_N + i), NOWHERE),
+            )
+            t, extent = tile[T + i] if hit else 0.0, shadow_tile[T_MIN + i]
+            lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
+            put(buffer, FLUX + i, flux)
+            start, way, near, reach = shadow_ray(light, p, n, o, d, t, extent)
+            there = lit & hit
+            aim = (
+                select(there, start, NOWHERE),
+                select(there, way, (0.0, 0.0, 1.0)),
+                near if there else 0.0,
+                reach if there else -1.0,
+            )
+            start_ray(shadow_tile, i, aim)
+            count += 1 if there else 0
         clear_rays(shadow_tile, y * WIDTH + width, (y + 1) * WIDTH)
     return count
+
+
+@inlined
+def select(first: bool, a: Vec3, b: Vec3) -> Vec3:
+    """a or b, number by number."""
+    return a[0] if first else b[0], a[1] if first else b[1], a[2] if first else b[2]
 
 
 @jit

@@ -22,6 +22,7 @@ from caster.kernels.raster.tile import (
 )
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.surface.per_hit import (
+    UNKNOWN,
     Hit,
     fill_miss,
     per_hit,
@@ -36,8 +37,6 @@ from caster.kernels.surface.per_hit import (
 NX, NY, NZ = T_ERROR, T_MIN, T_MAX
 
 CONSTANT_NORMAL_LENGTH = 2  # members of the `normal_setup` of a primitive whose normal is the same all over
-
-UNKNOWN = (0.0, 0.0, 0.0)  # fields that the AOV does not need
 
 
 @jit

@@ -52,6 +52,8 @@ class Hit(NamedTuple):
     prim_id: int  # within the shape
 
 
+UNKNOWN = (0.0, 0.0, 0.0)  # fields that the AOV does not need
+
 RAY_FIELDS = ("o", "d", "t", "start")
 NEEDED_FIELDS = tuple(name for name in Hit._fields if name not in RAY_FIELDS)
 """What an AOV may list in NEEDS: it is computed for a render only if some AOV lists it."""
@@ -119,29 +121,52 @@ def surfaces_in_tile_by_lanes(
     for y in range(box[3] - box[1]):
         for at in range(0, box[2] - box[0], SURFACE_LANES):
             first = lane(y * WIDTH + at)
-            if gather_primitives(prims, numbers, tile, first, scratch, wants_uv) == 0:
+            shown = gather_primitives(prims, numbers, tile, first, scratch, wants_uv)
+            if shown == 0:
                 continue
             unsafe = compute_lanes(prims, numbers, tile, first, scratch)
             if wants_uv:
                 compute_uv(prims, scratch)
             if unsafe > 0:
                 recompute_unsafe(prims, numbers, tile, first, scratch, wants_uv)
-            keep_lanes(numbers, tile, first, scratch, buffer, LANE_UNSAFE if wants_uv else LANE_UV)
+            stop = LANE_UNSAFE if wants_uv else LANE_UV
+            if shown == SURFACE_LANES:
+                keep_all_lanes(first, scratch, buffer, stop)
+            else:
+                keep_lanes(numbers, tile, first, scratch, buffer, stop)
+
+
+# With more runs among the lanes, to gather each lane by itself takes less time than to guess where runs end.
+MAX_GATHERED_RUNS = 6
 
 
 @inlined
 def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any, wants_uv: bool) -> int:
     """What `fast_surface` reads, for the lanes that show the kind; how many do."""
-    x, count = lane(0), 0
-    while x < lane(SURFACE_LANES):
-        prim, end = tile[PRIM + first + x], x + lane(1)
+    least, most = float(numbers[0]), float(numbers[1])
+    shown, runs = 0, 1
+    for x in range(lane(SURFACE_LANES)):
+        prim = tile[PRIM + first + x]
+        shown += 1 if (least <= prim) & (prim < most) else 0
+    for x in range(lane(1), lane(SURFACE_LANES)):
+        runs += 1 if tile[PRIM + first + x] != tile[PRIM + first + x - lane(1)] else 0
+    if shown == 0:
+        return 0
+    if runs > MAX_GATHERED_RUNS:
+        for x in range(lane(SURFACE_LANES)):  # without a branch: other lanes get any primitive
+            prim = tile[PRIM + first + x]
+            k = int(prim if (least <= prim) & (prim < most) else least) - numbers[0]
+            surface_setup(prims, k, x, x + lane(1), scratch, wants_uv)
+        return shown
+    start: Any = lane(0)
+    while start < lane(SURFACE_LANES):
+        prim, end = tile[PRIM + first + start], start + lane(1)
         while end < lane(SURFACE_LANES) and tile[PRIM + first + end] == prim:
             end += lane(1)
-        if numbers[0] <= prim < numbers[1]:
-            surface_setup(prims, int(prim) - numbers[0], x, end, scratch, wants_uv)
-            count += int(end - x)
-        x = end
-    return count
+        if least <= prim < most:
+            surface_setup(prims, int(prim) - numbers[0], start, end, scratch, wants_uv)
+        start = end
+    return shown
 
 
 @inlined
@@ -199,6 +224,15 @@ def keep_lanes(numbers: Any, tile: Any, first: Any, scratch: Any, buffer: Any, s
 
 
 @inlined
+def keep_all_lanes(first: Any, scratch: Any, buffer: Any, stop: Any) -> None:
+    """The same where all lanes show the kind."""
+    for field in range(stop // NEXT):
+        into, out = lane(STRIDE) * field + first, NEXT * field
+        for x in range(lane(SURFACE_LANES)):
+            buffer[into + x] = scratch[out + x]
+
+
+@inlined
 def load_hit(tile: Any, buffer: Any, ids: Any, start: float, i: Any) -> Hit:
     """The hit of pixel i. What its AOV does not read costs nothing once compiled."""
     o, d = ray_of(tile, i)
@@ -246,6 +280,8 @@ def store_value(image: Any, y: Any, x: Any, value: Any) -> None:
 @inlined
 def store_misses(image: Any, y: Any, start: Any, stop: Any, miss: Any) -> None:
     """Pixels start..stop of a row: numbers one after the other, whatever the channels, so that several are written."""
+    if image.size == 0:
+        return
     if image.ndim == 2:
         for x in range(lane(start), lane(stop)):
             image[y, x] = miss
@@ -285,6 +321,92 @@ def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, start: Any, 
         else:
             for x in range(lane(x1 - x0)):
                 store_pixel(aov, tile, buffer, ids, 0.0, first + x, image, y, lane(x0) + x)
+
+
+@jit
+def aovs_in_tile_by_lanes(
+    prims: Any, numbers: Any, tile: Any, box: Box, scratch: Any, misses: bool, out: Any
+) -> None:
+    """AOVs that need one field of the surface each, of hits on one kind with a body for `fast_surface`.
+
+    out: for position, normal and shading normal an AOV and its image; without size: not written. misses: whether to
+    write the pixels of all else as misses; other kinds have to follow.
+    """
+    (position, p_image), (normal, n_image), (shading_normal, sh_n_image) = out
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        for at in range(0, x1 - x0, SURFACE_LANES):
+            first, count = lane((y - y0) * WIDTH + at), min(SURFACE_LANES, x1 - x0 - at)
+            if gather_primitives(prims, numbers, tile, first, scratch, False) > 0:
+                if compute_lanes(prims, numbers, tile, first, scratch) > 0:
+                    recompute_unsafe(prims, numbers, tile, first, scratch, False)
+                run = y, x0 + at, count, misses
+                store_lanes(position, numbers, tile, first, scratch, p_image, run)
+                store_lanes(normal, numbers, tile, first, scratch, n_image, run)
+                store_lanes(shading_normal, numbers, tile, first, scratch, sh_n_image, run)
+            elif misses:
+                store_misses(p_image, y, x0 + at, x0 + at + count, position.miss)
+                store_misses(n_image, y, x0 + at, x0 + at + count, normal.miss)
+                store_misses(sh_n_image, y, x0 + at, x0 + at + count, shading_normal.miss)
+
+
+@jit
+def aovs_in_tile(prims: Any, numbers: Any, tile: Any, box: Box, misses: bool, out: Any) -> None:
+    """The same of any kind, pixel by pixel."""
+    (position, p_image), (normal, n_image), (shading_normal, sh_n_image) = out
+    x0, y0, x1, y1 = box
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            i = lane((y - y0) * WIDTH + x - x0)
+            prim = int(tile[PRIM + i])
+            if numbers[0] <= prim < numbers[1]:
+                o, d = ray_of(tile, i)
+                p, n, sh_n, _, _ = surface(prims, prim - numbers[0], o, d, tile[T + i], False)
+                hit = Hit(o, d, tile[T + i], 0.0, p, n, sh_n, (0.0, 0.0), UNKNOWN, UNKNOWN, -1, -1)
+                if p_image.size > 0:
+                    store_value(p_image, y, x, per_hit(position, hit))
+                if n_image.size > 0:
+                    store_value(n_image, y, x, per_hit(normal, hit))
+                if sh_n_image.size > 0:
+                    store_value(sh_n_image, y, x, per_hit(shading_normal, hit))
+            elif misses:
+                store_misses(p_image, y, x, x + 1, position.miss)
+                store_misses(n_image, y, x, x + 1, normal.miss)
+                store_misses(sh_n_image, y, x, x + 1, shading_normal.miss)
+
+
+@inlined
+def store_lanes(aov: Any, numbers: Any, tile: Any, first: Any, scratch: Any, image: Any, run: Any) -> None:
+    """An AOV of lanes that show the kind. run: row and column of the first, how many, whether to write misses."""
+    y, x0, count, misses = run
+    if image.size == 0:
+        return
+    least, most = float(numbers[0]), float(numbers[1])
+    if misses:
+        for x in range(lane(count)):
+            prim = tile[PRIM + first + x]
+            value = per_hit(aov, hit_of_lane(tile, first, scratch, x))
+            if image.ndim == 2:
+                image[y, lane(x0) + x] = value if (least <= prim) & (prim < most) else aov.miss
+            else:
+                store_value(image, y, lane(x0) + x, value if (least <= prim) & (prim < most) else aov.misses)
+    else:
+        for x in range(lane(count)):
+            prim = tile[PRIM + first + x]
+            if (least <= prim) & (prim < most):
+                store_value(image, y, lane(x0) + x, per_hit(aov, hit_of_lane(tile, first, scratch, x)))
+
+
+@inlined
+def hit_of_lane(tile: Any, first: Any, scratch: Any, x: Any) -> Hit:
+    """The hit of a lane, with its ray, position and normals alone."""
+    o, d = ray_of(tile, first + x)
+    p, n, sh_n = (
+        get_lane(scratch, LANE_P + x),
+        get_lane(scratch, LANE_N + x),
+        get_lane(scratch, LANE_SH_N + x),
+    )
+    return Hit(o, d, tile[T + first + x], 0.0, p, n, sh_n, (0.0, 0.0), UNKNOWN, UNKNOWN, -1, -1)
 
 
 @jit
