@@ -23,6 +23,9 @@ def hits_of(shape, o, d):
     """(t, normal) of some of a shape's primitives at a time."""
     if shape.type == "sphere" and not shape.to_world:
         yield sphere(np.array(shape.center, np.float32), np.float32(shape.radius), o, d)
+    elif shape.type == "spheres":
+        for center, radius in zip(*shape.spheres(), strict=True):
+            yield sphere(center.astype(np.float32), np.float32(radius), o, d)
     elif shape.type == "plane":
         yield plane(np.array(shape.point, np.float32), np.array(shape.normal, np.float32), o, d)
     elif shape.type == "mesh":

@@ -8,6 +8,7 @@ and registered in mitsuba_ref/shapes/__init__.py.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -116,6 +117,10 @@ class PrimitiveReference:
 
     # (arrays, k) -> the same surface, where the packed bits do not matter; None: as `describe`
     describe_surface: Callable[[Any, int], Fields] | None = None
+
+    # (arrays, PLY file to write) -> the fields of one shape for all primitives, in order; None: each is described as a
+    # shape of its own
+    describe_all: Callable[[Any, Path], Fields] | None = None
 
     # (arrays, k) -> the numbers that are cast and judged
     numbers: Callable[[Any, int], list[np.ndarray]] = all_numbers

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from caster.shapes.sphere import Ellipsoids, Sphere, SphereCloud, Spheres
+from caster.system.atomic_files import write_bytes
 from mitsuba_ref.error_model.defect_conditions import (
     FAR_IN_SIZES,
     STARTS_ON_CURVED,
@@ -164,6 +166,15 @@ def describe_sphere(part: Spheres, k: int) -> Fields:
     return {"type": "sphere", "center": part.center[k].tolist(), "radius": float(part.radius[k])}
 
 
+def describe_spheres(part: Spheres, file: Path) -> Fields:
+    """A cloud by centres and radii, in float64, in a binary PLY file."""
+    points = np.column_stack([part.center, part.radius]).astype("<f8")
+    properties = "".join(f"property double {name}\n" for name in ("x", "y", "z", "radius"))
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
+    write_bytes(file, head.encode() + points.tobytes())
+    return {"type": "spheres", "file": str(file)}
+
+
 def describe_ellipsoid(part: Ellipsoids, k: int) -> Fields:
     return {"type": "sphere", "to_world": unit_shape_matrix(part, k)}
 
@@ -306,6 +317,7 @@ SPHERES = PrimitiveReference(
     ),
     describe_sphere,
     on_spheres,
+    describe_all=describe_spheres,
     numbers=numbers_of_sphere,
     rounding_groups=(by_approach,),
     rounding_groups_llvm=(by_center,),

@@ -23,7 +23,15 @@ from mitsuba_ref.subjects.command import (
     split_command,
 )
 from mitsuba_ref.subjects.function import import_function, is_function
-from mitsuba_ref.subjects.subject import DEFAULT_SECONDS, PRECISIONS, Answer, CastRequest, NoAnswer, Subject
+from mitsuba_ref.subjects.subject import (
+    DEFAULT_SECONDS,
+    PRECISIONS,
+    Answer,
+    CastRequest,
+    NoAnswer,
+    Subject,
+    ids_as_described,
+)
 
 FAR_PLANE_NOTE = "in the XML, planes end at the sensor's far plane, and nothing is judged beyond it"
 
@@ -65,6 +73,7 @@ def request_answer(
         except NoAnswer as error:
             raise type(error)(f"the candidate gave no answer to judge: {error}") from error
         again = None if alone is None else _answer_to_one_ray(subject, request, alone)
+    answer = ids_as_described(answer, packed)
     return SubjectResponse(scene, model, rays, answer, subject_view(answer, scene, model), ends, again)
 
 

@@ -202,26 +202,55 @@ def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
     """Film, camera, lights and materials as they were; shapes packed to float32, described anew.
 
     Everything made of triangles is a `mesh` without a to_world, its PLY file in `folder`/meshes; a sphere is a `sphere`
-    by centre and radius; ellipsoids, cylinders and disks are their unit shape under one matrix; planes have a normal
-    and a point. packed: by as_float32.
+    by centre and radius, and many of one shape are `spheres` with a file; ellipsoids, cylinders and disks are their
+    unit shape under one matrix; planes have a normal and a point. Where a shape has several primitives and no such
+    description, it is its first primitive, and the others follow after all shapes. packed: by as_float32.
     """
     check_folder(folder / "meshes")
-    shapes = [_described(scene, packed, i, folder) for i in range(len(scene.shapes))]
+    described = [_described(scene, packed, i, folder) for i in range(len(scene.shapes))]
+    shapes = [shape for shape, *_ in described] + [each for _, *others in described for each in others]
     fields = {name: getattr(scene, name) for name in ("film", "camera", "lights", "materials", "shading")}
     return Scene(**fields, shapes=shapes)
 
 
-def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> dict[str, Any]:
-    part, shape = packed.parts[i], scene.shapes[i]
+def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> list[dict[str, Any]]:
+    """The shape, and its other primitives where each has a description of its own."""
+    part, name = packed.parts[i], scene.shape_names()[i]
+    named = {"name": name, "material": scene.shapes[i].material}
+    path = folder / "meshes" / f"{i:04d}-{safe_name(name)}.ply"
     if isinstance(part, Triangles):
-        path = folder / "meshes" / f"{i:04d}-{safe_name(scene.shape_names()[i])}.ply"
         write_bytes(path, ply_bytes(part))
-        found: dict[str, Any] = {"type": "mesh", "file": str(path)}
-        if not part.smooth.any():
-            found["face_normals"] = True
-    else:
-        found = describe_surface(part, 0)
-    return {**found, "name": scene.shape_names()[i], "material": shape.material}
+        mesh: dict[str, Any] = {"type": "mesh", "file": str(path)}
+        return [mesh | named if part.smooth.any() else mesh | {"face_normals": True} | named]
+    count, describe_all = int(packed.first[i + 1] - packed.first[i]), kind_of(part).describe_all
+    if count != 1 and describe_all:
+        return [describe_all(part, path) | named]
+    return [describe_surface(part, k) | named | ({"name": f"{name}-{k}"} if k else {}) for k in range(count)]
+
+
+def ids_as_described(answer: "Answer", packed: Packed) -> "Answer":
+    """The answer with ids of the shapes that were described, where `scene_as_traced` has more of them."""
+    if answer.shape_id is None and answer.prim_id is None:
+        return answer
+    counts = np.diff(packed.first)
+    apart = [
+        i
+        for i, part in enumerate(packed.parts)
+        if counts[i] > 1 and not isinstance(part, Triangles) and kind_of(part).describe_all is None
+    ]
+    if not apart:
+        return answer
+    if answer.shape_id is None:
+        note = "prim_id is not judged without shape_id: primitives of some shape are described one by one"
+        return replace(answer, prim_id=None, notes=(*answer.notes, note))
+    owner = np.concatenate([np.arange(len(counts)), *(np.full(counts[i] - 1, i) for i in apart)])
+    number = np.concatenate([np.zeros(len(counts), int), *(np.arange(1, counts[i]) for i in apart)])
+    there = (answer.shape_id >= len(counts)) & (answer.shape_id < len(owner))
+    row = np.where(there, answer.shape_id, 0)
+    prim = answer.prim_id
+    if prim is not None:
+        prim = np.where(there & (prim == 0), number[row], prim)
+    return replace(answer, shape_id=np.where(there, owner[row], answer.shape_id), prim_id=prim)
 
 
 # ---- the protocol ----

@@ -68,7 +68,7 @@ def supported(scene: Scene) -> bool:
     """By docs/candidates/plain.py."""
     shapes = scene.shapes
     flat = not any(shape.type in ("disk", "cylinder") for shape in shapes)
-    return flat and not any(shape.type == "sphere" and shape.to_world for shape in shapes)
+    return flat and not any(shape.type in ("sphere", "spheres") and shape.to_world for shape in shapes)
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)

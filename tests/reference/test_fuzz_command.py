@@ -305,7 +305,7 @@ def test_a_wrong_candidate_is_shrunk_kept_and_replayed(fuzz, tmp_path, capsys):
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(tmp_path))
         words = ["--candidate", "epsilon_caster:cast"]
-        code, out, _, told = fuzz("--family", "surfaces", "--examples", "6", *words)
+        code, out, _, told = fuzz("--family", "surfaces", "--examples", "1", *words)
         assert code == 1 and told["total"]["kinds"] == {"judged": told["total"]["findings"]}
         first = told["failures"][0]
         assert "the candidate " in first["what"] and first["options"] == words

@@ -5,9 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import caster
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32, as_given
 from caster.scene.files import load_scene
+from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.subject import NoAnswer, checked_answer, scene_as_traced
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
@@ -20,14 +22,64 @@ def test_the_traced_scene_packs_to_the_traced_numbers_without_any_rounding(path,
     packed = pack(scene, as_float32)
     traced = scene_as_traced(scene, packed, tmp_path)
     assert traced.film == scene.film and traced.camera == scene.camera
-    assert traced.shape_names() == scene.shape_names()
-    for there, here in zip(pack(traced, as_given).parts, packed.parts, strict=True):
-        assert type(there) is type(here)
+    count = len(scene.shapes)
+    assert traced.shape_names()[:count] == scene.shape_names()
+    more = iter(pack(traced, as_given).parts[count:])
+    for i, (there, here) in enumerate(zip(pack(traced, as_given).parts[:count], packed.parts, strict=True)):
+        alone = [there]
+        if len(here[0]) > len(there[0]):  # its other primitives follow, each as a shape
+            alone += [next(more) for _ in range(int(packed.first[i + 1] - packed.first[i]) - 1)]
+        assert {type(each) for each in alone} == {type(here)}
         for name in set(NUMBERS) & set(here._fields):
-            assert np.array_equal(getattr(there, name), getattr(here, name)), name
+            numbers = np.concatenate([getattr(each, name) for each in alone])
+            assert np.array_equal(numbers, getattr(here, name)), name
         if "point" in here._fields:  # a plane: the normal is the same up to its length
             apart = np.cross(there.normal, here.normal)
             assert np.abs(apart).max() <= 2.0**-52
+    assert next(more, None) is None
+
+
+def clouds(to_world=()):
+    grid = [(x, y, 0.0) for x in (-1.5, 0.0, 1.5) for y in (-1.5, 0.0, 1.5)]
+    return caster.Scene(
+        film={"width": 60, "height": 50},
+        camera={"type": "pinhole", "eye": (0.3, 0.2, 8.0), "look_at": (0.0, 0.0, 0.0), "fov": 40.0},
+        shapes=[
+            {"type": "spheres", "centers": grid, "radius": 0.6, "to_world": to_world},
+            {"type": "plane", "point": (0.0, 0.0, -1.0), "normal": (0.0, 0.0, 1.0)},
+        ],
+    )
+
+
+STRETCHED = ({"scale": (1.0, 0.9, 1.3)},)
+
+
+@pytest.mark.parametrize(
+    ("to_world", "types"), [((), ["spheres", "plane"]), (STRETCHED, ["sphere", "plane"])]
+)
+def test_a_cloud_is_handed_on_whole_and_its_ids_are_those_of_the_scene(to_world, types):
+    seen = []
+
+    class Named:
+        name, reads_xml, takes_rays = "named", False, True
+
+        def __init__(self, off=0):
+            self.off = off
+
+        def answer(self, request):
+            seen.append(request.traced)
+            hits = caster.cast(request.traced, request.rays.o, request.rays.d)
+            prim = np.where(hits.shape_id >= 0, hits.prim_id, -1)
+            shape = np.where(hits.shape_id >= 2, hits.shape_id + self.off, hits.shape_id)
+            return checked_answer(hits.t, hits.normal, len(hits.t), shape_id=shape, prim_id=prim)
+
+    scene = clouds(to_world)
+    verdict = validate_scene(scene, "clouds", subject=Named())
+    assert verdict.ok, verdict.failures
+    assert [shape.type for shape in seen[0].shapes[:2]] == types
+    assert len(seen[0].shapes) == (2 if not to_world else 10)
+    if to_world:  # of another sphere of the same cloud
+        assert not validate_scene(scene, "clouds", subject=Named(off=-1)).ok
 
 
 @pytest.mark.parametrize("path", SCENES[::6], ids=lambda path: path.stem)
