@@ -171,11 +171,13 @@ class Hits:
         return self.view.surfaces
 
 
-def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: float = 0.0, t_max: float = np.inf) -> Hits:
+def cast(
+    scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_max: ArrayLike = np.inf
+) -> Hits:
     """Find the first surface along each ray.
 
-    o, d: (n, 3), scene units; d need not be of unit length, t counts in lengths of d, t_min < t <= t_max.
-    Equal t go to the earlier shape of the scene, then to the lower prim_id.
+    o, d: (n, 3), scene units; d need not be of unit length, t counts in lengths of d, t_min < t <= t_max,
+    numbers or (n,) each. Equal t go to the earlier shape of the scene, then to the lower prim_id.
     Raises SceneError if a ray is not finite or has no direction, naming the first such ray.
     Source: docs/method.md, "Exact decisions"; slabs padded after Ize (2013).
     """
@@ -194,7 +196,7 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: float = 0.0, t_max:
 
 
 def occluded(
-    scene: Scene, o: ArrayLike, d: ArrayLike, t_max: float = np.inf, *, t_min: float = 0.0
+    scene: Scene, o: ArrayLike, d: ArrayLike, t_max: ArrayLike = np.inf, *, t_min: ArrayLike = 0.0
 ) -> np.ndarray:
     """Whether anything lies on each ray with t_min < t <= t_max. (n,) bool; arguments as in `cast`.
 
@@ -223,18 +225,24 @@ def trace(
     return trace_rays(scene, packed(scene, rounded), rays, np.asarray(start, np.float64))
 
 
-def validated_rays(o: ArrayLike, d: ArrayLike, t_min: float, t_max: float) -> Rays:
+def validated_rays(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike) -> Rays:
     """(n, 3) float64 rays, or a SceneError that names the first bad one."""
     return validated_rays_with_range(o, d, t_min, t_max)[0]
 
 
-def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: float, t_max: float) -> tuple[Rays, bool]:
+def validated_rays_with_range(
+    o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike
+) -> tuple[Rays, bool]:
     """The same, and whether all their lengths are far from what float64 cannot square."""
     origins, directions = _rows(o, "o"), _rows(d, "d")
     if len(origins) != len(directions):
         raise SceneError(f"rays: o and d must have equal lengths, got {len(origins)} and {len(directions)}")
-    if not t_min >= 0.0 or np.isnan(t_max):
-        raise SceneError(f"rays: need t_min >= 0 and a t_max, got t_min {t_min} and t_max {t_max}")
+    start, end = _limits(t_min, "t_min", len(origins)), _limits(t_max, "t_max", len(origins))
+    if not np.all(start >= 0.0) or np.isnan(end).any():
+        i = int(np.argmin((start >= 0.0) & ~np.isnan(end)))
+        which = "rays" if start.strides == end.strides == (0,) else f"rays[{i}]"
+        first, last = (float(limits[i]) if len(limits) else limits for limits in (start, end))
+        raise SceneError(f"{which}: need t_min >= 0 and a t_max, got t_min {first} and t_max {last}")
     found: list[int] = []
     parallel_for(
         lambda start, stop: found.append(find_invalid_ray(origins, directions, start, stop)), len(origins)
@@ -244,9 +252,25 @@ def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: float, t_max: f
         raise SceneError(
             f"rays[{i}]: o and d must be finite and d not zero, got o {origins[i]} and d {directions[i]}"
         )
-    n = len(origins)
-    rays = Rays(origins, directions, np.full(n, float(t_min)), np.full(n, float(t_max)))
+    rays = Rays(origins, directions, start.copy(), end.copy())
     return rays, OUT_OF_RANGE not in found
+
+
+def _limits(t: ArrayLike, name: str, count: int) -> np.ndarray:
+    """(count,) float64, a view of a number that is the same for all."""
+    numbers = _float64(t, name)
+    if numbers.shape not in ((), (count,)):
+        raise SceneError(
+            f"rays: {name} must be a number, or one for each of {count} rays, got shape {numbers.shape}"
+        )
+    return np.broadcast_to(numbers, (count,))
+
+
+def _float64(a: ArrayLike, name: str) -> np.ndarray:
+    try:
+        return np.asarray(a, np.float64)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"rays: {name} must be numbers, got {type(a).__name__}: {error}") from None
 
 
 def _scaled(rays: Rays) -> tuple[Rays, np.ndarray]:
@@ -266,7 +290,7 @@ def _scaled(rays: Rays) -> tuple[Rays, np.ndarray]:
 
 
 def _rows(a: ArrayLike, name: str) -> np.ndarray:
-    given = a if isinstance(a, np.ndarray) and a.dtype.kind == "f" else np.asarray(a, np.float64)
+    given = a if isinstance(a, np.ndarray) and a.dtype.kind == "f" else _float64(a, name)
     if given.ndim != 2 or given.shape[1] != 3:
         raise SceneError(f"rays: {name} must have shape (n, 3), got {given.shape}")
     if given.dtype == np.float64 and given.flags.c_contiguous:

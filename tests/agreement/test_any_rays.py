@@ -7,6 +7,7 @@ from random_scenes import name, random_scene
 from same_bits import assert_same_bits
 
 from caster.cameras import Pinhole
+from caster.description.errors import SceneError
 from caster.geometry.packing import Kind, Packed
 from caster.kernels.triangles import Triangles
 from caster.rendering.casting import find_nearest
@@ -28,6 +29,35 @@ def count_hits_where_tree_agrees(scene: Scene, o: np.ndarray, d: np.ndarray, wha
     assert_same_bits({"t": slow.t, "prim": slow.prim}, fast, what)
     assert np.isfinite(hits.t).sum() == (hits.prim_id >= 0).sum(), f"{what}: a hit without a finite t"
     return int((hits.prim_id >= 0).sum())
+
+
+def test_limits_may_be_given_for_each_ray():
+    scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere()])
+    o, d = np.tile([0.1, 0.2, 5.0], (4, 1)), np.tile([0.0, 0.0, -1.0], (4, 1))
+    starts, ends = [0.0, 5.0, 9.0, 0.0], np.array([np.inf, 9.0, 10.0, 1.0])
+    found = cast(scene, o, d, t_min=starts, t_max=ends).t
+    alone = [cast(scene, o[i : i + 1], d[i : i + 1], t_min=starts[i], t_max=ends[i]).t[0] for i in range(4)]
+    assert found.tolist() == alone and found[0] < 5.0 < found[1] and np.isinf(found[2:]).all()
+    assert np.array_equal(occluded(scene, o, d, t_min=starts, t_max=ends), np.isfinite(found))
+
+
+WRONG_LIMITS = {
+    "number, or one for each of 2 rays, got shape (3,)": {"t_min": [0, 0, 0]},
+    "number, or one for each of 2 rays, got shape (2, 1)": {"t_max": [[1], [2]]},
+    r"rays[1]: need t_min >= 0 and a t_max, got t_min -1.0 and t_max inf": {"t_min": [0, -1]},
+    r"rays[0]: need t_min >= 0 and a t_max, got t_min 0.0 and t_max nan": {"t_max": [np.nan, 1]},
+    r"rays: need t_min >= 0 and a t_max, got t_min -2.0 and t_max inf": {"t_min": -2},
+    "rays: t_min must be numbers, got list": {"t_min": ["a", 1]},
+}
+
+
+@pytest.mark.parametrize("text", WRONG_LIMITS)
+@pytest.mark.parametrize("function", [cast, occluded])
+def test_wrong_limits_are_scene_errors(function, text):
+    scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere()])
+    with pytest.raises(SceneError) as found:
+        function(scene, np.zeros((2, 3)), np.ones((2, 3)), **WRONG_LIMITS[text])
+    assert text in str(found.value)
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=name)
