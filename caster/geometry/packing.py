@@ -15,6 +15,7 @@ from caster.geometry.world_space import (
     ShapeCollection,
     as_float32,
     as_given,
+    given_normals,
     is_usable,
     world_vertices,
 )
@@ -22,7 +23,15 @@ from caster.kernels.bvh.build import bounding_boxes
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
 
-__all__ = ["Packed", "Triangles", "concatenate_parts", "pack", "packed", "primitive_count"]
+__all__ = [
+    "Packed",
+    "Triangles",
+    "concatenate_parts",
+    "forget_packed",
+    "pack",
+    "packed",
+    "primitive_count",
+]
 
 
 @dataclass(frozen=True)
@@ -50,8 +59,7 @@ class Kind:
     @cached_property
     def extent(self) -> float:
         """The largest |coordinate| of any bounding box."""
-        low, high = self.boxes()
-        return float(max(-low.min(), low.max(), -high.min(), high.max()))
+        return largest_coordinate(self.prims)
 
 
 @dataclass(frozen=True)
@@ -73,15 +81,10 @@ class Packed:
     @cached_property
     def shape_extents(self) -> np.ndarray:
         """(shapes,) float64: the largest |coordinate| of the bounding boxes of each shape; 0 of an unbounded one."""
-        extents = np.zeros(len(self.parts))
-        for place, kind in enumerate(self.kinds):
-            if kind.bounded:
-                low, high = kind.boxes()
-                for shape in np.flatnonzero(self.kind_of == place):
-                    rows = slice(self.start[shape], self.start[shape] + primitive_count(self.parts[shape]))
-                    corners = np.abs([low[rows], high[rows]])
-                    extents[shape] = corners.max(initial=0.0)
-        return extents
+        bounded = np.array([kind.bounded for kind in self.kinds], bool)[self.kind_of]
+        return np.array(
+            [largest_coordinate(part) if has else 0.0 for part, has in zip(self.parts, bounded, strict=True)]
+        )
 
     def place_of(self, prim: int) -> tuple[Kind, int]:
         """The kind of a primitive, and its index within the kind."""
@@ -130,16 +133,39 @@ def packed(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
     return found
 
 
+def forget_packed(scene: ShapeCollection, rounded: Rounding, at_least: int) -> None:
+    """Drop a cached packing of so many primitives or more, with its trees; it is packed again if it is needed again."""
+    key = CACHED_AS[rounded]
+    if key in scene.derived and scene.derived[key].first[-1] >= at_least:
+        del scene.derived[key]
+
+
 def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:
     """Pack one shape. Raises SceneError unless all numbers are finite."""
     part: Any = None
     with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
         part = scene.shapes[i].pack(rounded)
     if part is None or not all(np.isfinite(array).all() for array in part):
-        text = "must stay finite in world space, but its numbers are too large or too small together"
-        model: Any = type(scene)
-        raise SceneError(value_diagnostic(("shapes", i), text, scene, model).text)
+        raise _not_finite(scene, i)
     return part
+
+
+def _not_finite(scene: ShapeCollection, i: int) -> SceneError:
+    text = "must stay finite in world space, but its numbers are too large or too small together"
+    model: Any = type(scene)
+    return SceneError(value_diagnostic(("shapes", i), text, scene, model).text)
+
+
+def largest_coordinate(prims: Any) -> float:
+    """The largest |coordinate| of the bounding boxes of a NamedTuple of arrays; 0 of none."""
+    if isinstance(prims, Triangles):  # without their boxes, which of millions take seconds and hundreds of MB
+        used = np.zeros(len(prims.vertices), bool)
+        used[prims.faces] = True
+        ends = [prims.vertices if used.all() else prims.vertices[used]]
+    else:
+        ends = [np.empty((primitive_count(prims), 3)) for _ in range(2)]
+        bounding_boxes(concatenate_parts([prims]), ends[0], ends[1], 0, len(ends[0]))
+    return max(float(max(-end.min(initial=0.0), end.max(initial=0.0))) for end in ends)
 
 
 def primitive_count(part: Any) -> int:
@@ -194,11 +220,46 @@ def rejected_faces(scene: ShapeCollection, rounded: Rounding = as_given) -> Mapp
     return {name: count for name, count in counts.items() if count.total}
 
 
+def check_shapes(scene: ShapeCollection) -> str:
+    """Raise SceneError where `pack` does; return `in_words`. One shape at a time, and meshes are not packed for it.
+
+    Of a mesh's arrays, only positions and given normals may leave float64: generated normals are of unit length, and
+    uv are the mesh's.
+    """
+    names, words = scene.shape_names(), []
+    for i, shape in enumerate(scene.shapes):
+        if not hasattr(shape, "mesh"):
+            pack_shape(scene, i, as_given)
+            continue
+        mesh = shape.mesh()
+        with np.errstate(all="ignore"):
+            vertices = world_vertices(mesh, shape.matrix, as_given)
+            if not np.isfinite(vertices).any() or _normals_overflow(mesh, shape):
+                raise _not_finite(scene, i)
+        found = _rejected_of_mesh(mesh, vertices)
+        words += [f"{names[i]}: {found}"] if found.total else []
+    return "; ".join(words)
+
+
+def _normals_overflow(mesh: Any, shape: Any) -> bool:
+    if mesh.normals is None or getattr(shape, "face_normals", False):
+        return False
+    pieces = (
+        mesh._replace(normals=mesh.normals[start : start + FACES_PER_CHUNK])
+        for start in range(0, len(mesh.normals), FACES_PER_CHUNK)
+    )
+    return not all(np.isfinite(given_normals(piece, shape.matrix)).all() for piece in pieces)
+
+
 def _rejected_of_shape(shape: Any, rounded: Rounding) -> RejectedFaces:
     if not hasattr(shape, "mesh"):
         return RejectedFaces(0, 0, 0)
     mesh = shape.mesh()
-    vertices = world_vertices(mesh, shape.matrix, rounded)
+    return _rejected_of_mesh(mesh, world_vertices(mesh, shape.matrix, rounded))
+
+
+def _rejected_of_mesh(mesh: Any, vertices: np.ndarray) -> RejectedFaces:
+    """vertices: (v, 3) of the mesh in world space."""
     finite, usable = np.isfinite(vertices).all(axis=1), is_usable(vertices)
     total = np.zeros(3, np.int64)
     for start in range(0, len(mesh.faces), FACES_PER_CHUNK):

@@ -153,9 +153,16 @@ def _collapse_rejected(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
 def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     if mesh.normals is None:
         return vertex_normals(vertices, faces)
+    return given_normals(mesh, matrix)
+
+
+def given_normals(mesh: Mesh, matrix: np.ndarray) -> np.ndarray:
+    """(n, 3) normals of a mesh that has some, in world space."""
+    assert mesh.normals is not None
     turned = mesh.normals @ np.linalg.inv(matrix[:3, :3])
     length = np.linalg.norm(turned, axis=1, keepdims=True)
-    return np.divide(turned, length, out=turned, where=length > 0.0)
+    unit: np.ndarray = np.divide(turned, length, out=turned, where=length > 0.0)
+    return unit
 
 
 class MeshShape(Shape):

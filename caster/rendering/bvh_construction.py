@@ -75,7 +75,7 @@ def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
         if count < PARALLEL_MIN_PRIMITIVES
         else _build_parallel(boxes, order, threads)
     )
-    extent = float(max(np.abs(low).max(), np.abs(high).max()))
+    extent = float(max(-low.min(), low.max(), -high.min(), high.max()))
     flat = max(MIN_DIRECTION_PER_UNIT * unit, MIN_DIRECTION)
     return Tree(*_collapsed(*nodes), order, center, unit, flat, extent, BOX_PADDING)
 

@@ -88,8 +88,9 @@ def _surface(x: Floats, y: Floats, waves: list[_Wave]) -> tuple[Floats, Floats]:
     for wave in waves:
         angle = wave.kx * x + wave.ky * y + wave.phase
         z += wave.height * np.sin(angle)
-        slope_x += wave.height * wave.kx * np.cos(angle)
-        slope_y += wave.height * wave.ky * np.cos(angle)
+        cosine = np.cos(angle)
+        slope_x += wave.height * wave.kx * cosine
+        slope_y += wave.height * wave.ky * cosine
     return z, normalize_rows(np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=1))
 
 

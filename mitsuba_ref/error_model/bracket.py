@@ -1,8 +1,4 @@
-"""Broad phase of the judge, and brackets: the answers that rounding allows along a ray.
-
-Shares no code with the BVH that it judges. The broad phase may give too many primitives; one that any ray within
-rounding hits is never left out, unless it is a sliver thinner than BOX_MARGIN.
-"""
+"""Brackets: the answers that rounding allows along a ray, of all primitives near it."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -11,91 +7,6 @@ import numpy as np
 
 from mitsuba_ref.error_model.intersections import Intersections, dot, norm, row_groups
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel, no_intersections
-from mitsuba_ref.error_model.tolerances import KU
-
-# How much boxes are grown, as a share of |o| + their farthest corner. The bound of an edge function, divided by the
-# length of the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. What
-# lies beyond is at best
-# possible (a certain one is passed by the ray itself), and leaving it out takes an excuse away from both sides.
-BOX_MARGIN = 16 * KU
-
-BRANCHING_FACTOR = 32  # boxes, or primitives, in a box of the level above
-BOX_TESTS_PER_BATCH = 1 << 21  # rays times boxes; 16 MB a temporary array
-BOXES_PER_RAY = 64 * BRANCHING_FACTOR  # that a ray is expected to be tested with in one level, at most
-
-
-class BroadPhase:
-    """Boxes of primitives (n, 3), (n, 3), in boxes of boxes by where they are."""
-
-    def __init__(self, low: np.ndarray, high: np.ndarray):
-        self.order = morton_order(low, high)
-        self.levels = [(low[self.order].T.copy(), high[self.order].T.copy())]
-        while self.levels[-1][0].shape[1] > BRANCHING_FACTOR:
-            below, above = self.levels[-1]
-            starts = np.arange(0, below.shape[1], BRANCHING_FACTOR)
-            self.levels.append(
-                (np.minimum.reduceat(below, starts, axis=1), np.maximum.reduceat(above, starts, axis=1))
-            )
-
-    def pairs(self, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """(ray, primitive) for rays (n, 3), (n, 3), in pieces; each ray is in one piece only."""
-        step = BOX_TESTS_PER_BATCH // BOXES_PER_RAY
-        for start in range(0, len(o), step):
-            ray, prim = self._pairs_of(o[start : start + step].T.copy(), d[start : start + step].T.copy())
-            yield ray + start, prim
-
-    def _pairs_of(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Level by level: a box that a ray passes has no smaller margin than a box in it, so none is missed."""
-        low, high = self.levels[-1]
-        ray, box = np.nonzero(intersects_box(o[..., None], d[..., None], low[:, None], high[:, None]))
-        for low, high in reversed(self.levels[:-1]):
-            box = (box[:, None] * BRANCHING_FACTOR + np.arange(BRANCHING_FACTOR)).ravel()
-            ray = np.repeat(ray, BRANCHING_FACTOR)
-            inside = box < low.shape[1]
-            ray, box = ray[inside], box[inside]
-            passed = intersects_box(o[:, ray], d[:, ray], low[:, box], high[:, box])
-            ray, box = ray[passed], box[passed]
-        return ray, self.order[box]
-
-
-def intersects_box(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Whether rays o + t d, t >= 0, pass a box grown by BOX_MARGIN; everything broadcasts over (3, ...)."""
-    reach = _largest(np.abs(o)) + _largest(np.maximum(np.abs(low), np.abs(high)))
-    grown = BOX_MARGIN * reach
-    slope = np.where(d == 0.0, np.finfo(np.float64).tiny, d)
-    near, far = np.array(-np.inf), np.array(np.inf)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for axis in range(3):  # one after the other: a maximum over an axis of three takes ten times as long
-            a = (low[axis] - grown - o[axis]) / slope[axis]
-            b = (high[axis] + grown - o[axis]) / slope[axis]
-            near, far = np.maximum(near, np.minimum(a, b)), np.minimum(far, np.maximum(a, b))
-    return ~(near > far) & ~(far < 0.0)
-
-
-def _largest(columns: np.ndarray) -> np.ndarray:
-    """The largest of three components (3, ...)."""
-    found: np.ndarray = np.maximum(np.maximum(columns[0], columns[1]), columns[2])
-    return found
-
-
-def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The boxes in Morton order of their centres, those without bounds last."""
-    bounded = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
-    centre = 0.5 * low[bounded] + 0.5 * high[bounded]
-    code = np.full(len(low), np.iinfo(np.int64).max)
-    if len(centre):
-        start, size = centre.min(axis=0), np.ptp(centre, axis=0)
-        cell = ((centre - start) / np.where(size > 0.0, size, 1.0) * 1023.0).astype(np.int64)
-        code[bounded] = sum(spread_bits(cell[:, axis]) << axis for axis in range(3))
-    return np.argsort(code, kind="stable")
-
-
-def spread_bits(x: np.ndarray) -> np.ndarray:
-    """The ten bits of each number, with two zeros between them."""
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        x = (x | (x << shift)) & mask
-    return x
-
 
 # The bracket: which answers along a ray rounding allows, all primitives considered (docs/method.md, "Visibility").
 #
@@ -156,7 +67,7 @@ class Bracket:
 
     def __init__(self, model: SceneModel, ku: float, *, ours: bool):
         self.model, self.ku, self.ours = model, ku, ours
-        self.nearby = BroadPhase(*model.boxes)
+        self.nearby = model.nearby
 
     def judge(
         self,

@@ -1,4 +1,8 @@
-"""The scene as it is judged: its primitives in float32, what stands in for them, and their error models."""
+"""The scene as it is judged: its primitives in float32, what stands in for them, their error models and boxes.
+
+The search for boxes near a ray shares no code with the BVH that it judges. It may give too many primitives; one that a
+ray within rounding hits is never left out, unless it is a sliver thinner than BOX_MARGIN.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -9,6 +13,8 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, norm, unit
+from mitsuba_ref.error_model.tolerances import KU
+from mitsuba_ref.oracle.oracle import columns_in_order
 
 
 class PairIntersections(NamedTuple):
@@ -79,6 +85,11 @@ class SceneModel:
             low[kind.ids], high[kind.ids] = self.models[place].bounds(self.kinds[place])
         return low, high
 
+    @cached_property
+    def nearby(self) -> "BroadPhase":
+        """The boxes as rays look for them: one for all brackets of the model."""
+        return BroadPhase(*self.boxes)
+
 
 def with_edges(at: Intersections) -> Intersections:
     """Arrays of edges for kinds without edges, so that all kinds concatenate."""
@@ -91,6 +102,96 @@ def no_intersections() -> Intersections:
     none, rows, flags = np.zeros(0), np.zeros((0, 3)), np.zeros(0, bool)
     edge = np.zeros((0, 6))
     return Intersections(none, none, rows, none, rows, none, flags, flags, none, rows, none, edge, none)
+
+
+# How much boxes are grown, as a share of |o| + their farthest corner. The bound of an edge function, divided by the
+# length of the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. What
+# lies beyond is at best
+# possible (a certain one is passed by the ray itself), and leaving it out takes an excuse away from both sides.
+BOX_MARGIN = 16 * KU
+
+BRANCHING_FACTOR = 32  # boxes, or primitives, in a box of the level above
+BOX_TESTS_PER_BATCH = 1 << 21  # rays times boxes; 16 MB a temporary array
+BOXES_PER_CHUNK = 1 << 16  # of an order that is computed: its temporaries stay in a cache
+BOXES_PER_RAY = 64 * BRANCHING_FACTOR  # that a ray is expected to be tested with in one level, at most
+
+
+class BroadPhase:
+    """Boxes of primitives (n, 3), (n, 3), in boxes of boxes by where they are."""
+
+    def __init__(self, low: np.ndarray, high: np.ndarray):
+        self.order = morton_order(low, high)
+        self.levels = [(columns_in_order(low, self.order), columns_in_order(high, self.order))]
+        while self.levels[-1][0].shape[1] > BRANCHING_FACTOR:
+            below, above = self.levels[-1]
+            starts = np.arange(0, below.shape[1], BRANCHING_FACTOR)
+            self.levels.append(
+                (np.minimum.reduceat(below, starts, axis=1), np.maximum.reduceat(above, starts, axis=1))
+            )
+
+    def pairs(self, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """(ray, primitive) for rays (n, 3), (n, 3), in pieces; each ray is in one piece only."""
+        step = BOX_TESTS_PER_BATCH // BOXES_PER_RAY
+        for start in range(0, len(o), step):
+            ray, prim = self._pairs_of(o[start : start + step].T.copy(), d[start : start + step].T.copy())
+            yield ray + start, prim
+
+    def _pairs_of(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Level by level: a box that a ray passes has no smaller margin than a box in it, so none is missed."""
+        low, high = self.levels[-1]
+        ray, box = np.nonzero(intersects_box(o[..., None], d[..., None], low[:, None], high[:, None]))
+        for low, high in reversed(self.levels[:-1]):
+            box = (box[:, None] * BRANCHING_FACTOR + np.arange(BRANCHING_FACTOR)).ravel()
+            ray = np.repeat(ray, BRANCHING_FACTOR)
+            inside = box < low.shape[1]
+            ray, box = ray[inside], box[inside]
+            passed = intersects_box(o[:, ray], d[:, ray], low[:, box], high[:, box])
+            ray, box = ray[passed], box[passed]
+        return ray, self.order[box]
+
+
+def intersects_box(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Whether rays o + t d, t >= 0, pass a box grown by BOX_MARGIN; everything broadcasts over (3, ...)."""
+    reach = _largest(np.abs(o)) + _largest(np.maximum(np.abs(low), np.abs(high)))
+    grown = BOX_MARGIN * reach
+    slope = np.where(d == 0.0, np.finfo(np.float64).tiny, d)
+    near, far = np.array(-np.inf), np.array(np.inf)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for axis in range(3):  # one after the other: a maximum over an axis of three takes ten times as long
+            a = (low[axis] - grown - o[axis]) / slope[axis]
+            b = (high[axis] + grown - o[axis]) / slope[axis]
+            near, far = np.maximum(near, np.minimum(a, b)), np.minimum(far, np.maximum(a, b))
+    return ~(near > far) & ~(far < 0.0)
+
+
+def _largest(columns: np.ndarray) -> np.ndarray:
+    """The largest of three components (3, ...)."""
+    found: np.ndarray = np.maximum(np.maximum(columns[0], columns[1]), columns[2])
+    return found
+
+
+def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The boxes in Morton order of their centres, those without bounds last."""
+    bounded = np.flatnonzero(np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1))
+    code = np.full(len(low), np.iinfo(np.int64).max)
+    pieces = [bounded[start : start + BOXES_PER_CHUNK] for start in range(0, len(bounded), BOXES_PER_CHUNK)]
+    if pieces:
+        centres = (0.5 * low[rows] + 0.5 * high[rows] for rows in pieces)
+        ends = np.array([(centre.min(axis=0), centre.max(axis=0)) for centre in centres])
+        start = ends[:, 0].min(axis=0)
+        size = ends[:, 1].max(axis=0) - start
+    for rows in pieces:
+        away = (0.5 * low[rows] + 0.5 * high[rows]) - start
+        cell = (away / np.where(size > 0.0, size, 1.0) * 1023.0).astype(np.int64)
+        code[rows] = sum(spread_bits(cell[:, axis]) << axis for axis in range(3))
+    return np.argsort(code, kind="stable")
+
+
+def spread_bits(x: np.ndarray) -> np.ndarray:
+    """The ten bits of each number, with two zeros between them."""
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        x = (x | (x << shift)) & mask
+    return x
 
 
 RAYS_PER_RING, RING_RADII = 8, (1.0,)

@@ -148,9 +148,16 @@ def _edge_on(
     return LineIntersections((), (Contact(why, first, last),))
 
 
+BOXES_PER_CHUNK = 1 << 16  # triangles whose corners are gathered at a time
+
+
 def triangle_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    corners = prims.vertices[prims.faces]
-    return corners.min(axis=1), corners.max(axis=1)
+    low, high = np.empty((len(prims.faces), 3)), np.empty((len(prims.faces), 3))
+    for start in range(0, len(low), BOXES_PER_CHUNK):
+        rows = slice(start, start + BOXES_PER_CHUNK)
+        a, b, c = (prims.vertices[corner] for corner in prims.faces[rows].T)
+        low[rows], high[rows] = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    return low, high
 
 
 def finite_faces(prims: Any) -> np.ndarray:

@@ -168,6 +168,9 @@ PAD_RTOL = 8 * 2.0**-53
 PAD_ATOL = 2.0**-1060
 
 
+BOXES_PER_CHUNK = 1 << 16  # of an order that is computed: its temporaries stay in a cache
+
+
 class BoxCrossings(NamedTuple):
     """Pairs of a ray and a box; no point of the ray within the box has a t below near."""
 
@@ -191,7 +194,7 @@ class BoxTree:
     def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
         """low, high: (n, 3), finite."""
         self.order = morton_order(low, high)
-        self.levels = [(low[self.order].T.copy(), high[self.order].T.copy())]
+        self.levels = [(columns_in_order(low, self.order), columns_in_order(high, self.order))]
         while self.levels[-1][0].shape[1] > BRANCHING_FACTOR:
             below, above = self.levels[-1]
             starts = np.arange(0, below.shape[1], BRANCHING_FACTOR)
@@ -251,17 +254,27 @@ def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """An order in which neighbours are close to each other: by the bits of their centres, taken in turn."""
     if not len(low):
         return np.zeros(0, np.int64)
-    centre = 0.5 * low + 0.5 * high
-    start = centre.min(axis=0)
-    size = np.maximum(0.5 * centre.max(axis=0) - 0.5 * start, np.finfo(np.float64).tiny)
-    cell = (np.clip((0.5 * centre - 0.5 * start) / size, 0.0, 1.0) * (2**MORTON_BITS_PER_AXIS - 1)).astype(
-        np.int64
-    )
+    pieces = [slice(start, start + BOXES_PER_CHUNK) for start in range(0, len(low), BOXES_PER_CHUNK)]
+    centres = ((rows, 0.5 * low[rows] + 0.5 * high[rows]) for rows in pieces)
+    ends = np.array([(centre.min(axis=0), centre.max(axis=0)) for _, centre in centres])
+    start = ends[:, 0].min(axis=0)
+    size = np.maximum(0.5 * ends[:, 1].max(axis=0) - 0.5 * start, np.finfo(np.float64).tiny)
     code = np.zeros(len(low), np.int64)
-    for bit in range(MORTON_BITS_PER_AXIS):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    for rows in pieces:
+        away = 0.5 * (0.5 * low[rows] + 0.5 * high[rows]) - 0.5 * start
+        cell = (np.clip(away / size, 0.0, 1.0) * (2**MORTON_BITS_PER_AXIS - 1)).astype(np.int64)
+        for bit in range(MORTON_BITS_PER_AXIS):
+            for axis in range(3):
+                code[rows] |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
     return np.argsort(code, kind="stable")
+
+
+def columns_in_order(rows: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """(3, n) rows[order].T, without an array of the rows in between."""
+    columns = np.empty((3, len(order)))
+    for axis in range(3):
+        columns[axis] = rows[order, axis]
+    return columns
 
 
 class PrimitiveArray(NamedTuple):
@@ -297,12 +310,15 @@ class PrimitiveIndex:
         self.first = np.cumsum([0, *(len(part.ids) for part in parts)])
         present = [part.kind.present(part.prims) for part in parts]
         self.present = np.concatenate([np.zeros(0, bool), *present])
-        boxes = [(np.zeros((0, 3)), np.zeros((0, 3))), *(part.kind.boxes(part.prims) for part in parts)]
-        low, high = (np.concatenate(bounds) for bounds in zip(*boxes, strict=True))
+        boxes = [part.kind.boxes(part.prims) for part in parts] or [(np.zeros((0, 3)), np.zeros((0, 3)))]
+        low, high = map(np.concatenate, zip(*boxes, strict=True)) if len(boxes) > 1 else boxes[0]
+        del boxes
         bounded = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
         self.boxed = np.flatnonzero(self.present & bounded)  # indices
         self.boundless = np.flatnonzero(self.present & ~bounded)  # of primitives that any ray may intersect
-        self.tree = BoxTree(low[self.boxed], high[self.boxed])
+        if len(self.boxed) < len(low):
+            low, high = low[self.boxed], high[self.boxed]
+        self.tree = BoxTree(low, high)
 
     def numbered(self, prim: int) -> Iterator[tuple[PrimitiveArray, int]]:
         """All pieces of primitive number `prim`; none for a face that is nowhere, or a number that is none."""

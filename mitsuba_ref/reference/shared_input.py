@@ -172,9 +172,12 @@ def shape_ids(scene: Scene) -> list[str]:
 
 def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
     """Clip planes that cut nothing off: by the farthest corner of bounded primitives, and the eye."""
-    corners = np.abs(np.concatenate(model.boxes))
-    ends = corners[np.isfinite(corners)]
-    reach = float(max(ends.max(initial=0.0), np.abs(scene.camera.eye).max())) or 1.0  # all is in the origin
+    reach = float(np.abs(scene.camera.eye).max())
+    for corners in model.boxes:
+        finite = np.isfinite(corners)
+        low, high = corners.min(initial=0.0, where=finite), corners.max(initial=0.0, where=finite)
+        reach = max(reach, -float(low), float(high))
+    reach = reach or 1.0  # all is in the origin
     return ClipRange(NEAR_PER_REACH * reach, FAR_PER_REACH * reach)
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from caster.description.errors import SceneError
+from caster.geometry.packing import forget_packed
+from caster.geometry.world_space import as_given
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.judge.aggregate import (
@@ -118,7 +120,7 @@ def validate_scene(
     check_memory(bands[0])
     if len(bands) == 1:
         verdict, errors = _judge_window(
-            scene, name, path, rays=rays, first_ray=first_ray, keep=keep, **options
+            scene, name, path, rays=rays, first_ray=first_ray, keep=keep, whole_film=True, **options
         )
         found = [errors] if errors else []
     else:
@@ -135,6 +137,8 @@ def validate_scene(
 # A film of more pixels than this is judged as several, so that memory stays what one band needs; of so many pixels a
 # band that what is done once for each (its own scene in Mitsuba, samples of every check) costs less than its pixels.
 LARGEST_WHOLE_FILM, BAND_PIXELS = 1 << 20, 1 << 19
+
+LARGE_SCENE = 1 << 20  # primitives; such a scene is packed again sooner than kept beside its float32 numbers
 
 
 def bands_of(scene: Scene) -> list[Scene]:
@@ -187,11 +191,13 @@ def _judge_window(
     first_ray: int = 0,
     keep: bool = False,
     whole_scene: bool = True,
+    whole_film: bool = False,
     images: str = "",
 ) -> tuple[SceneVerdict, PixelErrors | None]:
     """The verdict of the film's window, without statistics and bias, and the errors that those are made of.
 
-    whole_scene: with the checks in which the window has no part; images: name of EXR files, if not the scene's.
+    whole_scene: with the checks in which the window has no part; whole_film: no other window follows;
+    images: name of EXR files, if not the scene's.
     """
     ours = subject is OURS
     checks: tuple[SceneCheck, ...] = ()
@@ -207,6 +213,8 @@ def _judge_window(
             stored = write_aimed_reproducers(folder, name, wrong_rays, path or name)
     if ours:
         checks = (*checks, check_routes(scene, path))
+    if whole_film:  # what follows is in float32; of ten million triangles, both together take a gigabyte more
+        forget_packed(scene, as_given, LARGE_SCENE)
 
     def without_comparison(problem: str, unsupported: bool = False) -> tuple[SceneVerdict, None]:
         x0, y0, x1, y1 = scene.film.window

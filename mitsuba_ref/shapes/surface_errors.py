@@ -202,9 +202,16 @@ def _uv(
     return plain_uv(prims, k, uv), moved + rounded
 
 
+BOXES_PER_CHUNK = 1 << 16  # triangles whose corners are gathered at a time
+
+
 def bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    corners = prims.vertices[prims.faces]
-    return corners.min(axis=1), corners.max(axis=1)
+    low, high = np.empty((len(prims.faces), 3)), np.empty((len(prims.faces), 3))
+    for start in range(0, len(low), BOXES_PER_CHUNK):
+        rows = slice(start, start + BOXES_PER_CHUNK)
+        corners = prims.vertices[prims.faces[rows]]
+        low[rows], high[rows] = corners.min(axis=1), corners.max(axis=1)
+    return low, high
 
 
 MODEL = ErrorModel(intersect, bounds, intersect_ours, exact=TRIANGLES)

@@ -7,10 +7,15 @@ from aimed_rays import KINDS, Setting, rays_at, scene_of
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.shapes import Plane
-from mitsuba_ref.error_model import bracket
-from mitsuba_ref.error_model.bracket import BRANCHING_FACTOR, BroadPhase, morton_order, spread_bits
+from mitsuba_ref.error_model import scene_model
 from mitsuba_ref.error_model.intersections import row_groups
-from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.scene_model import (
+    BRANCHING_FACTOR,
+    BroadPhase,
+    SceneModel,
+    morton_order,
+    spread_bits,
+)
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
@@ -58,7 +63,7 @@ def test_each_ray_is_in_one_piece_only(monkeypatch):
     """And pieces change nothing."""
     model, o, d = crowd("triangles", [111], Setting(), 500)
     whole = list(BroadPhase(*model.boxes).pairs(o, d))
-    monkeypatch.setattr(bracket, "BOX_TESTS_PER_BATCH", 64 * BRANCHING_FACTOR * 7)
+    monkeypatch.setattr(scene_model, "BOX_TESTS_PER_BATCH", 64 * BRANCHING_FACTOR * 7)
     pieces = list(BroadPhase(*model.boxes).pairs(o, d))
     assert len(whole) == 1 and len(pieces) > 50
     rays = [set(ray.tolist()) for ray, _ in pieces]

@@ -106,6 +106,11 @@ BAD_SCENES = {
         {},
         ": shapes[0] (sphere): must stay finite in world space",
     ),
+    "a mesh without a corner that stays finite": (
+        CAMERA + OBJ + "to_world = { scale = 1e100 }\n",
+        {"m.obj": b"v 1e300 1e300 1e300\nv 2e300 1e300 1e300\nv 1e300 2e300 1e300\nf 1 2 3\n"},
+        ": shapes[0] (mesh): must stay finite in world space",
+    ),
     "an axis too short to have a direction": (
         CAMERA + '[[shape]]\ntype = "cylinder"\nname = "tube"\np1 = [0, 0, 1e-300]\n',
         {},
