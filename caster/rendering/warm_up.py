@@ -14,12 +14,13 @@ from caster.geometry.packing import Packed, pack
 from caster.jit.decorators import COMPILATION_LOG
 from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
+from caster.kernels.bvh.traversal import cast_packets_brute_force
 from caster.kernels.nearest import Rays, exact_hit, precedes
 from caster.kernels.raster.tile import WIDTH, load_ray_range, new_tile
 from caster.rendering.casting import Culling, ShadowCaster, exact_nearest, new_ray_groups
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
-from caster.scene.model import Directional, Point, Scene
+from caster.scene.model import Ambient, Directional, Point, Scene
 from caster.shapes import SHAPES
 
 # Each alone, the default ones, and all at once: other sets share most kernels with these.
@@ -83,15 +84,20 @@ def _warm_decisions(packed: Packed) -> None:
 
 
 def _warm_shadows(packed: Packed, scene: Scene) -> None:
-    """The kernels of shadow rays, some of which start too far away for a fan: small films may do without either."""
+    """The kernels of shadow rays, some of which start too far away for a fan: small films may do without either.
+
+    A kind of few primitives has no tree: they are all tried.
+    """
     o = np.zeros((WIDTH, 3))
     o[LANES:] = 2.0**100
     rays = Rays(o, np.ones((WIDTH, 3)), np.zeros(WIDTH), np.ones(WIDTH))
+    tile = new_tile()
     for light in scene.lights:
         if light.type != "ambient":
-            tile = new_tile()
             load_ray_range(rays, 0, WIDTH, tile, 0)
             ShadowCaster(packed, light.pack(), MAX_PRIMITIVES).begin(tile, new_ray_groups())(WIDTH)
+    for kind in packed.kinds:
+        cast_packets_brute_force(kind.prims, 1, 0, WIDTH, tile, True)
 
 
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes
@@ -99,6 +105,7 @@ WHITE = (1.0, 1.0, 1.0)
 LAMPS = (
     Point(position=(0.0, 0.0, 9.0), intensity=WHITE),
     Directional(direction=(0.0, 0.0, -1.0), irradiance=WHITE),
+    Ambient(radiance=WHITE),
 )
 
 

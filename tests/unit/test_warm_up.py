@@ -11,7 +11,7 @@ from caster.geometry.packing import pack
 from caster.jit import decorators
 from caster.kernels.protocol import intersect, project_bounding_sphere
 from caster.rendering import casting, warm_up
-from caster.scene.model import Scene
+from caster.scene.model import LIGHTS, Scene
 from caster.shapes.icosphere import Icosphere
 from caster.system.terminal import CompileProgress, announce_compilation
 
@@ -35,12 +35,18 @@ def test_every_kind_of_primitive_and_every_camera_is_warmed():
 def test_shadow_rays_are_warmed_whether_a_fan_takes_them_or_not(monkeypatch):
     """However many primitives there are, and however few pixels."""
     called = []
-    for kernel in ("cast_fan", "cast_left_runs"):
-        monkeypatch.setattr(casting, kernel, lambda *args, kernel=kernel: called.append(kernel))
+    kernels = {"cast_fan": casting, "cast_left_runs": casting, "cast_packets_brute_force": warm_up}
+    for kernel, module in kernels.items():
+        monkeypatch.setattr(module, kernel, lambda *args, kernel=kernel: called.append(kernel))
     monkeypatch.setattr(casting, "FEW_PRIMITIVES", 1)
     scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere(subdivisions=1)], lights=warm_up.LAMPS)
     warm_up._warm_shadows(pack(scene), scene)
-    assert called == ["cast_fan", "cast_left_runs"] * len(warm_up.LAMPS)
+    shadowing = [lamp for lamp in warm_up.LAMPS if lamp.type != "ambient"]
+    assert called == ["cast_fan", "cast_left_runs"] * len(shadowing) + ["cast_packets_brute_force"]
+
+
+def test_every_kind_of_light_is_warmed():
+    assert {type(lamp) for lamp in warm_up.LAMPS} == set(LIGHTS)
 
 
 @pytest.fixture
