@@ -1,8 +1,10 @@
 """What --help says without loading anything slow, compared with what there really is."""
 
+import gc
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +17,8 @@ from mitsuba_ref.exr_compare import approval
 from mitsuba_ref.reference import session
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
 from mitsuba_ref.subjects import subject
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_aovs_that_help_names_are_those_of_the_registry():
@@ -65,3 +69,17 @@ def test_a_command_that_loads_for_long_says_so_before_it_loads_anything(words, t
 
 def test_the_commands_that_judge_are_among_those_that_say_so():
     assert {"validate", "judge", "probe", "fuzz", "stress", "bench", "approve", "check"} <= set(LOADING)
+
+
+def test_a_process_of_one_command_starts_no_threads_of_blas_and_collects_seldom():
+    """In a program that calls `main` with words of its own, nothing of this is changed."""
+    code = (
+        "import gc, os, sys; sys.path[:0] = [{root!r}]; from caster.__main__ import main\n"
+        "assert 'numpy' not in sys.modules, 'threads start as NumPy is loaded'\n"
+        "os.environ.pop('OPENBLAS_NUM_THREADS', None); sys.argv = ['caster', '--version']\n"
+        "main({given}); print(gc.get_threshold()[0], os.environ.get('OPENBLAS_NUM_THREADS'))"
+    )
+    for given, expected in (("", "50000 1"), ("['--version']", f"{gc.get_threshold()[0]} None")):
+        words = [sys.executable, "-c", code.format(root=str(ROOT), given=given)]
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+        assert done.stdout.splitlines()[-1] == expected
