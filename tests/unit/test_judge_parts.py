@@ -683,6 +683,16 @@ def test_a_place_is_a_pixel_or_a_ray_of_its_list():
     assert scene_with().worst == ("", 0.0)
 
 
+def test_a_verdict_of_which_nothing_is_known_claims_nothing():
+    record = SceneVerdict("name", "path").to_dict()
+    named = {"name": "name", "path": "path", "command": "validate"}
+    counts = dict.fromkeys(CLASSES, 0)
+    nothing = (0, 0.0, "", [], {}, False, None, [0, 0], {"camera": "", "shapes": {}, "primitives": 0})
+    for field, value in record.items():
+        assert value == named[field] if field in named else value in nothing or value == counts, field
+    assert record["ok"] is False and record["counts"] == counts
+
+
 def test_a_finding_states_its_cause_with_remedy_or_place():
     plain = Finding(3, "what", 1, 2)
     assert (plain.text, replace(plain, where="where x").text) == ("what", "what; where x")
