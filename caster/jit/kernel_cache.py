@@ -23,7 +23,7 @@ WITHOUT_KERNELS = (
     "image",
     "system",
 )  # folders that no kernel, and no argument of one, comes from
-INSTALLED = PACKAGE / "jit" / "object_code"  # in wheels that bring object code (tools/wheel_with_kernels.py)
+INSTALLED = PACKAGE / "jit" / "object_code"  # in wheels that bring object code (.ci/wheel_with_kernels.py)
 NOWHERE = Path(os.devnull) / "kernels"  # a folder that cannot exist: nothing is read, nothing written
 
 

@@ -31,9 +31,11 @@ __all__ = [
     "NOTHING_SELECTED",
     "NOT_COMPARABLE",
     "OK",
+    "PARENT_VARIABLE",
     "PIPE_CLOSED",
     "USAGE",
     "at_forced_exit",
+    "die_with_parent",
     "interrupted",
     "reopen_closed_streams",
 ]
@@ -225,3 +227,20 @@ def _clean_up() -> None:
     for action in _forced_exit_actions:
         with contextlib.suppress(Exception):
             action()
+
+
+PARENT_VARIABLE = "CASTER_PARENT"  # in the environment of children: the process that started them
+
+
+def die_with_parent() -> None:
+    """Have Linux kill this process with the one that started it, even if that one is killed itself.
+
+    Ends this process where that one is gone already.
+    """
+    if sys.platform == "linux":
+        import ctypes
+
+        set_parent_death_signal = 1
+        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
+    if os.environ.get(PARENT_VARIABLE, str(os.getppid())) != str(os.getppid()):
+        os._exit(1)

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 
 from caster.system.atomic_files import ScratchFolder
+from caster.system.process import die_with_parent
 from mitsuba_ref.reference import messages, variants
 from mitsuba_ref.reference.answer_store import local_store, request_key, stored_response
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.subprocess_runner import (
     ProcessEnded,
     ResidentProcess,
-    die_with_parent,
     import_path,
     serve,
 )

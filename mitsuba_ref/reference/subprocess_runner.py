@@ -27,15 +27,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from caster.system.process import at_forced_exit
+from caster.system.process import PARENT_VARIABLE, at_forced_exit, die_with_parent
 
 OUTPUT_HEAD_BYTES, OUTPUT_TAIL_BYTES = 1000, 3000  # of captured output that are kept
 MAX_REPLY_BYTES = 1 << 20  # of a line that answers a request
 REAP_SECONDS = 5.0  # for a killed process, or one that closed its pipe, to be gone
 ANSI_ESCAPE = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]  # the folder that the package lies in
-
-PARENT_VARIABLE = "MITSUBA_REF_PARENT"  # in the environment of children: the process that started them
 
 _running: set[int] = set()  # process groups
 _starting = threading.Lock()
@@ -387,20 +385,6 @@ def serve(
 def _request_lines(idle_seconds: float | None) -> Iterator[str]:
     while select.select([sys.stdin], [], [], idle_seconds)[0] and (line := sys.stdin.readline()):
         yield line.rstrip("\n")
-
-
-def die_with_parent() -> None:
-    """Have Linux kill this process with the one that started it, even if that one is killed itself.
-
-    Ends this process where that one is gone already.
-    """
-    if sys.platform == "linux":
-        import ctypes
-
-        set_parent_death_signal = 1
-        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
-    if os.environ.get(PARENT_VARIABLE, str(os.getppid())) != str(os.getppid()):
-        os._exit(1)
 
 
 def import_path() -> str:

@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Any, Generic, NoReturn, TypeVar
 
 from caster.system.atomic_files import ScratchFolder
+from caster.system.process import PARENT_VARIABLE, die_with_parent
 from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.subprocess_runner import (
-    PARENT_VARIABLE,
-    die_with_parent,
     exit_name,
     kill_subprocesses,
 )

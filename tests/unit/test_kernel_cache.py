@@ -220,7 +220,7 @@ needs_level = pytest.mark.skipif(not LEVEL, reason="object code is shipped for x
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """The package with object code of the three kernels, as tools/wheel_with_kernels.py puts it into a wheel."""
+    """The package with object code of the three kernels, as .ci/wheel_with_kernels.py puts it into a wheel."""
     tree, home = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("home")
     without = shutil.ignore_patterns("__pycache__", "object_code")
     shutil.copytree(ROOT / "caster", tree / "caster", ignore=without)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from caster.system import process
-from mitsuba_ref.reference import subprocess_runner
 
 COMMAND = """
 import hashlib, sys, time
@@ -94,12 +93,12 @@ def test_an_ignored_signal_stays_ignored(monkeypatch):
 
 def test_a_child_of_a_dead_parent_ends():
     """The parent may end before the child has asked for its death signal."""
-    source = "from mitsuba_ref.reference.subprocess_runner import die_with_parent; die_with_parent(); print('lives')"
+    source = "from caster.system.process import die_with_parent; die_with_parent(); print('lives')"
     found = {}
     for parent in (os.getpid(), 1):
         environment = {
             **os.environ,
-            subprocess_runner.PARENT_VARIABLE: str(parent),
+            process.PARENT_VARIABLE: str(parent),
             "PYTHONPATH": os.pathsep.join(sys.path),
         }
         done = subprocess.run(

@@ -2,11 +2,14 @@
 
 import io
 import json
+import subprocess
+from pathlib import Path
 
 import pytest
 
 from caster.__main__ import main
 from caster.cameras import CAMERAS, Pinhole
+from caster.cli import installation
 from caster.geometry.packing import pack
 from caster.jit import decorators
 from caster.kernels.protocol import intersect, project_bounding_sphere
@@ -101,3 +104,30 @@ def test_a_terminal_gets_one_line_and_a_file_one_for_each_scene(monkeypatch):
             drawn.count("\n") - drawn.count("\x1b[1A") == expected
         )  # a line that is left behind: none of a bar
         assert "cast_shared_origin" in stream.getvalue() or not stream.isatty()
+
+
+OTHER = str(Path(SCENE).with_name("triangles.toml"))
+
+
+@pytest.mark.skipif(not decorators.COMPILED, reason="without Numba nothing is compiled")
+def test_processes_beside_begin_elsewhere_and_end_with_the_first(little, monkeypatch, capsys):
+    started, run = [], subprocess.Popen
+
+    def start(command, **options):
+        started.append((command, run(command, **options)))
+        return started[-1][1]
+
+    monkeypatch.setattr(installation.subprocess, "Popen", start)
+    assert main(["doctor", "--warm", SCENE, OTHER, "-j", "5"]) == 0
+    ((command, child),) = started  # no more than there are scenes
+    assert command[-6:] == ["--warm", SCENE, OTHER, "--beside", "1", "2"] and child.poll() is not None
+    orders = []
+    counts = warm_up.WarmUpCounts(0, 0)
+    monkeypatch.setattr(warm_up, "warm_up", lambda scenes, _: orders.append([n for n, _ in scenes]) or counts)
+    monkeypatch.setattr(installation, "die_with_parent", lambda: orders.append("tied"))
+    assert main(command[4:]) == 0 and orders == ["tied", [OTHER, SCENE]]
+    capsys.readouterr()
+
+
+def test_jobs_without_kernels_to_compile_are_refused(capsys):
+    assert main(["doctor", "-j", "2"]) == 2 and "goes with --warm" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""tools/wheel_with_kernels.py: what goes into the wheel, its list of files, and which levels are built."""
+""".ci/wheel_with_kernels.py: what goes into the wheel, its list of files, and which levels are built."""
 
 import base64
 import csv

@@ -1,6 +1,6 @@
 """A wheel that brings object code of all kernels, so that an installed `caster` renders at once.
 
-    python tools/wheel_with_kernels.py [--out dist] [--levels x86-64-v4,x86-64-v3]
+    python .ci/wheel_with_kernels.py [--out dist] [--levels x86-64-v4,x86-64-v3]
 
 `make wheel` runs it, in some minutes. The pure wheel of this tree is unpacked, `caster doctor --warm` compiles its
 kernels for each level of processors (caster/jit/machine_code.py:LEVELS), and their object code goes into
