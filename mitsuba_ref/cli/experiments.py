@@ -116,7 +116,7 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--meshes",
         metavar="DIR",
-        type=str,
+        type=InputPath,
         help="also time each mesh file of this folder; default: what MITSUBA_REF_MESHES names, if it is set",
     )
     add(

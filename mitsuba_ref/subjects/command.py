@@ -71,6 +71,8 @@ def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ..
         words = shlex.split(text)
     except ValueError as error:
         raise SceneError(f"--candidate {text!r}: {error}") from error
+    if not words:
+        raise SceneError(f"--candidate {text!r}: expected a program and its arguments, got blanks alone")
     try:
         fields = [each for word in words for each in string.Formatter().parse(word) if each[1] is not None]
     except ValueError as error:

@@ -123,6 +123,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "caster check FILE", "caster check FILE --mesh-dir in", "caster sheet in -o out/o.png --side 4"
     ),
     "in/mesh.obj": read_by(
+        "mitsuba-ref bench --list --meshes in",
         "caster check in/obj.toml",
         "caster render in/obj.toml -o out/o.exr",
         "mitsuba-ref judge --mesh FILE --rays in/rays.npz --hits in/hits.npz",

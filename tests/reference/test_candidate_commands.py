@@ -216,6 +216,12 @@ def test_what_cannot_be_requested_is_stated_before_any_work(text, says):
     assert says in str(caught.value) and "--candidate" in str(caught.value)
 
 
+@pytest.mark.parametrize("blanks", ["", " ", "\n \t"])
+def test_a_served_program_of_blanks_is_refused(blanks):
+    with pytest.raises(SceneError, match="got blanks alone"):
+        parse_candidate(blanks, served=True)
+
+
 def test_a_program_ends_with_the_run_that_started_it(judged, tmp_path):
     """Ctrl-C reaches the judge alone: it stops what it has started."""
     (tmp_path / "program.py").write_text(

@@ -39,7 +39,7 @@ class Fault(NamedTuple):
 
 # What `render` casts is packed in float64; Mitsuba never sees it, and float32 hides a relative error of 1e-9.
 ONLY_FLOAT64 = "(1.0 + {} * (rounded is as_given))"
-RADIUS = "rounded(np.array([scale * self.radius]))"
+RADIUS = "rounded(scale * radii)"
 USER_FLOAT64 = "def as_given(numbers: np.ndarray) -> np.ndarray:\n    return np.asarray(numbers, np.float64)"
 PACKING_FAULTS = (
     Fault(
@@ -136,7 +136,7 @@ PACKING_FAULTS = (
 )
 
 # Ends of the process that casts, in the first line of packing a sphere: the scene of triangles is judged all the same.
-PACK = "        linear = self.matrix[:3, :3]\n        center = linear @ np.array(self.center)"
+PACK = "    linear = matrix[:3, :3]\n    x, y, z = centers"
 ENDS = {
     "a null pointer is read": ("__import__('ctypes').string_at(0)", "SIGSEGV"),
     "the C library aborts": ("__import__('os').abort()", "SIGABRT"),
@@ -148,7 +148,7 @@ ENDS = {
     "the process exits with 0": ("__import__('os')._exit(0)", "exit code 0"),
     "sys.exit with 0": ("raise SystemExit(0)", "exit code 0|SystemExit"),
     "memory runs out": ("np.empty(2**50)", "not enough memory"),
-    "calls itself for ever": ("self.pack(rounded)", "RecursionError"),
+    "calls itself for ever": ("pack_spheres(centers, radii, matrix, rounded)", "RecursionError"),
     "an exception of Python": ("np.zeros(3)[4]", "IndexError"),
 }
 EXIT_CODES = {"memory runs out": 2, "calls itself for ever": 70, "an exception of Python": 70}  # of others 1
@@ -160,7 +160,7 @@ END_FAULTS = tuple(
         rf"FAIL  one-sphere  [^\n]*(?:{message})",
         SPHERE,
         PACK,
-        f"        {code}\n{PACK}",
+        f"    {code}\n{PACK}",
     )
     for what, (code, message) in ENDS.items()
 )
@@ -173,7 +173,10 @@ KEYS = {
     "the size of each file": (CONTENT, "str(path.stat().st_size).encode()"),
     "seven bits of each byte": (CONTENT, f"bytes(byte & 127 for byte in {CONTENT})"),
     "no names of files": ('path.relative_to(PACKAGE).as_posix().encode() + b"\\0"', 'b"\\0"'),
-    "no version of the compiler": ("hashlib.sha256(version.encode())", "hashlib.sha256()"),
+    "no version of the compiler": (
+        "version.encode() + (sources or source_digest())",
+        "(sources or source_digest())",
+    ),
     "no files in folders of folders": ('PACKAGE.rglob("*.py")', 'PACKAGE.glob("*/*.py")'),
     "one bit of the digest": ("digest.hexdigest()[:16]", "digest.hexdigest()[:1]"),
     "nothing but __init__.py": ('PACKAGE.rglob("*.py")', 'PACKAGE.rglob("__init__.py")'),

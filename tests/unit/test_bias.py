@@ -117,7 +117,7 @@ def groups(key: np.ndarray) -> int:
 
 
 def test_every_kind_of_primitive_has_its_groups():
-    scenes = [load_scene(SCENES / f"{name}.toml") for name in ("every-shape", "ellipsoids")]
+    scenes = [load_scene(SCENES / f"{name}.toml") for name in ("every-shape", "ellipsoids", "sphere-clouds")]
     assert {type(shape) for scene in scenes for shape in scene.shapes} == set(SHAPES)
     kinds = {type(kind.prims) for scene in scenes for kind in pack(scene, as_float32).kinds}
     assert kinds == set(KINDS)

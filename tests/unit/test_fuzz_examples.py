@@ -93,7 +93,7 @@ def test_a_family_finds_trouble_to_check_example(family):
     """Hits on edges, corners, rims and tangents, or several at once; no scene is thrown away."""
     tally = Tally()
     for number in range(FEW):
-        check_example(example(4, number, [family]), tally)
+        check_example(example(8, number, [family]), tally)
     assert tally.rays >= 60 * FEW and tally.hits >= tally.rays / 8
     assert tally.edges + tally.ties >= 6
     assert tally.outside == 0

@@ -22,6 +22,7 @@ from caster import (
     Plane,
     Rectangle,
     Sphere,
+    SphereCloud,
     Teapot,
     Torus,
     Triangle,
@@ -102,8 +103,10 @@ def shape_of(
     return PLAIN[kind](steps)
 
 
+CLOUD_CENTERS, CLOUD_RADII = ((-0.5, 0.1, 0.0), (0.6, -0.3, 0.2), (0.1, 0.5, -0.4)), (0.4, 0.3, 0.5)
 PLAIN = {
     "sphere": lambda steps: Sphere(to_world=steps),
+    "spheres": lambda steps: SphereCloud(centers=CLOUD_CENTERS, radii=CLOUD_RADII, to_world=steps),
     "rectangle": lambda steps: Rectangle(to_world=steps),
     "disk": lambda steps: Disk(to_world=steps),
     "cube": lambda steps: Cube(to_world=steps),
