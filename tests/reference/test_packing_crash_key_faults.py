@@ -178,7 +178,7 @@ KEYS = {
         "(sources or source_digest())",
     ),
     "no files in folders of folders": ('PACKAGE.rglob("*.py")', 'PACKAGE.glob("*/*.py")'),
-    "one bit of the digest": ("digest.hexdigest()[:16]", "digest.hexdigest()[:1]"),
+    "one bit of the digest": ("source_digest())).hexdigest()[:16]", "source_digest())).hexdigest()[:1]"),
     "nothing but __init__.py": ('PACKAGE.rglob("*.py")', 'PACKAGE.rglob("__init__.py")'),
 }
 KEY_FAULTS = tuple(
