@@ -234,6 +234,10 @@ def single_ray_case(case: Case, finding: Finding, judge: Judge) -> Case:
     pixel = finding.pixel
     if pixel is not None:
         x, y = pixel
+        x0, y0, x1, y1 = case.scene().film.window
+        if not (x0 <= x < x1 and y0 <= y < y1):  # of a route, whose film may be another one
+            pixel = None
+    if pixel is not None:
         cropped = case._replace(film={**case.film, "crop": [x, y, x + 1, y + 1]})
         rays += [] if finding.ray is not None else ray_of(cropped)
     for ray in rays:

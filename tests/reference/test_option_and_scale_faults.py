@@ -35,7 +35,7 @@ class Fault(NamedTuple):
 OPTION_FAULTS = (
     (
         "fov_axis larger of a portrait film is x",
-        "options 95..97",
+        "options 41..41",
         "judged",
         PINHOLE,
         'else "larger")',
@@ -51,7 +51,7 @@ OPTION_FAULTS = (
     ),
     (
         "principal point where primitives are projected",
-        "options 27..29",
+        "options 9..9",
         "culling",
         PINHOLE,
         "y = (0.5 - camera.shift[1]) * camera.size[1]",
@@ -134,7 +134,7 @@ SCALE_FAULTS = (
     ),
     (
         "directions below 1e-170 are none",
-        "magnitudes 1..1",
+        "magnitudes 21..21",
         "error",
         "caster/kernels/nearest.py",
         "if not (length > 0.0 and",

@@ -83,10 +83,9 @@ PACKING_FAULTS = (
         "inverse matrix off by 1e-10",
         "ellipsoids",
         r"knife_edges: ",
-        WORLD,
-        "return rounded(center)[None], to_world[None], inverse(to_world)[None]",
-        "return rounded(center)[None], to_world[None], "
-        f"{ONLY_FLOAT64.format(1e-10)} * inverse(to_world)[None]",
+        SPHERE,
+        "np.stack([inverse(to_world[i]) for i in first])",
+        "(1.0 + 1e-10 * (rounded(np.array(0.1)) == 0.1)) * np.stack([inverse(to_world[i]) for i in first])",
     ),
     Fault(
         "packing",

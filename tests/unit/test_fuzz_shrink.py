@@ -19,6 +19,7 @@ from mitsuba_ref.fuzz.shrink import (
     fewer_shapes,
     rounder_numbers,
     simpler_numbers,
+    single_ray_case,
     smallest_case,
     translated,
     walk,
@@ -163,3 +164,16 @@ def test_a_case_is_the_same_as_plain_data():
     case = Case({"width": 1}, {"type": "panorama"}, [{"type": "sphere"}], ray)
     again = Case.of(case.to_data())
     assert again.to_data() == case.to_data() and np.signbit(again.ray.o[0, 1])
+
+
+def test_a_pixel_of_another_film_leaves_the_case_as_it_is():
+    """A route may be a film of 128 pixels of a scene whose own has four; one inside becomes a case of a single ray."""
+    case = Case({"width": 4, "height": 4}, {"type": "panorama"}, [{"type": "sphere"}])
+    tried = []
+
+    def differs(each):
+        tried.append(each)
+        return [Finding("route", "other bits")]
+
+    assert single_ray_case(case, Finding("route", "other bits", pixel=(99, 0)), differs) == case and not tried
+    assert single_ray_case(case, Finding("route", "other bits", pixel=(3, 2)), differs).ray is not None
