@@ -168,7 +168,8 @@ def test_a_case_is_the_same_as_plain_data():
 
 def test_a_pixel_of_another_film_leaves_the_case_as_it_is():
     """A route may be a film of 128 pixels of a scene whose own has four; one inside becomes a case of a single ray."""
-    case = Case({"width": 4, "height": 4}, {"type": "panorama"}, [{"type": "sphere"}])
+    camera = {"type": "pinhole", "eye": [0, 0, 5], "look_at": [0, 0, 0], "fov": 40}
+    case = Case({"width": 4, "height": 4}, camera, [{"type": "sphere"}])
     tried = []
 
     def differs(each):
