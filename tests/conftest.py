@@ -1,6 +1,7 @@
 """What this run could use, said in its header, and a marker for each folder of tests."""
 
 import contextlib
+import gc
 import importlib.util
 import os
 import shutil
@@ -9,6 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from caster.__main__ import COLLECTION_THRESHOLDS
 
 TESTS = Path(__file__).parent
 KINDS = {
@@ -60,6 +63,13 @@ def pytest_report_header() -> list[str]:
         f"peers: {peers}",
         f"reports: {chromium}",
     ]
+
+
+def pytest_collection_finish() -> None:
+    """What stays to the end, thousands of tests among it, is searched for circles of objects no more."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(*COLLECTION_THRESHOLDS)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

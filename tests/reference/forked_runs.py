@@ -83,8 +83,12 @@ def pass_over(name: str) -> None:
     from mitsuba_ref.report import validation
 
     passed = SceneCheck(name, 0.0, "passed over by this test")
-    assert callable(getattr(validation, f"check_{name}"))
-    setattr(validation, f"check_{name}", lambda *given: passed)
+    function = "knife_edges" if name == "knife_edges" else f"check_{name}"
+    group = validation.CHECKS_OF_OUR_FILM
+    kept = tuple(check for check in group if check.__name__ != function)
+    assert len(kept) < len(group) or callable(getattr(validation, function)), function
+    validation.CHECKS_OF_OUR_FILM = kept
+    setattr(validation, function, lambda *given: (passed, ()) if name == "knife_edges" else passed)
 
 
 def ask_once(memory: Path) -> None:

@@ -818,8 +818,8 @@ def tree(unedited, tmp_path):
     return copy_tree(tmp_path, unedited)
 
 
-# Two thirds of the time of `validate` in plain Python; each has tests of its own.
-LONG_CHECKS = ("routes", "scaling")
+# Most of the time of `validate` in plain Python; each is made where it is the check that a fault offends.
+LONG_CHECKS = ("routes", "scaling", "knife_edges", "culling")
 LOADING = "mitsuba-ref validate: loading the judge and the scenes\n"  # all that stderr has
 
 

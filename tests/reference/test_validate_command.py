@@ -17,6 +17,7 @@ import pytest
 from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
 
 from caster.image.exr import read_exr
+from caster.jit.kernel_cache import cache_folder
 from mitsuba_ref.judge.verdict import CLASSES, Failure
 
 SIZE, SMALL = ("--size", "12", "10"), ("--size", "7", "6")
@@ -266,7 +267,8 @@ def fake_mitsuba(tmp_path):
     def plant(source):
         tree = copy_tree(tmp_path / "tree")
         (tree / "mitsuba.py").write_text(source, encoding="utf-8")
-        return {"tree": tree, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+        kernels = cache_folder().parent  # those of the same sources, which nobody has to compile once more
+        return {"tree": tree, "XDG_CACHE_HOME": str(tmp_path / "cache"), "NUMBA_CACHE_DIR": str(kernels)}
 
     return plant
 
