@@ -32,7 +32,7 @@ fuzz: $(INSTALLED) ## random scenes against exact arithmetic and Mitsuba for a m
 	@$(BIN)/mitsuba-ref fuzz $(ARGS)
 
 faults: $(INSTALLED) ## plant every fault there is in a copy of the caster: fuzz or validate has to find each; ten minutes
-	@FAULTS=all $(BIN)/python -m pytest -n $(JOBS) tests/reference/test_fuzz_faults.py tests/agreement/test_lane_faults.py tests/reference/test_bound_faults.py tests/reference/test_packing_crash_key_faults.py tests/reference/test_reader_faults.py tests/reference/test_route_faults.py tests/reference/test_file_faults.py tests/reference/test_option_and_scale_faults.py $(ARGS)
+	@FAULTS=all $(BIN)/python -m pytest -n $(JOBS) tests/reference/test_planted_faults.py tests/reference/test_fuzz_faults.py tests/agreement/test_lane_faults.py tests/reference/test_bound_faults.py tests/reference/test_packing_crash_key_faults.py tests/reference/test_reader_faults.py tests/reference/test_route_faults.py tests/reference/test_file_faults.py tests/reference/test_option_and_scale_faults.py $(ARGS)
 
 mutants: $(INSTALLED) ## plant small faults by rule, a sample of each group of modules: writes docs/mutants.md; hours
 	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --page docs/mutants.md $(ARGS)

@@ -245,9 +245,18 @@ def resident_bytes() -> int:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
+def run_child(arguments: Sequence[str]) -> int:
+    """The whole of a child process: requests until none comes, or the one in a folder; its exit code."""
+    if arguments[0] == SERVE:
+        serve(replies, int(arguments[1]), IDLE_SECONDS)
+        return 0
+    die_with_parent()
+    return main(Path(arguments[0]))
+
+
 if __name__ == "__main__":
-    if sys.argv[1] == SERVE:
-        serve(replies, int(sys.argv[2]), IDLE_SECONDS)
-    else:
-        die_with_parent()
-        sys.exit(main(Path(sys.argv[1])))
+    code = run_child(sys.argv[1:])
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # Without the end of the interpreter: what Dr.Jit does there has been seen to run on, with all said and written.
+    os._exit(code)

@@ -88,11 +88,11 @@ def test_sizes_that_have_no_squares_change_nothing(size, camera):
         cube = Cube(to_world=[{"scale": 0.3 * size}, {"translate": (-aside * size, 0.1 * size, size)}])
         looking = camera(eye=(0.0, 0.0, 5.0 * size), look_at=(0.0, 0.0, 0.0), **across)
         for shapes in ([ball, far], [ball, far, cube]):
-            scene = Scene(film={"width": 24, "height": 18}, camera=looking, shapes=shapes)
+            scene = Scene(film={"width": 16, "height": 12}, camera=looking, shapes=shapes)
             every = render(scene, ("depth", "normal"), culling="brute-force")
             assert_same_bits(every, render(scene, ("depth", "normal"), culling="raster"), "at once")
             hits, _ = count_hits_where_cullings_agree(scene)
-            assert hits >= 20
+            assert hits >= 9
 
 
 FILM = {"width": 32, "height": 24}

@@ -18,7 +18,7 @@ from caster.scene.model import Scene
 from caster.shapes import SHAPES, Sphere
 
 OFFSETS = 2 * (0.0, 1.0, 1e3, 1e5, 1e7)
-PAIRS = 2000  # of a ray and a primitive, for each offset
+PAIRS = 1000  # of a ray and a primitive, for each offset
 ULP = 2.0**-52
 # Times the condition, which counts each operand's rounding once and not the roundings in between.
 T_ULPS = 4.0
@@ -77,7 +77,7 @@ def test_intersect_agrees_with_exact_arithmetic(shape):
         assert worst <= T_ULPS
         total += hits, misses, close
         kinds.add(type(packed.parts[0]))
-    assert total[0] >= 100 and total[1] >= 30 and total[2] <= total.sum() // 10, (
+    assert total[0] >= 50 and total[1] >= 15 and total[2] <= total.sum() // 10, (
         f"{total} hits, misses, too close"
     )
     assert kinds == {type(random_shape(shape, rng).pack(as_given)) for _ in range(30)}, "a kind was left out"

@@ -50,6 +50,6 @@ def test_a_mirror_keeps_t_and_mirrors_positions_and_normals(shape):
     hits = 0
     for mirror in MIRRORS:
         scene = random_scene(rng, [shape], Pinhole, offset=rng.uniform(0.0, 10.0))
-        for o, d in hard_rays(packed(scene), rng, 100).values():
+        for o, d in hard_rays(packed(scene), rng, 50).values():
             hits += count_hits_where_mirrors_agree(scene, np.array(mirror), o, d)
-    assert hits >= 1200
+    assert hits >= 500

@@ -50,11 +50,11 @@ def test_a_power_of_two_scales_t_exactly_and_keeps_the_rest(shape):
         if hasattr(shape, "mesh"):
             power = min(power, LARGEST_OF_TRIANGLES)
         scene = random_scene(rng, [shape], Pinhole, offset=rng.uniform(0.0, 10.0))
-        families = hard_rays(packed(scene), rng, 100)
+        families = hard_rays(packed(scene), rng, 50)
         del families["unnormalised"]  # a length of 1e30 to the third power leaves no room for 2^300
         for o, d in families.values():
             hits += count_hits_where_scales_agree(scene, power, o, d)
-    assert hits >= 1000
+    assert hits >= 500
 
 
 @pytest.mark.parametrize("camera", VIEWS, ids=name)

@@ -10,7 +10,7 @@ from caster.scene.model import Scene
 from caster.shapes import Icosphere, Torus
 from caster.shapes.mesh import MeshFile
 
-RAYS = 40_000  # at edges, and as many at vertices; `make nightly` casts millions
+RAYS = 10_000  # at edges, and as many at vertices; `make nightly` casts millions
 OFFSETS = (0.0, 1e3, 1e6)
 
 

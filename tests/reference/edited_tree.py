@@ -44,8 +44,11 @@ def edit(tree: Path, file: str, old: str, new: str) -> None:
 
 
 def run(tree: Path, *argv: str, module: str = "mitsuba_ref") -> subprocess.CompletedProcess[str]:
-    """A command of the copy, without the compiler: a kernel that changed would have to be compiled anew."""
-    return _run(str(tree), *argv, module=module)
+    """A command of the copy, without the compiler: a kernel that changed would have to be compiled anew.
+
+    With it where no kernel did: in this tree, and where the environment sets CASTER_JIT.
+    """
+    return _run(str(tree), *argv, module=module, compiled=tree == ROOT)
 
 
 def run_with(plugins: Path, *argv: str, module: str = "mitsuba_ref") -> subprocess.CompletedProcess[str]:
@@ -53,9 +56,9 @@ def run_with(plugins: Path, *argv: str, module: str = "mitsuba_ref") -> subproce
     return _run(os.pathsep.join([str(plugins), str(ROOT)]), *argv, module=module)
 
 
-def _run(path: str, *argv: str, module: str) -> subprocess.CompletedProcess[str]:
+def _run(path: str, *argv: str, module: str, compiled: bool = False) -> subprocess.CompletedProcess[str]:
     words = [sys.executable, "-P", "-m", module, *argv]
-    environment = {**os.environ, "PYTHONPATH": path, "CASTER_JIT": "0"}
+    environment = {"CASTER_JIT": "1" if compiled else "0", **os.environ, "PYTHONPATH": path}
     return subprocess.run(
         words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
     )

@@ -267,8 +267,11 @@ def fake_mitsuba(tmp_path):
     def plant(source):
         tree = copy_tree(tmp_path / "tree")
         (tree / "mitsuba.py").write_text(source, encoding="utf-8")
-        kernels = cache_folder().parent  # those of the same sources, which nobody has to compile once more
-        return {"tree": tree, "XDG_CACHE_HOME": str(tmp_path / "cache"), "NUMBA_CACHE_DIR": str(kernels)}
+        kernels = str(
+            cache_folder().parent
+        )  # those of the same sources, which nobody has to compile once more
+        cache = {"CASTER_JIT": "1", "NUMBA_CACHE_DIR": kernels, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+        return {"tree": tree, **cache}
 
     return plant
 
