@@ -331,7 +331,8 @@ def _outline_text(f: WrongPixels) -> str:
         n = _face_normals(corners)
         height = np.abs(dot(p - corners[:, 0], n))
         on_plane = height <= DISTINCT_RTOL * norm(corners[:, 1] - corners[:, 0])
-        on_plane &= height <= t_bound * np.abs(n @ d)
+        with np.errstate(invalid="ignore"):  # of a miss, beside a triangle along the ray
+            on_plane &= height <= t_bound * np.abs(n @ d)
         if not on_plane.any() or (on_plane & _is_inside(p, corners)).any():
             continue
         beyond = np.where(on_plane, _outline_distances(p, corners), np.inf)
