@@ -32,13 +32,17 @@ def forks(request, tmp_path, memory, unedited):
     forks.close()
 
 
-def test_a_fork_states_what_a_process_states_of_a_right_tree_and_of_a_wrong_one(
-    forks, memory, unedited, tmp_path
-):
-    wrong = copy_tree(tmp_path / "wrong", unedited)
+@pytest.fixture(scope="module")
+def alone(unedited, tmp_path_factory):
+    """What processes of their own state of the unedited tree and of a wrong one, by tree."""
+    wrong = copy_tree(tmp_path_factory.mktemp("wrong"), unedited)
     edit(wrong, "caster/kernels/surface/lighting.py", "albedo[0] / math.pi * flux[0]", "albedo[0] * flux[0]")
+    return {tree: run(tree, *SCENE) for tree in (unedited, wrong)}
+
+
+def test_a_fork_states_what_a_process_states_of_a_right_tree_and_of_a_wrong_one(forks, memory, alone):
     codes = []
-    alone = {tree: run(tree, *SCENE) for tree in (unedited, wrong)}
+    unedited, wrong = alone
     for tree in (unedited, wrong, unedited):  # the third is what a fork of before may not have altered
         forked = forks.run(tree, *SCENE)
         assert said(forked) == said(alone[tree])
