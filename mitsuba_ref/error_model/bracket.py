@@ -67,7 +67,6 @@ class Bracket:
 
     def __init__(self, model: SceneModel, ku: float, *, ours: bool):
         self.model, self.ku, self.ours = model, ku, ours
-        self.nearby = model.nearby
 
     def judge(
         self,
@@ -99,10 +98,10 @@ class Bracket:
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """What is near the rays, and the primitives in `also`. Each ray is in one piece only."""
         if also is None:
-            yield from self.nearby.pairs(o, d)
+            yield from self.model.distinct.pairs(o, d)
             return
         named = np.flatnonzero(also >= 0)
-        pieces = [np.stack(piece) for piece in self.nearby.pairs(o, d)]
+        pieces = [np.stack(piece) for piece in self.model.distinct.pairs(o, d)]
         together = np.unique(np.hstack([*pieces, np.stack([named, also[named]])]), axis=1)
         yield together[0], together[1]
 
@@ -121,10 +120,11 @@ class Bracket:
         prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
         line = RaySegments(o, d, np.zeros(len(o)), t_max)
         possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
-        for ray, each in self.nearby.pairs(o, d):
+        for ray, each in self.model.distinct.pairs(o, d):
             found = self._intersect_in_range(ray, each, line)
             near = near_ray_start(found, d, off)
-            kept = ~(near & (found.prim == prim[found.ray]))
+            # Identical primitives are as near as the one that the ray leaves, and remain.
+            kept = ~(near & (found.prim == prim[found.ray]) & ~self.model.has_twins(found.prim))
             found, near = found.take(kept), near[kept]
             possible[found.ray] = True
             certain[found.ray[np.isfinite(latest_hits(found, t_max)) & ~near]] = True
@@ -135,7 +135,7 @@ class Bracket:
     ) -> RayIntersections:
         """Every possible intersection of some rays, few enough to be held at once."""
         line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
-        found = [self._intersect_in_range(ray, prim, line) for ray, prim in self.nearby.pairs(o, d)]
+        found = [self._intersect_in_range(ray, prim, line) for ray, prim in self.model.nearby.pairs(o, d)]
         if not found:
             return RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections())
         at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
@@ -164,7 +164,7 @@ class Bracket:
         shape = claims.shape[ray]
         named = (shape == ANY_SHAPE) | (self.model.packed.shape_of(found.prim) == shape)
         if claims.prim is not None:
-            named &= claims.prim[ray] == self.model.packed.index_in_shape(found.prim)
+            named &= self._is_or_equals(claims.prim[ray], found.prim)
         without_t = np.isnan(claims.t[ray])
         with np.errstate(invalid="ignore"):
             named &= without_t | (claims.t[ray] <= latest[ray] + t_rounding)
@@ -185,6 +185,17 @@ class Bracket:
         untestable[ray[named & ~np.isfinite(at.t_error)]] = True
         missed = claims.shape[rays] == CLAIMED_MISS
         return np.where(missed, np.isinf(latest[rays]), has_match[rays]), untestable[rays]
+
+    def _is_or_equals(self, claimed: np.ndarray, prim: np.ndarray) -> np.ndarray:
+        """(m,) bool: the claimed number, within the shape of prim[i], is that of prim[i] or of an identical one."""
+        packed, identical = self.model.packed, self.model.identical
+        if identical is None:
+            named: np.ndarray = claimed == packed.index_in_shape(prim)
+            return named
+        shape = packed.shape_of(prim)
+        number = packed.first[shape] + claimed
+        there = (claimed >= 0) & (number < packed.first[shape + 1])
+        return there & (identical[np.where(there, number, 0)] == identical[prim])
 
 
 def within_error(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:

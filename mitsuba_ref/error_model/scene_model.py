@@ -14,6 +14,7 @@ import numpy as np
 from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, norm, unit
 from mitsuba_ref.error_model.tolerances import KU
+from mitsuba_ref.oracle.interface import lowest_identical
 from mitsuba_ref.oracle.oracle import columns_in_order
 
 
@@ -90,6 +91,33 @@ class SceneModel:
         """The boxes as rays look for them: one for all brackets of the model."""
         return BroadPhase(*self.boxes)
 
+    @cached_property
+    def identical(self) -> np.ndarray | None:
+        """(n,) of each primitive the lowest of its shape with the same bits, shading included; None if all differ."""
+        found, different = np.arange(self.packed.first[-1]), True
+        for place, kind in enumerate(self.packed.kinds):
+            shape = self.packed.shape_of(kind.ids)
+            lowest = lowest_identical(self.kinds[place], [shape], shading=True)
+            if lowest is not None:
+                found[kind.ids], different = kind.ids[lowest], False
+        return None if different else found
+
+    @cached_property
+    def distinct(self) -> "BroadPhase":
+        """`nearby`, with one of identical primitives alone: what holds of the others, too."""
+        if self.identical is None:
+            return self.nearby
+        rows = np.flatnonzero(self.identical == np.arange(len(self.identical)))
+        low, high = self.boxes
+        return BroadPhase(low[rows], high[rows], rows)
+
+    def has_twins(self, prim: np.ndarray) -> np.ndarray:
+        """(m,) bool: another primitive of the shape of prim[i] is identical to it."""
+        if self.identical is None:
+            return np.zeros(len(prim), bool)
+        several: np.ndarray = np.bincount(self.identical, minlength=len(self.identical)) > 1
+        return several[self.identical[prim]]
+
 
 def with_edges(at: Intersections) -> Intersections:
     """Arrays of edges for kinds without edges, so that all kinds concatenate."""
@@ -119,9 +147,11 @@ BOXES_PER_RAY = 64 * BRANCHING_FACTOR  # that a ray is expected to be tested wit
 class BroadPhase:
     """Boxes of primitives (n, 3), (n, 3), in boxes of boxes by where they are."""
 
-    def __init__(self, low: np.ndarray, high: np.ndarray):
-        self.order = morton_order(low, high)
-        self.levels = [(columns_in_order(low, self.order), columns_in_order(high, self.order))]
+    def __init__(self, low: np.ndarray, high: np.ndarray, prims: np.ndarray | None = None):
+        """prims: (n,) their primitives, if not 0 to n - 1."""
+        order = morton_order(low, high)
+        self.order = order if prims is None else prims[order]
+        self.levels = [(columns_in_order(low, order), columns_in_order(high, order))]
         while self.levels[-1][0].shape[1] > BRANCHING_FACTOR:
             below, above = self.levels[-1]
             starts = np.arange(0, below.shape[1], BRANCHING_FACTOR)

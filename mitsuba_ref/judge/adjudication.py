@@ -17,6 +17,7 @@ from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED
 from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
+from mitsuba_ref.oracle.interface import tied_prims
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
@@ -216,13 +217,16 @@ def claims_other_tie(
 
     closest: no bound on a normal may be looser, or agreement would mean nothing.
     """
-    others = [(i, each) for i, a in enumerate(answers) if a is not None for each in a.ties[1:]]
+    tied = {i: tied_prims(a)[1:] for i, a in enumerate(answers) if a is not None and len(a.ties) > 1}
     taken = np.zeros(len(o), bool)
-    if not others:
+    if not tied:
         return taken
-    ray = np.array([i for i, _ in others])
-    prim = np.array([each.prim for _, each in others])
-    t = np.array([float(each.t) for _, each in others])
+    if model.identical is not None:  # what fits one of identical primitives fits each
+        tied = {i: np.unique(model.identical[prims]) for i, prims in tied.items()}
+    ray = np.repeat(list(tied), [len(prims) for prims in tied.values()])
+    prim = np.concatenate(list(tied.values()))
+    nearest = np.array([np.nan if a is None or a.t is None else float(a.t) for a in answers])
+    t = nearest[ray]
     at = nearest_root(model.intersect(prim, o[ray], d[ray], KU, ours=False), t)
     p = o[ray] + t[:, None] * d[ray]
     with np.errstate(invalid="ignore"):
@@ -271,9 +275,10 @@ class ExactHits:
         self.answers = tuple(Oracle(ready.packed).first_hits(self.o, self.d, t_max=t_max))
         self.hit = np.array([answer.hit for answer in self.answers], bool)
         self.t = np.array([np.inf if answer.t is None else float(answer.t) for answer in self.answers])
-        self.ties = [frozenset(tie.prim for tie in answer.ties) for answer in self.answers]
-        ray = np.repeat(np.arange(len(self.answers)), [len(answer.ties) for answer in self.answers])
-        prim = np.array([tie.prim for answer in self.answers for tie in answer.ties], int)
+        tied = [tied_prims(answer) for answer in self.answers]
+        self.ties = [frozenset(prims.tolist()) for prims in tied]
+        ray = np.repeat(np.arange(len(self.answers)), [len(prims) for prims in tied])
+        prim = np.concatenate([np.zeros(0, np.int64), *tied])
         # (n,) bounds on |t - exact t| in either arithmetic, at the most generous of the primitives that are exactly
         # nearest; inf: unbounded, 0: a miss
         self.float64, self.float32 = np.zeros((2, len(self.answers)))

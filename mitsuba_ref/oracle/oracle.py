@@ -19,7 +19,9 @@ from mitsuba_ref.oracle.interface import (
     ExactKind,
     LineIntersections,
     OutsideDomain,
+    TieSet,
     check_rays,
+    lowest_identical,
 )
 
 __all__ = ["EXACT_KINDS", "ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", "Root"]
@@ -90,29 +92,34 @@ class Oracle:
         self, ray: IntegerRay, span: tuple[float, float], candidates: Iterable[CandidatePrimitive]
     ) -> ExactAnswer:
         """The first hit among candidates, which are sorted by a lower bound of t."""
-        best: Root | None = None
-        ties: dict[int, ExactHit] = {}
+        (start, end), best = span, None
+        ties: dict[int, tuple[PrimitiveArray, int, str]] = {}
         contacts: list[Contact] = []
         for part, k, near in candidates:
             if best is not None and best < near:
                 break
             crossed = part.intersect(k, ray)
-            contacts += crossed.contacts
-            t, where = next((root for root in crossed.roots if root[0] > span[0]), (None, ""))
-            if t is None or t > span[1]:
+            if crossed.contacts:
+                contacts += crossed.contacts
+            for root in crossed.roots:
+                if root[0] > start:
+                    t, where = root
+                    break
+            else:
+                continue
+            if end != math.inf and t > end:
                 continue
             order = -1 if best is None else t.compare(best)
             if order < 0:
                 best, ties = t, {}
             if order <= 0:
-                prim = int(part.ids[k])
-                ties.setdefault(prim, ExactHit(prim, t, where))
-        flags = (
-            self._always
-            | contacts_before(contacts, span, best)
-            | {hit.where for hit in ties.values()} & {"tangent"}
-        )
-        return ExactAnswer(best, tuple(ties[prim] for prim in sorted(ties)), flags)
+                ties.setdefault(int(part.ids[k]), (part, k, where))
+        flags = self._always
+        if contacts:
+            flags |= contacts_before(contacts, span, best)
+        if any(where == "tangent" for _, _, where in ties.values()):
+            flags |= {"tangent"}
+        return ExactAnswer(best, tie_set(best, ties), flags)
 
     def roots(self, prim: int, o: Iterable[float], d: Iterable[float]) -> tuple[ExactHit, ...]:
         """Every root of primitive number `prim`, at any t, ascending; none for a face that is dropped.
@@ -129,6 +136,16 @@ class Oracle:
         return tuple(found[t] for t in sorted(found))
 
 
+def tie_set(best: Root | None, ties: dict[int, tuple[PrimitiveArray, int, str]]) -> Sequence[ExactHit]:
+    """All hits at `best`; ties: of each primitive that was tried and is hit there, by its number in the scene."""
+    if best is None:
+        return ()
+    if any(k in part.identical for part, k, _ in ties.values()):
+        groups = [(where, part.identical.get(k, part.ids[k : k + 1])) for part, k, where in ties.values()]
+        return TieSet(best, groups)
+    return tuple(ExactHit(prim, best, ties[prim][2]) for prim in sorted(ties))
+
+
 def contacts_before(
     contacts: Iterable[Contact], span: tuple[float, float], best: Root | None
 ) -> frozenset[str]:
@@ -143,7 +160,8 @@ def contacts_before(
 
 def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
     """The primitives with their exact arithmetic; stand-ins in pieces that have one."""
-    if type(prims) in STAND_INS:
+    pieces = type(prims) in STAND_INS
+    if pieces:
         prims, owner = STAND_INS[type(prims)](prims)
         ids = ids[owner]
     if type(prims) not in EXACT_KINDS:
@@ -151,7 +169,21 @@ def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
             f"{type(prims).__name__} has no exact arithmetic: write an ExactKind (mitsuba_ref/oracle/interface.py) "
             "and name it as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes, which has to be imported"
         )
-    return PrimitiveArray(EXACT_KINDS[type(prims)], prims, ids, {})
+    lowest = None if pieces else lowest_identical(prims, shading=False)  # pieces: several have one number
+    return PrimitiveArray(EXACT_KINDS[type(prims)], prims, ids, {}, *identical_groups(lowest, ids))
+
+
+def identical_groups(
+    lowest: np.ndarray | None, ids: np.ndarray
+) -> tuple[dict[int, np.ndarray], np.ndarray | None]:
+    """({row: numbers of all that are identical to it, ascending}, rows that need not be tried for a lower one is)."""
+    if lowest is None:
+        return {}, None
+    rows = np.flatnonzero(np.bincount(lowest, minlength=len(lowest))[lowest] > 1)
+    rows = rows[np.argsort(lowest[rows], kind="stable")]
+    starts = np.flatnonzero(np.diff(lowest[rows], prepend=-1))
+    groups = np.split(rows, starts[1:])
+    return {int(group[0]): np.sort(ids[group]) for group in groups}, lowest != np.arange(len(lowest))
 
 
 # ---- the index of primitives: a tree of boxes, traversed in float64 with padding, which misses no candidate ----
@@ -284,6 +316,10 @@ class PrimitiveArray(NamedTuple):
     prims: Any
     ids: np.ndarray  # (n,) the number of each in the scene
     ready: dict[int, Any]  # prepared primitives, by row
+    identical: dict[
+        int, np.ndarray
+    ]  # row -> numbers in the scene of all primitives with its bits, where several have
+    repeated: np.ndarray | None  # (n,) bool: identical to a lower row, which stands for it; None: none is
 
     def intersect(self, k: int, ray: IntegerRay) -> LineIntersections:
         if k not in self.ready:
@@ -314,8 +350,12 @@ class PrimitiveIndex:
         low, high = map(np.concatenate, zip(*boxes, strict=True)) if len(boxes) > 1 else boxes[0]
         del boxes
         bounded = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
-        self.boxed = np.flatnonzero(self.present & bounded)  # indices
-        self.boundless = np.flatnonzero(self.present & ~bounded)  # of primitives that any ray may intersect
+        tried = self.present.copy()  # one of identical primitives
+        for part, first in zip(parts, self.first.tolist(), strict=False):
+            if part.repeated is not None:
+                tried[first : first + len(part.ids)] &= ~part.repeated
+        self.boxed = np.flatnonzero(tried & bounded)  # indices
+        self.boundless = np.flatnonzero(tried & ~bounded)  # of primitives that any ray may intersect
         if len(self.boxed) < len(low):
             low, high = low[self.boxed], high[self.boxed]
         self.tree = BoxTree(low, high)

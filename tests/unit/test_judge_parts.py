@@ -268,7 +268,9 @@ def test_a_claim_is_that_of_another_tie_within_its_bounds_there(monkeypatch, wha
         monkeypatch.setattr(adjudication, "nearest_root", nearest_root)
         asked = []
         model = SimpleNamespace(
-            packed=PACKED, intersect=lambda prim, *rest, **more: asked.append(prim.tolist()) or "met"
+            packed=PACKED,
+            identical=None,
+            intersect=lambda prim, *rest, **more: asked.append(prim.tolist()) or "met",
         )
         plain = {"t": t, "shape": 2, "n": SIDE, "sh_n": UP, "p": np.array([exact, 0.0, 0.0])} | change
         rows = {name: np.array([value, value]) for name, value in plain.items()}

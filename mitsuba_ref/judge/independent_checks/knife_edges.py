@@ -229,7 +229,7 @@ def _from_eye(eye: np.ndarray) -> Aim:
 
 @np.errstate(all="ignore")
 def compare_exactly(subject: PreparedScene, rays: RayBatch) -> tuple[np.ndarray, list[str], list[set[int]]]:
-    """(error over bound (n,), inf for another first hit; that in words; the primitives of both answers)."""
+    """(error over bound (n,), inf for another first hit; that in words; the primitives of both answers if it fails)."""
     ours = cast_by_culling(subject.packed, rays, "bvh")
     answers = subject.oracle.first_hits(*rays)
     bounds = t_bounds(error_models(subject.scene), subject.packed, ours, (rays.o, rays.d))
@@ -240,7 +240,7 @@ def compare_exactly(subject: PreparedScene, rays: RayBatch) -> tuple[np.ndarray,
         if kind:
             ratios[i] = max(ratios[i], np.nextafter(1.0, 2.0))
         texts.append(text)
-        prims.append({hit.prim for hit in row[0].ties} | {row[2]} - {-1})
+        prims.append({hit.prim for hit in row[0].ties} | {row[2]} - {-1} if kind else set())
     return ratio_of(ratios, np.ones(1)), texts, prims
 
 
