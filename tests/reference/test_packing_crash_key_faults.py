@@ -185,7 +185,10 @@ KEY_FAULTS = tuple(
 )
 
 FAULTS = (*PACKING_FAULTS, *END_FAULTS, *KEY_FAULTS)
-QUICK = ("radius off by 1e-12 of itself", "the C library aborts")  # of the key, test_kernel_cache_key plants some
+QUICK = (
+    "radius off by 1e-12 of itself",
+    "the C library aborts",
+)  # of the key, test_kernel_cache_key plants some
 CHOSEN = [fault for fault in FAULTS if fault.what in QUICK or os.environ.get("FAULTS") == "all"]
 
 
