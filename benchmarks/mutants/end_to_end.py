@@ -9,7 +9,7 @@ from caster.scene.files import load_scene
 from mitsuba_ref.fuzz.campaign import check_example
 from mitsuba_ref.fuzz.families import FAMILIES, example
 from mitsuba_ref.fuzz.findings import Tally
-from mitsuba_ref.reference.session import ResidentSession
+from mitsuba_ref.reference.mitsuba_process import ResidentSession
 from mitsuba_ref.report.validation import validate_scene
 
 pytestmark = pytest.mark.filterwarnings(

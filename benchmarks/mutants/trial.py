@@ -124,7 +124,7 @@ def remember_mitsuba(memory: Path) -> None:
     sys.path.append(str(Path.cwd() / "tests" / "reference"))
     from forked_runs import everything_given, keep
 
-    from mitsuba_ref.reference import session
+    from mitsuba_ref.reference import mitsuba_process
     from mitsuba_ref.reference.messages import TraceResponse
 
     def remembered(send: Any, place: Path, rays: int) -> Any:
@@ -135,13 +135,13 @@ def remember_mitsuba(memory: Path) -> None:
             keep(answer, place)
         return answer
 
-    resident = session.ResidentSession.send
+    resident = mitsuba_process.ResidentSession.send
 
     def send(self: Any, request: Any, timeout: float = 60.0) -> Any:
         place = memory / everything_given(request, {})
         return remembered(lambda: resident(self, request, timeout), place, len(request.o))
 
-    session.ResidentSession.send = send  # type: ignore[method-assign]
+    mitsuba_process.ResidentSession.send = send  # type: ignore[method-assign]
 
 
 class Chosen:

@@ -189,7 +189,7 @@ def replay(args: argparse.Namespace) -> int:
     from mitsuba_ref.fuzz import findings
     from mitsuba_ref.fuzz.campaign import recheck
     from mitsuba_ref.fuzz.cases import kept_files, read_kept
-    from mitsuba_ref.reference.session import ResidentSession
+    from mitsuba_ref.reference.mitsuba_process import ResidentSession
 
     files = kept_files(args.replay)
     if not files:

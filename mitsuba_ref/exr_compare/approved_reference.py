@@ -18,8 +18,8 @@ from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.comparison import pair_images
 from mitsuba_ref.judge.verdict import EXCUSED, TIE
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.rendering import aovs_of, trace_reference
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.shared_input import model_of, shared_rays
 from mitsuba_ref.report import evidence
 from mitsuba_ref.subjects.subject import answer_of_view, cast_ours

@@ -43,7 +43,7 @@ from mitsuba_ref.judge.independent_checks.knife_edges import (
     with_limits,
 )
 from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, SceneVerdict
-from mitsuba_ref.reference.session import ResidentSession
+from mitsuba_ref.reference.mitsuba_process import ResidentSession
 from mitsuba_ref.reference.shared_input import SharedRays, packed_float32
 from mitsuba_ref.report.results import aligned
 from mitsuba_ref.report.validation import validate_scene

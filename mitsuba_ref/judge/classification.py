@@ -61,8 +61,8 @@ from mitsuba_ref.judge.verdict import (
 )
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.requests import SubjectResponse, request_answer
 from mitsuba_ref.subjects.subject import OURS, Subject

@@ -20,7 +20,7 @@ from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.probe.candidate_pixel import CANDIDATE_QUANTITIES, CandidatePixel, probe_candidate
 from mitsuba_ref.probe.witnesses import WitnessAnswer, witness_answers, witness_lines, witness_record
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
 from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.subject import COMPARED_AOVS, Subject

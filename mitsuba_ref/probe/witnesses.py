@@ -16,7 +16,7 @@ from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.session import send_requests
+from mitsuba_ref.reference.mitsuba_process import send_requests
 from mitsuba_ref.reference.shared_input import export, shape_ids
 
 CANDIDATE = "candidate"

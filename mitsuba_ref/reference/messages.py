@@ -203,7 +203,7 @@ class Crash:
 
 
 # -P: a user's folder may hold a mitsuba.py, and `-m` would look there first.
-CHILD_COMMAND = (sys.executable, "-P", "-m", "mitsuba_ref.reference.session")
+CHILD_COMMAND = (sys.executable, "-P", "-m", "mitsuba_ref.reference.mitsuba_process")
 
 
 def run_request(

@@ -1,7 +1,7 @@
 """Calls of Mitsuba: the only module that imports it, loaded only in a child process, which Mitsuba may take down.
 
-Requests reach it through session.py. The scalar variant is called ray by ray from Python: slow, and float64 inside
-spheres and cylinders. The LLVM variant takes all rays at once, in float32 throughout.
+Requests reach it through mitsuba_process.py. The scalar variant is called ray by ray from Python: slow, and float64
+inside spheres and cylinders. The LLVM variant takes all rays at once, in float32 throughout.
 """
 
 import os

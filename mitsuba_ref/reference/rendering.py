@@ -13,7 +13,7 @@ from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_request
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.shared_input import (
     SharedRays,
     export,

@@ -45,7 +45,7 @@ from mitsuba_ref.judge.scene_checks import (
 )
 from mitsuba_ref.judge.verdict import FAILING, SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, SendRequest, send_stored
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.report.evidence import Evidence, write_images
 from mitsuba_ref.report.html_report import write_report

@@ -18,7 +18,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from caster.system.atomic_files import ScratchFolder
 from caster.system.process import PARENT_VARIABLE, die_with_parent
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.subprocess_runner import (
     exit_name,
     kill_subprocesses,

@@ -22,7 +22,7 @@ from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, send_request
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene

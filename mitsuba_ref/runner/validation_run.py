@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 from caster.description.errors import SceneError
 from caster.description.input_files import MAX_TEXT_BYTES, read_input
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict, Verdict
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.report.html_report import HtmlReport, page_record
 from mitsuba_ref.report.output_manifest import OutFolder, RemovedFiles
 from mitsuba_ref.report.verdict_text import checks_of

@@ -25,7 +25,7 @@ from mitsuba_ref.judge.adjudication import (
     ratios_of_any_tie,
 )
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.session import DEFAULT_TIMEOUT, send_requests
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_requests
 from mitsuba_ref.reference.shared_input import SharedRays, export, shape_ids
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
 from mitsuba_ref.report.results import largest

@@ -12,7 +12,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import Judge, scene_judge
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.session import ResidentSession, SendRequest
+from mitsuba_ref.reference.mitsuba_process import ResidentSession, SendRequest
 from mitsuba_ref.report.validation import validate_scene
 
 

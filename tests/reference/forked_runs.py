@@ -95,7 +95,7 @@ def ask_once(memory: Path) -> None:
     """Answers of Mitsuba are kept in a folder, and taken from there where all that it would be given is the same."""
     from mitsuba_ref.reference import variants
     from mitsuba_ref.reference.messages import TraceResponse
-    from mitsuba_ref.reference.session import ResidentSession
+    from mitsuba_ref.reference.mitsuba_process import ResidentSession
 
     put = ResidentSession.send
 

@@ -12,10 +12,10 @@ from mitsuba_ref.error_model.bracket import Bracket, Claims
 from mitsuba_ref.error_model.intersections import norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, K
-from mitsuba_ref.reference import session
+from mitsuba_ref.reference import mitsuba_process
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
-from mitsuba_ref.reference.session import SendRequest
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 
@@ -39,7 +39,7 @@ def observe(
     *,
     shapes: int,
     count: int,
-    send: SendRequest = session.send_request,
+    send: SendRequest = mitsuba_process.send_request,
 ) -> Observed:
     """Ask Mitsuba about `count` rays aimed at `shapes` shapes, and compare with the models alone."""
     rng = np.random.default_rng(seed)

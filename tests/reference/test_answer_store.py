@@ -12,7 +12,7 @@ from mitsuba_scenes import job, shape, write
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli.doctor import answer_store as finding
-from mitsuba_ref.reference import answer_store, session, variants
+from mitsuba_ref.reference import answer_store, mitsuba_process, variants
 from mitsuba_ref.reference.answer_store import StoreFolder, local_store, request_key, stored_response
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 
@@ -56,7 +56,7 @@ def asked(monkeypatch) -> list[TraceRequest]:
         sent.append(request)
         return response_of(request)
 
-    monkeypatch.setattr(session, "send_request", send)
+    monkeypatch.setattr(mitsuba_process, "send_request", send)
     return sent
 
 
@@ -65,7 +65,7 @@ def files(folder: Path) -> list[Path]:
 
 
 def test_the_same_request_is_requested_once_and_states_it(folder, request_, asked):
-    first, second = session.send_stored(request_), session.send_stored(request_)
+    first, second = mitsuba_process.send_stored(request_), mitsuba_process.send_stored(request_)
     assert len(asked) == 1
     assert not first.stored and first.seconds == 1.5
     assert second.stored and second.seconds == 0.0
@@ -166,7 +166,9 @@ def test_scenes_that_are_requested_together_have_keys_of_their_own(request_, tmp
     (tmp_path / "more").mkdir()
     second = replace(request_, xml=write(tmp_path / "more", shape("sphere", "egg", 0)), lights=False)
     first = replace(request_, lights=False)
-    orders = [session.merge_requests(each) for each in ([first, second], [second, first], [first, first])]
+    orders = [
+        mitsuba_process.merge_requests(each) for each in ([first, second], [second, first], [first, first])
+    ]
     shifted = replace(orders[0], more=((second.xml, RAYS - 1),))
     assert len({request_key(each) for each in (first, second, *orders, shifted)}) == 6
 
@@ -175,7 +177,7 @@ def test_scenes_that_are_requested_together_have_keys_of_their_own(request_, tmp
 def test_a_scene_that_names_files_elsewhere_is_never_stored(folder, request_, asked, value):
     write(request_.xml.parent, f'<string name="filename" value="{value}"/>')
     assert request_key(request_) == ""
-    assert not any(session.send_stored(request_).stored for _ in range(2)) and len(asked) == 2
+    assert not any(mitsuba_process.send_stored(request_).stored for _ in range(2)) and len(asked) == 2
 
 
 DAMAGES = {
@@ -191,20 +193,20 @@ DAMAGES = {
 
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_answer_is_requested_again_and_replaced(folder, request_, asked, damage):
-    session.send_stored(request_)
+    mitsuba_process.send_stored(request_)
     (file,) = files(folder)
     whole = file.read_bytes()
     file.write_bytes(DAMAGES[damage](whole))
-    assert not session.send_stored(request_).stored and len(asked) == 2
-    assert file.read_bytes() == whole and session.send_stored(request_).stored
+    assert not mitsuba_process.send_stored(request_).stored and len(asked) == 2
+    assert file.read_bytes() == whole and mitsuba_process.send_stored(request_).stored
 
 
 def test_an_answer_under_the_name_of_another_is_requested_again(folder, request_, asked):
     other = other_rays(request_, None)
-    session.send_stored(request_)
+    mitsuba_process.send_stored(request_)
     (file,) = files(folder)
     (folder / f"{request_key(other)}{answer_store.SUFFIX}").write_bytes(file.read_bytes())
-    assert not session.send_stored(other).stored and len(asked) == 2
+    assert not mitsuba_process.send_stored(other).stored and len(asked) == 2
 
 
 def test_an_answer_to_other_rays_or_of_another_shape_is_requested_again(folder, request_, asked):
@@ -220,25 +222,25 @@ def test_an_answer_to_other_rays_or_of_another_shape_is_requested_again(folder, 
     for content, rays in zip(contents, (RAYS + 1, RAYS, RAYS, RAYS, RAYS), strict=True):
         store.put(key, content)
         assert stored_response(store, key, rays) is None
-    assert not session.send_stored(request_).stored and len(asked) == 1
+    assert not mitsuba_process.send_stored(request_).stored and len(asked) == 1
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o707])
 def test_a_folder_or_file_that_others_may_write_is_not_used(folder, request_, asked, mode):
-    session.send_stored(request_)
+    mitsuba_process.send_stored(request_)
     (file,) = files(folder)
     file.chmod(mode)
-    assert not session.send_stored(request_).stored
+    assert not mitsuba_process.send_stored(request_).stored
     folder.chmod(mode)
-    assert not session.send_stored(request_).stored and len(asked) == 3
+    assert not mitsuba_process.send_stored(request_).stored and len(asked) == 3
     found = finding()
     assert not found.found and "other users may write it" in found.detail
 
 
 def test_crashes_are_not_kept(folder, request_, monkeypatch):
     crash = Crash("abort", "", "SIGABRT", 0.1)
-    monkeypatch.setattr(session, "send_request", lambda *_: crash)
-    assert session.send_stored(request_) is crash and not folder.exists()
+    monkeypatch.setattr(mitsuba_process, "send_request", lambda *_: crash)
+    assert mitsuba_process.send_stored(request_) is crash and not folder.exists()
 
 
 def test_the_least_recently_used_make_room(tmp_path):
@@ -257,7 +259,7 @@ def test_the_least_recently_used_make_room(tmp_path):
 def test_a_folder_that_cannot_be_written_costs_time_only(tmp_path, monkeypatch, request_, asked):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv(answer_store.STORE_VARIABLE, str(tmp_path / "file" / "store"))
-    assert not any(session.send_stored(request_).stored for _ in range(2)) and len(asked) == 2
+    assert not any(mitsuba_process.send_stored(request_).stored for _ in range(2)) and len(asked) == 2
 
 
 def test_settings(monkeypatch, tmp_path):

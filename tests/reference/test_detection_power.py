@@ -25,8 +25,8 @@ from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images
 from mitsuba_ref.judge.verdict import ErrorStatistics
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
-from mitsuba_ref.reference.session import SendRequest
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, shared_rays
 from mitsuba_ref.subjects.subject import answer_of_view, cast_ours
 

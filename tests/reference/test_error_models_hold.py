@@ -12,8 +12,8 @@ from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import trace_reference
-from mitsuba_ref.reference.session import SendRequest
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 from mitsuba_ref.shapes.cylinder import mitsuba_accepts_matrix
 

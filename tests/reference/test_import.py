@@ -13,7 +13,7 @@ from caster.rendering.images import render
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.importers.mitsuba_xml import import_xml
-from mitsuba_ref.reference.session import send_request
+from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import export_scene
 
 ROOT = Path(__file__).resolve().parents[2]

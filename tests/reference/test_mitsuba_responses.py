@@ -14,10 +14,10 @@ from mitsuba_scenes import VARIANTS, film, job, point_light, random_mesh, rays_a
 import caster
 from caster.scene.files import load_scene
 from mitsuba_ref.importers.mitsuba_xml import import_xml
-from mitsuba_ref.reference import session, variants
+from mitsuba_ref.reference import mitsuba_process, variants
 from mitsuba_ref.reference.messages import Crash, TraceResponse
+from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import render_reference
-from mitsuba_ref.reference.session import SendRequest
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
 
 HERE = VARIANTS if variants.usable_variants().llvm else VARIANTS[:1]  # the run's header says which
@@ -193,8 +193,8 @@ def test_light_times_its_visibility_is_what_the_direct_integrator_renders(asked,
     subprocess.run(command, check=True, capture_output=True, timeout=120)
     rendered = np.load(tmp_path / "direct.npy").reshape(-1, 3)
     sensor = asked(xml, variant, [], [], sensor=True)
-    answer = session.send_request(
-        session.TraceRequest(xml, variant, sensor.sensor_o, sensor.sensor_d, sensor.sensor_t_max)
+    answer = mitsuba_process.send_request(
+        mitsuba_process.TraceRequest(xml, variant, sensor.sensor_o, sensor.sensor_d, sensor.sensor_t_max)
     )
     lit = answer.light_rgb[0] * answer.light_visible[0][:, None]
     assert {"wall", "ball", "egg", "back", "dark"} == {answer.names[k] for k in set(answer.shape)}

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from mitsuba_scenes import job, random_mesh, shape, write
 
-from mitsuba_ref.reference import messages, session, subprocess_runner
+from mitsuba_ref.reference import messages, mitsuba_process, subprocess_runner
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,7 +59,7 @@ def in_place_of_mitsuba(tmp_path, monkeypatch) -> Callable[[str], None]:
 
 
 def crash(ball: TraceRequest, timeout: float = 60) -> Crash:
-    answer = session.send_alone(ball, timeout)
+    answer = mitsuba_process.send_alone(ball, timeout)
     assert isinstance(answer, Crash), answer
     return answer
 
@@ -80,7 +80,7 @@ def wait_for(condition: Callable[[], object]) -> None:
 
 
 def test_a_scene_is_answered(ball):
-    answer = session.send_alone(ball)
+    answer = mitsuba_process.send_alone(ball)
     assert isinstance(answer, TraceResponse)
     assert answer.t.tolist() == [4.0] and answer.names == ["ball"]
 
@@ -97,7 +97,9 @@ def test_a_real_abort_in_an_old_libllvm_is_a_result(tmp_path, monkeypatch):
     monkeypatch.setenv("DRJIT_CACHE_DIR", str(tmp_path))  # a kernel from another libLLVM would hide it
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
-    found = session.send_alone(job(write(tmp_path, MESH), "llvm_ad_rgb", [[0, 0, 5]], [[0, 0, -1]]), 60)
+    found = mitsuba_process.send_alone(
+        job(write(tmp_path, MESH), "llvm_ad_rgb", [[0, 0, 5]], [[0, 0, -1]]), 60
+    )
     if "avx512" not in Path("/proc/cpuinfo").read_text():
         assert isinstance(found, TraceResponse)
         return
@@ -121,7 +123,7 @@ def test_a_worker_killed_in_the_middle_of_its_rays_is_a_result(tmp_path):
 
     thread = threading.Thread(target=kill)
     thread.start()
-    found = session.send_alone(question, 60)
+    found = mitsuba_process.send_alone(question, 60)
     thread.join()
     assert isinstance(found, Crash), found
     assert (found.kind, found.exit) == ("signal", "SIGKILL")
@@ -146,7 +148,9 @@ def test_a_hang_ends_in_time_and_leaves_no_process(ball, in_place_of_mitsuba, tm
 def test_a_waiting_request_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsuba, tmp_path):
     in_place_of_mitsuba(HANG.format(pids=str(tmp_path / "pid")))
     found: list[TraceResponse | Crash] = []
-    threads = [threading.Thread(target=lambda: found.append(session.send_alone(ball, 60))) for _ in range(2)]
+    threads = [
+        threading.Thread(target=lambda: found.append(mitsuba_process.send_alone(ball, 60))) for _ in range(2)
+    ]
     for thread in threads:
         thread.start()
     wait_for(lambda: len(subprocess_runner._running) == 2)
@@ -155,7 +159,7 @@ def test_a_waiting_request_gets_a_crash_when_all_are_stopped(ball, in_place_of_m
         for thread in threads:
             thread.join(10)
         assert [answer.exit for answer in found] == ["SIGKILL", "SIGKILL"]
-        late = session.send_alone(ball, 60)
+        late = mitsuba_process.send_alone(ball, 60)
         assert isinstance(late, Crash) and "before it began" in late.output
     finally:
         subprocess_runner.allow_subprocesses()
@@ -164,9 +168,9 @@ def test_a_waiting_request_gets_a_crash_when_all_are_stopped(ball, in_place_of_m
 ASK = """
 import sys
 from pathlib import Path
-from mitsuba_ref.reference import session
+from mitsuba_ref.reference import mitsuba_process
 from mitsuba_ref.reference.messages import TraceRequest
-session.send_alone(TraceRequest.read(Path(sys.argv[1])), 60)
+mitsuba_process.send_alone(TraceRequest.read(Path(sys.argv[1])), 60)
 """
 
 
@@ -254,7 +258,7 @@ def test_an_answer_that_is_not_whole_is_garbage(tmp_path, does, says):
     program = f"""
 import sys, numpy as np
 from pathlib import Path
-from mitsuba_ref.reference import session as worker
+from mitsuba_ref.reference import mitsuba_process as worker
 folder = Path(sys.argv[-1])
 def change(**arrays):
     np.savez(folder / "answer.npz", **(whole | arrays))
@@ -294,17 +298,21 @@ def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_
     monkeypatch.delenv("PYTHONPATH", raising=False)
     if path is not None:
         monkeypatch.setenv("PYTHONPATH", path)
-    answer = session.send_alone(TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max))
+    answer = mitsuba_process.send_alone(
+        TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max)
+    )
     assert isinstance(answer, TraceResponse), answer
 
 
 def test_asking_imports_no_mitsuba_and_the_child_nothing_slow():
-    program = "import sys; from mitsuba_ref.reference import session; print(*sys.modules)"
+    program = "import sys; from mitsuba_ref.reference import mitsuba_process; print(*sys.modules)"
     asking = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert not {"mitsuba", "drjit", "numba", "pydantic"} & set(asking.stdout.split())
-    program = "import sys; from mitsuba_ref.reference import mitsuba_calls, session; print(*sys.modules)"
+    program = (
+        "import sys; from mitsuba_ref.reference import mitsuba_calls, mitsuba_process; print(*sys.modules)"
+    )
     child_side = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
     )

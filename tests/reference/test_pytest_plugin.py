@@ -147,7 +147,7 @@ def crashing(monkeypatch, tmp_path_factory):
         tempfile.mkstemp(dir=requests)
         return Crash("abort", "last words", "SIGABRT", 0.1)
 
-    monkeypatch.setattr("mitsuba_ref.reference.session.ResidentSession.send", put)
+    monkeypatch.setattr("mitsuba_ref.reference.mitsuba_process.ResidentSession.send", put)
     monkeypatch.setattr(
         "mitsuba_ref.reference.rendering.variant_for", lambda has_quadrics: "scalar_rgb"
     )  # nor asked for this

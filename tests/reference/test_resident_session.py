@@ -13,22 +13,22 @@ import pytest
 from mitsuba_scenes import job, shape, write
 
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.reference import messages, session, subprocess_runner
+from mitsuba_ref.reference import messages, mitsuba_process, subprocess_runner
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.session import ResidentSession
+from mitsuba_ref.reference.mitsuba_process import ResidentSession
 
 ROOT = Path(__file__).resolve().parents[2]
 FAULTY = """
 import os, signal, sys, time
 from pathlib import Path
-from mitsuba_ref.reference import session
+from mitsuba_ref.reference import mitsuba_process
 from mitsuba_ref.reference.subprocess_runner import serve
 pipe = int(sys.argv[-1])
 def faulty(folders):
     for number, folder in enumerate(folders, 1):
         if number == {at}:
             {fault}
-        yield from session.replies([folder])
+        yield from mitsuba_process.replies([folder])
 serve(faulty, pipe, 60)
 """
 FAULTS = {
@@ -41,7 +41,7 @@ FAULTS = {
     "another request": "os.write(pipe, b'done /elsewhere\\n')",
     "no response": "os.write(pipe, f'done {folder}\\n'.encode())",
     "half a response": (
-        "session.main(Path(folder)); file = Path(folder, 'answer.npz'); "
+        "mitsuba_process.main(Path(folder)); file = Path(folder, 'answer.npz'); "
         "file.write_bytes(file.read_bytes()[:-200]); os.write(pipe, f'done {folder}\\n'.encode())"
     ),
     "refusal": "os.write(pipe, f'refused {folder}\\n'.encode())",
@@ -50,10 +50,10 @@ FAULTS = {
 
 @pytest.fixture(autouse=True)
 def residents_of_this_test_alone(monkeypatch):
-    session.close_residents()
+    mitsuba_process.close_residents()
     monkeypatch.setattr(subprocess_runner, "_running", set())  # other tests' processes stay
     yield
-    session.close_residents()
+    mitsuba_process.close_residents()
     assert not subprocess_runner._running
 
 
@@ -72,13 +72,13 @@ def plant(monkeypatch):
 def alone(monkeypatch) -> list[TraceRequest]:
     """Requests that got a process of their own."""
     sent: list[TraceRequest] = []
-    send = session.send_alone
+    send = mitsuba_process.send_alone
 
     def noted(request, timeout):
         sent.append(request)
         return send(request, timeout)
 
-    monkeypatch.setattr(session, "send_alone", noted)
+    monkeypatch.setattr(mitsuba_process, "send_alone", noted)
     return sent
 
 
@@ -103,18 +103,18 @@ def check_right(responses) -> None:
 def test_a_fault_amid_many_requests_loses_nothing(tmp_path, plant, alone, fault):
     plant(FAULTS[fault])
     requests = balls(tmp_path, 3)
-    check_right([session.send_request(each, 60) for each in requests])
+    check_right([mitsuba_process.send_request(each, 60) for each in requests])
     assert alone == requests[1:2]
 
 
 def test_a_hang_is_killed_at_the_time_out_and_loses_nothing(tmp_path, plant, alone):
     plant("time.sleep(600)")
     requests = balls(tmp_path, 3)
-    first = session.send_request(requests[0], 60)
+    first = mitsuba_process.send_request(requests[0], 60)
     begin = time.monotonic()
-    second = session.send_request(requests[1], 6)
+    second = mitsuba_process.send_request(requests[1], 6)
     assert 6 <= time.monotonic() - begin < 20
-    check_right([first, second, session.send_request(requests[2], 60)])
+    check_right([first, second, mitsuba_process.send_request(requests[2], 60)])
     assert alone == requests[1:2]
 
 
@@ -124,9 +124,9 @@ def test_what_a_scene_makes_of_every_process_is_its_result(tmp_path, monkeypatch
     first, second = balls(tmp_path, 2)
     with monkeypatch.context() as planted:
         planted.setenv("PYTHONPATH", str(tmp_path))
-        found = session.send_request(first, 60)
+        found = mitsuba_process.send_request(first, 60)
     assert isinstance(found, Crash) and (found.kind, found.output) == ("abort", "LLVM ERROR: Cannot")
-    assert session.send_request(second, 60).t.tolist() == [5.0, np.inf]
+    assert mitsuba_process.send_request(second, 60).t.tolist() == [5.0, np.inf]
 
 
 def test_one_process_serves_many_scenes_of_its_variant_also_after_a_refusal(tmp_path, alone):
@@ -166,7 +166,7 @@ def test_another_test_of_pytest_gets_the_same_process(tmp_path, monkeypatch, alo
 
 def test_a_process_that_has_grown_or_has_nothing_to_do_ends_and_is_replaced(tmp_path, plant, alone):
     requests = balls(tmp_path, 4)
-    for fault in ("session.RESIDENT_BYTES = 1", "sys.stdin.close(); pipe = None"):
+    for fault in ("mitsuba_process.RESIDENT_BYTES = 1", "sys.stdin.close(); pipe = None"):
         plant(fault, at=2)
         with ResidentSession() as resident:
             check_right([resident.send(each) for each in requests])
@@ -182,34 +182,34 @@ def test_without_requests_a_process_ends_by_itself(tmp_path):
 
 def test_noise_on_stdout_stays_out(tmp_path, plant, alone, capfd):
     plant("print('noise ' * 100000); os.system('echo more noise')", at=1)
-    check_right([session.send_request(each, 60) for each in balls(tmp_path, 2)])
+    check_right([mitsuba_process.send_request(each, 60) for each in balls(tmp_path, 2)])
     assert capfd.readouterr() == ("", "") and not alone
 
 
 def test_a_fork_has_residents_of_its_own(tmp_path):
     """It neither uses nor ends those of the process that it comes from."""
     requests = balls(tmp_path, 2)
-    check_right([session.send_request(requests[0], 60)])
+    check_right([mitsuba_process.send_request(requests[0], 60)])
     (pid,) = subprocess_runner._running
     child = os.fork()
     if child == 0:
         code = 1
         try:
-            own = session.send_request(requests[0], 60).t.tolist() == [4.0, np.inf]
+            own = mitsuba_process.send_request(requests[0], 60).t.tolist() == [4.0, np.inf]
             code = 0 if own and pid not in subprocess_runner._running else 2
             subprocess_runner.kill_subprocesses()
         finally:
             os._exit(code)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-    assert session.send_request(requests[1], 60).t[0] == 5.0
+    assert mitsuba_process.send_request(requests[1], 60).t[0] == 5.0
     assert subprocess_runner._running == {pid}
 
 
 ASK = """
 import sys, time
 from pathlib import Path
-from mitsuba_ref.reference import session, subprocess_runner
-session.send_request(session.TraceRequest.read(Path(sys.argv[1])), 60)
+from mitsuba_ref.reference import mitsuba_process, subprocess_runner
+mitsuba_process.send_request(mitsuba_process.TraceRequest.read(Path(sys.argv[1])), 60)
 print(*subprocess_runner._running, flush=True)
 time.sleep(float(sys.argv[2]))
 """

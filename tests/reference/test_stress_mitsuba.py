@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from mitsuba_scenes import job, shape, write
 
-from mitsuba_ref.reference import session
+from mitsuba_ref.reference import mitsuba_process
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.session import ResidentSession
+from mitsuba_ref.reference.mitsuba_process import ResidentSession
 from mitsuba_ref.reference.shared_input import export
 from mitsuba_ref.reference.variants import SCALAR, usable_variants
 from mitsuba_ref.stress import FAMILIES, score, sweeps
@@ -98,11 +98,11 @@ def assert_same(found: TraceResponse, expected: TraceResponse) -> None:
 
 
 def test_scenes_requested_together_answer_as_they_do_alone(scenes, monkeypatch):
-    alone = {i: session.send_request(scenes[i]) for i in (0, 2)}
+    alone = {i: mitsuba_process.send_request(scenes[i]) for i in (0, 2)}
     requests = []
     honest = ResidentSession.send
     monkeypatch.setattr(ResidentSession, "send", lambda *args: requests.append(1) or honest(*args))
-    together = session.send_requests(scenes)
+    together = mitsuba_process.send_requests(scenes)
     assert len(requests) == 1 and len(together) == len(scenes)
     for i, expected in alone.items():
         assert_same(together[i], expected)
@@ -111,14 +111,16 @@ def test_scenes_requested_together_answer_as_they_do_alone(scenes, monkeypatch):
 
 def test_a_scene_that_is_refused_takes_no_other_with_it(scenes, tmp_path):
     broken = write(tmp_path, '<shape type="no-such-shape"/>', "broken.xml")
-    found = session.send_requests([job(broken, SCALAR, scenes[2].o, scenes[2].d, lights=False), *scenes[:2]])
+    found = mitsuba_process.send_requests(
+        [job(broken, SCALAR, scenes[2].o, scenes[2].d, lights=False), *scenes[:2]]
+    )
     assert [type(each) for each in found] == [Crash, TraceResponse, TraceResponse]
     assert "no-such-shape" in found[0].output
     assert [len(each.t) for each in found[1:]] == [10, 20] and found[2].names == ["ball-0", "ball-1"]
 
 
 def test_a_job_of_several_scenes_survives_the_disk_and_takes_no_lights(scenes, tmp_path):
-    together = session.merge_requests(scenes)
+    together = mitsuba_process.merge_requests(scenes)
     together.write(tmp_path)
     pieces = TraceRequest.read(tmp_path).per_scene()
     assert [piece.xml for piece in pieces] == [each.xml for each in scenes]
@@ -131,8 +133,8 @@ def test_a_job_of_several_scenes_survives_the_disk_and_takes_no_lights(scenes, t
 def test_a_large_sphere_which_mitsuba_warns_of_is_requested_all_the_same(tmp_path):
     xml = write(tmp_path, shape("sphere", "ball", 0, stretch="1e12 1e12 1e12"))
     question = job(xml, SCALAR, [[0.0, 0.0, 5e12]], [[0.0, 0.0, -1.0]], lights=False)
-    assert isinstance(session.send_request(question), Crash)
-    answer = session.send_request(
+    assert isinstance(mitsuba_process.send_request(question), Crash)
+    answer = mitsuba_process.send_request(
         job(xml, SCALAR, [[0.0, 0.0, 5e12]], [[0.0, 0.0, -1.0]], lights=False, strict=False)
     )
     assert isinstance(answer, TraceResponse) and answer.t.tolist() == [np.float32(4e12)]

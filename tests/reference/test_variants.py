@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mitsuba_scenes import job, shape, write
 
-from mitsuba_ref.reference import messages, session, variants
+from mitsuba_ref.reference import messages, mitsuba_process, variants
 from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.variants import (
     LIBLLVM_ENVIRONMENT_VARIABLE,
@@ -76,7 +76,7 @@ def test_what_is_stated_to_work_here_works(tmp_path):
     assert found.llvm == bool(found.libllvm) and (found.llvm or found.why)
     xml = write(tmp_path, shape("cube", "box", 0))
     for variant in found.names:
-        answer = session.send_request(job(xml, variant, [[0.5, 0.25, 5]], [[0, 0, -1]]), 60)
+        answer = mitsuba_process.send_request(job(xml, variant, [[0.5, 0.25, 5]], [[0, 0, -1]]), 60)
         assert isinstance(answer, TraceResponse) and answer.t.tolist() == [4.0], answer
         assert answer.versions["libllvm"] in ("none", found.libllvm)
 
@@ -101,9 +101,9 @@ def test_without_libllvm_there_is_the_scalar_variant(tmp_path, monkeypatch, miss
     assert missing in found.why
     assert variant_for(False) == variant_for(True) == "scalar_rgb"
     xml = write(tmp_path, shape("rectangle", "floor", 0))
-    answer = session.send_request(job(xml, variant_for(False), [[0, 0, 3]], [[0, 0, -1]]), 60)
+    answer = mitsuba_process.send_request(job(xml, variant_for(False), [[0, 0, 3]], [[0, 0, -1]]), 60)
     assert isinstance(answer, TraceResponse) and answer.t.tolist() == [3.0]
-    refused = session.send_request(job(xml, "llvm_ad_rgb", [[0, 0, 3]], [[0, 0, -1]]), 60)
+    refused = mitsuba_process.send_request(job(xml, "llvm_ad_rgb", [[0, 0, 3]], [[0, 0, -1]]), 60)
     assert isinstance(refused, Crash) and refused.kind == "error" and "LLVM" in refused.output
 
 

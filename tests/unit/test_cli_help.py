@@ -13,7 +13,7 @@ from caster.rendering.images import DEFAULT_AOVS
 from mitsuba_ref.cli import COMMANDS as REFERENCE_COMMANDS
 from mitsuba_ref.cli import exr_comparison, options, scene_exchange
 from mitsuba_ref.exr_compare import approval
-from mitsuba_ref.reference import session
+from mitsuba_ref.reference import mitsuba_process
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
 from mitsuba_ref.subjects import subject
 
@@ -42,7 +42,7 @@ def test_the_modes_of_approval_are_those_of_its_table():
 
 def test_a_candidate_gets_the_seconds_and_has_the_precisions_that_help_names():
     assert options.CANDIDATE_SECONDS == subject.DEFAULT_SECONDS
-    assert options.REFERENCE_SECONDS == session.DEFAULT_TIMEOUT
+    assert options.REFERENCE_SECONDS == mitsuba_process.DEFAULT_TIMEOUT
     assert tuple(subject.PRECISIONS) == options.PRECISIONS
 
 

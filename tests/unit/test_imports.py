@@ -318,7 +318,11 @@ def plant(root: Path, path: str, source: str) -> list[str]:
             "import mitsuba as mi",
             "only mitsuba_ref/reference/mitsuba_calls.py",
         ),
-        ("mitsuba_ref/reference/session.py", "import drjit", "only mitsuba_ref/reference/mitsuba_calls.py"),
+        (
+            "mitsuba_ref/reference/mitsuba_process.py",
+            "import drjit",
+            "only mitsuba_ref/reference/mitsuba_calls.py",
+        ),
         ("mitsuba_ref/reference/rendering.py", "import OpenEXR", "only caster, and what reads"),
         ("mitsuba_ref/probe/pixel.py", "import open3d", "a peer is imported by its entry alone"),
         ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.triangle_mesh import Mesh", "shares no code"),

@@ -13,7 +13,7 @@ from cases.case import FLOAT32, Case, Maker, Question
 from cases.probes import probed
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.session import send_requests
+from mitsuba_ref.reference.mitsuba_process import send_requests
 from mitsuba_ref.reference.shared_input import SharedRays, export, model_of
 from mitsuba_ref.reference.variants import usable_variants
 

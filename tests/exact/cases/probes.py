@@ -13,7 +13,7 @@ from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import camera_rays
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.session import send_request, send_requests
+from mitsuba_ref.reference.mitsuba_process import send_request, send_requests
 from mitsuba_ref.reference.shared_input import export, model_of, shared_rays
 
 U = 2.0**-24

@@ -1,4 +1,4 @@
-"""Mitsuba sessions: requests to child processes, in which an abort, a hang or a refusal is a result.
+"""Mitsuba processes: where Mitsuba is started, and where an abort, a hang or a refusal is the result of a request.
 
 A process that stays answers request after request: starting one takes ten times as long as a small scene. Nothing
 that it says but a whole response counts: after a crash, a time-out, a refusal or garbage the request is sent once
