@@ -97,14 +97,15 @@ _COMPILED_TESTS = {
         fuzz_findings judged_quantities
         geometry_checked_in_both_precisions hypotheses_table independent_transform judge_at_extremes judge_checks
         judge_parts knife_edges known_defects lambert_and_shadow_rays mesh_files_check pixel_explanations ray_camera
-        ray_conventions registries report_arrays report_files result_schemas scaling scene_options scene_rows stress
+        ray_conventions registries report_arrays report_files result_schemas scaling scene_fuzz scene_options scene_rows
+        stated_bounds stress
     """,
     "tests/exact": """
         edge_cases edge_cases_mitsuba oracle_filter oracle_kinds oracle_roots oracle_scenes
     """,
     "tests/reference": """
         adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold excused_classes
-        hypotheses judge_classes mistakes new_shape probe_witnesses ray_lists
+        hypotheses import judge_classes mistakes new_shape probe_witnesses ray_lists
     """,
     "tests/report": """
         pages candidate_record
