@@ -101,7 +101,7 @@ _COMPILED_TESTS = {
         stated_bounds stress
     """,
     "tests/exact": """
-        edge_cases edge_cases_mitsuba oracle_filter oracle_kinds oracle_roots oracle_scenes
+        edge_cases edge_cases_mitsuba oracle_filter oracle_kinds oracle_parts oracle_roots oracle_scenes
     """,
     "tests/reference": """
         adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold excused_classes

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 import caster
+from caster.geometry.packing import packed as make_packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
+from mitsuba_ref.shapes import reference_of
 
 STATED = Path(__file__).with_name("stated_bounds.json")
 TURN = {"rotate": {"axis": [1, 2, 3], "degrees": 37}}
@@ -35,6 +37,23 @@ SHAPES = {
     "triangle": caster.Triangle(vertices=CORNERS),
     "smooth triangle": caster.Triangle(vertices=CORNERS, normals=NORMALS, uv=UV),
     "far triangle": caster.Triangle(vertices=CORNERS, to_world=[MOVED]),
+}
+# Packed numbers and generated meshes are expected from their descriptions, with the sizes of what was rounded.
+PLACE = [{"scale": 2}, TURN, MOVED]
+PACKED_SHAPES = {
+    "sphere": caster.Sphere(center=(1, 2, 3), radius=1.5, to_world=PLACE),
+    "ellipsoid": caster.Sphere(center=(1, 2, 3), radius=1.5, to_world=[STRETCH]),
+    "cloud": caster.SphereCloud(centers=((1, 2, 3), (0.5, -1, 4)), radii=(0.5, 0.25), to_world=PLACE),
+    "stretched cloud": caster.SphereCloud(centers=((1, 2, 3), (0.5, -1, 4)), radius=0.75, to_world=[STRETCH]),
+    "disk": caster.Disk(to_world=PLACE),
+    "cylinder": caster.Cylinder(to_world=[STRETCH]),
+    "plane": caster.Plane(point=(1, 2, 3), normal=(1, 2, 4), to_world=PLACE),
+    "triangle": caster.Triangle(vertices=CORNERS, normals=NORMALS, uv=UV, to_world=PLACE),
+    "cube": caster.Cube(to_world=[STRETCH]),
+    "rectangle": caster.Rectangle(to_world=[STRETCH]),
+    "torus": caster.Torus(segments=5, sides=4, to_world=PLACE),
+    "icosphere": caster.Icosphere(subdivisions=1, to_world=[STRETCH]),
+    "heightfield": caster.Heightfield(resolution=4, to_world=PLACE),
 }
 TARGETS = [
     (0.5, 0.5, 0.5),
@@ -72,6 +91,28 @@ def bounds_of(name: str) -> dict[str, Any]:
     return found
 
 
+def expectations_of(name: str) -> dict[str, list[Any]]:
+    """What is expected of a shape's numbers: how many, whether rounded, their sum of magnitudes, and of their sizes."""
+    shape = PACKED_SHAPES[name]
+    camera = caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0))
+    scene = Scene(film=caster.Film(width=2, height=2), camera=camera, shapes=[shape])
+    reference = reference_of(shape)
+    found: dict[str, list[Any]] = {}
+    for each in (*reference.expected(shape, make_packed(scene).parts[0]), *reference.closed_form(shape)):
+        expected = np.asarray(each.expected, float)
+        size = np.broadcast_to(each.size, expected.shape)
+        assert np.shape(each.packed) == expected.shape and each.packed == pytest.approx(
+            expected, rel=1e-9, abs=1e-9
+        )
+        found[each.what] = [
+            expected.size,
+            bool(each.rounded),
+            float(np.abs(expected).sum()),
+            float(size.sum()),
+        ]
+    return found
+
+
 def as_stated(found: dict[str, Any]) -> dict[str, Any]:
     return {
         side: {field: [[float(f"{x:.7g}") for x in row] if isinstance(row, list) else row for row in rows]
@@ -93,13 +134,21 @@ def test_bounds_are_the_stated_numbers(name):
             assert values == pytest.approx(expected, rel=1e-6, abs=least, nan_ok=True), (side, field)
 
 
+@pytest.mark.parametrize("name", PACKED_SHAPES)
+def test_expected_numbers_and_their_sizes_are_stated(name):
+    stated, found = json.loads(STATED.read_text(encoding="utf-8"))["packing"][name], expectations_of(name)
+    assert {what: row[:2] for what, row in found.items()} == {what: row[:2] for what, row in stated.items()}
+    for what, row in stated.items():
+        assert found[what][2:] == pytest.approx(row[2:], rel=1e-6), what
+
+
 def test_every_kind_has_stated_numbers():
-    assert set(json.loads(STATED.read_text(encoding="utf-8"))) == set(SHAPES)
+    assert set(json.loads(STATED.read_text(encoding="utf-8"))) == {*SHAPES, "packing"}
     hits = [sum(map(sum, bounds_of(name)["reference"]["possible"])) for name in SHAPES]
     assert min(hits) >= 1
 
 
 if __name__ == "__main__":
-    STATED.write_text(
-        json.dumps({name: as_stated(bounds_of(name)) for name in SHAPES}) + "\n", encoding="utf-8"
-    )
+    numbers: dict[str, Any] = {name: as_stated(bounds_of(name)) for name in SHAPES}
+    numbers["packing"] = {name: expectations_of(name) for name in PACKED_SHAPES}
+    STATED.write_text(json.dumps(numbers) + "\n", encoding="utf-8")
