@@ -49,6 +49,8 @@ class SceneModel:
                     found.append(with_edges(at))
         if not found:
             return PairIntersections(np.zeros(0, int), no_intersections())
+        if len(found) == 1:
+            return PairIntersections(pairs[0], found[0])
         return PairIntersections(
             np.concatenate(pairs), Intersections(*(np.concatenate(a) for a in zip(*found, strict=True)))
         )
@@ -139,7 +141,8 @@ def no_intersections() -> Intersections:
 BOX_MARGIN = 16 * KU
 
 BRANCHING_FACTOR = 32  # boxes, or primitives, in a box of the level above
-BOX_TESTS_PER_BATCH = 1 << 21  # rays times boxes; 16 MB a temporary array
+BOX_TESTS_PER_BATCH = 1 << 21  # rays times boxes that are held at once
+GROUPS_PER_CHUNK = 1 << 10  # compared with rays at a time: temporary arrays of 256 kB stay in a cache
 BOXES_PER_CHUNK = 1 << 16  # of an order that is computed: its temporaries stay in a cache
 BOXES_PER_RAY = 64 * BRANCHING_FACTOR  # that a ray is expected to be tested with in one level, at most
 
@@ -151,47 +154,88 @@ class BroadPhase:
         """prims: (n,) their primitives, if not 0 to n - 1."""
         order = morton_order(low, high)
         self.order = order if prims is None else prims[order]
-        self.levels = [(columns_in_order(low, order), columns_in_order(high, order))]
-        while self.levels[-1][0].shape[1] > BRANCHING_FACTOR:
-            below, above = self.levels[-1]
-            starts = np.arange(0, below.shape[1], BRANCHING_FACTOR)
-            self.levels.append(
-                (np.minimum.reduceat(below, starts, axis=1), np.maximum.reduceat(above, starts, axis=1))
-            )
+        self.levels: list[BoxLevel] = []
+        if len(order):
+            whole = np.append(order, np.repeat(order[-1:], -len(order) % BRANCHING_FACTOR))
+            ends = grown(columns_in_order(low, whole), columns_in_order(high, whole))
+            self.levels.append(box_level(*ends, len(order)))
+        while self.levels and self.levels[-1].low.shape[1] > 1:
+            below, above = self.levels[-1].low.min(axis=2), self.levels[-1].high.max(axis=2)
+            missing = (0, 0), (0, -below.shape[1] % BRANCHING_FACTOR)
+            ends = np.pad(below, missing, mode="edge"), np.pad(above, missing, mode="edge")
+            self.levels.append(box_level(*ends, below.shape[1]))
 
     def pairs(self, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """(ray, primitive) for rays (n, 3), (n, 3), in pieces; each ray is in one piece only."""
         step = BOX_TESTS_PER_BATCH // BOXES_PER_RAY
         for start in range(0, len(o), step):
-            ray, prim = self._pairs_of(o[start : start + step].T.copy(), d[start : start + step].T.copy())
+            ray, prim = self._pairs_of(BoxRays(o[start : start + step], d[start : start + step]))
             yield ray + start, prim
 
-    def _pairs_of(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Level by level: a box that a ray passes has no smaller margin than a box in it, so none is missed."""
-        low, high = self.levels[-1]
-        ray, box = np.nonzero(intersects_box(o[..., None], d[..., None], low[:, None], high[:, None]))
-        for low, high in reversed(self.levels[:-1]):
-            box = (box[:, None] * BRANCHING_FACTOR + np.arange(BRANCHING_FACTOR)).ravel()
-            ray = np.repeat(ray, BRANCHING_FACTOR)
-            inside = box < low.shape[1]
-            ray, box = ray[inside], box[inside]
-            passed = intersects_box(o[:, ray], d[:, ray], low[:, box], high[:, box])
-            ray, box = ray[passed], box[passed]
+    def _pairs_of(self, rays: "BoxRays") -> tuple[np.ndarray, np.ndarray]:
+        """Level by level: a ray that passes a box passes the box of its group, by the same rounded steps."""
+        ray = np.arange(rays.count if self.levels else 0)
+        box = np.zeros(len(ray), np.int64)
+        for level in reversed(self.levels):
+            ray, box = rays.passed_members(ray, box, level)
         return ray, self.order[box]
 
 
-def intersects_box(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Whether rays o + t d, t >= 0, pass a box grown by BOX_MARGIN; everything broadcasts over (3, ...)."""
-    reach = _largest(np.abs(o)) + _largest(np.maximum(np.abs(low), np.abs(high)))
-    grown = BOX_MARGIN * reach
-    slope = np.where(d == 0.0, np.finfo(np.float64).tiny, d)
-    near, far = np.array(-np.inf), np.array(np.inf)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for axis in range(3):  # one after the other: a maximum over an axis of three takes ten times as long
-            a = (low[axis] - grown - o[axis]) / slope[axis]
-            b = (high[axis] + grown - o[axis]) / slope[axis]
-            near, far = np.maximum(near, np.minimum(a, b)), np.minimum(far, np.maximum(a, b))
-    return ~(near > far) & ~(far < 0.0)
+class BoxLevel(NamedTuple):
+    """Boxes, grown by their margins, in groups; the last group is filled up with its last box."""
+
+    low: np.ndarray  # (3, groups, BRANCHING_FACTOR)
+    high: np.ndarray
+    boxes: int  # without those that fill up
+
+
+def box_level(low: np.ndarray, high: np.ndarray, count: int) -> BoxLevel:
+    """The level of boxes (3, n) in whole groups."""
+    groups = 3, -1, BRANCHING_FACTOR
+    return BoxLevel(low.reshape(groups), high.reshape(groups), count)
+
+
+def grown(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes (3, n), grown by BOX_MARGIN of their farthest corner, in place."""
+    for start in range(0, low.shape[1], BOXES_PER_CHUNK):
+        below, above = (a[:, start : start + BOXES_PER_CHUNK] for a in (low, high))
+        margin = BOX_MARGIN * _largest(np.maximum(np.abs(below), np.abs(above)))
+        below -= margin
+        above += margin
+    return low, high
+
+
+class BoxRays:
+    """Rays o + t d, t >= 0, as they are compared with many boxes."""
+
+    def __init__(self, o: np.ndarray, d: np.ndarray):
+        """o, d: (n, 3)."""
+        self.count = len(o)
+        columns = o.T
+        margin = BOX_MARGIN * _largest(np.abs(columns))
+        # What of a box is grown by |o| is taken off the origin: once a ray, not once a box.
+        self.low, self.high = (np.ascontiguousarray(columns + side * margin) for side in (1.0, -1.0))
+        self.over_d = 1.0 / np.where(d.T == 0.0, np.finfo(np.float64).tiny, d.T)
+
+    def passed_members(
+        self, ray: np.ndarray, group: np.ndarray, level: BoxLevel
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(ray, box) of the boxes in group[i] that ray[i] passes, for each i."""
+        found = [(ray[:0], group[:0])]
+        with np.errstate(over="ignore", invalid="ignore"):
+            for start in range(0, len(ray), GROUPS_PER_CHUNK):
+                some, of = (a[start : start + GROUPS_PER_CHUNK] for a in (ray, group))
+                near, far = np.array(-np.inf), np.array(np.inf)
+                for axis in range(3):  # one by one: a maximum over an axis of three takes ten times as long
+                    over_d = self.over_d[axis, some, None]
+                    a = (level.low[axis, of] - self.low[axis, some, None]) * over_d
+                    b = (level.high[axis, of] - self.high[axis, some, None]) * over_d
+                    near, far = np.maximum(near, np.minimum(a, b)), np.minimum(far, np.maximum(a, b))
+                i, member = np.nonzero(~(near > far) & ~(far < 0.0))  # NaN bounds nothing
+                found.append((some[i], of[i] * BRANCHING_FACTOR + member))
+        rays, boxes = (np.concatenate(column) for column in zip(*found, strict=True))
+        there = boxes < level.boxes
+        return rays[there], boxes[there]
 
 
 def _largest(columns: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from mitsuba_ref.error_model.intersections import (
     UvSpace,
     by_approach,
     by_center,
+    by_columns,
     by_matrix,
     dot,
     mat_vec_rows,
@@ -84,7 +85,8 @@ def intersect(
     prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 ) -> tuple[Intersections, ...]:
     """Ray i with sphere k[i]: near root, far root."""
-    center, r = prims.center[k], prims.radius[k]
+    center, r = by_columns(prims.center[k]), prims.radius[k]
+    o, d = by_columns(o), by_columns(d)
     middle, distance, s = sphere_roots(o - center, d, r)
     turn = prims.turn[k]
     return tuple(_sphere_root(center, r, turn, o, d, (middle, distance, s), side, ku) for side in (-1.0, 1.0))

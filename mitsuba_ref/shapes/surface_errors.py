@@ -12,6 +12,8 @@ from mitsuba_ref.error_model.intersections import (
     IntersectFunction,
     Intersections,
     UvSpace,
+    by_columns,
+    cross,
     cross_permanent,
     dot,
     finite_or_zero,
@@ -19,6 +21,7 @@ from mitsuba_ref.error_model.intersections import (
     norm,
     plain_uv,
     position_error,
+    stacked_columns,
     unit,
 )
 from mitsuba_ref.oracle.exact_planar import TRIANGLES
@@ -31,9 +34,10 @@ def intersect(
     prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 ) -> tuple[Intersections, ...]:
     """Ray i with triangle k[i], by its plane and its three edge functions."""
-    corners = [prims.vertices[prims.faces[k, j]] for j in range(3)]
+    corners = [by_columns(prims.vertices[prims.faces[k, j]]) for j in range(3)]
+    o, d = by_columns(o), by_columns(d)
     a, b, c = (corner - o for corner in corners)
-    across = np.cross(corners[1] - corners[0], corners[2] - corners[0])  # b - a would carry the rounding of o
+    across = cross(corners[1] - corners[0], corners[2] - corners[0])  # b - a would carry the rounding of o
     area = norm(across)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         edges, edge_errors = _edge_functions(a, b, c, d, ku)
@@ -89,9 +93,10 @@ def _uncertain_edge(
 
     A neighbour on the other side of the same edge catches the ray where this triangle lets it go.
     """
-    edge, side = np.full((len(sure), 6), np.nan), np.zeros(len(sure))
+    edge, side = np.full((6, len(sure)), np.nan).T, np.zeros(len(sure))
+    hanging = sure & (inside.sum(axis=1) == 2)
     for j, (p, q) in enumerate(((2, 1), (0, 2), (1, 0))):  # U belongs to the edge from c to b, and so on
-        rows = np.flatnonzero(sure & ~inside[:, j] & (inside.sum(axis=1) == 2))
+        rows = np.flatnonzero(hanging & ~inside[:, j])
         start, end = corners[p][rows], corners[q][rows]
         swapped = _is_after(start, end)
         edge[rows] = np.where(swapped[:, None], np.hstack([end, start]), np.hstack([start, end]))
@@ -121,16 +126,16 @@ def _edge_functions(
     round; and its robust mode accepts |U + V + W| ulps beyond an edge.
     """
     pairs = ((c, b), (a, c), (b, a))
-    edges = np.stack([dot(d, np.cross(p - q, q)) for p, q in pairs], axis=1)  # p x q, with less to cancel
+    edges = stacked_columns(*(dot(d, cross(p - q, q)) for p, q in pairs))  # p x q, with less to cancel
     inflation = 2.0 * np.abs(edges.sum(axis=1))
     errors = [
         dot(np.abs(d), cross_permanent(p - q, np.abs(p) + np.abs(q)))
-        + dot(np.abs(p), np.abs(np.cross(q, d)))
-        + dot(np.abs(q), np.abs(np.cross(p, d)))
+        + dot(np.abs(p), np.abs(cross(q, d)))
+        + dot(np.abs(q), np.abs(cross(p, d)))
         + inflation
         for p, q in pairs
     ]
-    return edges, ku * np.stack(errors, axis=1)
+    return edges, ku * stacked_columns(*errors)
 
 
 def _t_error(
@@ -175,7 +180,7 @@ def _shading(
 
     The errors of the barycentrics add up to nothing, so they act on what the normals differ by.
     """
-    normals = [prims.normals[prims.faces[k, j]] for j in range(3)]
+    normals = [by_columns(prims.normals[prims.faces[k, j]]) for j in range(3)]
     summed = sum(weights[:, j : j + 1] * normals[j] for j in range(3))
     length = norm(summed)
     moved = sum(weight_errors[:, j] * norm(normals[j] - summed) for j in range(3))
@@ -192,13 +197,14 @@ def _uv(
     prims: Any, k: np.ndarray, weights: np.ndarray, weight_errors: np.ndarray, ku: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """uv and their bound: as the corners' mean, so with the errors of `_position_error`."""
-    corners = np.broadcast_to(BARYCENTRIC_UV, (len(k), 3, 2))
+    corners = [np.broadcast_to(corner, (len(k), 2)) for corner in BARYCENTRIC_UV]
     textured = prims.textured[k]
     if textured.any():
-        corners = np.where(textured[:, None, None], prims.uv[prims.faces[k]], corners)
-    uv = sum(weights[:, j : j + 1] * corners[:, j] for j in range(3))
-    moved = sum(weight_errors[:, j] * norm(corners[:, j] - uv) for j in range(3))
-    rounded = ku * sum(np.abs(weights[:, j]) * norm(corners[:, j]) for j in range(3))
+        given = [by_columns(prims.uv[prims.faces[k, j]]) for j in range(3)]
+        corners = [np.where(textured[:, None], *pair) for pair in zip(given, corners, strict=True)]
+    uv = sum(weights[:, j : j + 1] * corners[j] for j in range(3))
+    moved = sum(weight_errors[:, j] * norm(corners[j] - uv) for j in range(3))
+    rounded = ku * sum(np.abs(weights[:, j]) * norm(corners[j]) for j in range(3))
     return plain_uv(prims, k, uv), moved + rounded
 
 
@@ -345,7 +351,7 @@ def sphere_uv(q: np.ndarray, error: np.ndarray, ku: float) -> tuple[np.ndarray, 
         away = np.where(across[:, None] > 0.0, q[:, :2] / across[:, None], np.array([1.0, 0.0]))
         turned = np.fmin(2.0, math.sqrt(2.0) * error / across)
     risen = half_chord_error(s, np.ones(len(s)), error) + error
-    return np.column_stack([s[:, None] * away, z]), s * turned + risen + TURN * ku
+    return stacked_columns(*(s * away.T), z), s * turned + risen + TURN * ku
 
 
 SPHERE_UV = UvSpace(sphere_uv_points, sphere_uv_points)

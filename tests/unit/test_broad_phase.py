@@ -88,7 +88,7 @@ def test_boxes_without_bounds_come_last_and_spoil_no_others():
     assert sorted(order.tolist()) == list(range(200))
     assert order[-len(endless) :].tolist() == endless.tolist()
     boxes = BroadPhase(low, high)
-    assert np.isfinite(boxes.levels[1][0][:, : 160 // BRANCHING_FACTOR]).all()
+    assert np.isfinite(boxes.levels[1].low[:, 0, : 160 // BRANCHING_FACTOR]).all()
     ((_, prim),) = boxes.pairs(np.array([[0.0, 0.0, 9.0]]), np.array([[0.0, 0.0, 1.0]]))  # away from all
     assert sorted(prim.tolist()) == endless.tolist()
 
