@@ -265,6 +265,16 @@ def test_render_behind_a_near_plane_is_held_to_float64(monkeypatch, name):
     assert check_render(without).ratio == 0.0 and "no near plane" in check_render(without).what
 
 
+@pytest.mark.parametrize("far", [5.0, 5.5])
+def test_render_between_near_and_far_is_what_the_judged_rays_hit(far):
+    """The far plane cuts the ball, and what is left of the rays counts from the near one."""
+    camera = caster.Pinhole(eye=EYE, look_at=LOOK_AT, fov=40, near=2.5, far=far)
+    scene = scene_of(camera=camera)
+    hits = caster.render(scene, ("depth",)).hit.sum()
+    everything = caster.render(scene_of(), ("depth",)).hit.sum()
+    assert check_render(scene).ratio == 0.0 and hits < everything
+
+
 @pytest.mark.parametrize("field", ["t", "prim"])
 def test_a_ray_that_brute_force_finds_otherwise_fails_culling(monkeypatch, field):
     scene = scene_of()

@@ -323,6 +323,14 @@ def test_an_aimed_ray_is_off_by_its_kind_of_error(answer, t, prim, bound, kind, 
         assert words.endswith(": 0.75 off, bound 0.5")
 
 
+def test_the_first_primitive_is_one_that_is_hit():
+    """Its number is 0: no miss."""
+    assert discrepancy(MISS, 2.0, 0, 0.5)[0] == "phantom" and discrepancy(HIT, 2.0, 0, 0.5)[0] == "prim"
+    first = answer_at((0, 2.0))
+    assert discrepancy(first, 2.0, 0, 0.5) == ("", "") and discrepancy(first, 2.75, 0, 0.5)[0] == "t"
+    assert discrepancy(first, INF, -1, 0.5)[0] == "missed"
+
+
 def batch(d, t_min=0.0, t_max=INF) -> RayBatch:
     d = np.atleast_2d(np.array(d, float))
     count = len(d)
