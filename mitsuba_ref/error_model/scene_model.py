@@ -15,7 +15,13 @@ from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, norm, unit
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.interface import lowest_identical
-from mitsuba_ref.oracle.oracle import columns_in_order
+from mitsuba_ref.oracle.oracle import (
+    BRANCHING_FACTOR,
+    BoxLevel,
+    box_levels,
+    columns_in_order,
+    whole_groups,
+)
 
 
 class PairIntersections(NamedTuple):
@@ -140,7 +146,6 @@ def no_intersections() -> Intersections:
 # possible (a certain one is passed by the ray itself), and leaving it out takes an excuse away from both sides.
 BOX_MARGIN = 16 * KU
 
-BRANCHING_FACTOR = 32  # boxes, or primitives, in a box of the level above
 BOX_TESTS_PER_BATCH = 1 << 21  # rays times boxes that are held at once
 GROUPS_PER_CHUNK = 1 << 10  # compared with rays at a time: temporary arrays of 256 kB stay in a cache
 BOXES_PER_CHUNK = 1 << 16  # of an order that is computed: its temporaries stay in a cache
@@ -154,16 +159,9 @@ class BroadPhase:
         """prims: (n,) their primitives, if not 0 to n - 1."""
         order = morton_order(low, high)
         self.order = order if prims is None else prims[order]
-        self.levels: list[BoxLevel] = []
-        if len(order):
-            whole = np.append(order, np.repeat(order[-1:], -len(order) % BRANCHING_FACTOR))
-            ends = grown(columns_in_order(low, whole), columns_in_order(high, whole))
-            self.levels.append(box_level(*ends, len(order)))
-        while self.levels and self.levels[-1].low.shape[1] > 1:
-            below, above = self.levels[-1].low.min(axis=2), self.levels[-1].high.max(axis=2)
-            missing = (0, 0), (0, -below.shape[1] % BRANCHING_FACTOR)
-            ends = np.pad(below, missing, mode="edge"), np.pad(above, missing, mode="edge")
-            self.levels.append(box_level(*ends, below.shape[1]))
+        whole = whole_groups(order)
+        ends = grown(columns_in_order(low, whole), columns_in_order(high, whole))
+        self.levels = box_levels(*ends, len(order))
 
     def pairs(self, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """(ray, primitive) for rays (n, 3), (n, 3), in pieces; each ray is in one piece only."""
@@ -179,20 +177,6 @@ class BroadPhase:
         for level in reversed(self.levels):
             ray, box = rays.passed_members(ray, box, level)
         return ray, self.order[box]
-
-
-class BoxLevel(NamedTuple):
-    """Boxes, grown by their margins, in groups; the last group is filled up with its last box."""
-
-    low: np.ndarray  # (3, groups, BRANCHING_FACTOR)
-    high: np.ndarray
-    boxes: int  # without those that fill up
-
-
-def box_level(low: np.ndarray, high: np.ndarray, count: int) -> BoxLevel:
-    """The level of boxes (3, n) in whole groups."""
-    groups = 3, -1, BRANCHING_FACTOR
-    return BoxLevel(low.reshape(groups), high.reshape(groups), count)
 
 
 def grown(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

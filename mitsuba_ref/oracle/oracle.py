@@ -189,6 +189,7 @@ def identical_groups(
 # ---- the index of primitives: a tree of boxes, traversed in float64 with padding, which misses no candidate ----
 
 BRANCHING_FACTOR = 32  # boxes in a box of the next level
+GROUPS_PER_CHUNK = 1 << 9  # compared with rays at a time: temporary arrays of 128 kB stay in a cache
 RAYS_PER_CHUNK = 256  # each of which passes some hundred boxes
 MAX_RAY_BOX_PAIRS = 1 << 19  # of a ray and a box; 100 MB of temporary arrays
 MORTON_BITS_PER_AXIS = 10  # of each coordinate along the curve
@@ -220,19 +221,40 @@ class RayColumns(NamedTuple):
     t_max: np.ndarray  # (n,)
 
 
+class BoxLevel(NamedTuple):
+    """Boxes in groups; the last group is filled up with its last box."""
+
+    low: np.ndarray  # (3, groups, BRANCHING_FACTOR)
+    high: np.ndarray
+    boxes: int  # without those that fill up
+
+
+def whole_groups(order: np.ndarray) -> np.ndarray:
+    """The order with its last number repeated to the end of its group."""
+    return np.append(order, np.repeat(order[-1:], -len(order) % BRANCHING_FACTOR))
+
+
+def box_levels(low: np.ndarray, high: np.ndarray, boxes: int) -> list[BoxLevel]:
+    """Boxes (3, n) in whole groups, the boxes of the groups, and so on up to one group; of none, no level."""
+    groups, levels = (3, -1, BRANCHING_FACTOR), []
+    while boxes:
+        level = BoxLevel(low.reshape(groups), high.reshape(groups), boxes)
+        levels.append(level)
+        boxes = level.low.shape[1] if level.low.shape[1] > 1 else 0
+        missing = (0, 0), (0, -boxes % BRANCHING_FACTOR)
+        low = np.pad(level.low.min(axis=2), missing, mode="edge")
+        high = np.pad(level.high.max(axis=2), missing, mode="edge")
+    return levels
+
+
 class BoxTree:
     """Boxes in groups, and groups in groups; nothing a ray passes is left out."""
 
     def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
         """low, high: (n, 3), finite."""
         self.order = morton_order(low, high)
-        self.levels = [(columns_in_order(low, self.order), columns_in_order(high, self.order))]
-        while self.levels[-1][0].shape[1] > BRANCHING_FACTOR:
-            below, above = self.levels[-1]
-            starts = np.arange(0, below.shape[1], BRANCHING_FACTOR)
-            self.levels.append(
-                (np.minimum.reduceat(below, starts, axis=1), np.maximum.reduceat(above, starts, axis=1))
-            )
+        whole = whole_groups(self.order)
+        self.levels = box_levels(columns_in_order(low, whole), columns_in_order(high, whole), len(low))
 
     def crossings(self, rays: RayColumns) -> BoxCrossings | None:
         """Every box that holds a point of ray i with t_min[i] < t <= t_max[i], and some more.
@@ -240,44 +262,45 @@ class BoxTree:
         None for several rays that pass too many boxes to look at together.
         """
         count = rays.o.shape[1]
-        top = self.levels[-1][0].shape[1]
-        ray, index = np.repeat(np.arange(count), top), np.tile(np.arange(top), count)
-        near = np.zeros(0)
-        for depth in range(len(self.levels) - 1, -1, -1):
-            low, high = self.levels[depth]
-            crossed, near = slab_test(rays, ray, low[:, index], high[:, index])
-            ray, index, near = ray[crossed], index[crossed], near[crossed]
-            if depth:
-                if len(ray) * BRANCHING_FACTOR > MAX_RAY_BOX_PAIRS and count > 1:
-                    return None
-                ray, index = group_members(ray, index, self.levels[depth - 1][0].shape[1])
-        return BoxCrossings(ray, self.order[index], near)
+        found = BoxCrossings(
+            np.arange(count if self.levels else 0),
+            np.zeros(count if self.levels else 0, np.int64),
+            np.zeros(0),
+        )
+        for level in reversed(self.levels):
+            if len(found.ray) * BRANCHING_FACTOR > MAX_RAY_BOX_PAIRS and count > 1:
+                return None
+            found = crossed_members(rays, found.ray, found.box, level)
+        return found._replace(box=self.order[found.box])
 
 
-def group_members(ray: np.ndarray, group: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Each pair of a ray and a group, as pairs with the members of the group."""
-    index = (group[:, None] * BRANCHING_FACTOR + np.arange(BRANCHING_FACTOR)).ravel()
-    ray = np.repeat(ray, BRANCHING_FACTOR)
-    there = index < count
-    return ray[there], index[there]
+def crossed_members(rays: RayColumns, ray: np.ndarray, group: np.ndarray, level: BoxLevel) -> BoxCrossings:
+    """The boxes in group[i] that ray[i] passes, for each i."""
+    found = [BoxCrossings(ray[:0], group[:0], np.zeros(0))]
+    for start in range(0, len(ray), GROUPS_PER_CHUNK):
+        some, of = ray[start : start + GROUPS_PER_CHUNK], group[start : start + GROUPS_PER_CHUNK]
+        crossed, near = slab_test(rays, some[:, None], level.low[:, of], level.high[:, of])
+        crossed &= of[:, None] * BRANCHING_FACTOR + np.arange(BRANCHING_FACTOR) < level.boxes
+        i, member = np.nonzero(crossed)
+        found.append(BoxCrossings(some[i], of[i] * BRANCHING_FACTOR + member, near[i, member]))
+    return BoxCrossings(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def slab_test(
     rays: RayColumns, ray: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(whether ray[i] passes box i, the least t at which it may); boxes low, high are (3, m)."""
-    o, d = rays.o[:, ray], rays.d[:, ray]
-    with np.errstate(all="ignore"):
-        forward = d > 0.0
-        entry = (np.where(forward, low, high) - o) / d
-        leave = (np.where(forward, high, low) - o) / d
-        entry -= PAD_RTOL * np.abs(entry) + PAD_ATOL
-        leave += PAD_RTOL * np.abs(leave) + PAD_ATOL
-    outside = (d == 0.0) & ((o < low) | (o > high))  # there, entry and leave are NaN
-    beside, near, far = np.zeros(len(ray), bool), np.full(len(ray), -np.inf), np.full(len(ray), np.inf)
+    """(whether ray[i] passes box i, the least t at which it may); boxes (3, ...), whose shape ray broadcasts to."""
+    beside, near, far = np.zeros(low.shape[1:], bool), np.array(-np.inf), np.array(np.inf)
     for axis in range(3):
-        beside |= outside[axis]
-        near, far = np.fmax(near, entry[axis]), np.fmin(far, leave[axis])
+        o, d, start, end = rays.o[axis, ray], rays.d[axis, ray], low[axis], high[axis]
+        with np.errstate(all="ignore"):
+            forward = d > 0.0
+            entry = (np.where(forward, start, end) - o) / d
+            leave = (np.where(forward, end, start) - o) / d
+            entry -= PAD_RTOL * np.abs(entry) + PAD_ATOL
+            leave += PAD_RTOL * np.abs(leave) + PAD_ATOL
+        beside |= (d == 0.0) & ((o < start) | (o > end))  # there, entry and leave are NaN
+        near, far = np.fmax(near, entry), np.fmin(far, leave)
     crossed: np.ndarray = ~(beside | (near > far) | (far <= rays.t_min[ray]) | (near > rays.t_max[ray]))
     return crossed, near
 
