@@ -215,7 +215,10 @@ def _swapped(node: ast.Call) -> Iterator[tuple[str, str]]:
         yield "swapped function", ast.unparse(new)
 
 
-COMMUTATIVE = {"min", "max", "minimum", "maximum", "dot", "hypot", "isinstance", "logical_and", "logical_or"}
+COMMUTATIVE = {
+    *("min", "max", "minimum", "maximum", "dot", "hypot", "isinstance", "logical_and", "logical_or"),
+    *("multiply", "intersect1d", "row_distance"),
+}
 EXCHANGED = {
     "min": "max",
     "max": "min",

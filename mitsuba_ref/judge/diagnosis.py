@@ -491,7 +491,7 @@ def _features(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tupl
     names = judge.scene.shape_names()
     kinds = np.array([kind_of(kind.prims).name for kind in packed.kinds])[packed.kind_of[shape]]
     for kind in np.unique(kinds) if len(packed.kinds) > 1 else ():
-        yield f"a {kind} is hit", _flag(kinds == kind)
+        yield f"one of the {kind.lower()} is hit", _flag(kinds == kind)
     for number in np.unique(shape) if len(names) > 1 else ():
         yield f"{names[number]} is hit", _flag(shape == number)
     at = judge.near(rows, prim, judge.result.t[rows].astype(np.float64))

@@ -227,8 +227,8 @@ def test_a_threshold_of_one_quantity_is_found(right, agreed, feature, side):
 
 
 PROPERTIES = {
-    "a Spheres is hit": lambda judge: shape_of(judge) < 2,
-    "a Triangles is hit": lambda judge: shape_of(judge) >= 2,
+    "one of the spheres is hit": lambda judge: shape_of(judge) < 2,
+    "one of the triangles is hit": lambda judge: shape_of(judge) >= 2,
     "ring is hit": lambda judge: shape_of(judge) == 2,
     "ball is hit": lambda judge: shape_of(judge) == 1,
     "room is not hit": lambda judge: shape_of(judge) != 0,

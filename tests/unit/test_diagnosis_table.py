@@ -734,7 +734,8 @@ def test_features_of_rays_and_primitives():
     u = d[rows] / np.linalg.norm(d[rows], axis=1)[:, None]
     cosines = (n * u).sum(1)
     expected = {
-        "a Spheres is hit": [0, 1, 0, 0, 0], "a Triangles is hit": [1, 0, 1, 1, 1], "flat is hit": [1, 0, 0, 1, 0],
+        "one of the spheres is hit": [0, 1, 0, 0, 0], "one of the triangles is hit": [1, 0, 1, 1, 1],
+        "flat is hit": [1, 0, 0, 1, 0],
         "ball is hit": [0, 1, 0, 0, 0], "slanted is hit": [0, 0, 1, 0, 0], "box is hit": [0, 0, 0, 0, 1],
         "the box of the shape has no thickness": [1, 0, 0, 1, 0],
         "the box of the primitive has no thickness": [1, 0, 0, 1, 1],
