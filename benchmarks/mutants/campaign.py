@@ -35,9 +35,13 @@ GROUPS = {
 }
 END_TO_END = "benchmarks/mutants/end_to_end.py"
 SMALL_AGREEMENT = "benchmarks/mutants/small_agreement.py"
-# Quick without the compiler; tests/agreement is not, SMALL_AGREEMENT stands for it.
+SMALL_RAYS = "benchmarks/mutants/small_rays.py"
+# Quick without the compiler; most of tests/agreement is not, SMALL_AGREEMENT and SMALL_RAYS stand for it.
 TESTS = (
     "tests/unit/test_exact_kernels.py",
+    "tests/unit/test_stated_kernels.py",
+    "tests/agreement/test_wide_angle_cameras.py",
+    "tests/agreement/test_exact.py",
     "tests/unit/test_screen_bounds.py",
     "tests/unit/test_rejected_faces.py",
     "tests/unit/test_primitive_properties.py",
@@ -168,7 +172,7 @@ class Settings:
     again: bool = False  # survivors of an earlier run, but for equivalents, are tried once more
     root: Path = ROOT
     sources: dict[str, tuple[str, ...]] = field(default_factory=lambda: dict(GROUPS))
-    tests: Sequence[str] = (END_TO_END, SMALL_AGREEMENT, *TESTS)
+    tests: Sequence[str] = (END_TO_END, SMALL_AGREEMENT, SMALL_RAYS, *TESTS)
     compiled_tests: Sequence[str] = (END_TO_END, *COMPILED_TESTS)
 
 

@@ -217,7 +217,7 @@ def _swapped(node: ast.Call) -> Iterator[tuple[str, str]]:
 
 COMMUTATIVE = {
     *("min", "max", "minimum", "maximum", "dot", "hypot", "isinstance", "logical_and", "logical_or"),
-    *("multiply", "intersect1d", "row_distance"),
+    *("multiply", "intersect1d", "row_distance", "add", "component_min", "component_max"),
 }
 EXCHANGED = {
     "min": "max",

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from mutants.campaign import COMPILED_TESTS, END_TO_END, GROUPS, SMALL_AGREEMENT, TESTS, stale
+from mutants.campaign import COMPILED_TESTS, END_TO_END, GROUPS, SMALL_AGREEMENT, SMALL_RAYS, TESTS, stale
 from mutants.operators import keys_of, mutants_of
 from mutants.page import interval, page, score
 
@@ -139,7 +139,7 @@ def test_without_a_test_that_passes_there_is_no_score(trees):
 
 def test_every_listed_test_is_there():
     """A name that is gone would leave its tests out in silence."""
-    listed = {*TESTS, *COMPILED_TESTS, END_TO_END, SMALL_AGREEMENT}
+    listed = {*TESTS, *COMPILED_TESTS, END_TO_END, SMALL_AGREEMENT, SMALL_RAYS}
     assert not [name for name in listed if not (ROOT / name).is_file()]
     assert all(list(ROOT.glob(pattern)) for patterns in GROUPS.values() for pattern in patterns)
 

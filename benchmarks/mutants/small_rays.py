@@ -1,0 +1,67 @@
+"""tests/agreement on rays that plain Python casts in a second: trees and fans find what brute force finds."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "agreement"))
+from hard_rays import hard_rays
+from random_scenes import name, random_scene
+from same_bits import assert_same_bits
+from test_shadow_fans import COUNT as SHADOW_RAYS
+from test_shadow_fans import lights, shadow_rays, tile_of
+
+from caster.cameras import Pinhole
+from caster.geometry.packing import packed
+from caster.jit.simd import LANES
+from caster.kernels.bvh.build import LEAF_SIZE
+from caster.kernels.nearest import Rays
+from caster.kernels.raster.tile import T, lane
+from caster.rendering.casting import ShadowCaster, find_any, find_nearest, new_ray_groups
+from caster.rendering.hits import validated_rays
+from caster.rendering.shading import decide_shadows
+from caster.shapes import SHAPES
+
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+PAIRS = ("cube", "sphere"), ("triangle", "disk"), ("icosphere", "cylinder"), ("rectangle", "triangle")
+LIGHTS = 8  # of `lights`
+RAYS = 48 // LANES * LANES
+
+
+def two_kinds(number):
+    """Two kinds of primitives, each of enough for a tree, and random numbers for what is asked of them."""
+    rng = np.random.default_rng([61, number])
+    chosen = [cls for cls in SHAPES if name(cls) in PAIRS[number % len(PAIRS)]]
+    return packed(random_scene(rng, chosen, Pinhole, count=LEAF_SIZE + 2)), rng
+
+
+@pytest.mark.parametrize("number", range(LIGHTS * len(PAIRS)))
+def test_fans_find_the_shadows_that_brute_force_finds(number):
+    """And take most of the rays, before any is left to the tree."""
+    arrays, rng = two_kinds(number)
+    light = list(lights(None, arrays, rng, 1.0))[number // len(PAIRS)]
+    all_rays = shadow_rays(light, arrays, rng, 1.0)
+    runs = rng.permutation(SHADOW_RAYS // LANES)[: RAYS // LANES]
+    kept = (runs[:, None] * LANES + np.arange(LANES)).ravel()
+    kept = kept[all_rays.t_max[kept] >= 0.0]
+    some = np.full(SHADOW_RAYS, -1.0)
+    some[kept] = all_rays.t_max[kept]
+    tile, groups = tile_of(all_rays._replace(t_max=some)), new_ray_groups()
+    ShadowCaster(arrays, light, SHADOW_RAYS).begin(tile, groups)(SHADOW_RAYS)
+    decide_shadows(arrays, tile, SHADOW_RAYS)
+    expected = find_nearest(arrays, Rays(*(a[kept] for a in all_rays)), "brute-force", 1).prim >= 0
+    assert (tile[int(lane(T)) + kept] < np.inf).tolist() == expected.tolist()
+    assert groups.taken[kept // LANES].mean() > 0.6
+
+
+@pytest.mark.parametrize("number", range(2 * len(PAIRS)))
+def test_trees_of_two_kinds_find_the_hits_that_brute_force_finds(number):
+    arrays, rng = two_kinds(number)
+    for family, (o, d) in hard_rays(arrays, rng, 5).items():
+        for o_of, d_of in ((o, d), (np.repeat(o[:1], len(d), axis=0), d)):
+            rays = validated_rays(o_of, d_of, 0.0, np.inf)
+            slow, fast = (find_nearest(arrays, rays, culling, 1) for culling in ("brute-force", "bvh"))
+            assert_same_bits(slow._asdict(), fast._asdict(), family)
+            assert find_any(arrays, rays, 1).tolist() == (slow.prim >= 0).tolist()
