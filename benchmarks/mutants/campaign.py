@@ -63,6 +63,7 @@ TESTS = (
     "tests/unit/test_scene_locate.py",
     "tests/unit/test_scene_model.py",
     "tests/unit/test_scene_numbers.py",
+    "tests/unit/test_scene_docs.py",
     "tests/unit/test_scene_errors.py",
     "tests/unit/test_scene_files.py",
     "tests/unit/test_added_aov.py",

@@ -1,4 +1,6 @@
-"""Functions of Numba's runtime that compiled kernels call, in LLVM's language, so that they run without Numba.
+"""Object code of compiled kernels: as files, loaded and called without Numba.
+
+With it go the functions of Numba's runtime that kernels call, in LLVM's language.
 
 Arrays that are handed to a kernel own no memory from its point of view (their record is null); what it allocates itself
 it frees before it returns, so that a record is all of its memory.

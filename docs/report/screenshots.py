@@ -21,7 +21,7 @@ from caster.rendering.hits import RayHits
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.report.html_report import HtmlReport, page_record, write_report
 from mitsuba_ref.report.validation import validate_scene
-from mitsuba_ref.runner import scene_runner
+from mitsuba_ref.runner import many_scenes
 from mitsuba_ref.subjects import subject
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import cast_ours
@@ -61,10 +61,10 @@ def main() -> None:
 def report_into(folder: Path) -> Path:
     subject.cast_ours = faulty_view
     files = sorted(SCENES.glob("*.toml"))
-    entries = [scene_runner.SceneEntry(load_scene(file), file.stem, f"scenes/{file.name}") for file in files]
+    entries = [many_scenes.SceneEntry(load_scene(file), file.stem, f"scenes/{file.name}") for file in files]
     report = HtmlReport(folder, len(entries))
-    judge = partial(scene_runner.judge_entry, page_of=partial(page_record, one_file=False))
-    for verdict in scene_runner.run(entries, scene_runner.default_workers(), judge=judge, record=report.keep):
+    judge = partial(many_scenes.judge_entry, page_of=partial(page_record, one_file=False))
+    for verdict in many_scenes.run(entries, many_scenes.default_workers(), judge=judge, record=report.keep):
         report.add(verdict)
     report.write()
     return report.index

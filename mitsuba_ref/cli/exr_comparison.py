@@ -18,7 +18,7 @@ from mitsuba_ref.cli.options import add_reading, add_selection, add_timeout, sel
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.approval import Proposal, ReferenceCheck
-    from mitsuba_ref.runner.scene_runner import Entry, SceneSource
+    from mitsuba_ref.runner.many_scenes import Entry, SceneSource
 
 # ---- compare ----
 
@@ -151,7 +151,7 @@ def run_approve(args: argparse.Namespace) -> int:
     from caster.system.atomic_files import check_folder
     from mitsuba_ref.exr_compare.approval import Proposal, propose, unused_references
     from mitsuba_ref.exr_compare.approved_reference import render_fresh
-    from mitsuba_ref.runner.scene_runner import map_in_order, problem_of
+    from mitsuba_ref.runner.many_scenes import map_in_order, problem_of
 
     def proposal_of(entry: Entry) -> Proposal:
         command = approve_command(args, entry.path)
@@ -233,7 +233,7 @@ def run_check(args: argparse.Namespace) -> int:
     from caster.system.atomic_files import ScratchFolder
     from mitsuba_ref.exr_compare.approval import ReferenceCheck, ReferenceChecks, check_scene
     from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.runner.scene_runner import map_in_order, problem_of
+    from mitsuba_ref.runner.many_scenes import map_in_order, problem_of
 
     with ScratchFolder() as scratch:
 

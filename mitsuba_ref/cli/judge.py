@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from caster.image.exr import Exr
     from caster.scene.model import Scene
-    from mitsuba_ref.runner.scene_runner import SceneEntry
+    from mitsuba_ref.runner.many_scenes import SceneEntry
 
 
 # ---- rays of a scene, as a file ----
@@ -222,7 +222,7 @@ def requested_scene(args: argparse.Namespace) -> Scene:
 
 def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """One scene to judge for nearest hits, and one for any-hit answers. Raises SceneError, FileMissing."""
-    from mitsuba_ref.runner.scene_runner import SceneEntry
+    from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.subjects.ray_files import HitsFile, lay_out, read_hits, read_rays
 
     if args.own_rays:
@@ -265,7 +265,7 @@ def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
 def exr_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """One scene to judge by its depth, and one by its position, if the file has it. Raises SceneError, FileMissing."""
     from caster.image.exr import read_exr
-    from mitsuba_ref.runner.scene_runner import SceneEntry
+    from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.subjects.command import DEPTH, POSITION, ExrFile
 
     reading_options = {"--map": args.map, "--depth": args.depth, "--miss": args.miss, "--near": args.near}
@@ -297,7 +297,7 @@ def own_rays_entry(args: argparse.Namespace, scene: Scene, exr: Exr) -> SceneEnt
     import numpy as np
 
     from mitsuba_ref.exr_compare.foreign_files import Reading, own_rays
-    from mitsuba_ref.runner.scene_runner import SceneEntry
+    from mitsuba_ref.runner.many_scenes import SceneEntry
 
     reading = Reading(tuple(args.map), args.depth, args.miss, args.near)
     image, rays = own_rays(args.exr, exr, scene, reading)

@@ -22,7 +22,7 @@ from caster.system.terminal import StatusLine
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.runner.scene_runner import SceneSource
+    from mitsuba_ref.runner.many_scenes import SceneSource
     from mitsuba_ref.subjects.subject import Subject
 
 # Stated here as well, since loading the judge loads the kernels (tests/unit/test_cli_help.py compares).
@@ -98,7 +98,7 @@ def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
     """The selected scenes, not loaded yet; where there is none, this is printed. Raises SceneError."""
     from caster.scene.files import types_in_file
     from caster.scene.model import Film
-    from mitsuba_ref.runner.scene_runner import matching, source_of
+    from mitsuba_ref.runner.many_scenes import matching, source_of
 
     fits = matching(args.expression, types_in_file)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
@@ -425,7 +425,7 @@ def select(items: Sequence[T], what: str, words: Sequence[str], expression: str 
     for word in words:
         if word not in known:
             raise SceneError(f"{what} '{word}': unknown{suggestion(word, known)} (known: {', '.join(names)})")
-    from mitsuba_ref.runner.scene_runner import matching
+    from mitsuba_ref.runner.many_scenes import matching
 
     matches = matching(expression)
     chosen = (item for item in items if not words or {item.name, item.name.partition("-")[0]} & set(words))

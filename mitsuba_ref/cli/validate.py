@@ -37,7 +37,7 @@ UNSUPPORTED_SCENE = (
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.runner.scene_runner import SceneSource
+    from mitsuba_ref.runner.many_scenes import SceneSource
     from mitsuba_ref.runner.shards import Shard
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
     from mitsuba_ref.subjects.subject import Subject

@@ -29,7 +29,7 @@ from mitsuba_ref.judge.independent_checks.knife_edges import (
     t_text,
     with_limits,
 )
-from mitsuba_ref.judge.independent_checks.routes import RouteDifference, route_differences
+from mitsuba_ref.judge.independent_checks.public_routes import RouteDifference, route_differences
 from mitsuba_ref.judge.independent_checks.scaling import exponents_of, scaling_differences
 from mitsuba_ref.oracle.oracle import ExactAnswer, OutsideDomain
 from mitsuba_ref.reference.shared_input import pixel_of

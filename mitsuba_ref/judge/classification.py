@@ -45,9 +45,9 @@ from mitsuba_ref.judge.comparison import (
     pair_images,
     self_checks,
 )
+from mitsuba_ref.judge.defect_lookup import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.diffuse import DiffuseComparison, diffuse_within_float64, judge_diffuse, shading_points
 from mitsuba_ref.judge.independent_checks.mesh_files import files_of, for_mitsuba
-from mitsuba_ref.judge.known_defects import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,

@@ -9,7 +9,7 @@ from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import EXACT, Judge, Judgement
-from mitsuba_ref.judge.known_defects import defect_name
+from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,

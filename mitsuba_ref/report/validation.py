@@ -33,8 +33,8 @@ from mitsuba_ref.judge.classification import Judge, judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges
 from mitsuba_ref.judge.independent_checks.mesh_files import check_mesh_files
+from mitsuba_ref.judge.independent_checks.public_routes import check_routes
 from mitsuba_ref.judge.independent_checks.ray_conventions import check_ray_conventions
-from mitsuba_ref.judge.independent_checks.routes import check_routes
 from mitsuba_ref.judge.independent_checks.scaling import check_scaling
 from mitsuba_ref.judge.scene_checks import (
     CHECKS_OF_OUR_FILM,

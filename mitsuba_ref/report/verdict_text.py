@@ -6,8 +6,8 @@ from urllib.parse import quote
 
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
 from mitsuba_ref.judge.classification import EXACT
+from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED
-from mitsuba_ref.judge.known_defects import defect_name
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,

@@ -1,7 +1,7 @@
 """pytest --mitsuba-ref scenes/: each check of each scene is a test. Without the option nothing is collected or loaded.
 
 Entry point `mitsuba-ref` of the group pytest11. Tests are collected without Mitsuba or Numba; the first test of a scene
-has it judged by mitsuba_ref/runner/scene_runner.py, and all show parts of that verdict.
+has it judged by mitsuba_ref/runner/many_scenes.py, and all show parts of that verdict.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import pytest
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import SceneVerdict
-    from mitsuba_ref.runner.scene_runner import JudgeScene
+    from mitsuba_ref.runner.many_scenes import JudgeScene
     from mitsuba_ref.subjects.subject import Subject
 
 OPTION = "--mitsuba-ref"
@@ -188,18 +188,18 @@ class ScenePlugin:
 
     def _judge(self, path: Path) -> SceneVerdict | str:
         from caster.description.errors import SceneError
-        from mitsuba_ref.runner import scene_runner
+        from mitsuba_ref.runner import many_scenes
 
         named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
         options = tuple(word for name, value in self.words.items() if value for word in (f"--{name}", value))
         about: dict[str, Any] = {"size": self.size, "mesh_dirs": self.mesh_dirs, "options": options}
-        entry = scene_runner.source_of(named, path.stem, **about)
+        entry = many_scenes.source_of(named, path.stem, **about)
         errors: list[Exception] = []
         try:
             judge = self._candidate_judge() if self.candidate else None
         except SceneError as error:
             return str(error)
-        (verdict,) = scene_runner.run([entry], workers=1, judge=judge, on_error=errors.append)
+        (verdict,) = many_scenes.run([entry], workers=1, judge=judge, on_error=errors.append)
         return str(errors[0]) if errors and isinstance(errors[0], SceneError | MemoryError) else verdict
 
     def _candidate_judge(self) -> JudgeScene:

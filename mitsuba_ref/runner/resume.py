@@ -22,7 +22,7 @@ from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.rendering import variant_of
 from mitsuba_ref.report.output_manifest import JOURNAL, OutFolder
-from mitsuba_ref.runner.scene_runner import Entry, JudgeScene, SceneEntry
+from mitsuba_ref.runner.many_scenes import Entry, JudgeScene, SceneEntry
 
 # Exceptions of a file that is no JSON, or of a record of another shape.
 MALFORMED = (AttributeError, KeyError, TypeError, ValueError, ArithmeticError, RecursionError)

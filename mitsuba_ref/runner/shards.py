@@ -15,8 +15,8 @@ from caster.description.errors import SceneError
 from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
+from mitsuba_ref.runner.many_scenes import Entry
 from mitsuba_ref.runner.resume import UnreadableVerdict
-from mitsuba_ref.runner.scene_runner import Entry
 
 # Python, OpenEXR and pydantic read and write; these compute.
 COMPUTING_LIBRARIES = ("mitsuba", "drjit", "numpy", "numba", "llvmlite")

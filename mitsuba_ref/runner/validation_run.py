@@ -19,10 +19,10 @@ from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.report.html_report import HtmlReport, page_record
 from mitsuba_ref.report.output_manifest import OutFolder, RemovedFiles
 from mitsuba_ref.report.verdict_text import checks_of
-from mitsuba_ref.runner import scene_runner
+from mitsuba_ref.runner import many_scenes
 from mitsuba_ref.runner.isolation import CALL_TIMEOUTS, Isolated, WorkerEnded
+from mitsuba_ref.runner.many_scenes import Entry, JudgeScene
 from mitsuba_ref.runner.resume import ResumableResults, code_hash, recorded
-from mitsuba_ref.runner.scene_runner import Entry, JudgeScene
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard
 from mitsuba_ref.subjects.subject import Subject
 
@@ -65,9 +65,9 @@ class ValidationRun:
         judge = self._judge()
         if self.out:
             self.out.begin()
-        workers = self.options.workers or scene_runner.default_workers()
+        workers = self.options.workers or many_scenes.default_workers()
         record = self.html.keep if self.html else None
-        running = scene_runner.run(
+        running = many_scenes.run(
             self.entries,
             workers,
             self.options.maxfail,
@@ -76,14 +76,14 @@ class ValidationRun:
             record,
             self.errors.append,
         )
-        with closing(running), closing(scene_runner.progress_bar(self.entries)) as bar:
+        with closing(running), closing(many_scenes.progress_bar(self.entries)) as bar:
             for verdict in running:
                 self.done.append(verdict)
                 if self.html:
                     self.html.add(verdict)
                 with bar.aside():
                     yield verdict
-                scene_runner.count_scene(bar, self.entries, len(self.done))
+                many_scenes.count_scene(bar, self.entries, len(self.done))
 
     def verdict(self) -> Verdict:
         """Of all scenes that are done."""
@@ -142,8 +142,8 @@ class ValidationRun:
             judge = candidate_judge(self.candidate, **options)
             return recorded(judge, self.out) if self.out else judge
         if self.options.timeout > DEFAULT_TIMEOUT:
-            scene_runner.ISOLATED.seconds = CALL_TIMEOUTS * self.options.timeout
-        judge = partial(scene_runner.judge_entry, **options)
+            many_scenes.ISOLATED.seconds = CALL_TIMEOUTS * self.options.timeout
+        judge = partial(many_scenes.judge_entry, **options)
         if self.out is None:
             return judge
         if self.html is None:
@@ -221,7 +221,7 @@ def candidate_judge(candidate: Subject, **options: Any) -> JudgeScene:
     """Judges a scene with a candidate in place of our caster; options as of `judge_here`."""
 
     def judge(entry: Entry, folder: Path | None) -> SceneVerdict:
-        found = scene_runner.judge_entry(entry, folder, subject=candidate, **options)
+        found = many_scenes.judge_entry(entry, folder, subject=candidate, **options)
         return replace(found, candidate=candidate.name)
 
     return judge

@@ -33,7 +33,7 @@ radius = 1.3
 STRICT = "[check.depth]\nratio = 1e-6\n"
 NAMES = (VERDICT, *PIXEL_CHECKS, *SCENE_CHECKS)
 HEAVY = ("numba", "mitsuba", "drjit", "caster.jit.decorators")
-PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene", "mitsuba_ref.runner.scene_runner")
+PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene", "mitsuba_ref.runner.many_scenes")
 
 
 @pytest.fixture
@@ -210,8 +210,8 @@ def fake(entries, workers, **options):
         file.write(entry.name + chr(10))
     yield verdict_factory.scene(entry.name, ok=entry.name != "strict")
 def pytest_configure():
-    import mitsuba_ref.runner.scene_runner
-    mitsuba_ref.runner.scene_runner.run = fake
+    import mitsuba_ref.runner.many_scenes
+    mitsuba_ref.runner.many_scenes.run = fake
 """
 
 

@@ -18,7 +18,7 @@ from caster.scene.files import film_pixels, load_scene, types_in_file
 from mitsuba_ref.cli import options
 from mitsuba_ref.cli.validate import UNSUPPORTED_SCENE, exit_code
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, Verdict
-from mitsuba_ref.runner.scene_runner import matching
+from mitsuba_ref.runner.many_scenes import matching
 from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ from verdict_factory import scene as made
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.report import output_manifest
-from mitsuba_ref.runner import resume, scene_runner
+from mitsuba_ref.runner import many_scenes, resume
 
 CAMERA = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
 SCENE = "# {name}\n" + CAMERA + '[[shape]]\ntype = "{shape}"\n{more}'
@@ -36,7 +36,7 @@ def judged(tmp_path, monkeypatch):
         return made(entry.name, ok=entry.name != "b")
 
     asked_to_fail = judge.stops = set()
-    monkeypatch.setattr(scene_runner, "judge_entry", judging(judge))
+    monkeypatch.setattr(many_scenes, "judge_entry", judging(judge))
 
     def run(*words, stop=()):
         asked_to_fail.clear()
@@ -171,14 +171,14 @@ def test_what_is_kept_outlives_an_interruption_of_the_run_that_goes_on(judged, t
 
 
 def test_a_crash_of_mitsuba_is_not_kept(judged, monkeypatch):
-    healthy = scene_runner.judge_entry
+    healthy = many_scenes.judge_entry
     monkeypatch.setattr(
-        scene_runner,
+        many_scenes,
         "judge_entry",
         judging(lambda entry, folder: made(entry.name, ok=False, problem="crash")),
     )
     assert judged() == (1, []) and written()["scenes"][0]["problem"] == "crash"
-    monkeypatch.setattr(scene_runner, "judge_entry", healthy)
+    monkeypatch.setattr(many_scenes, "judge_entry", healthy)
     assert judged("--resume") == (1, ["a", "b", "m"]) and kept() == []
 
 

@@ -10,8 +10,8 @@ from verdict_factory import scene as made
 import caster
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import Finding, Verdict
+from mitsuba_ref.runner.many_scenes import SceneEntry
 from mitsuba_ref.runner.resume import read_verdict, verdict_of
-from mitsuba_ref.runner.scene_runner import SceneEntry
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard, version_in
 from mitsuba_ref.runner.validation_run import run_identity
 

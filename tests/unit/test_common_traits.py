@@ -11,7 +11,7 @@ import caster
 from mitsuba_ref.judge.verdict import SceneCheck, SceneStatistics
 from mitsuba_ref.report.ci_summaries import markdown
 from mitsuba_ref.report.verdict_text import common_traits, failures_text, simplest_failing
-from mitsuba_ref.runner import scene_runner
+from mitsuba_ref.runner import many_scenes
 from mitsuba_ref.runner.resume import scene_of
 
 
@@ -97,9 +97,9 @@ def test_a_verdict_has_the_composition_of_its_scene_also_without_comparison(
     ball = caster.Scene(
         camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere(), caster.Cube()]
     )
-    entry = scene_runner.SceneEntry(ball, "ball", "ball.toml")
+    entry = many_scenes.SceneEntry(ball, "ball", "ball.toml")
     for found in (made("ball"), made("ball", problem="crash")):
-        monkeypatch.setattr(scene_runner, "validate_scene", Mock(return_value=found))
-        judged = scene_runner.judge_here(entry, None)
+        monkeypatch.setattr(many_scenes, "validate_scene", Mock(return_value=found))
+        judged = many_scenes.judge_here(entry, None)
         assert judged.composition == SceneStatistics("pinhole", {"sphere": 1, "cube": 1}, 13)
         assert scene_of(judged.to_dict()).composition == judged.composition

@@ -12,7 +12,7 @@ from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Claims
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.judge import known_defects
-from mitsuba_ref.judge.known_defects import FeatureMeasurement
+from mitsuba_ref.judge.defect_lookup import FeatureMeasurement
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 

@@ -13,7 +13,7 @@ import pytest
 from verdict_factory import scene as made
 
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.runner import isolation, scene_runner
+from mitsuba_ref.runner import isolation, many_scenes
 from mitsuba_ref.runner.isolation import Isolated, ResultNotSent, WorkerEnded
 
 SCENE = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
@@ -54,8 +54,8 @@ def judging(tmp_path, monkeypatch):
         ENDS.get(name, (lambda: None,))[0]()
         return made(name)
 
-    monkeypatch.setattr(scene_runner, "validate_scene", validate)
-    monkeypatch.setattr(scene_runner.ISOLATED, "seconds", 1.0)
+    monkeypatch.setattr(many_scenes, "validate_scene", validate)
+    monkeypatch.setattr(many_scenes.ISOLATED, "seconds", 1.0)
 
 
 @pytest.mark.parametrize("workers", ["1", "3"])

@@ -19,7 +19,7 @@ from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge import scene_checks
-from mitsuba_ref.judge.known_defects import FeatureMeasurement, defect_of
+from mitsuba_ref.judge.defect_lookup import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.scene_checks import check_geometry, check_render
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.shared_input import SharedRays, model_of

@@ -13,7 +13,7 @@ from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.judge import scene_checks
 from mitsuba_ref.judge.independent_checks import exr_round_trip, routes
 from mitsuba_ref.judge.independent_checks.exr_round_trip import WrittenImage, check_exr_files, stored_planes
-from mitsuba_ref.judge.independent_checks.routes import check_routes, route_differences
+from mitsuba_ref.judge.independent_checks.public_routes import check_routes, route_differences
 from mitsuba_ref.judge.scene_checks import (
     BRUTE_FORCE_TESTS,
     PRECISIONS,

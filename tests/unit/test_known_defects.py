@@ -8,7 +8,7 @@ import pytest
 
 from mitsuba_ref.error_model import defect_conditions
 from mitsuba_ref.error_model.defect_conditions import DefectFeatures, abs_cosine
-from mitsuba_ref.judge.known_defects import defect_name, defect_of, known_defects
+from mitsuba_ref.judge.defect_lookup import defect_name, defect_of, known_defects
 from mitsuba_ref.shapes.triangle_meshes import has_area
 
 INSIDE = frozenset({"inside"})

@@ -14,7 +14,7 @@ from caster.system.atomic_files import OutputError
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.report.html_report import MAX_PIXELS_WITH_IMAGES, HtmlReport
 from mitsuba_ref.report.output_manifest import IMAGES, MANIFEST, OutputManifest, files_of
-from mitsuba_ref.runner import scene_runner
+from mitsuba_ref.runner import many_scenes
 
 SCENE = (
     '# {name}\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
@@ -41,7 +41,7 @@ def judged(tmp_path, monkeypatch):
             (folder / file).write_bytes(f"{file}\n".encode())
         return made(entry.name, reproducers=files)
 
-    monkeypatch.setattr(scene_runner, "judge_entry", judging(judge))
+    monkeypatch.setattr(many_scenes, "judge_entry", judging(judge))
 
     def run(*words, places=("scenes",), **changed):
         settings.update(reproducers=(), problem=(), stop=())
@@ -110,7 +110,7 @@ def test_a_run_of_some_scenes_removes_only_what_is_theirs(judged, capsys, words,
 def test_no_verdict_of_an_earlier_run_is_there_while_one_goes_on(judged, monkeypatch):
     """Who is killed leaves none, and --resume has the journal."""
     judged()
-    judge, seen = scene_runner.judge_entry, []
+    judge, seen = many_scenes.judge_entry, []
 
     def looking(entry, folder, **options):
         verdict = judge(entry, folder, **options)
@@ -118,7 +118,7 @@ def test_no_verdict_of_an_earlier_run_is_there_while_one_goes_on(judged, monkeyp
             seen.append(Path("out/verdict.json").exists())
         return verdict
 
-    monkeypatch.setattr(scene_runner, "judge_entry", looking)
+    monkeypatch.setattr(many_scenes, "judge_entry", looking)
     Path("scenes/a.toml").write_text(SCENE.format(name="another"))
     assert judged("--resume") == 0 and seen == [False]
     assert judged() == 0 and seen == [False] * 4 and Path("out/verdict.json").exists()

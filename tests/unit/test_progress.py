@@ -24,8 +24,8 @@ from caster.system.terminal import (
     si_number,
 )
 from mitsuba_ref.cli import options
-from mitsuba_ref.runner.scene_runner import SceneEntry, count_scene
-from mitsuba_ref.runner.scene_runner import progress_bar as scenes_bar
+from mitsuba_ref.runner.many_scenes import SceneEntry, count_scene
+from mitsuba_ref.runner.many_scenes import progress_bar as scenes_bar
 
 SCENE = """
 [film]

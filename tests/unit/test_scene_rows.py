@@ -10,8 +10,8 @@ import mitsuba_ref.__main__
 from caster.description.errors import SceneError
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict
-from mitsuba_ref.runner import scene_runner, validation_run
-from mitsuba_ref.runner.scene_runner import Entry, SceneSource, matching, run, source_of
+from mitsuba_ref.runner import many_scenes, validation_run
+from mitsuba_ref.runner.many_scenes import Entry, SceneSource, matching, run, source_of
 from mitsuba_ref.runner.shards import Shard, missing_shards, scenes_of_shard
 
 SCENE = """[film]
@@ -75,7 +75,7 @@ def test_any_error_is_a_row_and_the_verdict_is_written(folder, tmp_path, monkeyp
             raise ERRORS[entry.name][0]
         return passed(entry.load(), out)
 
-    monkeypatch.setattr(scene_runner, "judge_entry", judge)
+    monkeypatch.setattr(many_scenes, "judge_entry", judge)
     monkeypatch.setattr("mitsuba_ref.reference.variants.variant_for", lambda **_: "scalar_rgb")
     monkeypatch.setattr(validation_run, "run_identity", lambda *_: {})
     out = tmp_path / "verdict.json"

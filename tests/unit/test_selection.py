@@ -7,7 +7,7 @@ import pytest
 
 from caster.cli.shared_arguments import display_names, scene_files
 from caster.description.errors import FileMissing, SceneError
-from mitsuba_ref.runner.scene_runner import matching
+from mitsuba_ref.runner.many_scenes import matching
 
 NAMES = ("teapot", "mesh-tea", "mesh", "sphere")
 

@@ -40,7 +40,7 @@ def verdict(*scenes, scene_count=None, names=(), **more):
 
 
 def judging(judge):
-    """A stand-in for scene_runner.judge_entry around judge(entry, folder), which is not called for known inputs."""
+    """A stand-in for many_scenes.judge_entry around judge(entry, folder), which is not called for known inputs."""
 
     def judge_entry(entry, folder, *, inputs_of=None, known="", **options):
         inputs = inputs_of(entry.load()) if inputs_of else ""

@@ -1,6 +1,7 @@
-"""Sines and cosines without a branch or a call, so that loops over pixels can work several out at once.
+"""What fisheyes, panoramas and parabolic cameras share: spheres and hulls in their projections, and sines and cosines.
 
-The bits are the same with and without compiling, on every machine: only sums and products of float64 are taken.
+Those go without a branch or a call, so that loops over pixels can work several out at once. Their bits are the same
+with and without compiling, on every machine: only sums and products of float64 are taken.
 """
 
 import math

@@ -1,4 +1,7 @@
-"""Known defects of the reference: the list, the features of a pixel that they depend on, and which one explains it."""
+"""Known defects of the reference, gathered from the kinds that declare them (mitsuba_ref/shapes), and looked up.
+
+The features of a pixel that they depend on are computed here.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
