@@ -105,3 +105,24 @@ def test_a_large_shape_seen_from_nearby_does_not_shadow_itself(shape, radius):
     images = render(scene, ("diffuse", "shading_normal"))
     lit = images.hit & (images["shading_normal"] @ np.array([0.31, 0.83, 0.57]) > 1e-3)
     assert lit.sum() > 200 and (images["diffuse"][lit] > 0.0).all()
+
+
+def test_the_light_of_several_lamps_adds_up():
+    lamps = [
+        Point(position=(1.0, 4.0, 1.0), intensity=(4.0, 8.0, 1.0)),
+        Point(position=(-2.0, 3.0, 1.5), intensity=(1.0, 2.0, 16.0)),
+        Directional(direction=(0.25, -1.0, 0.5), irradiance=(1.0, 0.5, 2.0)),
+        Ambient(radiance=(0.25, 0.5, 1.0)),
+    ]
+    about = {
+        "film": Film(width=16, height=12),
+        "camera": Pinhole(eye=(0.0, 2.0, 6.0), look_at=(0.0, 0.0, 0.0)),
+        "shapes": [Sphere(center=(0.0, 0.5, 0.0), radius=0.75), Rectangle(to_world=LYING)],
+    }
+    each = [render(Scene(lights=[lamp], **about), ("diffuse",))["diffuse"] for lamp in lamps]
+    together = render(Scene(lights=lamps, **about), ("diffuse",))["diffuse"]
+    assert all((image > 0.0).any() for image in each)
+    assert together == pytest.approx(sum(each), rel=2.0**-50)
+
+
+LYING = [{"rotate": {"axis": [1, 0, 0], "degrees": -90}}, {"scale": 4}]

@@ -1,12 +1,23 @@
 """Where primitives are looked for holds the pixels of all rays that meet them, and hardly more."""
 
 import math
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
 
-from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, fisheye, panorama, parabolic
+from caster.cameras import (
+    Fisheye,
+    Orthographic,
+    Panorama,
+    Parabolic,
+    Pinhole,
+    fisheye,
+    panorama,
+    parabolic,
+    pinhole,
+)
 from caster.kernels.protocol import (
     camera_ray,
     distortion_bound,
@@ -200,3 +211,30 @@ def test_the_directions_of_a_tile_are_between_those_of_its_corners(fov):
             assert least <= d.min() and d.max() <= most
             if fov < 50.0:
                 assert most - least < 1.3 * np.ptp(d) + 0.02 * fov / 40.0 + 1e-9
+
+
+def test_tangents_of_a_circle_are_rounded_outwards():
+    """x = m z touches |p - c| = r where (c_x - m c_z)^2 = r^2 (1 + m^2); beyond it the left side is larger."""
+    rng, tight = np.random.default_rng(171), 0
+    for _ in range(3000):
+        z = 10.0 ** rng.uniform(-3.0, 3.0)
+        r = z * rng.choice([10.0 ** rng.uniform(-12.0, -0.1), 1.0 - 10.0 ** rng.uniform(-12.0, -0.5)])
+        x = float(rng.choice([0.0, r, -r, z, rng.normal() * z, rng.normal() * r]))
+        for m, side in zip(pinhole.tangents(x, z, r), (-1, 1), strict=True):
+            aside = side * (Fraction(m) * Fraction(z) - Fraction(x))
+            assert aside > 0 and aside**2 >= Fraction(r) ** 2 * (1 + Fraction(m) ** 2), (x, z, r, side)
+            nearer = m - side * 2.0**-40 * abs(m)
+            tight += (
+                Fraction(r) ** 2 * (1 + Fraction(nearer) ** 2)
+                > (Fraction(nearer) * Fraction(z) - Fraction(x)) ** 2
+            )
+    assert tight > 3000  # of 6000, that are not much larger than they have to be
+
+
+@pytest.mark.parametrize(("beyond", "off"), [(0.25, False), (-0.25, False), (4.0, True)])
+def test_a_sphere_at_the_rim_of_a_fisheye_is_on_its_film_up_to_the_rounding_of_angles(beyond, off):
+    camera = Fisheye(fov=180.0, eye=(0.0, 0.0, 0.0), direction=(0.0, 0.0, 1.0)).pack(WIDTH, HEIGHT)
+    angle = 0.5 * math.pi + math.asin(0.25) + beyond * fisheye.ANGLE_ERROR
+    center = (math.sin(angle), 0.0, math.cos(angle))
+    left, _, right, _, _, valid = project_bounding_sphere(camera, center, 0.25)
+    assert valid and (left > right) == off

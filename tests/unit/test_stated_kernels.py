@@ -43,6 +43,7 @@ from caster.kernels.protocol import (
     project_bounding_sphere,
     surely_misses,
     surface,
+    surface_setup,
     t_lower_bound,
     tight_sphere,
 )
@@ -57,6 +58,7 @@ from caster.kernels.raster.screen_bounds import (
     bound_triangles,
     project_vertices,
 )
+from caster.kernels.raster.tile import LANE_FIELDS, LANE_SETUP, SURFACE_LANES, lane, new_lanes
 from caster.kernels.raster.tile_casting import bounds_in_tile, row_bounds
 from caster.kernels.surface.lighting import DirectionalLight, PointLight, received_irradiance, shadow_ray
 from caster.kernels.triangles import barycentrics, fast_barycentrics, fast_triangle_normal
@@ -105,6 +107,7 @@ STARTS = [
         ((-300.0, 200.0, 90.0), 1.0),
     ),
     ((1.0, 0.5, 0.5), 3.0),
+    *(((3.0, 1.0, 2.0), 1e-305), ((3.0, 1.0, 2.0), 1e-160), ((3.0, 1.0, 2.0), 1e150)),
 ]
 
 
@@ -141,8 +144,7 @@ def intersections(name: str) -> Iterator[Any]:
         pre = prepare(prims, load(prims, 0), o)
         yield pre
         for target in TARGETS:
-            along = low + np.array(target) * (high - low) - o
-            d = tuple((along * (length / math.sqrt(along @ along))).tolist())
+            d = towards(low + np.array(target) * (high - low), o, length)
             t, error = found = intersect(prims, pre, d, 0.0, math.inf)
             yield found, surely_misses(prims, pre, d)
             wide = tuple(x - 0.01 for x in d), tuple(x + 0.01 for x in d)
@@ -152,8 +154,52 @@ def intersections(name: str) -> Iterator[Any]:
                 yield surface(prims, 0, o, d, t, True), normal(prims, 0, o, d, t)
                 setup = normal_setup(prims, 0, max(map(abs, o)))
                 yield setup
-                if length == 1.0 and setup[0] and len(setup) > 2:
+                if length == 1.0 and setup[0]:
                     yield fast_normal(prims, setup, o, d, t)
+
+
+def towards(point: np.ndarray, o: Any, length: float) -> Any:
+    """A vector of that length from o to a point."""
+    along = point - np.array(o)
+    return tuple((along * (length / math.sqrt(along @ along))).tolist())
+
+
+SURE_HIT, UNDECIDED, SURE_MISS = range(3)
+
+
+def undecided(name: str) -> Iterator[Any]:
+    """How far aside a ray has to be turned from where it is sure to hit a shape to where it is sure to miss.
+
+    As parts of the way between two targets: where it is no longer sure to hit, and how wide what lies between is. That
+    is twice the error bounds. From far away it is a billion of the smallest steps.
+    """
+    prims = kind_of(SHAPES[name]).prims
+    low, high = box_of(prims)
+    for start in ((3e5, 1e5, 2e5), (-1e5, 2e4, 3e5), (300.0, -200.0, 90.0)):
+        o = tuple((low + np.array(start) * (high - low)).tolist())
+        pre = prepare(prims, load(prims, 0), o)
+        for length in (1.0, 7.0, 0.03):
+            for beyond in ((2.5, 0.5, 0.5), (0.5, -1.5, 0.5), (0.5, 0.5, 2.5), (0.5, 0.5, -1.5)):
+
+                def answer(
+                    part: float, beyond: Any = beyond, pre: Any = pre, o: Any = o, length: float = length
+                ) -> int:
+                    place = (1.0 - part) * np.array((0.4, 0.45, 0.4)) + part * np.array(beyond)
+                    d = towards(low + place * (high - low), o, length)
+                    t, error = intersect(prims, pre, d, 0.0, math.inf)
+                    return UNDECIDED if error == math.inf else SURE_HIT if t < math.inf else SURE_MISS
+
+                if (answer(0.0), answer(1.0)) == (SURE_HIT, SURE_MISS):
+                    hit = changes_at(lambda part, answer=answer: answer(part) != SURE_HIT)
+                    yield hit, changes_at(lambda part, answer=answer: answer(part) == SURE_MISS) - hit
+
+
+def changes_at(test: Callable[[float], bool]) -> float:
+    """Where between 0 and 1 a test becomes true, by halving: to the last bit."""
+    low, high = 0.0, 1.0
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (low, middle) if test(middle) else (middle, high)
+    return high
 
 
 def hulls(name: str) -> Iterator[Any]:
@@ -276,6 +322,12 @@ def quadrics(_: str) -> Iterator[Any]:
                     fast_outward_normal(f, (-0.6, 0.0, 0.8), t, r),
                 )
                 yield outward_normal(f, (-3.0, 1.0, 0.25), t, r)
+    for t in np.nextafter(2.0, [0.0, 3.0]).tolist():  # the ends of a chord that t hardly separates
+        for r in (3.0, 2.5, 2.0, 1.0, 0.25):
+            yield outward_normal((2.0, 0.0, 0.0), (-1.0, 0.0, 0.0), t, r)
+    for axis in range(3):
+        far = tuple(np.roll([MAX_RANGE * 4.0, 0.0, 0.0], axis).tolist())
+        yield outward_normal(far, (-0.6, -0.1, 0.7), 1.5, 1.0)
     for size in (MIN_RANGE / 4.0, MAX_RANGE * 4.0):
         for f in ((2.0, 0.5, -0.25), (0.5, 2.0, 0.25), (0.25, 0.5, 2.0)):
             far = tuple(size * x for x in f)
@@ -299,6 +351,22 @@ def triangles(_: str) -> Iterator[Any]:
             yield fast_triangle_normal(*(tuple(corner) for corner in corners))
 
 
+MESHES = {
+    "torus": caster.Torus(segments=5, sides=4),
+    "icosphere": caster.Icosphere(subdivisions=1),
+    "heightfield": caster.Heightfield(resolution=3, waves=3),
+    "teapot": caster.Teapot(subdivisions=1),
+    "cube": caster.Cube(),
+    "rectangle": caster.Rectangle(),
+}
+
+
+def meshes(name: str) -> Iterator[Any]:
+    """Vertices, faces, normals and uv of a generated mesh."""
+    prims = kind_of(MESHES[name]).prims
+    yield prims.vertices, prims.faces, prims.normals, prims.uv
+
+
 def trees(_: str) -> Iterator[Any]:
     """The tree of some spheres and of some triangles: its links, boxes and order."""
     for cls in ("triangle", "sphere"):
@@ -320,13 +388,28 @@ def shadow_rays(_: str) -> Iterator[Any]:
                     yield shadow_ray(light, p, n, (4.0, 4.0, -9.0), (0.1, -0.9, 0.4), 3.5, extent)
 
 
+FIELDS = {"sphere": 4, "plane": 12, "triangle": 3 * 3 + 1 + 7, "smooth triangle": 3 * 3 + 3 * 3 + 1 + 7}
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_the_setup_of_a_surface_fills_its_own_fields_of_its_own_lanes(name):
+    scratch = new_lanes()
+    scratch[:] = np.nan
+    surface_setup(kind_of(SHAPES[name]).prims, 0, lane(3), lane(6), scratch, True)
+    field, at = np.divmod(np.flatnonzero(~np.isnan(scratch)), SURFACE_LANES)
+    assert sorted(set(at.tolist())) == [3, 4, 5] and len(at) == 3 * FIELDS[name]
+    assert field.min() == int(LANE_SETUP) // SURFACE_LANES and field.max() < LANE_FIELDS
+
+
 TABLES: dict[str, tuple[Callable[[str], Iterator[Any]], tuple[str, ...]]] = {
     "intersections": (intersections, tuple(SHAPES)),
+    "undecided": (undecided, tuple(shape for shape in SHAPES if shape != "plane")),
     "hulls": (hulls, tuple(SHAPES)),
     "projections": (projections, tuple(CAMERAS)),
     "screen bounds": (screen_bounds, tuple(CAMERAS)),
     "quadrics": (quadrics, ("spheres",)),
     "barycentrics": (triangles, ("triangles",)),
+    "meshes": (meshes, tuple(MESHES)),
     "trees": (trees, ("both",)),
     "shadow rays": (shadow_rays, ("both",)),
 }
