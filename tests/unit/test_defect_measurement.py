@@ -11,7 +11,7 @@ from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Claims
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
 from mitsuba_ref.error_model.tolerances import KU
-from mitsuba_ref.judge import known_defects
+from mitsuba_ref.judge import defect_lookup
 from mitsuba_ref.judge.defect_lookup import FeatureMeasurement
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
@@ -136,7 +136,7 @@ def test_claims_without_a_normal_get_that_of_the_primitive(monkeypatch):
         rows = np.array([[1.0, 0, 0], [0, 1.0, 0]])
         return SimpleNamespace(t=near + 0.5, n=rows, sh_n=2.0 * rows, n_error=np.array([0.99, 1.0]))
 
-    monkeypatch.setattr(known_defects, "nearest_root", at_root)
+    monkeypatch.setattr(defect_lookup, "nearest_root", at_root)
     model = SimpleNamespace(intersect=intersect)
     whole, normless = measurement_of(model=model)._with_normals(o, d, claims, np.array([4, 0, -1, 3, 9]))
     assert asked == [([0, 9], o[[1, 4]].tolist(), d[[1, 4]].tolist(), KU, False)]
@@ -199,14 +199,14 @@ def test_a_hit_at_zero_is_within_its_bound_or_exactly_there(
         packed=SimpleNamespace(first=np.array([5, 7, 10])),
     )  # fmt: skip
     kind = SimpleNamespace(model=SimpleNamespace(unfold={} if unfolds else None))
-    monkeypatch.setattr(known_defects, "kind_of", lambda prims: kind)
+    monkeypatch.setattr(defect_lookup, "kind_of", lambda prims: kind)
     measurement = measurement_of(
         model=model, oracle=SimpleNamespace(roots=exact_roots), _place=lambda prim: (None, 0)
     )
     o, d = np.array([0.0, 1.0, 1.0]), np.array([1.0, 0.0, 0.0])
     assert measurement._at_zero(shape, prim, o, d) is found and asked == tested
     if tested[:1] == [8]:
-        monkeypatch.setattr(known_defects, "MAX_PRIMS_TESTED_AT_ZERO", 1)
+        monkeypatch.setattr(defect_lookup, "MAX_PRIMS_TESTED_AT_ZERO", 1)
         asked.clear()
         measurement._at_zero(shape, prim, o, d)
         assert len(asked) <= 2

@@ -11,7 +11,7 @@ from caster.aovs import Aovs
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.judge import scene_checks
-from mitsuba_ref.judge.independent_checks import exr_round_trip, routes
+from mitsuba_ref.judge.independent_checks import exr_round_trip, public_routes
 from mitsuba_ref.judge.independent_checks.exr_round_trip import WrittenImage, check_exr_files, stored_planes
 from mitsuba_ref.judge.independent_checks.public_routes import check_routes, route_differences
 from mitsuba_ref.judge.scene_checks import (
@@ -332,12 +332,12 @@ def test_all_routes_agree():
 @pytest.mark.parametrize("route", ROUTES)
 def test_one_other_bit_by_any_way_to_render_fails_routes(monkeypatch, route):
     scene = larger()
-    real, (_, spoils) = routes.render, ROUTES[route]
+    real, (_, spoils) = public_routes.render, ROUTES[route]
     spoilt = []
 
     def render(film, names, **options):
         images = real(film, names, **options)
-        other = tuple(names) != routes.ALL_AOVS or options or film.film.window != scene.film.window
+        other = tuple(names) != public_routes.ALL_AOVS or options or film.film.window != scene.film.window
         if other and spoils(tuple(names), film.film, options):
             x0, y0, x1, _ = film.film.window
             row = images.hit.size - 1
@@ -345,10 +345,10 @@ def test_one_other_bit_by_any_way_to_render_fails_routes(monkeypatch, route):
             return flipped(images, names[-1], row)
         return images
 
-    monkeypatch.setattr(routes, "render", render)
+    monkeypatch.setattr(public_routes, "render", render)
     found = route_differences(scene)
     assert spoilt and [(each.aov, each.x, each.y, each.pixels) for each in found] == [(*s, 1) for s in spoilt]
-    image = real(scene, routes.ALL_AOVS)
+    image = real(scene, public_routes.ALL_AOVS)
     same = [each for each in found if "width=" not in each.route and "float32" not in each.route]
     assert all(each.expected == repr(image[each.aov][each.y, each.x].tolist()) != each.got for each in same)
     check = check_routes(scene, "some.toml")
@@ -360,7 +360,7 @@ def test_one_other_bit_by_any_way_to_render_fails_routes(monkeypatch, route):
     "field", ["t", "shape_id", "prim_id", "normal", "surface.n", "surface.p", "surface.sh_n", "surface.uv"]
 )
 def test_one_other_bit_of_a_field_of_hits_fails_routes(monkeypatch, field):
-    real = routes.cast
+    real = public_routes.cast
 
     class Spoilt:
         def __init__(self, hits, below=""):
@@ -377,10 +377,10 @@ def test_one_other_bit_of_a_field_of_hits_fails_routes(monkeypatch, field):
             changed.reshape(len(changed), -1).view(f"u{changed.itemsize}")[0, -1] ^= 1
             return changed
 
-    monkeypatch.setattr(routes, "cast", lambda *given, **limits: Spoilt(real(*given, **limits)))
+    monkeypatch.setattr(public_routes, "cast", lambda *given, **limits: Spoilt(real(*given, **limits)))
     found = route_differences(larger())
     assert found and all(f").{field}" in str(each) and each.pixels == 1 for each in found)
-    image = caster.render(larger(), routes.ALL_AOVS)
+    image = caster.render(larger(), public_routes.ALL_AOVS)
     for each in found:
         value = image[each.aov][each.y, each.x]
         assert each.expected == repr(value.tolist()) != each.got
@@ -389,7 +389,7 @@ def test_one_other_bit_of_a_field_of_hits_fails_routes(monkeypatch, field):
 
 
 def test_an_occluded_ray_that_cast_finds_free_fails_routes(monkeypatch):
-    scene, real = larger(), routes.occluded
+    scene, real = larger(), public_routes.occluded
     for number in range(5):  # each of the limits alone
         calls = []
 
@@ -398,7 +398,7 @@ def test_an_occluded_ray_that_cast_finds_free_fails_routes(monkeypatch):
             found = real(*given, **limits)
             return ~found if len(calls) == number + 1 else found
 
-        monkeypatch.setattr(routes, "occluded", occluded)
+        monkeypatch.setattr(public_routes, "occluded", occluded)
         (found,) = route_differences(scene)
         assert found.aov == "t" and found.pixels > 16 and f"{calls[number][0]!r}, t_min=" in found.route
         assert len(calls) == 5
@@ -408,7 +408,7 @@ def test_an_occluded_ray_that_cast_finds_free_fails_routes(monkeypatch):
 
 
 def test_what_probe_casts_is_compared_with_the_image(monkeypatch):
-    scene, real = larger(), routes.trace_film
+    scene, real = larger(), public_routes.trace_film
     asked = []
 
     def trace_film(one, **options):
@@ -416,7 +416,7 @@ def test_what_probe_casts_is_compared_with_the_image(monkeypatch):
         view = real(one, **options)
         return replace(view, nearest=view.nearest._replace(t=view.nearest.t * (1.0 + 2.0**-50)))
 
-    monkeypatch.setattr(routes, "trace_film", trace_film)
+    monkeypatch.setattr(public_routes, "trace_film", trace_film)
     found = route_differences(scene)
     assert len(asked) >= 2 and all(x1 - x0 == y1 - y0 == 1 for x0, y0, x1, y1 in asked)
     hit = [each for each in found if each.aov == "depth"]
