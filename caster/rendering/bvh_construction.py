@@ -3,6 +3,7 @@
 And their projections towards lights, for shadow rays (caster/kernels/bvh/fans.py).
 """
 
+import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -139,40 +140,53 @@ def _join_subtrees(top_boxes: np.ndarray, top_links: np.ndarray, parts: dict[int
     return boxes, links
 
 
+DEVIATION_SLACK = 8.0  # as FAN_SLACK has 8 times what it is derived from
+
 FAN_REACH = 16.0
 """Rays belong to fans that start within so many times the largest coordinate of what has a tree."""
 
 
-def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float) -> list[Fan]:
-    """The fans of all shadow rays to a light, those from around `center` first; extent: the largest |coordinate|."""
+def fans_to(
+    light: PointLight | DirectionalLight, center: Vec3, extent: float, deviation: float = 0.0
+) -> list[Fan]:
+    """The fans of all shadow rays to a light, those from around `center` first; extent: the largest |coordinate|.
+
+    deviation: by how much rays may pass a point light, along an axis, beyond what shadow rays of films do.
+    """
     if isinstance(light, DirectionalLight):
-        return [_parallel_fan(light.back, extent)]
-    ahead = np.subtract(center, light.position)
+        return [parallel_fan(light.back, extent)]
+    return point_fans(light.position, center, extent, deviation)
+
+
+def point_fans(point: Vec3, center: Vec3, extent: float, deviation: float = 0.0) -> list[Fan]:
+    """The six fans of rays through a point."""
+    ahead = np.subtract(center, point)
     largest = np.abs(ahead).max()
     forward = ahead / largest if largest > 0.0 else np.array([1.0, 0.0, 0.0])
     forward /= np.linalg.norm(forward)
     across = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
     across /= np.linalg.norm(across)
     up = np.cross(forward, across)
-    reach = FAN_REACH * max(extent, *map(abs, light.position))
+    reach = FAN_REACH * max(extent, *map(abs, point))
     axes = ((forward, across, up), (across, up, forward), (up, forward, across))
     return [
         Fan(
             1.0,
-            light.position,
+            point,
             (0.0, 0.0, 0.0),
             _vector(x),
             _vector(y),
             _vector(sign * z),
             reach,
-            _slack(reach, extent),
+            _slack(reach, extent) + DEVIATION_SLACK * deviation,
         )
         for z, x, y in axes
         for sign in (1.0, -1.0)
     ]
 
 
-def _parallel_fan(back: Vec3, extent: float) -> Fan:
+def parallel_fan(back: Vec3, extent: float) -> Fan:
+    """The fan of rays in one direction, of any length."""
     axis = int(np.argmax(np.abs(back)))
     x, y, z = np.roll(np.eye(3), -axis - 1, axis=0)
     across, up = (e - (np.dot(e, back) / back[axis]) * z for e in (x, y))
@@ -207,3 +221,23 @@ def fan_bounds(kind: Kind, fan: Fan, threads: int | None) -> FanBounds:
     parallel_for(find, count, threads, least=PARALLEL_MIN_PRIMITIVES)
     bound_nodes_along(tree.links, bounds)
     return bounds
+
+
+def boxes_along(fan: Fan, tree: Tree) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(least x, y; largest x, y) of each box of a root as a fan sees it, rounded; all if it reaches behind."""
+    sides = (
+        np.asarray(tree.boxes[0], np.float64) * tree.unit
+    )  # least x, y, z, largest x, y, z of CHILDREN boxes
+    found = []
+    for j in np.flatnonzero((sides[:3] <= sides[3:]).all(axis=0)):
+        low, high = sides[:3, j], sides[3:, j]
+        corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) + tree.center
+        away = corners - fan.origin
+        x, y, depth = away @ fan.across, away @ fan.up, away @ fan.forward
+        over = depth if fan.perspective else np.ones(len(depth))
+        if (over > 0.0).all():
+            projected = np.column_stack([x, y]) / over[:, None]
+            found.append((projected.min(axis=0), projected.max(axis=0)))
+        else:
+            found.append((np.full(2, -np.inf), np.full(2, np.inf)))
+    return found

@@ -1,17 +1,19 @@
 """Rays in, nearest hits out: the three cullings, on as many threads as there are cores."""
 
 import itertools
+import math
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
 from caster.jit.decorators import bind
 from caster.jit.simd import CHILDREN, LANES
-from caster.kernels.bvh.build import LEAF_SIZE, STACK_SIZE
+from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES, STACK_SIZE
 from caster.kernels.bvh.fans import (
     BLOCKS,
     BOX_SIZE,
@@ -21,8 +23,24 @@ from caster.kernels.bvh.fans import (
     FanBounds,
     RayGroups,
     cast_fan,
+    cast_fan_outward,
     cast_left_runs,
     group_rays,
+)
+from caster.kernels.bvh.ray_sorting import (
+    BUCKETS,
+    LOWER_BITS,
+    LOWER_CELLS,
+    NOT_IN_FAN,
+    find_keys,
+    have_same_limits,
+    largest_deviation,
+    load_sorted,
+    project_rays,
+    scatter_to_buckets,
+    sort_buckets,
+    store_sorted,
+    store_sorted_blocked,
 )
 from caster.kernels.bvh.traversal import cast_bvh, cast_packets, cast_packets_brute_force
 from caster.kernels.nearest import (
@@ -39,6 +57,7 @@ from caster.kernels.nearest import (
     no_hits,
     precedes,
 )
+from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import (
     PIXELS,
     WIDTH,
@@ -49,8 +68,8 @@ from caster.kernels.raster.tile import (
     store_ray_range,
 )
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
-from caster.rendering.bvh_construction import bvh_of, fan_bounds, fans_to, has_bvh
-from caster.rendering.threads import parallel_for
+from caster.rendering.bvh_construction import boxes_along, bvh_of, fan_bounds, fans_to, has_bvh
+from caster.rendering.threads import CHUNKS_PER_THREAD, parallel_for, parallel_for_pieces, thread_count
 
 __all__ = ["Culling", "find_nearest"]
 
@@ -60,8 +79,8 @@ Culling = Literal["brute-force", "raster", "bvh"]
 def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None) -> Nearest:
     """The nearest hit of any rays."""
     count = len(rays.t_min)
-    nearest, uncertain = no_hits(count), np.zeros(count, bool)
     if culling == "brute-force":
+        nearest, uncertain = no_hits(count), np.zeros(count, bool)
         for kind in packed.kinds:
             parallel_for(
                 _brute_force_caster(NearestMode(kind.ids), kind, rays, UncertainHits(*nearest, uncertain)),
@@ -69,13 +88,25 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
                 threads,
             )
         return decide_uncertain(packed, rays, nearest, uncertain, threads, trees=False)
+    # threads write all of it
+    nearest, uncertain = (
+        Nearest(np.empty(count), np.empty(count, np.int32), np.empty(count)),
+        np.empty(count, bool),
+    )
     ids = scene_prim_ids(packed)
     cast = tile_caster(packed)
 
     def store(tile: np.ndarray, first: int, number: int) -> None:
         store_ray_range(tile, 0, ids, first, first + number, nearest, uncertain)
 
-    _for_ray_tiles(cast, rays, store, threads)
+    if (fans := FanCaster.of(packed, rays, any_hit=False)) is not None:
+
+        def store_rows(tile: np.ndarray, order: np.ndarray, first: int, stop: int) -> None:
+            store_sorted(tile, order, first, stop, ids, nearest, uncertain)
+
+        fans.cast(rays, cast, store_rows, threads)
+    else:
+        _for_ray_tiles(cast, rays, store, threads)
     return decide_uncertain(packed, rays, nearest, uncertain, threads)
 
 
@@ -87,7 +118,15 @@ def find_any(packed: Packed, rays: Rays, threads: int | None = None) -> np.ndarr
     def store(tile: np.ndarray, first: int, number: int) -> None:
         store_blocked(tile, number, first, blocked, uncertain)
 
-    _for_ray_tiles(tile_caster(packed, any_hit=True), rays, store, threads)
+    cast = tile_caster(packed, any_hit=True)
+    if (fans := FanCaster.of(packed, rays, any_hit=True)) is not None:
+
+        def store_rows(tile: np.ndarray, order: np.ndarray, first: int, stop: int) -> None:
+            store_sorted_blocked(tile, order, first, stop, blocked, uncertain)
+
+        fans.cast(rays, cast, store_rows, threads)
+    else:
+        _for_ray_tiles(cast, rays, store, threads)
     rows = np.flatnonzero(uncertain)
     if len(rows):
         blocked[rows] = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads).prim >= 0
@@ -155,31 +194,65 @@ FEW_PRIMITIVES = 1 << 14
 
 
 class ShadowCaster:
-    """Casts the shadow rays of tiles to one light, until each has met anything: as fans where that pays.
+    """Casts rays of tiles that end at one light, or start at one point (outward), as fans where that pays.
 
-    rays: about how many there will be.
+    Shadow rays until each has met anything (any_hit). rays: about how many there will be. deviation: as for `fans_to`.
     """
 
-    def __init__(self, packed: Packed, light: PointLight | DirectionalLight, rays: int) -> None:
+    def __init__(
+        self,
+        packed: Packed,
+        light: PointLight | DirectionalLight,
+        rays: int,
+        *,
+        any_hit: bool = True,
+        outward: bool = False,
+        deviation: float = 0.0,
+    ) -> None:
         offsets = list(zip(packed.kinds, prim_offsets(packed), strict=True))
         most = max(FEW_PRIMITIVES, int(rays / MIN_SHADOW_RAYS_PER_PRIMITIVE))
+        self._any_hit, self._outward = any_hit, outward
         self._kinds = [(kind, base) for kind, base in offsets if uses_bvh(kind) and len(kind.ids) <= most]
         self._others = [
-            _kind_caster(kind, base, any_hit=True)
+            _kind_caster(kind, base, any_hit)
             for kind, base in offsets
             if not uses_bvh(kind) or len(kind.ids) > most
         ]
         self._fans: list[Fan] = []
         if self._kinds:
             center = bvh_of(max(self._kinds, key=lambda it: len(it[0].ids))[0]).center
-            self._fans = fans_to(light, center, max(kind.extent for kind, _ in self._kinds))
+            extent = max(kind.extent for kind, _ in self._kinds)
+            self._fans = fans_to(light, center, extent, deviation)
         self._bounds: dict[tuple[int, int], FanBounds] = {}
         self._lock = threading.Lock()
+
+    @property
+    def has_fans(self) -> bool:
+        """Whether there is a kind whose primitives are few enough for so many rays."""
+        return bool(self._fans)
+
+    @property
+    def first_fan(self) -> Fan:
+        """That of most rays."""
+        return self._fans[0]
+
+    def share_in_view(self, points: np.ndarray) -> float:
+        """Share of points (m, 2) of the first picture at which a tree has a box, about; 0 without points."""
+        covered = np.zeros(len(points), bool)
+        for kind, _ in self._kinds:
+            for low, high in boxes_along(self._fans[0], bvh_of(kind)):
+                covered |= ((points >= low) & (points <= high)).all(axis=1)
+        return float(covered.mean()) if len(points) else 0.0
+
+    def prepare(self, threads: int | None) -> None:
+        """Find what most tiles need, on all threads."""
+        for n, (kind, _) in enumerate(self._kinds):
+            self._bounds[0, n] = fan_bounds(kind, self._fans[0], threads)
 
     def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """What casts the first so many rays of this tile, whole rows of it."""
         workspace, counts = _new_workspace(), groups.counts
-        find = [bind(group_rays, fan, tile, 0, groups, given=(2,)) for fan in self._fans]
+        find = [bind(group_rays, fan, tile, 0, groups, self._outward, given=(2,)) for fan in self._fans]
         casters: dict[int, list[Callable[[], None]]] = {}
 
         def go(count: int) -> None:
@@ -197,7 +270,8 @@ class ShadowCaster:
                     break
             if counts[1]:
                 for kind, base in self._kinds:
-                    cast_left_runs(kind.prims, bvh_of(kind), base, count, tile, groups.taken, workspace)
+                    about = kind.prims, bvh_of(kind), base, count, tile, groups.taken, workspace
+                    cast_left_runs(*about, self._any_hit)
             for cast_others in self._others:
                 cast_others(count, tile, workspace)
 
@@ -206,6 +280,8 @@ class ShadowCaster:
     def _fan_caster(self, number: int, n: int, tile: np.ndarray, groups: RayGroups) -> Callable[[], None]:
         kind, base = self._kinds[n]
         about = kind.prims, bvh_of(kind), self._bounds_of(number, n), base, tile, groups
+        if self._outward:
+            return bind(cast_fan_outward, self._fans[number], *about, self._any_hit, given=())
         return bind(cast_fan, self._fans[number], *about, given=())
 
     def _bounds_of(self, number: int, n: int) -> FanBounds:
@@ -218,6 +294,220 @@ class ShadowCaster:
         return found
 
 
+class CommonPoint(NamedTuple):
+    """What all rays of an array, but for single ones, have in common."""
+
+    light: PointLight | DirectionalLight  # where they end, start or come from; its intensity is of no use
+    outward: bool  # they start there
+    deviation: float  # rays that pass the point by more, along an axis, are cast as any others
+
+
+MIN_RAYS_SORTED = 1 << 16  # to sort fewer takes as long as it saves
+SAMPLED_RAYS = 64
+
+# Rays to one point, rounded to float32, pass it by 2^-23 of their largest coordinate or less.
+MAX_DEVIATION = 2.0**-20
+# What is computed of a deviation is off by 8 u of the coordinates; a sample may lack the largest.
+DEVIATION_ROUNDING, SAMPLE_MARGIN = 64.0 * 2.0**-53, 4.0
+
+
+def common_point(rays: Rays, any_hit: bool) -> CommonPoint | None:
+    """Whether rays have a point or, of any-hit rays, a direction in common, by a sample of them; None: they have not.
+
+    The point of rays that end at one is the nearest to all lines in the sense of least squares.
+    """
+    count = len(rays.t_min)
+    sample = np.unique(np.linspace(0, count - 1, SAMPLED_RAYS).astype(np.int64))
+    sample = sample[rays.t_max[sample] >= 0.0]
+    if len(sample) < SAMPLED_RAYS // 2:
+        return None
+    some = Rays(*(a[sample] for a in rays))
+    if (some.o == some.o[0]).all():
+        return CommonPoint(PointLight(_vec3(some.o[0]), NO_INTENSITY), True, 0.0)
+    if not any_hit:
+        return None
+    if (some.d == some.d[0]).all():
+        return CommonPoint(DirectionalLight(_vec3(some.d[0]), NO_INTENSITY), False, 0.0)
+    if not np.isfinite(some.t_max).all():
+        return None
+    unit = some.d / np.linalg.norm(some.d, axis=1, keepdims=True)
+    across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
+    with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
+        middle = some.o.mean(axis=0)
+        point = middle + np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, some.o - middle))
+        size = float(np.abs(some.o).max() + np.abs(point).max())
+        if np.isfinite(size):
+            off = largest_deviation(some, _vec3(point), 0, len(sample))
+            if off <= MAX_DEVIATION * size:
+                light = PointLight(_vec3(point), NO_INTENSITY)
+                return CommonPoint(light, False, SAMPLE_MARGIN * off + DEVIATION_ROUNDING * size)
+    return None
+
+
+NO_INTENSITY = 0.0, 0.0, 0.0
+
+
+def _vec3(a: np.ndarray) -> Vec3:
+    x, y, z = a.tolist()
+    return x, y, z
+
+
+Corners = tuple[float, float, float, float]
+
+
+class FanCaster:
+    """Casts many rays that are handed over and have a point in common, sorted by where they are in its picture."""
+
+    def __init__(self, caster: ShadowCaster, common: CommonPoint, corners: Corners) -> None:
+        self._caster, self._common, self._corners = caster, common, corners
+
+    @staticmethod
+    def of(packed: Packed, rays: Rays, any_hit: bool, *, always: bool = False) -> "FanCaster | None":
+        """Where rays have a point in common, and that pays or it is to be done always.
+
+        It pays for enough rays in no order of their own, a share of which leads to what has a tree.
+        """
+        count = len(rays.t_min)
+        if (count < MIN_RAYS_SORTED and not always) or not any(uses_bvh(kind) for kind in packed.kinds):
+            return None
+        common = common_point(rays, any_hit)
+        if common is None:
+            return None
+        light, outward, deviation = common
+        number = MAX_PRIMITIVES if always else count
+        caster = ShadowCaster(packed, light, number, any_hit=any_hit, outward=outward, deviation=deviation)
+        if not caster.has_fans:
+            return None
+        picture = project_sample(caster.first_fan, rays, outward)
+        pays = not picture.in_order and caster.share_in_view(picture.points) >= MIN_SHARE_IN_VIEW
+        if not (pays or always):
+            return None
+        return FanCaster(caster, common, picture.corners)
+
+    def cast(
+        self,
+        rays: Rays,
+        cast_others: Callable[[int, np.ndarray], None],
+        store: Callable[[np.ndarray, np.ndarray, int, int], None],
+        threads: int | None,
+    ) -> None:
+        """store(tile, order, first, stop) takes the answers to rays order[first:stop].
+
+        cast_others: casts the first so many rays of a tile; for rays that do not have the point in common.
+        """
+        fan, outward = self._caster.first_fan, self._common.outward
+        count = len(rays.t_min)
+        same_limits = _holds_for_all(partial(have_same_limits, rays), count, threads)
+        self._caster.prepare(threads)
+        edges = np.linspace(0, count, -(-count // MAX_RAYS_SORTED) + 1).astype(int).tolist()
+        for first, stop in itertools.pairwise(edges):
+            order, members = sort_rays(fan, rays, self._common, (first, stop), self._corners, threads)
+
+            def begin(order: np.ndarray = order, members: int = members) -> Callable[[tuple[int, int]], None]:
+                tile, groups = new_tile(), new_ray_groups()
+                cast_fans = self._caster.begin(tile, groups)
+
+                def work(piece: tuple[int, int]) -> None:
+                    belong = piece[1] <= members
+                    load_sorted(rays, order, *piece, tile, fan.origin, outward and belong, same_limits)
+                    if belong:
+                        cast_fans(PIXELS)
+                    else:
+                        cast_others(PIXELS, tile)
+                    store(tile, order, *piece)
+
+                return work
+
+            pieces = [*_tiles(0, members), *_tiles(members, stop - first)]
+            parallel_for_pieces(begin, pieces, thread_count(threads))
+
+
+def _holds_for_all(test: Callable[[int, int], bool], count: int, threads: int | None) -> bool:
+    """test(start, stop) for all pieces of 0..count."""
+    found: list[bool] = []
+    parallel_for(lambda start, stop: found.append(test(start, stop)), count, threads)
+    return all(found)
+
+
+def _tiles(start: int, stop: int) -> Iterator[tuple[int, int]]:
+    return ((first, min(first + PIXELS, stop)) for first in range(start, stop, PIXELS))
+
+
+MAX_RAYS_SORTED = 1 << 20  # at a time: 24 bytes each
+
+SAMPLED_RUNS, RUN_LENGTH = 512, 8  # rays whose picture is looked at: neighbours, at even distances
+
+# Rays are in order whose neighbours are in the picture within a path of so many times the distance that as many rays in
+# rows and columns would have. Packets of them take as long as fans do, which have to be sorted first.
+MAX_PATH_IN_ORDER = 16.0
+
+# A ray past everything takes a third of the time of sorting it.
+MIN_SHARE_IN_VIEW = 0.25
+
+
+class ProjectedSample(NamedTuple):
+    """Rays in the picture of a fan, by a sample of them."""
+
+    points: np.ndarray  # (m, 2) x, y of those that the fan has
+    corners: Corners  # least x, y and largest x, y
+    in_order: bool
+
+
+def project_sample(fan: Fan, rays: Rays, outward: bool) -> ProjectedSample:
+    """A sample of the rays, in runs of neighbours."""
+    starts = np.linspace(0, len(rays.t_min) - RUN_LENGTH, SAMPLED_RUNS).astype(np.int64)
+    sample = (starts[:, None] + np.arange(RUN_LENGTH)).ravel()
+    points = np.empty((len(sample), 2))
+    project_rays(fan, Rays(*(a[sample] for a in rays)), outward, points)
+    known = points[~np.isnan(points[:, 0])]
+    if not len(known):
+        return ProjectedSample(known, (0.0, 0.0, 0.0, 0.0), False)
+    low, high = known.min(axis=0), known.max(axis=0)
+    paths = np.abs(np.diff(points.reshape(SAMPLED_RUNS, RUN_LENGTH, 2), axis=1)).sum(axis=(1, 2))
+    paths = paths[np.isfinite(paths)]
+    apart = math.sqrt(float(np.prod(high - low)) / len(rays.t_min))
+    in_order = len(paths) > 0 and bool(np.median(paths) <= MAX_PATH_IN_ORDER * apart)
+    return ProjectedSample(known, (low[0].item(), low[1].item(), high[0].item(), high[1].item()), in_order)
+
+
+def sort_rays(
+    fan: Fan,
+    rays: Rays,
+    common: CommonPoint,
+    ray_range: tuple[int, int],
+    corners: Corners,
+    threads: int | None,
+) -> tuple[np.ndarray, int]:
+    """(numbers of rays, how many of them have the point in common): these first, sorted by keys (ray_sorting.py)."""
+    first, stop = ray_range
+    workers = thread_count(threads)
+    edges = np.linspace(first, stop, workers * CHUNKS_PER_THREAD + 1).astype(int).tolist()
+    pieces = list(enumerate(itertools.pairwise(edges)))
+    counts = np.zeros((len(pieces), BUCKETS), np.int64)
+    pairs, scattered = np.empty((2, stop - first), np.int64)
+    order = np.empty(stop - first, np.int32)
+
+    def in_pieces(work: Callable[[int, tuple[int, int]], None]) -> None:
+        parallel_for_pieces(lambda: lambda numbered: work(*numbered), pieces, workers)
+
+    about = fan, rays, common.outward, common.deviation, corners, first
+    in_pieces(lambda n, piece: find_keys(*about, piece, pairs, counts[n]))
+    # each bucket has a part for each piece, in the order of the rays
+    places = (np.cumsum(counts.T.ravel()) - counts.T.ravel()).reshape(BUCKETS, len(pieces)).T.copy()
+    starts = np.append(places[0], stop - first)
+    in_pieces(
+        lambda n, piece: scatter_to_buckets(pairs, places[n], piece[0] - first, piece[1] - first, scattered)
+    )
+
+    def sort(buckets: tuple[int, int]) -> None:
+        sort_buckets(scattered, starts, buckets, np.empty(LOWER_CELLS, np.int64), order)
+
+    shares = np.linspace(0, stop - first, len(pieces) + 1)
+    buckets = np.unique(np.concatenate([[0, BUCKETS], np.searchsorted(starts, shares[1:-1])])).tolist()
+    parallel_for_pieces(lambda: sort, list(itertools.pairwise(buckets)), workers)
+    return order, int(starts[NOT_IN_FAN >> LOWER_BITS])
+
+
 def new_ray_groups() -> RayGroups:
     """Room for the rays of a tile."""
     return RayGroups(
@@ -227,6 +517,8 @@ def new_ray_groups() -> RayGroups:
         np.zeros(2, np.int64),
         np.zeros(CHILDREN * ROWS, np.int64),
         np.zeros(STACK_SIZE, np.int32),
+        np.zeros(STACK_SIZE),
+        np.zeros(PIXELS // LANES),
     )
 
 

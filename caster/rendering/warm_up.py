@@ -14,10 +14,20 @@ from caster.geometry.packing import Packed, pack
 from caster.jit.decorators import COMPILATION_LOG
 from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
+from caster.kernels.bvh.ray_sorting import store_sorted, store_sorted_blocked
 from caster.kernels.bvh.traversal import cast_packets_brute_force
-from caster.kernels.nearest import Rays, exact_hit, precedes
+from caster.kernels.nearest import Rays, exact_hit, no_hits, precedes
 from caster.kernels.raster.tile import WIDTH, load_ray_range, new_tile
-from caster.rendering.casting import Culling, ShadowCaster, exact_nearest, new_ray_groups
+from caster.rendering.casting import (
+    SAMPLED_RAYS,
+    Culling,
+    FanCaster,
+    ShadowCaster,
+    exact_nearest,
+    new_ray_groups,
+    scene_prim_ids,
+    tile_caster,
+)
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
 from caster.scene.model import Ambient, Directional, Point, Scene
@@ -71,6 +81,7 @@ def _warm_one(scene: Scene) -> None:
                 render_film(small, aovs, threads=1, culling=culling)
     _warm_decisions(pack(small))
     _warm_shadows(pack(small), small)
+    _warm_fans(pack(small))
 
 
 def _warm_decisions(packed: Packed) -> None:
@@ -98,6 +109,26 @@ def _warm_shadows(packed: Packed, scene: Scene) -> None:
             ShadowCaster(packed, light.pack(), MAX_PRIMITIVES).begin(tile, new_ray_groups())(WIDTH)
     for kind in packed.kinds:
         cast_packets_brute_force(kind.prims, 1, 0, WIDTH, tile, True)
+
+
+def _warm_fans(packed: Packed) -> None:
+    """The kernels of rays that are handed over and start or end at one point, or are parallel."""
+    count = SAMPLED_RAYS
+    origin, d = np.zeros((count, 3)), np.ones((count, 3)) + 0.01 * np.arange(count)[:, None] * [1.0, 0.0, 0.0]
+    outward = Rays(origin, d, np.zeros(count), np.ones(count))
+    parallel = Rays(d, np.ones((count, 3)), np.zeros(count), np.full(count, np.inf))
+    nearest, blocked, uncertain = no_hits(count), np.zeros(count, bool), np.zeros(count, bool)
+    ids = scene_prim_ids(packed)
+
+    def store(tile: np.ndarray, order: np.ndarray, start: int, stop: int) -> None:
+        store_sorted(tile, order, start, stop, ids, nearest, uncertain)
+        store_sorted_blocked(tile, order, start, stop, blocked, uncertain)
+
+    for rays in (outward, Rays(d, -d, np.zeros(count), np.ones(count)), parallel):
+        for any_hit in (True, False):
+            fans = FanCaster.of(packed, rays, any_hit, always=True)
+            if fans is not None:
+                fans.cast(rays, tile_caster(packed, any_hit), store, 1)
 
 
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes

@@ -25,7 +25,7 @@ radiance = [1, 1, 1]
 name = "it"
 """
 READERS, SHAPES = "caster/geometry/mesh_files", "caster/shapes"
-OBJ, PLY, TEXT, PLAIN = (f"{READERS}/{name}.py" for name in ("obj", "ply", "text_kernels", "plain_text"))
+OBJ, PLY, TEXT, PLAIN = (f"{READERS}/{name}.py" for name in ("obj", "ply", "plain_text", "plain_text"))
 MESH = "caster/geometry/triangle_mesh.py"
 
 POINTS = [(-1.0, -1.0, 0.1), (1.0, -1.0, 0.2), (1.25, 1.0, 1e-3), (-1.0, 1.0, 1.0), (0.0, 0.5, 2.0)]

@@ -7,10 +7,9 @@ import pytest
 
 from caster.geometry.mesh_files import obj as obj_files
 from caster.geometry.mesh_files.obj import parse_any_obj, parse_obj
-from caster.geometry.mesh_files.plain_text import read_plain_obj, read_plain_rows
+from caster.geometry.mesh_files.plain_text import POWERS_OF_TEN, parse_real, read_plain_obj, read_plain_rows
 from caster.geometry.mesh_files.ply import _read_plain, parse_ply, read_any_ascii
 from caster.geometry.mesh_files.ply_header import parse_header
-from caster.geometry.mesh_files.text_kernels import POWERS_OF_TEN, parse_real
 from caster.jit.kernel_cache import COMPILED
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba there is one reader only, the slow one")

@@ -12,6 +12,7 @@ from caster.cameras import CAMERAS, Pinhole
 from caster.cli import installation
 from caster.geometry.packing import pack
 from caster.jit import decorators
+from caster.kernels.bvh import ray_sorting
 from caster.kernels.protocol import intersect, project_bounding_sphere
 from caster.rendering import casting, warm_up
 from caster.scene.model import LIGHTS, Scene
@@ -46,6 +47,32 @@ def test_shadow_rays_are_warmed_whether_a_fan_takes_them_or_not(monkeypatch):
     warm_up._warm_shadows(pack(scene), scene)
     shadowing = [lamp for lamp in warm_up.LAMPS if lamp.type != "ambient"]
     assert called == ["cast_fan", "cast_left_runs"] * len(shadowing) + ["cast_packets_brute_force"]
+
+
+# What caster/rendering/casting.py calls of ray_sorting.py.
+KERNELS_OF_RAYS = {name for name in vars(ray_sorting) if name.islower() and hasattr(casting, name)} & {
+    name for name, it in vars(casting).items() if getattr(it, "__module__", "") == ray_sorting.__name__
+}
+
+
+def test_rays_through_one_point_are_warmed(monkeypatch):
+    """All kernels that sort such rays, and that cast them; whatever a scene's rays may have in common."""
+    kernels = {"cast_fan", "cast_fan_outward", *KERNELS_OF_RAYS}
+    called = set()
+
+    def recorded(name, real):
+        def call(*args):
+            called.add(name)
+            return real(*args)
+
+        return call
+
+    for name in kernels:
+        for module in (casting, warm_up):
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, recorded(name, getattr(module, name)))
+    warm_up._warm_fans(pack(Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere(subdivisions=1)])))
+    assert len(KERNELS_OF_RAYS) > 6 and called == kernels
 
 
 def test_every_kind_of_light_is_warmed():

@@ -1,9 +1,10 @@
-"""Fans: shadow rays to one light, seen from the light; primitives in front of each are found by their projections.
+"""Fans: rays through one point, seen from there; primitives in front of each are found by their projections.
 
-All rays of a fan pass through one point (a point light) or are parallel (a directional light), so that each is a point
-of the fan's picture, and meets nothing whose projection does not hold that point. Primitives are found through the
-tree, whose boxes are projected as well; rays by groups: LANES neighbours are a run, 8 runs below each other a block, 8
-blocks a group, for which the tree is traversed once. What is found is tested as everywhere else (`intersect`).
+All rays of a fan end at one point (a point light), start there (an eye: `outward`) or are parallel (a directional
+light), so that each is a point of the fan's picture, and meets nothing whose projection does not hold that point.
+Primitives are found through the tree, whose boxes are projected as well; rays by groups: LANES neighbours are a run, 8
+runs below each other a block, 8 blocks a group, for which the tree is traversed once. What is found is tested as
+everywhere else (`intersect`).
 """
 
 import math
@@ -26,8 +27,12 @@ from caster.jit.simd import (
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
 from caster.kernels.bvh.traversal import cast_neighbours
 from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, scaled, sub
-from caster.kernels.protocol import Vec3, hull_point, hull_size, load
+from caster.kernels.nearest import any_hit_result
+from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, load, prepare
 from caster.kernels.raster.tile import (
+    DX,
+    DY,
+    DZ,
     FAN_X,
     FAN_Y,
     HEIGHT,
@@ -37,10 +42,12 @@ from caster.kernels.raster.tile import (
     SCRATCH,
     T_ERROR,
     T_MAX,
+    T_MIN,
     WIDTH,
     T,
     cast_lanes,
     lane,
+    update_nearest,
 )
 from caster.kernels.triangles import PLANE_ERROR, Triangles
 
@@ -75,12 +82,20 @@ class Fan(NamedTuple):
 # a x + b y + c of the line along an edge (`edge_line`) is rounded by 8 u (|a| + |b|) times the largest coordinate of
 # the picture, and so is the sign of the third corner's: below 32 u (1 + |x|) perspective, since |x| <= FAN_LIMIT for a
 # ray's, or 64 u m parallel.
+#
+# Rays that are handed over (ray_sorting.py) end within a deviation of the point, and with them all of their points
+# within that of the segments to it: it is added to s, and 8 times it to the slack (DEVIATION_SLACK). Of rays that
+# start at the point exactly (`outward`), the picture is that of d: numerators are off by 3 u |d|, and so is the depth,
+# which is at least |d| / 3 where |x|, |y| <= FAN_LIMIT. Quotients are off by less than 40 u, less than FAN_ROUNDING.
 FAN_SLACK = 128.0 * U
 FAN_ROUNDING = 64.0 * U
 FAN_LIMIT = 2.0  # largest |x|, |y| of a ray in a perspective fan: six of them, with `forward` along axes, hold all rays
 
 # A quotient that bounds x from below is off by 3 u of itself.
 QUOTIENT_ROUNDING = 1.0 - 2.0**-40
+
+# t times the depth of d is off by 20 u of the depth of the point at t: that of d is off by 9 u of itself (see above).
+DEPTH_ROUNDING = 1.0 + 2.0**-40
 
 BOX_SIZE = FAN_FIELDS * CHILDREN
 """Numbers of a node's boxes: (5, CHILDREN), least x, -largest x, least y, -largest y, and
@@ -114,12 +129,19 @@ class RayGroups(NamedTuple):
     counts: Any  # (2,) int64: runs that belong to the fan, and that are left
     found: Any  # int64: runs in which a primitive is to be tested
     stack: Any  # int32
+    depths: Any  # float64, least depth of what is on the stack
+    stretch: Any  # (runs,) float64, by block: the largest depth of a d, where rays start at the fan's origin
 
 
 @inlined
 def fan_project(fan: Fan, p: Vec3) -> Vec3:
     """(x, y, depth) of a point; x and y are not divided where it is behind."""
-    a = sub(p, fan.origin)
+    return project_vector(fan, sub(p, fan.origin))
+
+
+@inlined
+def project_vector(fan: Fan, a: Vec3) -> Vec3:
+    """The same of a point relative to the fan's origin."""
     depth = dot(fan.forward, a)
     over = depth if (fan.perspective != 0.0) & (depth > 0.0) else 1.0
     return dot(fan.across, a) / over, dot(fan.up, a) / over, depth
@@ -265,10 +287,10 @@ def block_corner(block: int) -> int:
 
 
 @jit
-def group_rays(fan: Any, tile: Any, rows: int, groups: Any) -> None:
+def group_rays(fan: Any, tile: Any, rows: int, groups: Any, outward: bool) -> None:
     """Find runs of the first `rows` rows that belong to the fan and are not yet taken; they are taken now.
 
-    Where a tile has no ray it gets a hit, so that nothing is looked for there.
+    outward: all rays start at the fan's origin. Where a tile has no ray it gets a hit: nothing is looked for there.
     """
     runs, counts = groups.runs, groups.counts
     counts[0], counts[1] = 0, 0
@@ -282,11 +304,15 @@ def group_rays(fan: Any, tile: Any, rows: int, groups: Any) -> None:
                 first = lane(run * LANES)
                 if lane_max(tile, T_MAX + first) < 0.0:
                     groups.taken[run] = 1
-                elif group_run(fan, tile, first):
+                elif group_run(fan, tile, first, outward):
                     groups.taken[run] = 1
                     counts[0] += 1
                     for f in range(FAN_FIELDS):
                         runs[into + f * CHILDREN] = lane_min(tile, SCRATCH + lane(f * LANES))
+                    if outward:
+                        stretch = -runs[into + 4 * CHILDREN] * DEPTH_ROUNDING
+                        groups.stretch[block * ROWS + r] = stretch
+                        runs[into + 4 * CHILDREN] = -farthest_depth(tile, first, stretch)
                 else:
                     counts[1] += 1
         for f in range(FAN_FIELDS):
@@ -295,15 +321,23 @@ def group_rays(fan: Any, tile: Any, rows: int, groups: Any) -> None:
 
 
 @inlined
-def group_run(fan: Fan, tile: Any, first: Any) -> bool:
+def farthest_depth(tile: Any, first: Any, stretch: float) -> float:
+    """Nothing behind this depth can be the nearest hit of LANES rays; less than 0 if each has met what ends it."""
+    t = min(lane_max(tile, T_MAX + first), lane_max_of_sums(tile, T + first, T_ERROR + first))
+    return t * stretch if stretch > 0.0 else math.inf
+
+
+@inlined
+def group_run(fan: Fan, tile: Any, first: Any, outward: bool) -> bool:
     """Put what bounds LANES rays into the tile's scratch; whether all of them belong to the fan.
 
-    x is NaN where there is no ray.
+    x is NaN where there is no ray. depth is that of the origin, of `outward` rays that of d.
     """
     for n in range(lane(LANES)):
         i = first + n
         o = tile[OX + i], tile[OY + i], tile[OZ + i]
-        x, y, depth = fan_project(fan, o)
+        d = tile[DX + i], tile[DY + i], tile[DZ + i]
+        x, y, depth = project_vector(fan, d if outward else sub(o, fan.origin))
         ray = tile[T_MAX + i] >= 0.0
         ahead = (depth > 0.0) & (abs(x) <= FAN_LIMIT) & (abs(y) <= FAN_LIMIT)
         fits = (max_norm(o) <= fan.reach) & (ahead | (fan.perspective == 0.0))
@@ -451,10 +485,81 @@ def cast_fan(fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any,
 
 
 @jit
+def cast_fan_outward(
+    fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any, any_hit: bool
+) -> None:
+    """The rays of the runs that belong to the fan, which all start at its origin, against a kind; near nodes first."""
+    runs, blocks, stack, depths, found = groups.runs, groups.blocks, groups.stack, groups.depths, groups.found
+    for group in range(GROUPS):
+        rays = group * BOX_SIZE
+        right, left = -least_of(blocks, rays + CHILDREN), -least_of(blocks, rays)
+        top_y, low_y = -least_of(blocks, rays + 3 * CHILDREN), -least_of(blocks, rays + 2 * CHILDREN)
+        farthest = -least_of(blocks, rays + 4 * CHILDREN)
+        stack[0], depths[0] = 0, -math.inf
+        top = 1 if farthest >= 0.0 else 0
+        while top > 0:
+            top -= 1
+            inside = stack[top]
+            if depths[top] > farthest:
+                continue
+            if inside >= 0:
+                mask = boxes_below(bounds.nodes, inside, (right, left, top_y, low_y, farthest))
+                bottom = top
+                while mask != 0:
+                    j = lowest_bit(mask)
+                    mask &= mask - 1
+                    depth, at = bounds.nodes[inside * BOX_SIZE + 4 * CHILDREN + j], top
+                    while at > bottom and depths[at - 1] < depth:
+                        stack[at], depths[at] = stack[at - 1], depths[at - 1]
+                        at -= 1
+                    stack[at], depths[at] = tree.links[inside, j], depth
+                    top += 1
+                continue
+            start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE
+            for at in range(start, start + number):
+                meets = facing_limits(bounds.prims, at * PRIM_FIELDS)
+                mask = boxes_below(blocks, group, meets)
+                if mask == 0:
+                    continue
+                k = tree.order[at]
+                lines = outline(prims, k, bounds.points, bounds.prims[at * PRIM_FIELDS + 5])
+                count = 0
+                while mask != 0:
+                    block = group * CHILDREN + lowest_bit(mask)
+                    mask &= mask - 1
+                    corner = block_corner(block)
+                    low = boxes_below(runs, block, meets) & boxes_reach_lines(runs, block, lines)
+                    while low != 0:
+                        r = lowest_bit(low)
+                        low &= low - 1
+                        first = lane(corner + r * WIDTH)
+                        found[count] = block * ROWS + r
+                        count += (
+                            1 if lanes_within_lines(tile, FAN_X + first, FAN_Y + first, lines) != 0 else 0
+                        )
+                if count == 0:
+                    continue
+                pre, prim_number = prepare(prims, load(prims, k), fan.origin), float(base + k)
+                for n in range(count):
+                    block, r = found[n] // ROWS, found[n] % ROWS
+                    first = lane(block_corner(block) + r * WIDTH)
+                    for i in range(first, first + lane(LANES)):
+                        d = tile[DX + i], tile[DY + i], tile[DZ + i]
+                        t, error = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
+                        t, error = any_hit_result(t, error, any_hit)
+                        update_nearest(tile, i, prim_number, t, error)
+                    depth = farthest_depth(tile, first, groups.stretch[found[n]])
+                    far = block * BOX_SIZE + 4 * CHILDREN
+                    runs[far + r] = -depth if depth >= 0.0 else math.inf
+                    blocks[rays + 4 * CHILDREN + block % CHILDREN] = least_of(runs, far)
+            farthest = -least_of(blocks, rays + 4 * CHILDREN)
+
+
+@jit
 def cast_left_runs(
-    prims: Any, tree: Any, base: int, count: int, tile: Any, taken: Any, workspace: Any
+    prims: Any, tree: Any, base: int, count: int, tile: Any, taken: Any, workspace: Any, any_hit: bool
 ) -> None:
     """Of the first `count` rays, those of runs that no fan has taken, through the tree."""
     for run in range(count // LANES):
         if taken[run] == 0:
-            cast_neighbours(prims, tree, base, tile, lane(run * LANES), workspace, True)
+            cast_neighbours(prims, tree, base, tile, lane(run * LANES), workspace, any_hit)

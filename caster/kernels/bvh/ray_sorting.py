@@ -1,0 +1,268 @@
+"""Any rays of one fan in the order of its picture: neighbours in a tile then meet much the same primitives.
+
+A key is the cell of a ray in the fan's picture (Morton order); rays are sorted by keys in two passes, the first over
+all of them by the upper bits, the second within each of these buckets by the lower ones. Which ray lies where in a
+tile changes no bit of its hit.
+"""
+
+import math
+from typing import Any
+
+from caster.jit.decorators import inlined, jit
+from caster.jit.simd import LANES
+from caster.kernels.bvh.fans import FAN_LIMIT, ROWS, Fan, block_corner
+from caster.kernels.math.vec import dot, max_norm, point_at, row, sub
+from caster.kernels.protocol import Vec3
+from caster.kernels.raster.tile import (
+    DX,
+    DY,
+    DZ,
+    OX,
+    OY,
+    OZ,
+    PIXELS,
+    PRIM,
+    T_ERROR,
+    T_MAX,
+    T_MIN,
+    UNCERTAIN,
+    WIDTH,
+    T,
+    lane,
+    start_ray,
+)
+
+HALF_BITS = 10  # of a cell's number along x and along y, where the first fan has the ray
+LOWER_BITS = 10  # of a key, that the second pass sorts by
+BUCKETS, LOWER_CELLS = 1 << 12, 1 << LOWER_BITS
+OTHER_FANS = 1 << (2 * HALF_BITS)  # least key of rays that one of the other five fans has
+NOT_IN_FAN = (BUCKETS - 1) << LOWER_BITS  # of rays that do not pass through the point
+MAX_SORTED_BY_INSERTION = 32  # rays of a bucket; clearing LOWER_CELLS counters takes longer for so few
+
+
+@inlined
+def in_front(fan: Fan, o: Vec3, d: Vec3, outward: bool) -> Vec3:
+    """(across, up, forward) of a point of the ray, other than the fan's origin: where it is in the picture."""
+    a = d if outward else sub(o, fan.origin)
+    return dot(fan.across, a), dot(fan.up, a), dot(fan.forward, a)
+
+
+@inlined
+def leads_there(fan: Fan, o: Vec3, d: Vec3, t_max: float, outward: bool, deviation: float) -> bool:
+    """Whether a ray belongs to a fan: starts at its origin, or ends there within `deviation`, or is parallel.
+
+    Of a ray to the origin p, with t = (p - o).d / d.d, the point o + t d has to be as near to p, along each axis, and
+    the ray to go on no farther than that beyond it. Then each of its points is as near to the segment from o to p.
+    """
+    if t_max < 0.0:
+        return False
+    if outward:
+        return (o[0] == fan.origin[0]) & (o[1] == fan.origin[1]) & (o[2] == fan.origin[2])
+    if fan.perspective == 0.0:
+        return (d[0] == fan.back[0]) & (d[1] == fan.back[1]) & (d[2] == fan.back[2])
+    t = dot(sub(fan.origin, o), d) / dot(d, d)
+    off = max_norm(sub(point_at(o, t, d), fan.origin))
+    beyond = (t_max - t) * max_norm(d)
+    return (t > 0.0) & (off <= deviation) & (beyond <= deviation)
+
+
+@jit
+def largest_deviation(rays: Any, p: Vec3, start: int, stop: int) -> float:
+    """By how much rays start..stop pass p, along an axis, or go on beyond it; inf if one leads away from it."""
+    most = 0.0
+    for i in range(start, stop):
+        if rays.t_max[i] >= 0.0:
+            o, d = row(rays.o, i), row(rays.d, i)
+            t = dot(sub(p, o), d) / dot(d, d)
+            off = max_norm(sub(point_at(o, t, d), p))
+            beyond = (rays.t_max[i] - t) * max_norm(d)
+            most = max(most, max(off, beyond)) if t > 0.0 else math.inf
+    return most
+
+
+@jit
+def have_same_limits(rays: Any, start: int, stop: int) -> bool:
+    """Whether t_min and t_max of rays start..stop are those of ray 0."""
+    t_min, t_max = rays.t_min[0], rays.t_max[0]
+    differing = 0
+    for i in range(start, stop):
+        differing += 1 if (rays.t_min[i] != t_min) | (rays.t_max[i] != t_max) else 0
+    return differing == 0
+
+
+@jit
+def project_rays(fan: Any, rays: Any, outward: bool, points: Any) -> None:
+    """points (n, 2): x, y of each ray in the picture of the first fan, NaN where another has it."""
+    for i in range(len(points)):
+        x, y, z = in_front(fan, row(rays.o, i), row(rays.d, i), outward)
+        over = z if fan.perspective != 0.0 else 1.0
+        there = (over > 0.0) & ((fan.perspective == 0.0) | (max(abs(x), abs(y)) <= FAN_LIMIT * over))
+        over = over if there else 1.0
+        points[i, 0], points[i, 1] = x / over if there else math.nan, y / over if there else math.nan
+
+
+@inlined
+def spread_bits(n: int) -> int:
+    """The lower 16 bits of n with a zero after each."""
+    n = (n | (n << 8)) & 0x00FF00FF
+    n = (n | (n << 4)) & 0x0F0F0F0F
+    n = (n | (n << 2)) & 0x33333333
+    return (n | (n << 1)) & 0x55555555
+
+
+@inlined
+def cell(x: float, low: float, scale: float, last: int) -> int:
+    """The number of a cell along an axis, 0..last."""
+    return int(min(max((x - low) * scale, 0.0), float(last)))
+
+
+@inlined
+def projection_key(fan: Fan, a: Vec3, low: Any, scale: Any) -> int:
+    """The key of a ray by what `in_front` gives."""
+    x, y, z = a
+    over = z if fan.perspective != 0.0 else 1.0
+    if (over > 0.0) & ((fan.perspective == 0.0) | (max(abs(x), abs(y)) <= FAN_LIMIT * over)):
+        last = (1 << HALF_BITS) - 1
+        i, j = cell(x / over, low[0], scale[0], last), cell(y / over, low[1], scale[1], last)
+        return (spread_bits(j) << 1) | spread_bits(i)
+    face, u, v, w = 0, x, y, z  # the side of a cube around the origin, and a point of it
+    if (abs(x) >= abs(y)) & (abs(x) >= abs(z)):
+        face, u, v, w = 2, y, z, x
+    elif abs(y) >= abs(z):
+        face, u, v, w = 4, z, x, y
+    face += 1 if w < 0.0 else 0
+    half = HALF_BITS - 2
+    w = abs(w) if w != 0.0 else 1.0
+    last = (1 << half) - 1
+    i, j = cell(u / w, -1.0, 0.5 * (last + 1), last), cell(v / w, -1.0, 0.5 * (last + 1), last)
+    return OTHER_FANS + (face << (2 * half)) + ((spread_bits(j) << 1) | spread_bits(i))
+
+
+@jit
+def find_keys(
+    fan: Any,
+    rays: Any,
+    outward: bool,
+    deviation: float,
+    corners: Any,
+    first: int,
+    piece: Any,
+    pairs: Any,
+    counts: Any,
+) -> None:
+    """pairs[i - first]: key << 32 | i of rays piece[0]..piece[1]; counts (BUCKETS,): how many are in each bucket.
+
+    corners: least x, y and largest x, y in the picture of the first fan; what lies outside is in the cells at its rim.
+    """
+    x0, y0, x1, y1 = corners
+    cells = float(1 << HALF_BITS)
+    low, scale = (x0, y0), (cells / (x1 - x0) if x1 > x0 else 0.0, cells / (y1 - y0) if y1 > y0 else 0.0)
+    for i in range(piece[0], piece[1]):
+        o, d = row(rays.o, i), row(rays.d, i)
+        key = NOT_IN_FAN
+        if leads_there(fan, o, d, rays.t_max[i], outward, deviation):
+            key = projection_key(fan, in_front(fan, o, d, outward), low, scale)
+        pairs[i - first] = (key << 32) | i
+        counts[key >> LOWER_BITS] += 1
+
+
+@jit
+def scatter_to_buckets(pairs: Any, places: Any, start: int, stop: int, sorted_pairs: Any) -> None:
+    """Write pairs start..stop to sorted_pairs[places[bucket]:], moving that place on."""
+    for n in range(start, stop):
+        bucket = pairs[n] >> (32 + LOWER_BITS)
+        sorted_pairs[places[bucket]] = pairs[n]
+        places[bucket] += 1
+
+
+@jit
+def sort_buckets(pairs: Any, edges: Any, buckets: Any, counts: Any, order: Any) -> None:
+    """order: the rays of buckets[0]..buckets[1], each bucket sorted; edges: where buckets begin in `pairs`."""
+    for bucket in range(buckets[0], buckets[1]):
+        start, stop = edges[bucket], edges[bucket + 1]
+        if stop - start <= MAX_SORTED_BY_INSERTION:
+            for n in range(start, stop):
+                pair, at = pairs[n], n
+                while at > start and pairs[at - 1] > pair:
+                    pairs[at] = pairs[at - 1]
+                    at -= 1
+                pairs[at] = pair
+            for n in range(start, stop):
+                order[n] = pairs[n] & 0xFFFFFFFF
+        else:
+            counts[:] = 0
+            for n in range(start, stop):
+                counts[(pairs[n] >> 32) & (LOWER_CELLS - 1)] += 1
+            at = start
+            for n in range(LOWER_CELLS):
+                number = counts[n]
+                counts[n] = at
+                at += number
+            for n in range(start, stop):
+                low = (pairs[n] >> 32) & (LOWER_CELLS - 1)
+                order[counts[low]] = pairs[n] & 0xFFFFFFFF
+                counts[low] += 1
+
+
+@inlined
+def place_in_tile(n: int) -> Any:
+    """Where ray n of a sorted run of rays lies in a tile: a block is filled before the next, and a group."""
+    return lane(
+        block_corner(n // (ROWS * LANES))
+        + n // LANES % ROWS * WIDTH
+        + n % LANES  # runs of a block lie below each other
+    )
+
+
+@jit
+def load_sorted(
+    rays: Any, order: Any, start: int, stop: int, tile: Any, origin: Vec3, outward: bool, same_limits: bool
+) -> None:
+    """Begin a tile with rays order[start:stop], and no others.
+
+    outward: all of them start at `origin`. same_limits: t_min and t_max are those of the first ray for all of them.
+    """
+    for i in range(lane(0), lane(PIXELS)):
+        tile[T + i], tile[T_ERROR + i], tile[PRIM + i], tile[UNCERTAIN + i] = math.inf, 0.0, -1.0, 0.0
+    if outward:
+        for i in range(lane(0), lane(PIXELS)):
+            tile[OX + i], tile[OY + i], tile[OZ + i] = origin[0], origin[1], origin[2]
+    if same_limits:
+        for i in range(lane(0), lane(PIXELS)):
+            tile[T_MIN + i], tile[T_MAX + i] = rays.t_min[0], rays.t_max[0]
+    for n in range(start, stop):
+        i, k = place_in_tile(n - start), order[n]
+        tile[DX + i], tile[DY + i], tile[DZ + i] = rays.d[k, 0], rays.d[k, 1], rays.d[k, 2]
+        if not outward:
+            tile[OX + i], tile[OY + i], tile[OZ + i] = rays.o[k, 0], rays.o[k, 1], rays.o[k, 2]
+        if not same_limits:
+            tile[T_MIN + i], tile[T_MAX + i] = rays.t_min[k], rays.t_max[k]
+    for n in range(stop - start, PIXELS):
+        start_ray(tile, place_in_tile(n), (NOWHERE, ALONG_Z, 0.0, -1.0))
+
+
+NOWHERE, ALONG_Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+
+
+@jit
+def store_sorted(
+    tile: Any, order: Any, start: int, stop: int, ids: Any, nearest: Any, uncertain: Any
+) -> None:
+    """The nearest hits of rays order[start:stop] of a tile into the record; ids: by place, the number in the scene."""
+    for n in range(start, stop):
+        i, into = place_in_tile(n - start), order[n]
+        prim_number = int(tile[PRIM + i])
+        nearest.t[into] = tile[T + i] if prim_number >= 0 else math.inf
+        nearest.prim[into] = ids[prim_number] if prim_number >= 0 else -1
+        nearest.error[into] = tile[T_ERROR + i]
+        uncertain[into] = tile[UNCERTAIN + i] != 0.0
+
+
+@jit
+def store_sorted_blocked(tile: Any, order: Any, start: int, stop: int, blocked: Any, uncertain: Any) -> None:
+    """Whether rays order[start:stop] of a tile have met anything."""
+    for n in range(start, stop):
+        i, into = place_in_tile(n - start), order[n]
+        hit = (tile[T + i] < math.inf) & (tile[PRIM + i] >= 0.0)
+        blocked[into] = hit
+        uncertain[into] = (tile[UNCERTAIN + i] != 0.0) & (not hit)

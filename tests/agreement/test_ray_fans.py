@@ -1,0 +1,270 @@
+"""Rays that are handed over and have a point in common find, as fans, what every ray tried against everything finds."""
+
+import numpy as np
+import pytest
+from random_scenes import name, random_scene
+from same_bits import assert_same_bits
+from test_shadow_fans import hull_points
+
+from caster.cameras import Pinhole
+from caster.geometry.packing import packed
+from caster.jit.simd import LANES
+from caster.kernels.bvh import ray_sorting
+from caster.kernels.bvh.build import LEAF_SIZE
+from caster.kernels.nearest import Rays
+from caster.kernels.raster.tile import PIXELS, WIDTH
+from caster.rendering import casting
+from caster.rendering.casting import find_any, find_nearest, sort_rays
+from caster.rendering.hits import validated_rays
+from caster.shapes import SHAPES, Sphere
+
+COUNT = 640
+CUBE = next(shape for shape in SHAPES if name(shape) == "cube")
+WITH_TREES = [shape for shape in SHAPES if name(shape) != "plane"]
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+
+@pytest.fixture(autouse=True)
+def taken(monkeypatch):
+    """Fans take all rays that they can; how many they were given."""
+    numbers = []
+    for constant, value in (("MIN_RAYS_SORTED", 64), ("MAX_PATH_IN_ORDER", -1.0), ("MIN_SHARE_IN_VIEW", 0.0)):
+        monkeypatch.setattr(casting, constant, value)
+    real = casting.sort_rays
+
+    def sort(*about):
+        order, members = real(*about)
+        assert np.array_equal(np.sort(order), np.arange(*about[3]))
+        numbers.append(members)
+        return order, members
+
+    monkeypatch.setattr(casting, "sort_rays", sort)
+    return numbers
+
+
+def scene_of(shapes, size, seed, count=2 * LEAF_SIZE + 6):
+    rng = np.random.default_rng(seed)
+    offset = float(rng.choice([0.0, 30.0])) * size
+    return packed(random_scene(rng, shapes, Pinhole, count=count, size=size, offset=offset)), rng
+
+
+def points(arrays, rng, size):
+    """Where rays start or end: around the shapes, among them, on one of them, and far away."""
+    middle = hull_points(arrays, rng, 1)[0]
+    yield middle + size * rng.normal(size=3)
+    yield middle + 4.0 * size * rng.normal(size=3)
+    yield hull_points(arrays, rng, 1)[0]
+    yield middle + 1e7 * size * rng.normal(size=3)
+
+
+def aims(arrays, rng, size):
+    """Points to aim at: of hulls, and close beside them."""
+    through = hull_points(arrays, rng, COUNT)
+    return through + size * rng.choice([0.0, 1e-15, 1e-9, 1e-3, 0.2], (COUNT, 1)) * rng.normal(
+        size=(COUNT, 3)
+    )
+
+
+def from_point(o, arrays, rng, size):
+    """Rays of any length that start at one point; some have limits of their own, some are none."""
+    d = aims(arrays, rng, size) - o
+    d[~np.abs(d).max(axis=1).astype(bool)] = 1.0
+    lengths = rng.choice([1.0, 1.0, 1e-3, 1e3], (COUNT, 1))
+    t_max = np.where(rng.random(COUNT) < 0.7, np.inf, rng.uniform(0.5, 1.5, COUNT) / lengths[:, 0])
+    t_max[rng.random(COUNT) < 0.02] = -1.0
+    t_min = np.where(rng.random(COUNT) < 0.8, 0.0, rng.uniform(0.0, 1.0, COUNT) / lengths[:, 0])
+    return Rays(np.tile(o, (COUNT, 1)), d * lengths, np.minimum(t_min, np.abs(t_max)), t_max)
+
+
+def to_point(p, arrays, rng, size, rounding):
+    """Rays that end at a point: in float64, from float32 differences, or of unit length with the distance as t_max."""
+    near = aims(arrays, rng, size)
+    o = near + rng.choice([0.0, 1e-9, 0.3, 1.0], (COUNT, 1)) * (near - p)
+    if rounding == "float32":
+        o = o.astype(np.float32).astype(np.float64)
+    d = p - o
+    if rounding == "float32":
+        d = d.astype(np.float32).astype(np.float64)
+    t_max = np.ones(COUNT)
+    if rounding == "unit":
+        t_max = np.linalg.norm(d, axis=1)
+        d, t_max = d / np.where(t_max > 0.0, t_max, 1.0)[:, None], t_max * (1.0 - 1e-12)
+    d[~np.abs(d).max(axis=1).astype(bool)] = 1.0
+    t_max[rng.random(COUNT) < 0.02] = -1.0
+    return Rays(o, d, np.where(rng.random(COUNT) < 0.5, 0.0, 1e-12), t_max)
+
+
+def assert_fans_change_nothing(arrays, rays, what):
+    """How many rays hit."""
+    slow = find_nearest(arrays, rays, "brute-force", 1)
+    fast = find_nearest(arrays, rays, threads=2)
+    assert_same_bits({"t": slow.t, "prim": slow.prim}, {"t": fast.t, "prim": fast.prim}, what)
+    assert_any_hit_is_the_same(arrays, rays, what)
+    return int((slow.prim >= 0).sum())
+
+
+def assert_any_hit_is_the_same(arrays, rays, what):
+    expected = find_nearest(arrays, rays, "brute-force", 1).prim >= 0
+    found = find_any(arrays, rays, 2)
+    wrong = np.flatnonzero(expected != found)
+    assert not len(wrong), f"{what}: {len(wrong)} of {COUNT}, first {wrong[:3]}"
+    return int(expected.sum())
+
+
+@pytest.mark.parametrize(
+    ("shape", "size"),
+    [*((shape, 1.0) for shape in WITH_TREES), (CUBE, 1e-6), (CUBE, 1e5), (Sphere, 1e-6), (Sphere, 1e5)],
+    ids=lambda value: value if isinstance(value, float) else name(value),
+)
+def test_rays_from_one_point_hit_what_they_hit_alone(shape, size, taken):
+    arrays, rng = scene_of([shape], size, [94, list(SHAPES).index(shape), int(np.log10(size)) + 9])
+    hits = [
+        assert_fans_change_nothing(arrays, from_point(o, arrays, rng, size), f"from {o}")
+        for o in points(arrays, rng, size)
+    ]
+    assert len(taken) == 8 and min(taken) > 0.9 * COUNT and sum(hits) > COUNT / 2
+
+
+@pytest.mark.parametrize("rounding", ["float64", "float32", "unit"])
+@pytest.mark.parametrize("shape", WITH_TREES, ids=name)
+def test_rays_to_one_point_are_blocked_where_they_are_alone(shape, rounding, taken):
+    arrays, rng = scene_of([shape], 1.0, [95, list(SHAPES).index(shape)])
+    blocked = [
+        assert_any_hit_is_the_same(arrays, to_point(p, arrays, rng, 1.0, rounding), f"to {p}")
+        for p in points(arrays, rng, 1.0)
+    ]
+    assert len(taken) >= 2 and min(taken[:2]) > 0.9 * COUNT and sum(blocked) > COUNT / 2
+
+
+@pytest.mark.parametrize("shape", WITH_TREES, ids=name)
+def test_parallel_rays_are_blocked_where_they_are_alone(shape, taken):
+    arrays, rng = scene_of([shape], 1.0, [96, list(SHAPES).index(shape)])
+    for back in (rng.normal(size=3), np.array([0.0, -2.0, 0.0]), rng.normal(size=3) * [1.0, 1e-9, 1.0]):
+        o = aims(arrays, rng, 1.0) - rng.choice([0.0, 1e-9, 1.0], (COUNT, 1)) * back
+        limits = rng.choice([np.inf, 1.0], COUNT)
+        rays = Rays(o, np.tile(back, (COUNT, 1)), np.zeros(COUNT), limits)
+        assert assert_any_hit_is_the_same(arrays, rays, f"along {back}") > COUNT / 40
+    assert len(taken) == 3 and min(taken) == COUNT
+
+
+@pytest.mark.parametrize("kind", ["from", "to", "along"])
+def test_rays_that_do_not_belong_are_cast_as_any_others(kind, taken):
+    """Of all kinds of primitives, one with a tree of its own or not; a tenth of the rays leads anywhere."""
+    arrays, rng = scene_of(list(SHAPES), 1.0, 97, count=LEAF_SIZE + 1)
+    p = next(points(arrays, rng, 1.0))
+    rays = from_point(p, arrays, rng, 1.0) if kind == "from" else to_point(p, arrays, rng, 1.0, "float64")
+    if kind == "along":
+        rays.d[:], rays.t_max[:] = [0.3, 0.2, 1.0], np.inf
+    stray = np.arange(COUNT) % 7 == 3
+    sampled = np.linspace(0, COUNT - 1, casting.SAMPLED_RAYS).astype(int)
+    stray[sampled] = False
+    rays.o[stray] += rng.normal(size=(stray.sum(), 3))
+    rays.d[stray] = rng.normal(size=(stray.sum(), 3))
+    if kind == "from":
+        assert assert_fans_change_nothing(arrays, rays, kind) > COUNT / 4
+    else:
+        assert assert_any_hit_is_the_same(arrays, rays, kind) > COUNT / 4
+    assert max(taken) <= COUNT - stray.sum() and min(taken) > 0.8 * (COUNT - stray.sum())
+
+
+def test_signs_of_zero_in_an_origin_change_no_bit(taken):
+    arrays, rng = scene_of(list(SHAPES), 1.0, 98, count=LEAF_SIZE + 1)
+    rays = from_point(np.zeros(3), arrays, rng, 1.0)
+    rays.o[:] = rng.choice([0.0, -0.0], (COUNT, 3))
+    assert_fans_change_nothing(arrays, rays, "zeros")
+    assert len(taken) == 2
+
+
+def test_more_rays_than_are_sorted_at_a_time(monkeypatch, taken):
+    monkeypatch.setattr(casting, "MAX_RAYS_SORTED", 400)
+    arrays, rng = scene_of([CUBE], 1.0, 99)
+    assert_fans_change_nothing(arrays, from_point(next(points(arrays, rng, 1.0)), arrays, rng, 1.0), "chunks")
+    assert len(taken) == 4
+
+
+def test_rays_in_order_past_everything_or_few_are_no_fans(monkeypatch):
+    """So are rays that go on beyond the point in common, those to several points, and nearest hits of rays to one."""
+    monkeypatch.undo()
+    arrays, rng = scene_of([CUBE], 1.0, 100)
+    monkeypatch.setattr(casting, "MIN_RAYS_SORTED", 4096)
+    middle = hull_points(arrays, rng, 1)[0]
+    eye = middle + np.array([0.0, 0.0, 6.0])
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 128), np.linspace(-0.5, 0.5, 128))
+    rows = validated_rays(
+        np.tile(eye, (x.size, 1)), np.stack([x, y, -np.ones_like(x)], -1).reshape(-1, 3), 0.0, np.inf
+    )
+    mixed = Rays(*(a[rng.permutation(x.size)] for a in rows))
+    mixed = mixed._replace(d=rows.d[rng.permutation(x.size)])
+
+    def is_fan(rays, any_hit=False):
+        return casting.FanCaster.of(arrays, rays, any_hit) is not None
+
+    assert is_fan(mixed) and is_fan(mixed, True)
+    assert not is_fan(rows) and not is_fan(Rays(*(a[:4000] for a in mixed)))
+    assert not is_fan(mixed._replace(d=mixed.d * [1.0, 1.0, -1.0]))  # the other way
+    back = Rays(eye + mixed.d, -mixed.d, mixed.t_min, np.ones(x.size))
+    assert is_fan(back, True) and not is_fan(back)
+    assert not is_fan(back._replace(t_max=np.full(x.size, 2.0)), True)
+    assert not is_fan(back._replace(t_max=np.full(x.size, np.inf)), True)
+    back.o[::2] += [3.0, 0.0, 0.0]
+    assert not is_fan(back, True)
+
+
+@pytest.mark.parametrize("count", [1, 7, 64, PIXELS - 1, PIXELS])
+def test_every_ray_of_a_sorted_tile_has_a_place_of_its_own(count):
+    """And full blocks come before the next."""
+    places = [int(ray_sorting.place_in_tile(n)) for n in range(count)]
+    assert len(set(places)) == count and max(places) < PIXELS
+    assert all(places[n] == places[n - n % LANES] + n % LANES for n in range(count))
+    assert {place // WIDTH for place in places[: 8 * LANES]} == set(range(min(-(-count // LANES), 8)))
+
+
+def test_sorted_rays_are_in_the_order_of_their_keys(monkeypatch):
+    """By threads and buckets of either way to sort as by NumPy."""
+    rng = np.random.default_rng(101)
+    arrays, _ = scene_of([CUBE], 1.0, 101)
+    clustered = rng.normal(size=(3000, 3)) * rng.choice([1e-3, 1.0], (3000, 1)) + [0.0, 0.0, -5.0]
+    rays = Rays(np.zeros((3000, 3)), clustered, np.zeros(3000), np.full(3000, np.inf))
+    common = casting.common_point(rays, False)
+    fan = casting.ShadowCaster(arrays, common.light, 3000, outward=True).first_fan
+    pairs, counts = np.empty(3000, np.int64), np.zeros(ray_sorting.BUCKETS, np.int64)
+    corners = (-0.2, -0.2, 0.2, 0.2)
+    ray_sorting.find_keys(fan, rays, True, 0.0, corners, 0, (0, 3000), pairs, counts)
+    assert counts.sum() == 3000 and counts.max() > ray_sorting.MAX_SORTED_BY_INSERTION
+    assert ((counts > 0) & (counts <= ray_sorting.MAX_SORTED_BY_INSERTION)).any()
+    for threads in (1, 3):
+        order, members = sort_rays(fan, rays, common, (0, 3000), corners, threads)
+        assert members == 3000 and order.tolist() == (np.sort(pairs) & 0xFFFFFFFF).tolist()
+
+
+def spoilt_fans(monkeypatch, **changes):
+    real = casting.fans_to
+    monkeypatch.setattr(casting, "fans_to", lambda *about: [fan._replace(**changes) for fan in real(*about)])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"slack": -1e-9}, {"slack": -1e-3}, {"perspective": 0.0}],
+    ids=lambda changes: " ".join(map(str, changes.items())),
+)
+def test_a_fault_of_a_fan_of_rays_is_found(monkeypatch, changes, taken):
+    """What is compared here is not blind."""
+    arrays, rng = scene_of([CUBE], 1.0, 102, count=20)
+    rays = from_point(next(points(arrays, rng, 1.0)), arrays, rng, 1.0)
+    assert_fans_change_nothing(arrays, rays, "right")
+    spoilt_fans(monkeypatch, **changes)
+    with pytest.raises(AssertionError):
+        assert_fans_change_nothing(arrays, rays, "wrong")
+
+
+def test_too_small_a_deviation_is_found(monkeypatch):
+    """Rays to a point in float32 need boxes that are as much wider."""
+    arrays, rng = scene_of([CUBE], 1.0, 103, count=20)
+    rays = to_point(next(points(arrays, rng, 1.0)), arrays, rng, 1.0, "float32")
+    assert_any_hit_is_the_same(arrays, rays, "right")
+    real = casting.fans_to
+    monkeypatch.setattr(
+        casting, "fans_to", lambda light, center, extent, off: real(light, center, extent, -off)
+    )
+    with pytest.raises(AssertionError):
+        assert_any_hit_is_the_same(arrays, rays, "wrong")
