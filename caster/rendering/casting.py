@@ -237,7 +237,7 @@ class ShadowCaster:
         return self._fans[0]
 
     def share_in_view(self, points: np.ndarray) -> float:
-        """Share of points (m, 2) of the first picture at which a tree has a box, about; 0 without points."""
+        """Share of points (m, 2) of the first projection at which a tree has a box, about; 0 without points."""
         covered = np.zeros(len(points), bool)
         for kind, _ in self._kinds:
             for low, high in boxes_along(self._fans[0], bvh_of(kind)):
@@ -356,7 +356,7 @@ Corners = tuple[float, float, float, float]
 
 
 class FanCaster:
-    """Casts many rays that are handed over and have a point in common, sorted by where they are in its picture."""
+    """Casts many rays that are handed over and have a point in common, sorted by where they are projected to from there."""
 
     def __init__(self, caster: ShadowCaster, common: CommonPoint, corners: Corners) -> None:
         self._caster, self._common, self._corners = caster, common, corners
@@ -378,11 +378,11 @@ class FanCaster:
         caster = ShadowCaster(packed, light, number, any_hit=any_hit, outward=outward, deviation=deviation)
         if not caster.has_fans:
             return None
-        picture = project_sample(caster.first_fan, rays, outward)
-        pays = not picture.in_order and caster.share_in_view(picture.points) >= MIN_SHARE_IN_VIEW
+        sample = project_sample(caster.first_fan, rays, outward)
+        pays = not sample.in_order and caster.share_in_view(sample.points) >= MIN_SHARE_IN_VIEW
         if not (pays or always):
             return None
-        return FanCaster(caster, common, picture.corners)
+        return FanCaster(caster, common, sample.corners)
 
     def cast(
         self,
@@ -435,9 +435,9 @@ def _tiles(start: int, stop: int) -> Iterator[tuple[int, int]]:
 
 MAX_RAYS_SORTED = 1 << 20  # at a time: 24 bytes each
 
-SAMPLED_RUNS, RUN_LENGTH = 512, 8  # rays whose picture is looked at: neighbours, at even distances
+SAMPLED_RUNS, RUN_LENGTH = 512, 8  # rays of the sample: neighbours, at even distances
 
-# Rays are in order whose neighbours are in the picture within a path of so many times the distance that as many rays in
+# Rays are in order whose neighbours are projected to within a path of so many times the distance that as many rays in
 # rows and columns would have. Packets of them take as long as fans do, which have to be sorted first.
 MAX_PATH_IN_ORDER = 16.0
 
@@ -446,7 +446,7 @@ MIN_SHARE_IN_VIEW = 0.25
 
 
 class ProjectedSample(NamedTuple):
-    """Rays in the picture of a fan, by a sample of them."""
+    """Rays in the projection of a fan, by a sample of them."""
 
     points: np.ndarray  # (m, 2) x, y of those that the fan has
     corners: Corners  # least x, y and largest x, y
