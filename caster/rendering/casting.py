@@ -356,7 +356,7 @@ Corners = tuple[float, float, float, float]
 
 
 class FanCaster:
-    """Casts many rays that are handed over and have a point in common, sorted by where they are projected to from there."""
+    """Casts many rays with a point in common, sorted by where they are projected to from there."""
 
     def __init__(self, caster: ShadowCaster, common: CommonPoint, corners: Corners) -> None:
         self._caster, self._common, self._corners = caster, common, corners
