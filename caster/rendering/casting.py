@@ -71,13 +71,20 @@ from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.rendering.bvh_construction import boxes_along, bvh_of, fan_bounds, fans_to, has_bvh
 from caster.rendering.threads import CHUNKS_PER_THREAD, parallel_for, parallel_for_pieces, thread_count
 
-__all__ = ["Culling", "find_nearest"]
+__all__ = ["Culling", "find_any", "find_nearest"]
 
 Culling = Literal["brute-force", "raster", "bvh"]
 
 
-def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None) -> Nearest:
-    """The nearest hit of any rays."""
+def find_nearest(
+    packed: Packed,
+    rays: Rays,
+    culling: Culling = "bvh",
+    threads: int | None = None,
+    *,
+    always_fans: bool = False,
+) -> Nearest:
+    """The nearest hit of any rays. always_fans: as fans, if they can be, even where that does not pay: same bits."""
     count = len(rays.t_min)
     if culling == "brute-force":
         nearest, uncertain = no_hits(count), np.zeros(count, bool)
@@ -99,7 +106,7 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     def store(tile: np.ndarray, first: int, number: int) -> None:
         store_ray_range(tile, 0, ids, first, first + number, nearest, uncertain)
 
-    if (fans := FanCaster.of(packed, rays, any_hit=False)) is not None:
+    if (fans := FanCaster.of(packed, rays, any_hit=False, always=always_fans)) is not None:
 
         def store_rows(tile: np.ndarray, order: np.ndarray, first: int, stop: int) -> None:
             store_sorted(tile, order, first, stop, ids, nearest, uncertain)
@@ -110,7 +117,9 @@ def find_nearest(packed: Packed, rays: Rays, culling: Culling = "bvh", threads: 
     return decide_uncertain(packed, rays, nearest, uncertain, threads)
 
 
-def find_any(packed: Packed, rays: Rays, threads: int | None = None) -> np.ndarray:
+def find_any(
+    packed: Packed, rays: Rays, threads: int | None = None, *, always_fans: bool = False
+) -> np.ndarray:
     """(n,) bool: whether rays hit anything at all (any-hit). Traversal ends at the first certain hit."""
     count = len(rays.t_min)
     blocked, uncertain = np.zeros(count, bool), np.zeros(count, bool)
@@ -119,7 +128,7 @@ def find_any(packed: Packed, rays: Rays, threads: int | None = None) -> np.ndarr
         store_blocked(tile, number, first, blocked, uncertain)
 
     cast = tile_caster(packed, any_hit=True)
-    if (fans := FanCaster.of(packed, rays, any_hit=True)) is not None:
+    if (fans := FanCaster.of(packed, rays, any_hit=True, always=always_fans)) is not None:
 
         def store_rows(tile: np.ndarray, order: np.ndarray, first: int, stop: int) -> None:
             store_sorted_blocked(tile, order, first, stop, blocked, uncertain)

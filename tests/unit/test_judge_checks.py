@@ -8,6 +8,7 @@ import pytest
 
 import caster
 from caster.aovs import Aovs
+from caster.rendering import casting
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.judge import scene_checks
@@ -405,6 +406,37 @@ def test_an_occluded_ray_that_cast_finds_free_fails_routes(monkeypatch):
     t_max, t_min = zip(*calls, strict=True)
     assert (t_max[0], t_min[0], t_min[1], t_min[2], t_max[3]) == (np.inf, 0.0, 0.0, 0.0, np.inf)
     assert t_max[1] == t_min[3] == np.nextafter(t_max[2], np.inf) and 0.0 < t_min[4] < t_max[4] < np.inf
+
+
+@pytest.mark.parametrize("call", ["find_nearest", "find_any"])
+def test_one_other_ray_of_a_fan_fails_routes(monkeypatch, call):
+    """Of those from the camera and back, which are cast as many rays through one point are."""
+    real, calls = getattr(public_routes, call), []
+
+    def other(*given, always_fans):
+        calls.append(always_fans)
+        found = real(*given, always_fans=always_fans)
+        values = found.t if call == "find_nearest" else found
+        values[-1:] = (
+            np.where(values[-1:] == 0.0, 1.0, values[-1:] * 0.5) if call == "find_nearest" else ~values[-1:]
+        )
+        return found if always_fans else real(*given)
+
+    monkeypatch.setattr(public_routes, call, other)
+    found = [each for each in route_differences(larger()) if each.route.startswith(call)]
+    assert any(calls) and all(each.pixels == 1 for each in found)
+    assert [each.aov for each in found] == [{"find_nearest": "depth", "find_any": "t"}[call]]
+    check = check_routes(larger(), "some.toml").what
+    assert f"print({call}(packed(scene), " in check and "import rays_back" in check
+
+
+def test_a_fan_without_margins_fails_routes(monkeypatch):
+    """What is compared is cast as a fan."""
+    scene = larger().model_copy(update={"shapes": (caster.Icosphere(subdivisions=2),)})
+    assert not route_differences(scene)
+    real = casting.fans_to
+    monkeypatch.setattr(casting, "fans_to", lambda *given: [fan._replace(slack=-0.1) for fan in real(*given)])
+    assert {each.route.split("(")[0] for each in route_differences(scene)} >= {"find_nearest"}
 
 
 def test_what_probe_casts_is_compared_with_the_image(monkeypatch):

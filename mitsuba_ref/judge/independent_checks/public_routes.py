@@ -1,4 +1,4 @@
-"""Every public route to a pixel gives the same bits: sets of AOVs, threads, dtypes, crops, film sizes, cast, probe.
+"""Every public route to a pixel gives the same bits: sets of AOVs, threads, dtypes, crops, films, cast, probe, fans.
 
 What is compared with the reference is one image: all AOVs, by the planned culling. Whatever else users may call has
 to give the bits of that image, or, on films of other sizes, those of the camera's rays cast one by one. Which routes
@@ -14,7 +14,7 @@ import numpy as np
 from caster import cast, occluded
 from caster.aovs import AOVS, Aovs
 from caster.geometry.packing import packed
-from caster.rendering.casting import Culling
+from caster.rendering.casting import Culling, find_any, find_nearest
 from caster.rendering.hits import trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
 from caster.scene.model import Scene
@@ -46,6 +46,8 @@ SAMPLE_SHARE, SAMPLED_PIXELS = (
 )  # pixels: that share, within limits; cast one by one, half of them at edges
 LIMITS = 3  # pairs of t_min and t_max, each of a call of its own
 PROBED_PIXELS = 2
+MIN_FAN_RAYS = 64  # of a sample of fewer it is not seen what they have in common
+MAX_FAN_PRIMITIVES = 1 << 20  # 50 bytes each, for a sample of rays
 
 
 class RouteDifference(NamedTuple):
@@ -90,6 +92,12 @@ def _program(route: str, path: str) -> str:
         if "(scene, o, d" not in route
         else ("from caster.rendering.images import camera_rays; o, d = camera_rays(scene)[:2]; ")
     )
+    if route.startswith("find_"):
+        rays = (
+            "from caster.geometry.packing import packed; from caster.rendering.images import camera_rays; "
+            "from caster.rendering.casting import find_any, find_nearest; "
+            f"from {__name__} import rays_back; "
+        )
     head = f'import caster, numpy as np; from numpy import inf; scene = caster.load_scene("{path}")'
     return f"{head}; {rays}print({route})".replace("'", '"')
 
@@ -110,6 +118,7 @@ def _differences(scene: Scene, on_route: Callable[[], None]) -> Iterator[RouteDi
         _other_films(scene, rng),
         _ray_by_ray(scene, rng, whole, edges),
         _probed(scene, rng, whole, edges),
+        _as_fans(scene, rng, whole, edges),
     ):
         for found in routes:
             on_route()
@@ -342,6 +351,48 @@ def _hits_differences(
         yield from _rows_differ(scene, f"{route}.{field}", name, aov_rows(whole, name)[rows], values, rows)
     t = hits.t * length
     yield from _rows_differ(scene, f"{route}.t", "depth", aov_rows(whole, "depth")[rows], t, rows)
+
+
+def _as_fans(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
+    """Rays that start at one point as `cast` takes many of them in any order, and `occluded` of those back to it."""
+    rays, numbers = camera_rays(scene), packed(scene)
+    count = int(np.clip(len(rays.o) // SAMPLE_SHARE, *SAMPLED_PIXELS))
+    rows = rng.permutation(_some_pixels(rng, whole, edges, count))
+    rows = rows[rays.t_max[rows] >= 0.0]
+    from_one_point = len(rows) >= MIN_FAN_RAYS and (rays.o[rows] == rays.o[rows[0]]).all()
+    if not from_one_point or int(numbers.first[-1]) > MAX_FAN_PRIMITIVES:
+        return
+    found = find_nearest(numbers, type(rays)(*(a[rows] for a in rays)), always_fans=True)
+    route = "find_nearest(packed(scene), camera_rays(scene), always_fans=True)"
+    d = rays.d[rows]
+    length = np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2])
+    for name, values in (
+        ("depth", found.t * length),
+        ("shape_id", numbers.shape_of(found.prim)),
+        ("prim_id", numbers.index_in_shape(found.prim)),
+    ):
+        yield _rows_differ(scene, route, name, aov_rows(whole, name)[rows], values, rows)
+    back, hit = _rays_back(rays, found.t, rows)
+    if len(hit) >= MIN_FAN_RAYS:
+        free, fast = (find_any(numbers, back, always_fans=fans) for fans in (False, True))
+        route = "find_any(packed(scene), rays_back(scene), always_fans=True)"
+        yield _rows_differ(scene, route, "t", free, fast, hit)
+
+
+def _rays_back(rays: Any, t: np.ndarray, rows: np.ndarray) -> tuple[Any, np.ndarray]:
+    """(rays from the hits at t of camera rays `rows` to where these start, the rows that hit)."""
+    with np.errstate(all="ignore"):
+        o = rays.o[rows] + t[:, None] * rays.d[rows]
+        d = rays.o[rows] - o
+    hit = np.isfinite(d).all(axis=1) & d.any(axis=1)
+    count = int(hit.sum())
+    return type(rays)(o[hit], d[hit], np.zeros(count), np.ones(count)), rows[hit]
+
+
+def rays_back(scene: Scene) -> Any:
+    """Rays from what the camera's rays hit to where those start: o, d, t_min 0 and t_max 1."""
+    rays = camera_rays(scene)
+    return _rays_back(rays, find_nearest(packed(scene), rays).t, np.arange(len(rays.o)))[0]
 
 
 def _rows_differ(
