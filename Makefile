@@ -14,7 +14,7 @@ INSTALLED := .venv/installed-$(HERE)
 # Without bytecode every process would compile every module that it loads: tests start hundreds.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
-.PHONY: help install validate test lint docs stress bench guard wheel fuzz faults hostile mutants nightly clean
+.PHONY: help install validate test slow lint docs stress bench guard wheel fuzz faults hostile mutants nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -25,8 +25,11 @@ install: $(INSTALLED) ## the environment alone: .venv with exactly what requirem
 validate: $(INSTALLED) ## compare every scene of scenes/ with Mitsuba
 	@$(BIN)/mitsuba-ref validate scenes $(ARGS)
 
-test: $(INSTALLED) ## all tests, on JOBS cores (all of them, unless set)
-	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
+test: $(INSTALLED) ## every test but further cases of slow ones, on JOBS cores (all of them, unless set)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m 'not slow' $(ARGS)
+
+slow: $(INSTALLED) ## the tests that `make test` leaves out; with it, each test has been run
+	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m slow $(ARGS)
 
 fuzz: $(INSTALLED) ## random scenes against exact arithmetic and Mitsuba for a minute; ARGS="--time 1h --seed 7"
 	@$(BIN)/mitsuba-ref fuzz $(ARGS)
@@ -40,7 +43,7 @@ mutants: $(INSTALLED) ## plant small faults by rule, a sample of each group of m
 hostile: $(INSTALLED) ## a thousand broken and hostile inputs to every command: none may crash, hang or leave anything
 	@PYTHONPATH=tests/hostile $(BIN)/python -P -m hostile_runs --count 1000 $(ARGS)
 
-nightly: $(INSTALLED) faults hostile ## what make test has no time for: all faults, 200,000 hard rays a shape, 12 million at edges and corners
+nightly: $(INSTALLED) slow faults hostile ## what make test has no time for: all faults, 200,000 hard rays a shape, 12 million at edges and corners
 	@$(BIN)/mitsuba-ref fuzz --rays 200000
 	@$(BIN)/mitsuba-ref stress watertight --rays 1000000
 	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --seed $$(date +%j) --out build/mutants-nightly

@@ -1,5 +1,6 @@
 """What this run could use, said in its header, and a marker for each folder of tests."""
 
+import collections
 import contextlib
 import gc
 import importlib.util
@@ -45,6 +46,10 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     for kind, what in KINDS.items():
         config.addinivalue_line("markers", f"{kind}: {what} (everything in tests/{kind})")
+    config.addinivalue_line(
+        "markers",
+        "slow(why, keep=0): left out by `make test` but for its first `keep` cases, run by `make slow`",
+    )
 
 
 def pytest_report_header() -> list[str]:
@@ -72,7 +77,9 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(*COLLECTION_THRESHOLDS)
 
 
+@pytest.hookimpl(tryfirst=True)  # before -m chooses by the marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    keep_first_cases(items)
     for item in items:
         folder = item.path.relative_to(TESTS).parts[0] if item.path.is_relative_to(TESTS) else ""
         if folder in KINDS:
@@ -83,3 +90,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def warm(monkeypatch: pytest.MonkeyPatch) -> None:
     """Standard error is as it is once kernels are compiled, also in the first run after an edit."""
     monkeypatch.setattr("caster.system.terminal.announce_compilation", lambda what: contextlib.nullcontext())
+
+
+def keep_first_cases(items: list[pytest.Item]) -> None:
+    """Take the mark `slow` from the first cases of each test that keeps some."""
+    seen: collections.Counter[tuple[Path, str]] = collections.Counter()
+    for item in items:
+        mark = item.get_closest_marker("slow")
+        if mark is None:
+            continue
+        assert mark.args and isinstance(mark.args[0], str), f"{item.nodeid}: slow without a reason"
+        test = (item.path, item.nodeid.partition("[")[0])
+        seen[test] += 1
+        if seen[test] <= mark.kwargs.get("keep", 0):
+            item.own_markers.remove(mark)

@@ -18,14 +18,16 @@ FILM = (13, 9)
 RAYS = 40  # of each family
 
 
-def everything_cast() -> dict[str, np.ndarray]:
-    """Every AOV of every shape before every camera, and hard rays.
+def everything_cast(share: int = 1) -> dict[str, np.ndarray]:
+    """Every AOV of every shape before every camera, or a share of the cameras, and hard rays.
 
     Of the two cullings that a film may go through, neighbours take turns: each shape and each camera has both.
     """
     results = {"compiled": np.array(COMPILED)}
     for i, shape in enumerate(SHAPES):
         for j, camera in enumerate(VIEWS):
+            if (i + j // 2) % share:
+                continue
             scene = random_scene(np.random.default_rng([30, i, j]), [shape], camera, count=5, film=FILM)
             culling = (None, "bvh")[(i + j) % 2]
             aovs = render(scene, tuple(BY_NAME), threads=1, culling=culling)
@@ -45,4 +47,4 @@ def rays_cast(rng: np.random.Generator, shape: type) -> dict[str, np.ndarray]:
 
 
 if __name__ == "__main__":
-    np.savez(sys.argv[1], **everything_cast())
+    np.savez(sys.argv[1], **everything_cast(int(sys.argv[2])))

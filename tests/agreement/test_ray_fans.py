@@ -19,6 +19,7 @@ from caster.rendering.hits import validated_rays
 from caster.shapes import SHAPES, Sphere
 
 COUNT = 640
+PRIMITIVES = 10 * LEAF_SIZE  # at least, in a scene: a tree of some levels
 CUBE = next(shape for shape in SHAPES if name(shape) == "cube")
 WITH_TREES = [shape for shape in SHAPES if name(shape) != "plane"]
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -42,10 +43,15 @@ def taken(monkeypatch):
     return numbers
 
 
-def scene_of(shapes, size, seed, count=2 * LEAF_SIZE + 6):
+def scene_of(shapes, size, seed, count=None):
+    """Primitives for a tree of some leaves: many shapes of one primitive, or a few meshes."""
     rng = np.random.default_rng(seed)
     offset = float(rng.choice([0.0, 30.0])) * size
-    return packed(random_scene(rng, shapes, Pinhole, count=count, size=size, offset=offset)), rng
+    if count is None:
+        one = packed(random_scene(np.random.default_rng(seed), shapes[:1], Pinhole, count=1))
+        count = max(3, -(-PRIMITIVES // int(one.first[-1])))
+    arrays = packed(random_scene(rng, shapes, Pinhole, count=count, size=size, offset=offset))
+    return arrays, rng
 
 
 def points(arrays, rng, size):
@@ -99,12 +105,12 @@ def assert_fans_change_nothing(arrays, rays, what):
     slow = find_nearest(arrays, rays, "brute-force", 1)
     fast = find_nearest(arrays, rays, threads=2)
     assert_same_bits({"t": slow.t, "prim": slow.prim}, {"t": fast.t, "prim": fast.prim}, what)
-    assert_any_hit_is_the_same(arrays, rays, what)
-    return int((slow.prim >= 0).sum())
+    return assert_any_hit_is_the_same(arrays, rays, what, slow.prim >= 0)
 
 
-def assert_any_hit_is_the_same(arrays, rays, what):
-    expected = find_nearest(arrays, rays, "brute-force", 1).prim >= 0
+def assert_any_hit_is_the_same(arrays, rays, what, expected=None):
+    if expected is None:
+        expected = find_nearest(arrays, rays, "brute-force", 1).prim >= 0
     found = find_any(arrays, rays, 2)
     wrong = np.flatnonzero(expected != found)
     assert not len(wrong), f"{what}: {len(wrong)} of {COUNT}, first {wrong[:3]}"
@@ -185,7 +191,7 @@ def test_more_rays_than_are_sorted_at_a_time(monkeypatch, taken):
 def test_rays_in_order_past_everything_or_few_are_no_fans(monkeypatch):
     """So are rays that go on beyond the point in common, those to several points, and nearest hits of rays to one."""
     monkeypatch.undo()
-    arrays, rng = scene_of([CUBE], 1.0, 100)
+    arrays, rng = scene_of([CUBE], 1.0, 100, count=14)
     monkeypatch.setattr(casting, "MIN_RAYS_SORTED", 4096)
     middle = hull_points(arrays, rng, 1)[0]
     eye = middle + np.array([0.0, 0.0, 6.0])

@@ -35,6 +35,9 @@ def test_the_data_reports_of_every_case_that_mitsuba_can_be_requested():
 
 
 @pytest.mark.filterwarnings("default::test_edge_cases_mitsuba.MitsubaDiffers")
+@pytest.mark.slow(
+    "asks Mitsuba about every edge case in every variant: it changes with Mitsuba, not with this tree"
+)
 def test_mitsuba_does_what_it_did():
     """What differs is a warning of the run."""
     assert usable_variants().names, f"no variant of Mitsuba works here: {usable_variants().why}"

@@ -79,7 +79,7 @@ class Forks:
         """The process that forks for this tree."""
         home = tree if tree == self.home else None
         if home not in self.servers:
-            environment = {**os.environ, "CASTER_JIT": "0"}
+            environment = {**os.environ, "CASTER_JIT": "1" if home else "0"}
             environment.pop("PYTHONPATH", None)
             self.servers[home] = subprocess.Popen(
                 [*SERVER, *([str(home)] if home else [])],

@@ -374,6 +374,7 @@ MOMENTS = [("SIGKILL", 1, "pass"), ("SIGKILL", 1, RENAME), ("SIGKILL", 2, "pass"
 
 
 @pytest.mark.parametrize(("how", "at", "before"), MOMENTS)
+@pytest.mark.slow("each starts a process that is killed", keep=1)
 def test_approve_that_is_ended_half_way_leaves_whole_references(here, capsys, how, at, before):
     """Ended while it renames the temporary file of a reference to it, or as soon as it has."""
     old = {file.name: file.read_bytes() for file in (here / "refs").iterdir()}

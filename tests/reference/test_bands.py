@@ -57,6 +57,7 @@ def test_a_film_that_is_wider_than_a_band_is_judged_row_by_row(small_bands, monk
 @pytest.mark.parametrize(
     "name", ["torus-smooth", "plane-edge-on-pinhole", "crop-window", "near-far-clip", "every-shape"]
 )
+@pytest.mark.slow("each judges a film twice", keep=2)
 def test_the_verdict_is_that_of_the_whole_film(small_bands, send, name):
     small_bands(False)
     whole = validate_scene(scene(name), name, send=send)

@@ -162,6 +162,7 @@ FAILING = [
 
 
 @pytest.mark.parametrize(("program", "says"), FAILING, ids=[says for _, says in FAILING])
+@pytest.mark.slow("each judges a film", keep=5)
 def test_no_image_to_judge_is_a_problem_and_never_a_pass(judged, tmp_path, program, says):
     (tmp_path / "program.py").write_text(program)
     seconds = 1.0 if "sleep" in program else 60.0
@@ -334,6 +335,7 @@ def blender(tmp_path, capsys, *options, factor="1", depth="ViewLayer.Depth.Z", s
     return code, found.out, found.err
 
 
+@pytest.mark.slow("judges a film four times")
 def test_depth_along_z_and_names_of_another_program_are_read_as_compare_reads_them(tmp_path, capsys):
     code, out, _ = blender(tmp_path, capsys)
     assert code == 0, out

@@ -68,6 +68,7 @@ def test_a_foreign_kind_is_rendered_judged_reported_and_probed(coins):
     assert "coins.toml: agree" in probed.stdout and "hit             shape-1" in probed.stdout
 
 
+@pytest.mark.slow("fuzz in plain Python")
 def test_a_foreign_kind_is_fuzzed(coins):
     found = run_with(coins, "fuzz", "--rays", "600", "--shape", "coin", "--out", str(coins / "found"))
     assert (found.returncode, found.stderr.splitlines()[1:]) == (0, []), found.stdout
@@ -85,12 +86,14 @@ def test_a_foreign_kind_is_fuzzed(coins):
         ("n = (0.0, 0.0, 1.0)", "n = (0.0, 0.6, 0.8)", "normal: "),
     ],
 )
+@pytest.mark.slow("each judges in plain Python", keep=1)
 def test_a_mistake_in_a_foreign_kind_is_found(coins, old, new, says):
     edit(coins, "coin_plugin.py", old, new)
     found = run_with(coins, "validate", str(coins / "coins.toml"))
     assert found.returncode == 1 and "FAIL  coins" in found.stdout and says in found.stdout
 
 
+@pytest.mark.slow("judges twice in plain Python")
 def test_a_foreign_camera_is_judged_and_a_mistake_in_it_is_found(coins):
     scanned = COINS.replace('"pinhole"', '"scanner"\nspacing = 0.34')
     (coins / "scanned.toml").write_text(scanned, encoding="utf-8")

@@ -40,6 +40,7 @@ def alone(unedited, tmp_path_factory):
     return {tree: run(tree, *SCENE) for tree in (unedited, wrong)}
 
 
+@pytest.mark.slow("a test of tests: judges four times in processes of their own")
 def test_a_fork_states_what_a_process_states_of_a_right_tree_and_of_a_wrong_one(forks, memory, alone):
     codes = []
     unedited, wrong = alone
@@ -52,6 +53,7 @@ def test_a_fork_states_what_a_process_states_of_a_right_tree_and_of_a_wrong_one(
     )  # the fault alters nothing that Mitsuba is given
 
 
+@pytest.mark.slow("a test of tests: some processes of their own")
 def test_bad_usage_and_what_is_no_module_end_as_in_a_process(forks, unedited):
     for words, module in (
         (("validate", "--nonsense"), "mitsuba_ref"),

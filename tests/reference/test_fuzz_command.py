@@ -64,6 +64,7 @@ def fault(monkeypatch):
     return plant
 
 
+@pytest.mark.slow("judges scenes of every family")
 def test_all_families_pass_and_the_totals_say_what_was_looked_at(fuzz):
     code, out, err, told = fuzz("--examples", "26", "--judge-every", "4")
     assert code == 0, out
@@ -117,6 +118,7 @@ def test_a_fault_is_found_made_small_kept_and_gone_when_it_is_mended(fuzz, fault
     assert code == 0 and out == f"PASS  {failure['file']}  missed\n1 kept scenes: 1 pass, 0 fail\n"
 
 
+@pytest.mark.slow("casts 20,000 rays a shape")
 def test_the_long_run_counts_rays_and_finds_faults(fuzz, fault):
     code, out, _, told = fuzz("--rays", "1500", "--shape", "disk", "--shape", "cube")
     assert code == 0 and told["ok"]
@@ -173,7 +175,10 @@ def test_an_interruption_keeps_and_reports_what_was_done(tmp_path):
         child.send_signal(signal.SIGINT)
         out, err = child.communicate(timeout=30)
     assert child.returncode == 130, err
-    assert err.splitlines()[-1] == "interrupted"
+    # a kernel that is being compiled, on a machine that has none yet, cannot be waited for
+    assert err.splitlines()[-1] in ("interrupted", "interrupted: ended before what was running could end"), (
+        err
+    )
     assert json.loads(told.read_text())["interrupted"]
     assert "seed 0: " in out
 
@@ -296,6 +301,7 @@ def test_a_right_candidate_passes_on_films_and_on_aimed_rays(fuzz):
     assert told["total"]["pixels"] >= 300 and told["families"]["extremes"]["judged"] == 0
 
 
+@pytest.mark.slow("judges some hundred scenes")
 def test_a_wrong_candidate_is_shrunk_kept_and_replayed(fuzz, tmp_path, capsys):
     """Ours misses what is nearer than t = 1e-4: only rays that begin at a surface show it."""
     (tmp_path / "epsilon_caster.py").write_text(

@@ -253,6 +253,7 @@ def test_a_missing_file_and_an_unknown_variant_are_refused(tmp_path, ball):
         ("change(sensor_o=np.zeros((2, 3), np.float32))", "sensor_d: expected float32[2, 3], got NoneType"),
     ],
 )
+@pytest.mark.slow("each starts a process", keep=4)
 def test_an_answer_that_is_not_whole_is_garbage(tmp_path, does, says):
     """The child ends well, with exit code 0."""
     program = f"""

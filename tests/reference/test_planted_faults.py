@@ -838,6 +838,7 @@ def validate(forks, tree, scene, size, check=None):
 
 
 @pytest.mark.parametrize(("scene", "width", "height"), CASES)
+@pytest.mark.slow("each judges in plain Python", keep=4)
 def test_without_a_fault_the_scene_passes(forks, unedited, coarse_scenes, scene, width, height):
     found = validate(forks, unedited, coarse_scenes / f"{scene}.toml", (width, height), check="any other")
     assert (found.returncode, found.stderr) == (0, LOADING), found.stdout
@@ -871,6 +872,7 @@ CLASS_OF = {
 
 
 @pytest.mark.parametrize("what", CLASS_OF)
+@pytest.mark.slow("each judges in plain Python", keep=1)
 def test_the_replay_of_a_pixel_shows_its_failure_again(forks, tree, coarse_scenes, what):
     (fault,) = (fault for fault in FAULTS if fault.what == what)
     edit(tree, fault.file, fault.old, fault.new)
@@ -939,6 +941,7 @@ SEEN_IN_PICTURES = (
 
 
 @pytest.mark.parametrize(("what", "quantity"), SEEN_IN_PICTURES)
+@pytest.mark.slow("each renders in plain Python", keep=3)
 def test_compare_fails_on_what_a_faulty_caster_renders(forks, tree, tmp_path, pictures, what, quantity):
     (fault,) = (fault for fault in FAULTS if fault.what == what)
     edit(tree, fault.file, fault.old, fault.new)

@@ -84,6 +84,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.slow("each compiles a program", keep=2)
 def test_planted_faults_in_the_caster_in_c_fail(tmp_path, fault):
     source = (EXAMPLES / "caster.c").read_text()
     assert FAULTS[fault][0] in source
@@ -171,6 +172,7 @@ NO_RESPONSE = {
 
 
 @pytest.mark.parametrize("which", NO_RESPONSE)
+@pytest.mark.slow("each waits for a program to end", keep=3)
 def test_a_program_that_stays_and_gives_no_hits_fails_with_the_reason(tmp_path, which):
     source, words = NO_RESPONSE[which]
     more = ("--candidate-timeout", "2")

@@ -374,6 +374,7 @@ def lost(channels):
         (lost, [False, False]),
     ],
 )
+@pytest.mark.slow("each judges a film", keep=2)
 def test_a_fault_of_one_pixel_in_an_exr_fails(folder, tmp_path, exr, change, failing):
     """failing: whether the depth's verdict and the position's pass."""
     code, scenes = judged_exr(folder, tmp_path, exr, change)
@@ -424,6 +425,7 @@ OWN_RAYS = {
 
 
 @pytest.mark.parametrize("which", OWN_RAYS)
+@pytest.mark.slow("each judges a film along rays of its own", keep=1)
 def test_an_image_passes_along_its_own_rays_which_are_described(folder, tmp_path, which):
     """Judged along the pixels' centres, it is wrong nearly everywhere."""
     scene = caster.load_scene(folder / "scene.toml")
@@ -467,6 +469,7 @@ OWN_RAY_FAULTS = {
 
 @pytest.mark.parametrize("places", [jittered, shifted])
 @pytest.mark.parametrize("fault", OWN_RAY_FAULTS)
+@pytest.mark.slow("each judges a film along rays of its own", keep=2)
 def test_a_fault_of_one_pixel_fails_along_own_rays(folder, tmp_path, fault, places):
     scene = caster.load_scene(folder / "scene.toml")
     channels = rendered_through(scene, *places(scene))
@@ -478,6 +481,7 @@ def test_a_fault_of_one_pixel_fails_along_own_rays(folder, tmp_path, fault, plac
         assert "--own-rays" in words and "--rows" in words and main(words) == 1
 
 
+@pytest.mark.slow("judges a film along rays of its own")
 def test_a_mirrored_image_fails_along_own_rays(folder, tmp_path):
     scene = caster.load_scene(folder / "scene.toml")
     channels = rendered_through(scene, *jittered(scene))

@@ -100,6 +100,7 @@ def check_right(responses) -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.slow("each starts Mitsuba three times", keep=2)
 def test_a_fault_amid_many_requests_loses_nothing(tmp_path, plant, alone, fault):
     plant(FAULTS[fault])
     requests = balls(tmp_path, 3)
@@ -107,6 +108,7 @@ def test_a_fault_amid_many_requests_loses_nothing(tmp_path, plant, alone, fault)
     assert alone == requests[1:2]
 
 
+@pytest.mark.slow("waits for a time-out")
 def test_a_hang_is_killed_at_the_time_out_and_loses_nothing(tmp_path, plant, alone):
     plant("time.sleep(600)")
     requests = balls(tmp_path, 3)
@@ -217,6 +219,7 @@ time.sleep(float(sys.argv[2]))
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it ends once it has nothing to do")
 @pytest.mark.parametrize("how", [None, signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.slow("each starts Mitsuba, and ends it", keep=1)
 def test_a_resident_goes_with_its_parent(tmp_path, how):
     balls(tmp_path, 1)[0].write(tmp_path)
     words = [sys.executable, "-c", ASK, tmp_path, "600" if how else "0"]
@@ -252,6 +255,7 @@ def verdicts_without_residents(tmp_path_factory) -> list[dict]:
 
 
 @pytest.mark.parametrize("at", [1, 2, 3])
+@pytest.mark.slow("each starts Mitsuba three times", keep=1)
 def test_verdicts_are_equal_when_the_resident_dies_at_any_scene(
     tmp_path, plant, verdicts_without_residents, at
 ):

@@ -95,6 +95,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("turn", range(2))
+@pytest.mark.slow("each compiles kernels several times", keep=1)
 def test_kept_kernels_that_are_damaged_are_compiled_anew(kept, tmp_path, turn):
     """Every file of the cache at once, Numba's compile results included; after that the cache is whole again."""
     shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
@@ -134,6 +135,7 @@ def test_code_that_llvm_cannot_load_is_compiled_anew(kept, tmp_path):
     assert machine_code.read(path).symbol == code.symbol
 
 
+@pytest.mark.slow("compiles kernels")
 def test_a_disk_without_room_means_no_cache(tmp_path):
     """No file may grow beyond 1,000 bytes: kernels are compiled in each process, and nothing half-written stays."""
     limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n" + SMALL
@@ -143,6 +145,7 @@ def test_a_disk_without_room_means_no_cache(tmp_path):
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
+@pytest.mark.slow("compiles kernels")
 def test_no_folder_at_all_means_no_cache(tmp_path):
     done = run(tmp_path / "no", "-c", SMALL, XDG_CACHE_HOME=os.devnull, TMPDIR=os.devnull)
     assert done.returncode == 0 and done.stdout.endswith("compiled 3 loaded 0 True\n"), done.stderr
@@ -292,6 +295,7 @@ UNFIT = (damaged, of_other_sources, of_another_level, for_a_better_processor, op
 
 @needs_level
 @pytest.mark.parametrize("spoil", UNFIT, ids=lambda spoil: spoil.__name__)
+@pytest.mark.slow("each compiles kernels", keep=1)
 def test_object_code_that_does_not_fit_is_compiled_anew(tree, tmp_path, spoil):
     """Each kernel, and with the same answers, which the program checks."""
     spoil(tree)
