@@ -64,6 +64,11 @@ def _run(path: str, *argv: str, module: str, compiled: bool = False) -> subproce
     )
 
 
+def said_beside_progress(found: subprocess.CompletedProcess[str]) -> list[str]:
+    """Lines of stderr but the first, that there is no compiler, and how far a run of some seconds had come."""
+    return [line for line in found.stderr.splitlines()[1:] if not line.startswith("validating: ")]
+
+
 class Forks:
     """`run`, for many commands: in forks of one process; see forked_runs.py."""
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+# The page in plain Python, which continuous integration runs with the other slow tests.
+pytestmark = pytest.mark.slow("a page of docs, in plain Python")
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/debugging-an-edge-case.md").read_text(encoding="utf-8")
 
@@ -32,7 +34,6 @@ def on_the_page(text):
     return [line for line in text.splitlines() if line.strip() and line in PAGE]
 
 
-@pytest.mark.slow("a page of docs, in plain Python")
 def test_the_fault_is_detected_and_the_replay_shows_which_side_is_wrong(story):
     module, _, failing, probed = story
     assert failing.code == probed.code == 1
@@ -79,7 +80,6 @@ def test_pdb_stops_where_a_primitive_is_tried_and_prints_its_t(story):
     )  # of a cube around its origin
 
 
-@pytest.mark.slow("a page of docs, in plain Python")
 def test_with_the_line_put_right_everything_passes(story):
     module, tree, _, _ = story
     tree.put(module.GOOD, instead_of=module.BAD)

@@ -40,6 +40,7 @@ def found_without_a_fault(family: str, examples: int) -> set[str]:
 
 
 @pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: fault.what.replace(" ", "-"))
+@pytest.mark.slow("each is fuzzed in plain Python", keep=1)
 def test_a_planted_fault_is_found(fault, tmp_path):
     """Caught by fuzz; an unedited copy passes the same examples."""
     tree = copy_tree(tmp_path)

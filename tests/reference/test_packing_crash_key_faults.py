@@ -202,6 +202,7 @@ def run_test(tree, path):
 
 
 @pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: fault.what)
+@pytest.mark.slow("each judges in plain Python", keep=1)
 def test_a_planted_fault_is_found(tmp_path, fault):
     tree = copy_tree(tmp_path / "tree")
     edit(tree, fault.file, fault.old, fault.new)

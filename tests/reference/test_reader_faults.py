@@ -291,6 +291,7 @@ def judged(tree, folder, shape):
 
 
 @pytest.mark.parametrize("planted", CHOSEN, ids=lambda fault: fault.what.replace(" ", "-"))
+@pytest.mark.slow("each judges in plain Python", keep=1)
 def test_a_planted_fault_is_named(planted, tmp_path):
     tree = copy_tree(tmp_path / "tree")
     for each in planted.edits:

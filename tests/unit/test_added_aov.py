@@ -99,6 +99,7 @@ def test_an_added_aov_is_rendered_each_way(added, camera):
 
 
 @pytest.mark.parametrize("shapes", [SHAPES[:1], SHAPES[1:], ()], ids=["triangles", "a sphere", "nothing"])
+@pytest.mark.slow("each compiles kernels", keep=3)
 def test_an_added_aov_beside_others_of_one_kind_or_none(added, shapes):
     """Films of one kind without surfaces are rendered many tiles at once."""
     a_scene = scene(shapes=shapes)
@@ -158,6 +159,7 @@ print(set(np.round(value[hit] / depth[hit], 4).tolist()), set(value[~hit].tolist
 """
 
 
+@pytest.mark.slow("compiles kernels twice")
 def test_a_changed_file_of_an_added_aov_is_never_served_from_the_cache(tmp_path):
     """Compiled or not, its kernel is that of the file as it stands."""
     for factor in ("2.0", "3.0"):

@@ -50,6 +50,7 @@ def plugin():
 
 
 @pytest.mark.parametrize("culling", get_args(Culling))
+@pytest.mark.slow("compiles the kernels of a foreign kind")
 def test_a_foreign_kind_renders_like_a_disk_of_the_tree(plugin, culling):
     found = caster.render(scene_from_text(FILM + PINHOLE + LAMP + COINS), AOVS, culling=culling)
     expected = caster.render(scene_from_text(FILM + PINHOLE + LAMP + DISKS), AOVS)

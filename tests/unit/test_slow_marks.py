@@ -1,0 +1,53 @@
+"""What the mark `slow` leaves out of `make test`, and that each mark says why."""
+
+from pathlib import Path
+
+import pytest
+
+pytest_plugins = "pytester"
+TESTS = Path(__file__).resolve().parents[1]
+CONFTEST = (TESTS / "conftest.py").read_text(encoding="utf-8")
+FILE = """
+import pytest
+
+@pytest.mark.parametrize("case", range(5))
+@pytest.mark.slow("each waits", keep=2)
+def test_cases(case):
+    assert case < 9
+
+@pytest.mark.slow("waits")
+def test_alone():
+    pass
+
+def test_quick():
+    pass
+"""
+
+
+@pytest.fixture
+def run(pytester, monkeypatch):
+    """Outcomes of pytest with the tree's own conftest.py."""
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    monkeypatch.setenv("PYTHONPATH", str(TESTS.parent))
+    pytester.makeconftest(CONFTEST)
+    pytester.makepyfile(FILE)
+    return lambda *words: pytester.runpytest_subprocess("-p", "no:cacheprovider", *words)
+
+
+@pytest.mark.parametrize(
+    ("words", "passed", "left_out"), [(("-m", "not slow"), 3, 4), (("-m", "slow"), 4, 3), ((), 7, 0)]
+)
+def test_first_cases_are_kept_and_the_two_halves_are_everything(run, words, passed, left_out):
+    run(*words).assert_outcomes(passed=passed, deselected=left_out)
+
+
+def test_a_mark_without_a_reason_is_an_error(run, pytester):
+    pytester.makepyfile(test_bare="import pytest\n\n@pytest.mark.slow\ndef test_a():\n    pass\n")
+    assert run("-m", "not slow").ret != 0
+
+
+def test_continuous_integration_runs_both_halves():
+    lines = (TESTS.parent / ".ci/run").read_text(encoding="utf-8").splitlines()
+    assert {"make test", "make slow", "make faults"} <= set(lines)
+    makefile = (TESTS.parent / "Makefile").read_text(encoding="utf-8")
+    assert "-m 'not slow' $(ARGS)" in makefile and "-m slow $(ARGS)" in makefile
