@@ -1,6 +1,6 @@
 """Rasterization: nearest hits of a film by testing each primitive in the pixels of its screen bounds."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -34,6 +34,7 @@ from caster.kernels.raster.tile import (
     new_tile,
     scatter_to_tiles,
     store_nearest,
+    tile_boxes,
 )
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.triangles import Triangles
@@ -132,13 +133,6 @@ def kinds_caster(
     return cast_tile
 
 
-def tile_boxes(window: Window) -> Iterator[Box]:
-    """The tiles of a window, row by row."""
-    for y in range(0, window.height, HEIGHT):
-        for x in range(0, window.width, WIDTH):
-            yield x, y, min(x + WIDTH, window.width), min(y + HEIGHT, window.height)
-
-
 def parallel_for_tiles(
     begin: Callable[[], Callable[[int, Box], None]],
     window: Window,
@@ -159,7 +153,7 @@ def parallel_for_tiles(
         work = begin()
         return lambda piece: work(*piece)
 
-    pieces = list(enumerate(tile_boxes(window)))
+    pieces = list(enumerate(tile_boxes(window.width, window.height)))
     parallel_for_pieces(begin_pieces, pieces, thread_count(threads), done if on_progress else None)
 
 

@@ -14,19 +14,26 @@ from caster.geometry.packing import Packed, pack
 from caster.jit.decorators import COMPILATION_LOG
 from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
-from caster.kernels.bvh.ray_sorting import store_sorted, store_sorted_blocked
 from caster.kernels.bvh.traversal import cast_packets_brute_force
 from caster.kernels.nearest import Rays, exact_hit, no_hits, precedes
-from caster.kernels.raster.tile import WIDTH, load_ray_range, new_tile
+from caster.kernels.raster.tile import (
+    WIDTH,
+    load_ray_range,
+    load_rays_from,
+    new_tile,
+    store_blocked_rays,
+    store_rays,
+)
 from caster.rendering.casting import (
     SAMPLED_RAYS,
     Culling,
-    FanCaster,
     ShadowCaster,
     exact_nearest,
+    find_any,
+    find_nearest,
+    find_rows,
     new_ray_groups,
     scene_prim_ids,
-    tile_caster,
 )
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
@@ -112,23 +119,19 @@ def _warm_shadows(packed: Packed, scene: Scene) -> None:
 
 
 def _warm_fans(packed: Packed) -> None:
-    """The kernels of rays that are handed over and start or end at one point, or are parallel."""
+    """The kernels of rays that are handed over and start or end at one point, in rows or any order, or are parallel."""
     count = SAMPLED_RAYS
     origin, d = np.zeros((count, 3)), np.ones((count, 3)) + 0.01 * np.arange(count)[:, None] * [1.0, 0.0, 0.0]
     outward = Rays(origin, d, np.zeros(count), np.ones(count))
     parallel = Rays(d, np.ones((count, 3)), np.zeros(count), np.full(count, np.inf))
-    nearest, blocked, uncertain = no_hits(count), np.zeros(count, bool), np.zeros(count, bool)
-    ids = scene_prim_ids(packed)
-
-    def store(tile: np.ndarray, order: np.ndarray, start: int, stop: int) -> None:
-        store_sorted(tile, order, start, stop, ids, nearest, uncertain)
-        store_sorted_blocked(tile, order, start, stop, blocked, uncertain)
-
     for rays in (outward, Rays(d, -d, np.zeros(count), np.ones(count)), parallel):
-        for any_hit in (True, False):
-            fans = FanCaster.of(packed, rays, any_hit, always=True)
-            if fans is not None:
-                fans.cast(rays, tile_caster(packed, any_hit), store, 1)
+        find_nearest(packed, rays, threads=1, always_fans=True)
+        find_any(packed, rays, threads=1, always_fans=True)
+    find_rows(outward)
+    tile, box, ids = new_tile(), (0, 0, count, 1), scene_prim_ids(packed)
+    load_rays_from(outward, 0, count, box, (0.0, 0.0, 0.0), tile)
+    store_rays(tile, 0, count, box, ids, no_hits(count), np.zeros(count, bool))
+    store_blocked_rays(tile, 0, count, box, np.zeros(count, bool), np.zeros(count, bool))
 
 
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes

@@ -6,7 +6,7 @@ from random_scenes import name, random_scene
 from same_bits import assert_same_bits
 from test_shadow_fans import hull_points
 
-from caster.cameras import Pinhole
+from caster.cameras import Fisheye, Pinhole
 from caster.geometry.packing import packed
 from caster.jit.simd import LANES
 from caster.kernels.bvh import ray_sorting
@@ -16,6 +16,8 @@ from caster.kernels.raster.tile import PIXELS, WIDTH
 from caster.rendering import casting
 from caster.rendering.casting import find_any, find_nearest, sort_rays
 from caster.rendering.hits import validated_rays
+from caster.rendering.images import camera_rays
+from caster.scene.model import Scene
 from caster.shapes import SHAPES, Sphere
 
 COUNT = 640
@@ -206,7 +208,9 @@ def test_rays_in_order_past_everything_or_few_are_no_fans(monkeypatch):
         return casting.FanCaster.of(arrays, rays, any_hit) is not None
 
     assert is_fan(mixed) and is_fan(mixed, True)
-    assert not is_fan(rows) and not is_fan(Rays(*(a[:4000] for a in mixed)))
+    assert not is_fan(Rays(*(a[:4000] for a in mixed)))
+    monkeypatch.setattr(casting, "MIN_RAYS_IN_ROWS", x.size + 1)
+    assert not is_fan(rows)
     assert not is_fan(mixed._replace(d=mixed.d * [1.0, 1.0, -1.0]))  # the other way
     back = Rays(eye + mixed.d, -mixed.d, mixed.t_min, np.ones(x.size))
     assert is_fan(back, True) and not is_fan(back)
@@ -214,6 +218,127 @@ def test_rays_in_order_past_everything_or_few_are_no_fans(monkeypatch):
     assert not is_fan(back._replace(t_max=np.full(x.size, np.inf)), True)
     back.o[::2] += [3.0, 0.0, 0.0]
     assert not is_fan(back, True)
+
+
+# ---- rays in rows
+
+
+WIDE, HIGH = 131, 9  # a film of two tiles, the second narrow
+
+
+@pytest.fixture
+def in_rows(monkeypatch):
+    """Rows are looked for among few rays, too; how many rays each tile of them had elsewhere."""
+    monkeypatch.setattr(casting, "MIN_RAYS_IN_ROWS", 4 * WIDE)
+    numbers = []
+    real = casting.load_rays_from
+
+    def load(*about):
+        numbers.append(real(*about))
+        return numbers[-1]
+
+    monkeypatch.setattr(casting, "load_rays_from", load)
+    return numbers
+
+
+def film_rays(arrays, rng, size, width=WIDE, height=HIGH):
+    """Rays of a film from one point at the shapes, of any lengths; some have limits of their own, some are none."""
+    middle = hull_points(arrays, rng, 1)[0]
+    frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    eye = middle - 4.0 * size * frame[2]
+    x, y = np.meshgrid(np.linspace(-0.3, 0.3, width), np.linspace(-0.2, 0.2, height))
+    d = frame[2] + x.reshape(-1, 1) * frame[0] + y.reshape(-1, 1) * frame[1]
+    count = len(d)
+    t_max = np.where(rng.random(count) < 0.7, np.inf, size * rng.uniform(3.5, 4.5, count))
+    t_max[rng.random(count) < 0.02] = -1.0
+    t_min = np.where(rng.random(count) < 0.8, 0.0, size * rng.uniform(3.0, 4.0, count))
+    return Rays(np.tile(eye, (count, 1)), d, np.minimum(t_min, np.abs(t_max)), t_max)
+
+
+@pytest.mark.parametrize("shape", WITH_TREES, ids=name)
+def test_rays_in_rows_hit_what_they_hit_alone(shape, in_rows):
+    """Whole films, arrays that begin and end within a row, and with rays from elsewhere, whose tiles are no fans."""
+    arrays, rng = scene_of([shape], 1.0, [104, list(SHAPES).index(shape)])
+    rays = film_rays(arrays, rng, 1.0)
+    assert casting.find_rows(rays) == (0, WIDE, HIGH)
+    assert assert_fans_change_nothing(arrays, rays, "whole") > WIDE
+    part = Rays(*(a[57:-20] for a in rays))
+    assert casting.find_rows(part) == (WIDE - 57, WIDE, HIGH - 2)
+    assert_fans_change_nothing(arrays, part, "part")
+    assert len(in_rows) == 8 and not any(in_rows)
+    rays.o[-5] += 1e-9
+    rays.o[-6] = np.nextafter(rays.o[-6], np.inf)
+    assert_fans_change_nothing(arrays, rays, "elsewhere")
+    assert sorted(in_rows[8:]) == [0, 0, 2, 2]
+
+
+def test_rows_of_all_kinds_and_of_many_tiles(in_rows):
+    """Of kinds without a tree, too, and of more primitives than are projected for so few rays."""
+    arrays, rng = scene_of(list(SHAPES), 1.0, 105, count=LEAF_SIZE + 1)
+    rays = film_rays(arrays, rng, 1.0, 2 * WIDTH + 1, 65)
+    assert_fans_change_nothing(arrays, rays, "all kinds")
+    assert len(in_rows) == 12
+
+
+def trust_origins(monkeypatch):
+    real = casting.load_rays_from
+    monkeypatch.setattr(casting, "load_rays_from", lambda *about: 0 * real(*about))
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        lambda monkeypatch: spoilt_fans(monkeypatch, slack=-1e-3),
+        lambda monkeypatch: spoilt_fans(monkeypatch, perspective=0.0),
+        trust_origins,
+    ],
+    ids=["narrow boxes", "parallel", "one origin for all"],
+)
+def test_a_fault_of_a_fan_of_rows_is_found(monkeypatch, plant, in_rows):
+    arrays, rng = scene_of([CUBE], 1.0, 106, count=20)
+    rays = film_rays(arrays, rng, 1.0)
+    if plant is trust_origins:
+        rays.o[40:90] += [3.0, 0.0, 0.0]
+        rays.o[np.linspace(0, len(rays.o) - 1, casting.SAMPLED_RAYS).astype(int)] = rays.o[0]
+    assert_fans_change_nothing(arrays, rays, "right")
+    assert in_rows and any(in_rows) == (plant is trust_origins)
+    plant(monkeypatch)
+    with pytest.raises(AssertionError):
+        assert_fans_change_nothing(arrays, rays, "wrong")
+
+
+def film_of(camera, width=200, height=120):
+    return camera_rays(Scene(camera=camera, film={"width": width, "height": height}))
+
+
+@pytest.mark.parametrize("fov", [1.0, 45.0, 150.0])
+def test_rows_of_a_film_are_found_also_in_a_part_of_it(fov):
+    rays = film_of(Pinhole(eye=(1.0, 2.0, 3.0), look_at=(0.0, 0.0, 0.0), fov=fov))
+    assert casting.find_rows(rays) == (0, 200, 120)
+    assert casting.find_rows(Rays(*(a[90:-70] for a in rays))) == (110, 200, 118)
+
+
+def test_rows_of_a_round_image_are_found_in_its_middle():
+    rays = film_of(Fisheye(eye=(1.0, 2.0, 3.0), look_at=(0.0, 0.0, 0.0), fov=180.0), 400, 400)
+    assert (rays.t_max < 0.0).any() and casting.find_rows(rays) == (0, 400, 400)
+
+
+def test_no_rows_are_found_where_there_are_none():
+    rays = film_of(Pinhole(eye=(1.0, 2.0, 3.0), look_at=(0.0, 0.0, 0.0)))
+    rng = np.random.default_rng(107)
+    square = np.arange(len(rays.d)).reshape(120, 200)
+    there_and_back = np.where(np.arange(120)[:, None] % 2, square[:, ::-1], square).ravel()
+    uneven = np.delete(square.ravel(), [200 * 57 + 3])
+    for order in (
+        rng.permutation(square.ravel()),
+        there_and_back,
+        uneven,
+        square[:, :50].ravel(),
+        square[:2].ravel(),
+    ):
+        assert casting.find_rows(Rays(*(a[order] for a in rays))) is None
+    assert casting.find_rows(rays._replace(d=np.tile(rays.d[0], (len(rays.d), 1)))) is None
+    assert casting.find_rows(rays._replace(t_max=np.full(len(rays.d), -1.0))) is None
 
 
 @pytest.mark.parametrize("count", [1, 7, 64, PIXELS - 1, PIXELS])

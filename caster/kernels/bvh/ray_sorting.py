@@ -81,13 +81,44 @@ def largest_deviation(rays: Any, p: Vec3, start: int, stop: int) -> float:
 
 
 @jit
-def have_same_limits(rays: Any, start: int, stop: int) -> bool:
-    """Whether t_min and t_max of rays start..stop are those of ray 0."""
+def rays_of_other_limits(rays: Any, start: int, stop: int) -> int:
+    """How many of rays start..stop have another t_min or t_max than ray 0."""
     t_min, t_max = rays.t_min[0], rays.t_max[0]
     differing = 0
     for i in range(start, stop):
         differing += 1 if (rays.t_min[i] != t_min) | (rays.t_max[i] != t_max) else 0
-    return differing == 0
+    return differing
+
+
+@jit
+def find_row(rays: Any, start: int, stop: int, jump: float, steps: Any, row: Any) -> None:
+    """row (2,): the first of all rays to begin a row, and how many rays a row has; 0, 0 where no rows are found.
+
+    A row ends where directions of rays start..stop go on by more than `jump` times the average step, each time after as
+    many rays or a multiple of it: beside what is no ray, no end is seen. steps: room for stop - start numbers.
+    """
+    total, number = 0.0, 0
+    x, y, z, ray = 0.0, 0.0, 0.0, False
+    for i in range(start, stop):
+        u, v, w = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
+        over = math.sqrt(u * u + v * v + w * w)
+        u, v, w, there = u / over, v / over, w / over, rays.t_max[i] >= 0.0
+        step = max(abs(u - x), max(abs(v - y), abs(w - z)))
+        step = step if ray & there & (i > start) else 0.0
+        steps[i - start] = step
+        total += step
+        number += 1 if step > 0.0 else 0
+        x, y, z, ray = u, v, w, there
+    limit = jump * total / max(number, 1)
+    last, length = -1, stop
+    for n in range(stop - start):
+        if steps[n] > limit:
+            length = min(length, n - last) if last >= 0 else length
+            last = n
+    even = length < stop
+    for n in range(stop - start):
+        even = even & ((steps[n] <= limit) | ((last - n) % length == 0))
+    row[0], row[1] = (start + last) % length if even else 0, length if even else 0
 
 
 @jit

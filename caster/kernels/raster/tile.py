@@ -5,6 +5,7 @@ known distances, the compiler can assume that a store into one changes no other,
 """
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,13 @@ FAN_Y = FAN_X + lane(STRIDE)
 TILE_SIZE = FIELDS * STRIDE + SCRATCH_SIZE + 2 * STRIDE
 
 Box = tuple[int, int, int, int]  # x0, y0, x1, y1: pixels of the window, x1 and y1 just outside
+
+
+def tile_boxes(width: int, height: int) -> Iterator[Box]:
+    """The tiles of a film, row by row."""
+    for y in range(0, height, HEIGHT):
+        for x in range(0, width, WIDTH):
+            yield x, y, min(x + WIDTH, width), min(y + HEIGHT, height)
 
 
 CACHE_LINE = 64  # bytes
@@ -123,6 +131,21 @@ def load_rays(rays: Any, width: int, box: Box, tile: Any) -> None:
 
 
 @jit
+def load_rays_from(rays: Any, first: int, width: int, box: Box, origin: Any, tile: Any) -> int:
+    """`load_rays` of a window that begins at ray `first`; how many of them do not start at `origin`, to the bit."""
+    x0, y0, x1, y1 = box
+    elsewhere = 0
+    for y in range(y1 - y0):
+        start = first + (y0 + y) * width + x0
+        load_ray_range(rays, start, start + x1 - x0, tile, y * WIDTH)
+        clear_rays(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + x1 - x0)):
+            there = (tile[OX + i] == origin[0]) & (tile[OY + i] == origin[1]) & (tile[OZ + i] == origin[2])
+            elsewhere += 0 if there else 1
+    return elsewhere
+
+
+@jit
 def generate_camera_rays(camera: Any, window: Any, box: Box, tile: Any) -> None:
     """Begin the tile of a box, with the camera's rays through its pixel centres."""
     x0, y0, x1, y1 = box
@@ -138,12 +161,15 @@ def generate_camera_rays(camera: Any, window: Any, box: Box, tile: Any) -> None:
 def store_ray_range(
     tile: Any, at: int, ids: Any, start: int, stop: int, nearest: Any, uncertain: Any
 ) -> None:
-    """From `at` on into the record of rays start..stop; ids[place] is the primitive's number in the scene."""
+    """From `at` on into the record of rays start..stop; ids[place] is the primitive's number in the scene.
+
+    Where there is no ray, a fan has left a t of what is no hit.
+    """
     for n in range(start, stop):
         i = lane(at + n - start)
         prim_number = int(tile[PRIM + i])
         nearest.t[n], nearest.error[n], uncertain[n] = (
-            tile[T + i],
+            tile[T + i] if prim_number >= 0 else math.inf,
             tile[T_ERROR + i],
             tile[UNCERTAIN + i] != 0.0,
         )
@@ -151,12 +177,31 @@ def store_ray_range(
 
 
 @jit
-def store_blocked(tile: Any, count: int, first: int, blocked: Any, uncertain: Any) -> None:
-    """Whether the first so many rays of a tile have met anything, into the record of rays first.. ."""
-    for n in range(count):
-        i = lane(n)
-        blocked[first + n] = tile[T + i] < math.inf
-        uncertain[first + n] = (tile[UNCERTAIN + i] != 0.0) & (tile[T + i] == math.inf)
+def store_rays(tile: Any, first: int, width: int, box: Box, ids: Any, nearest: Any, uncertain: Any) -> None:
+    """The tile of a box into the record of a window that begins at ray `first` and is `width` pixels wide."""
+    x0, y0, x1, y1 = box
+    for y in range(y1 - y0):
+        start = first + (y0 + y) * width + x0
+        store_ray_range(tile, y * WIDTH, ids, start, start + x1 - x0, nearest, uncertain)
+
+
+@jit
+def store_blocked(tile: Any, at: int, start: int, stop: int, blocked: Any, uncertain: Any) -> None:
+    """Whether the rays of a tile from `at` on have met anything, into the record of rays start..stop."""
+    for n in range(start, stop):
+        i = lane(at + n - start)
+        hit = (tile[T + i] < math.inf) & (tile[PRIM + i] >= 0.0)
+        blocked[n] = hit
+        uncertain[n] = (tile[UNCERTAIN + i] != 0.0) & (not hit)
+
+
+@jit
+def store_blocked_rays(tile: Any, first: int, width: int, box: Box, blocked: Any, uncertain: Any) -> None:
+    """The same of the tile of a box, as by `store_rays`."""
+    x0, y0, x1, y1 = box
+    for y in range(y1 - y0):
+        start = first + (y0 + y) * width + x0
+        store_blocked(tile, y * WIDTH, start, start + x1 - x0, blocked, uncertain)
 
 
 @jit
