@@ -75,7 +75,13 @@ from caster.kernels.raster.tile import (
 )
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.rendering.bvh_construction import boxes_along, bvh_of, fan_bounds, fans_to, has_bvh
-from caster.rendering.threads import CHUNKS_PER_THREAD, parallel_for, parallel_for_pieces, thread_count
+from caster.rendering.threads import (
+    CHUNKS_PER_THREAD,
+    parallel_for,
+    parallel_for_pieces,
+    thread_count,
+    unwritten_array,
+)
 
 __all__ = ["Culling", "find_any", "find_nearest"]
 
@@ -103,8 +109,8 @@ def find_nearest(
         return decide_uncertain(packed, rays, nearest, uncertain, threads, trees=False)
     # threads write all of it
     nearest, uncertain = (
-        Nearest(np.empty(count), np.empty(count, np.int32), np.empty(count)),
-        np.empty(count, bool),
+        Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float))),
+        unwritten_array((count,), bool),
     )
     ids = scene_prim_ids(packed)
     cast = tile_caster(packed)

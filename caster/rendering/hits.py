@@ -19,7 +19,7 @@ from caster.rendering.casting import find_any, find_nearest, prim_offsets
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.shading import NO_START, TileShader, TileWorkspace, material_tables, new_image
-from caster.rendering.threads import parallel_for
+from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Light, Scene
 
 __all__ = ["Hits", "RayHits", "cast", "trace", "trace_rays", "validated_rays"]
@@ -252,7 +252,8 @@ def validated_rays_with_range(
         raise SceneError(
             f"rays[{i}]: o and d must be finite and d not zero, got o {origins[i]} and d {directions[i]}"
         )
-    rays = Rays(origins, directions, start.copy(), end.copy())
+    rays = Rays(origins, directions, *(unwritten_array(limits.shape, np.float64) for limits in (start, end)))
+    rays.t_min[:], rays.t_max[:] = start, end
     return rays, OUT_OF_RANGE not in found
 
 
@@ -295,7 +296,7 @@ def _rows(a: ArrayLike, name: str) -> np.ndarray:
         raise SceneError(f"rays: {name} must have shape (n, 3), got {given.shape}")
     if given.dtype == np.float64 and given.flags.c_contiguous:
         return given
-    rows = np.empty(given.shape)
+    rows = unwritten_array(given.shape, np.float64)
 
     def copy(start: int, stop: int) -> None:
         rows[start:stop] = given[start:stop]

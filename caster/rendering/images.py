@@ -38,9 +38,8 @@ from caster.rendering.shading import (
     TileShader,
     new_image,
     spare_workspaces,
-    unwritten_array,
 )
-from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
+from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count, unwritten_array
 from caster.scene.model import Scene
 
 __all__ = ["camera_rays", "evaluate", "film_window", "render", "trace_film"]

@@ -3,9 +3,7 @@
 One way for all rays: a film is tiles of its camera's rays; an array of rays is a film that is WIDTH pixels wide.
 """
 
-import ctypes
 import math
-import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -59,6 +57,7 @@ from caster.rendering.casting import (
     scene_prim_ids,
 )
 from caster.rendering.plan import Plan
+from caster.rendering.threads import unwritten_array
 from caster.scene.model import Scene
 
 NO_START = np.empty((0, 0))
@@ -109,43 +108,6 @@ def spare_workspaces() -> Iterator[Callable[[], TileWorkspace]]:
 
     yield take
     _SPARE_WORKSPACES.extend(taken[: max(MAX_SPARE_WORKSPACES - len(_SPARE_WORKSPACES), 0)])
-
-
-# Memory of images that nobody holds any more is written again by later ones: for new memory, the system clears and maps
-# each page when it is first written, which takes longer than most AOVs.
-MAX_SPARE_BYTES = 1 << 27  # five images of 1024 x 1024 vectors in float64
-MIN_SPARE_BYTES = 1 << 17  # of one image; smaller ones come from memory that the process has anyway
-
-_SPARE_BLOCKS: dict[int, np.ndarray] = {}  # by id, oldest first
-
-
-def unwritten_array(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-    """Any numbers; once nothing refers to the array or a view of it, its memory may become that of another."""
-    size = math.prod(shape) * np.dtype(dtype).itemsize
-    if size < MIN_SPARE_BYTES:
-        return np.empty(shape, dtype)
-    block = _take_block(size)
-    owner = (ctypes.c_char * size).from_address(block.ctypes.data)
-    weakref.finalize(owner, _give_back_block, block).atexit = False
-    return np.frombuffer(owner, dtype).reshape(shape)
-
-
-def _take_block(size: int) -> np.ndarray:
-    for key, block in list(_SPARE_BLOCKS.items()):
-        if block.nbytes == size and _SPARE_BLOCKS.pop(key, None) is not None:  # else another thread took it
-            return block
-    return np.empty(size, np.uint8)
-
-
-def _give_back_block(block: np.ndarray) -> None:
-    """Keep it as long as newer ones leave space. Called by whatever drops an image, in any thread, at any time."""
-    _SPARE_BLOCKS[id(block)] = block
-    spare = list(_SPARE_BLOCKS.items())
-    excess = sum(each.nbytes for _, each in spare) - MAX_SPARE_BYTES
-    for key, each in spare:
-        if excess > 0:
-            excess -= each.nbytes
-            _SPARE_BLOCKS.pop(key, None)
 
 
 Present = Sequence[bool]  # by the place of a kind in Packed.kinds: whether it may be hit in a tile

@@ -1,11 +1,14 @@
-"""Work in pieces, on as many threads as there are cores: kernels release the GIL."""
+"""Work in pieces on as many threads as there are cores, as kernels release the GIL; large arrays in used memory."""
 
+import ctypes
+import math
 import os
+import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -75,3 +78,42 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)  # a child has none of them
+
+
+# Memory of arrays that nobody holds any more is written again by later ones: for new memory, the system clears and maps
+# each page when it is first written, which takes longer than most AOVs.
+MAX_SPARE_BYTES = (
+    3 << 26
+)  # a million rays in float64 with what is found of them; eight images of as many vectors
+MIN_SPARE_BYTES = 1 << 17  # of one array; smaller ones come from memory that the process has anyway
+
+_SPARE_BLOCKS: dict[int, np.ndarray] = {}  # by id, oldest first
+
+
+def unwritten_array(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    """Any numbers; once nothing refers to the array or a view of it, its memory may become that of another."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if size < MIN_SPARE_BYTES:
+        return np.empty(shape, dtype)
+    block = _take_block(size)
+    owner = (ctypes.c_char * size).from_address(block.ctypes.data)
+    weakref.finalize(owner, _give_back_block, block).atexit = False
+    return np.frombuffer(owner, dtype).reshape(shape)
+
+
+def _take_block(size: int) -> np.ndarray:
+    for key, block in list(_SPARE_BLOCKS.items()):
+        if block.nbytes == size and _SPARE_BLOCKS.pop(key, None) is not None:  # else another thread took it
+            return block
+    return np.empty(size, np.uint8)
+
+
+def _give_back_block(block: np.ndarray) -> None:
+    """Keep it as long as newer ones leave space. Called by whatever drops an array, in any thread, at any time."""
+    _SPARE_BLOCKS[id(block)] = block
+    spare = list(_SPARE_BLOCKS.items())
+    excess = sum(each.nbytes for _, each in spare) - MAX_SPARE_BYTES
+    for key, each in spare:
+        if excess > 0:
+            excess -= each.nbytes
+            _SPARE_BLOCKS.pop(key, None)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from caster import Film, Icosphere, Pinhole, Point, Scene, Sphere
-from caster.rendering import rasterization, shading
+from caster.rendering import rasterization, shading, threads
 from caster.rendering.hits import packed
 from caster.rendering.images import render
 
@@ -50,7 +50,7 @@ EVERY_IMAGE = ("depth", "normal", "position", "diffuse")
 
 @pytest.fixture
 def no_spare_memory(monkeypatch):
-    monkeypatch.setattr(shading, "_SPARE_BLOCKS", {})
+    monkeypatch.setattr(threads, "_SPARE_BLOCKS", {})
 
 
 def a_large_scene() -> Scene:
@@ -71,8 +71,8 @@ def test_memory_of_released_images_is_written_again(no_spare_memory):
     gc.disable()
     try:
         del first  # without a collector's help: no circle of references holds an image
-        assert len(shading._SPARE_BLOCKS) == len(EVERY_IMAGE)
-        for block in shading._SPARE_BLOCKS.values():
+        assert len(threads._SPARE_BLOCKS) == len(EVERY_IMAGE)
+        for block in threads._SPARE_BLOCKS.values():
             block[:] = 0xA5  # nothing of it is read before it is written
         again = render(a_large_scene(), EVERY_IMAGE)
     finally:
@@ -85,17 +85,17 @@ def test_a_view_keeps_the_memory_of_its_image(no_spare_memory):
     images = render(a_large_scene(), ("position",))
     view, expected = images["position"][60:80, ::2, 1], images["position"][60:80, ::2, 1].copy()
     del images
-    assert not shading._SPARE_BLOCKS
+    assert not threads._SPARE_BLOCKS
     others = [render(a_large_scene(), ("position",)) for _ in range(3)]
     others[0]["position"][:] = 7.0
     assert np.array_equal(view, expected)
 
 
 def test_no_more_memory_than_a_limit_is_kept(no_spare_memory, monkeypatch):
-    monkeypatch.setattr(shading, "MAX_SPARE_BYTES", 2 * 256 * 192 * 24)
+    monkeypatch.setattr(threads, "MAX_SPARE_BYTES", 2 * 256 * 192 * 24)
     for height in (192, 191, 190, 189):
         render(a_large_scene().with_film(width=256, height=height), ("position",))
-    kept = [block.nbytes for block in shading._SPARE_BLOCKS.values()]
+    kept = [block.nbytes for block in threads._SPARE_BLOCKS.values()]
     assert kept == [256 * 190 * 24, 256 * 189 * 24]  # the newest
 
 
