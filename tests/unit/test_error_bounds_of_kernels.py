@@ -18,14 +18,14 @@ from caster.kernels.bvh.traversal import cast_packets_brute_force, cast_rays_sin
 from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
 from caster.kernels.math.vec import permanent
 from caster.kernels.nearest import ALL_IN_RANGE, OUT_OF_RANGE, find_invalid_ray
-from caster.kernels.protocol import intersect, load, normal, prepare
+from caster.kernels.protocol import exact_intersect, intersect, load, normal, prepare, surely_misses
 from caster.kernels.raster.tile import PRIM, T_ERROR, UNCERTAIN, T, lane, new_tile, start_ray
 from caster.kernels.raster.tile_casting import bounds_in_tile, row_bounds
 from caster.kernels.raster.wide_angle import MAX_HULL_ANGLE
 from caster.rendering.bvh_construction import bvh_of
 from caster.rendering.casting import STACK_SIZE
 from caster.scene.model import Scene
-from caster.shapes import Cylinder, Disk, Plane, Sphere, Torus
+from caster.shapes import Cylinder, Disk, Plane, Sphere, Torus, Triangle
 from caster.shapes.cylinder import clip_to_height
 
 SLACK = 1e-9  # of what is computed here in float64, far below the errors that are planted
@@ -395,3 +395,53 @@ def test_the_class_of_an_aov_belongs_to_the_module_that_declares_it():
     for each in AOVS:
         assert type(kernel_of(each.NAME)).__module__ == each.__name__
         assert getattr(each, type(kernel_of(each.NAME)).__name__) is type(kernel_of(each.NAME))
+
+
+def at_the_rim(prims, rng, q, tangent, length):
+    """A ray whose line touches an image of a unit shape at q, but for so little that rounding decides."""
+    center, to_world = prims.center[0], prims.to_world[0]
+    q = q * (1.0 + rng.uniform(-1.0, 1.0) * 10.0 ** rng.uniform(-16.0, -11.0))
+    d = to_world @ tangent
+    d *= length / np.abs(d).sum()
+    return tuple(center + to_world @ q - rng.uniform(1.0, 9.0) / length * d), tuple(d)
+
+
+def through_an_edge(prims, rng, length):
+    """The same of a point of an edge of a triangle, or so near to one."""
+    a, b, c = prims.vertices[prims.faces[0]][rng.permutation(3)]
+    aside = rng.uniform(-1.0, 1.0) * 10.0 ** rng.uniform(-15.0, -10.0)
+    o = 5.0 * rng.normal(size=3)
+    d = a + rng.uniform(0.1, 0.9) * (b - a) + aside * (c - a) - o
+    return tuple(o), tuple(d * (length / np.abs(d).sum()))
+
+
+RIMS = {
+    "ellipsoid": Sphere(to_world=PLACED),
+    "cylinder": Cylinder(to_world=PLACED),
+    "triangle": Triangle(vertices=((0, 0, 1), (3, 0.5, 0), (1, 2, 0.25)), to_world=PLACED),
+}
+
+
+@pytest.mark.parametrize("length", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("name", RIMS)
+def test_a_line_is_sure_to_miss_just_where_its_intersection_is_a_miss(name, length):
+    """At rims, where error bounds decide, for directions of any length; and exact arithmetic finds no hit there."""
+    prims, rng, said = prims_of(RIMS[name]), np.random.default_rng(173), {True: 0, False: 0}
+    for _ in range(400):
+        if name == "triangle":
+            o, d = through_an_edge(prims, rng, length)
+        else:
+            turn, rise = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(-1.0, 1.0)
+            q, tangent = (math.cos(turn), math.sin(turn), 0.0), (-math.sin(turn), math.cos(turn), 0.05 * rise)
+            if name == "ellipsoid":
+                q, tangent = rng.permutation(np.stack([q, tangent]), axis=1)
+                tangent -= (tangent @ q) * q
+            else:
+                q = (*q[:2], 0.5)
+            o, d = at_the_rim(prims, rng, np.array(q), np.array(tangent), length)
+        pre = prepare(prims, load(prims, 0), o)
+        missed = surely_misses(prims, pre, d)
+        assert missed == (intersect(prims, pre, d, -1e9, 1e9) == (math.inf, 0.0))
+        assert not (missed and exact_intersect(prims, 0, o, d, -1e9, 1e9).hit)
+        said[missed] += 1
+    assert min(said.values()) > 60

@@ -18,6 +18,7 @@ from caster.cameras import (
     parabolic,
     pinhole,
 )
+from caster.jit.simd import LANES
 from caster.kernels.protocol import (
     camera_ray,
     distortion_bound,
@@ -32,7 +33,7 @@ from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import DX, DY, DZ, generate_camera_rays, new_tile
 from caster.kernels.raster.tile import HEIGHT as TILE_HEIGHT
 from caster.kernels.raster.tile import WIDTH as TILE_WIDTH
-from caster.kernels.raster.tile_casting import direction_bounds_from_corners
+from caster.kernels.raster.tile_casting import direction_bounds, direction_bounds_from_corners
 from caster.kernels.triangles import Triangles
 
 WIDTH, HEIGHT = 300, 200
@@ -211,6 +212,21 @@ def test_the_directions_of_a_tile_are_between_those_of_its_corners(fov):
             assert least <= d.min() and d.max() <= most
             if fov < 50.0:
                 assert most - least < 1.3 * np.ptp(d) + 0.02 * fov / 40.0 + 1e-9
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_directions_of_a_tile_are_within_its_bounds_which_are_tight_without_straight_lines(name):
+    rng, camera = np.random.default_rng(146), CAMERAS[name].pack(WIDTH, HEIGHT)
+    straight = name in ("pinhole", "orthographic")
+    for _ in range(6):
+        x, y = (int(n) for n in rng.integers((0, 0), (170, 150)))
+        box = x, y, x + LANES * int(rng.integers(1, 128 // LANES)), y + int(rng.integers(1, 40))
+        tile = new_tile()
+        generate_camera_rays(camera, Window(0, 0, WIDTH, HEIGHT), box, tile)
+        low, high = direction_bounds(tile, box, camera.forward if straight else (0.0, 0.0, 0.0))
+        for d, least, most in zip([fields(tile, box, f) for f in (DX, DY, DZ)], low, high, strict=True):
+            assert least <= d.min() and d.max() <= most
+            assert straight or (least, most) == (d.min(), d.max())
 
 
 def test_tangents_of_a_circle_are_rounded_outwards():
