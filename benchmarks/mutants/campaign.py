@@ -42,6 +42,8 @@ TESTS = (
     "tests/unit/test_stated_kernels.py",
     "tests/agreement/test_wide_angle_cameras.py",
     "tests/agreement/test_exact.py",
+    "tests/agreement/test_lanes.py",
+    "tests/unit/test_ray_sorting.py",
     "tests/unit/test_screen_bounds.py",
     "tests/unit/test_rejected_faces.py",
     "tests/unit/test_primitive_properties.py",
