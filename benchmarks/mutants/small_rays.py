@@ -40,6 +40,32 @@ def two_kinds(number):
     return packed(random_scene(rng, chosen, Pinhole, count=LEAF_SIZE + 2)), rng
 
 
+@pytest.mark.parametrize(("place", "pair"), enumerate((0, 1, 3, 0)))  # icospheres have many faces
+@pytest.mark.parametrize("common", COMMON)
+def test_rays_of_one_point_or_direction_find_as_fans_what_brute_force_finds(common, place, pair):
+    """Some of them, but for those that are sampled, lead elsewhere."""
+    arrays, rng = two_kinds(pair)
+    p = list(points(arrays, rng, 1.0))[place]
+    if common == "from a point":
+        rays = from_point(p, arrays, rng, 1.0)
+    else:
+        rays = to_point(p, arrays, rng, 1.0, ("float64", "float32", "unit")[place % 3])
+    rays = Rays(*(a[: SAMPLED_RAYS + RAYS] for a in rays))
+    if common == "in one direction":
+        rays.d[:], rays.t_max[:] = rays.d[place], math.inf
+    stray = np.setdiff1d(np.arange(len(rays.d)), np.linspace(0, len(rays.d) - 1, SAMPLED_RAYS).astype(int))[
+        ::3
+    ]
+    rays.d[stray] = rng.normal(size=(len(stray), 3))
+    if common != "in one direction":
+        rays.o[stray] += rng.normal(size=(len(stray), 3))
+    slow = find_nearest(arrays, rays, "brute-force", 1)
+    if common == "from a point":
+        fast = find_nearest(arrays, rays, threads=1, always_fans=True)
+        assert_same_bits({"t": slow.t, "prim": slow.prim}, {"t": fast.t, "prim": fast.prim}, common)
+    assert find_any(arrays, rays, 1, always_fans=True).tolist() == (slow.prim >= 0).tolist()
+
+
 @pytest.mark.parametrize("number", range(LIGHTS * len(PAIRS)))
 def test_fans_find_the_shadows_that_brute_force_finds(number):
     """And take most of the rays, before any is left to the tree."""
@@ -68,29 +94,3 @@ def test_trees_of_two_kinds_find_the_hits_that_brute_force_finds(number):
             slow, fast = (find_nearest(arrays, rays, culling, 1) for culling in ("brute-force", "bvh"))
             assert_same_bits(slow._asdict(), fast._asdict(), family)
             assert find_any(arrays, rays, 1).tolist() == (slow.prim >= 0).tolist()
-
-
-@pytest.mark.parametrize(("place", "pair"), enumerate((0, 1, 3, 0)))  # icospheres have many faces
-@pytest.mark.parametrize("common", COMMON)
-def test_rays_of_one_point_or_direction_find_as_fans_what_brute_force_finds(common, place, pair):
-    """Some of them, but for those that are sampled, lead elsewhere."""
-    arrays, rng = two_kinds(pair)
-    p = list(points(arrays, rng, 1.0))[place]
-    if common == "from a point":
-        rays = from_point(p, arrays, rng, 1.0)
-    else:
-        rays = to_point(p, arrays, rng, 1.0, ("float64", "float32", "unit")[place % 3])
-    rays = Rays(*(a[: SAMPLED_RAYS + RAYS] for a in rays))
-    if common == "in one direction":
-        rays.d[:], rays.t_max[:] = rays.d[place], math.inf
-    stray = np.setdiff1d(np.arange(len(rays.d)), np.linspace(0, len(rays.d) - 1, SAMPLED_RAYS).astype(int))[
-        ::3
-    ]
-    rays.d[stray] = rng.normal(size=(len(stray), 3))
-    if common != "in one direction":
-        rays.o[stray] += rng.normal(size=(len(stray), 3))
-    slow = find_nearest(arrays, rays, "brute-force", 1)
-    if common == "from a point":
-        fast = find_nearest(arrays, rays, threads=1, always_fans=True)
-        assert_same_bits({"t": slow.t, "prim": slow.prim}, {"t": fast.t, "prim": fast.prim}, common)
-    assert find_any(arrays, rays, 1, always_fans=True).tolist() == (slow.prim >= 0).tolist()

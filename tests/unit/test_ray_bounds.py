@@ -254,7 +254,9 @@ def test_runs_of_a_fan_are_bounded_by_their_rays_and_blocks_by_their_runs(name, 
                     ends = [x[row, run][rays], -x[row, run][rays], y[row, run][rays], -y[row, run][rays]]
                     expected = np.array([*(e.min() for e in ends), -depth[row, run][rays].max()])
                     if outward:
-                        stretch = depth[row, run][rays].max() * DEPTH_ROUNDING
+                        deepest = depth[row, run][rays].max()
+                        stretch = deepest * DEPTH_ROUNDING
+                        assert stretch > deepest * (1.0 + 20.0 * 2.0**-53)  # what products with it are off by
                         t = np.where(rays, field[T][row, run], -1.0)
                         expected[4] = -stretch * min(field[T_MAX][row, run].max(), t.max())
                         assert groups.stretch[block * ROWS + r] == stretch
