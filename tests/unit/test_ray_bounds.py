@@ -19,7 +19,7 @@ from caster.kernels.bvh.fans import (
     block_corner,
     group_rays,
 )
-from caster.kernels.bvh.traversal import packet_box_setup, ray_box_setup
+from caster.kernels.bvh.traversal import packet_box_setup, pop_beyond, push_children, ray_box_setup
 from caster.kernels.raster.tile import (
     DX,
     DY,
@@ -130,6 +130,30 @@ def test_boxes_are_entered_by_a_packet_where_the_first_ray_between_its_bounds_ma
             assert (mask >> int(child) & 1) == (enter[child] < leave[child])
             found[bool(mask >> int(child) & 1)] += 1
     assert min(found.values()) > 300
+
+
+def test_of_the_boxes_of_a_node_the_first_is_next_and_what_lies_beyond_a_limit_is_left():
+    """On the stack the others have what is in them beside where they are entered; the lowest is always entered."""
+    rng = np.random.default_rng(225)
+    for _ in range(300):
+        links, node = (
+            rng.permutation(5 * CHILDREN).reshape(5, CHILDREN).astype(np.int32),
+            int(rng.integers(5)),
+        )
+        near, mask = rng.permutation(CHILDREN) * 0.5, int(rng.integers(1, 1 << CHILDREN))
+        stack, entries = np.full(12, -1, np.int32), np.full(12, math.nan)
+        entries[0] = -math.inf
+        inside, top = push_children(links, node, mask, 1, (stack, entries, near))
+        members = [j for j in range(CHILDREN) if mask >> j & 1]
+        first = min(members, key=lambda j: near[j])
+        assert inside == links[node, first] and top == len(members)
+        expected = {(links[node, j], near[j]) for j in members if j != first}
+        assert set(zip(stack[1:top].tolist(), entries[1:top].tolist(), strict=True)) == expected
+        entries[1:top] = np.sort(entries[1:top])[::-1]
+        limit = float(rng.choice([*near, -1.0, 9.0]))
+        left = pop_beyond(top, limit, (stack, entries, near))
+        kept = entries[1:top][::-1] > limit
+        assert left == top - int(np.append(~kept, True).argmax())
 
 
 def random_tile(rng, box):
