@@ -18,6 +18,7 @@ from importlib.util import cache_from_source
 from pathlib import Path
 from typing import Any
 
+import pytest
 from mutants.operators import Mutant, keys_of, mutants_of
 from mutants.trial import PACKAGES, Chosen, Measured, in_fork, load_libraries
 
@@ -246,7 +247,9 @@ def _measure(tree: Tree, path: Path, folder: Path) -> None:
         part.write_text("")
         name = str(path.relative_to(tree.folder))
         plugin = Measured(tree.folder, part, SLOWEST_TEST_S)
-        in_fork(tree.folder, [name], plugin, FILE_LIMIT_S, folder / f"{path.stem}.failure")
+        ended = in_fork(tree.folder, [name], plugin, FILE_LIMIT_S, folder / f"{path.stem}.failure")
+        if ended.code == pytest.ExitCode.INTERRUPTED:
+            raise RuntimeError(f"{name}: its tests cannot be collected, so none of them would find a mutant")
         part.rename(out)
 
 

@@ -40,7 +40,7 @@ def two_kinds(number):
     return packed(random_scene(rng, chosen, Pinhole, count=LEAF_SIZE + 2)), rng
 
 
-@pytest.mark.parametrize(("place", "pair"), enumerate((0, 1, 3, 0)))  # icospheres have many faces
+@pytest.mark.parametrize(("place", "pair"), [(0, 3), (1, 1), (2, 3), (3, 1)])  # others have many faces
 @pytest.mark.parametrize("common", COMMON)
 def test_rays_of_one_point_or_direction_find_as_fans_what_brute_force_finds(common, place, pair):
     """Some of them, but for those that are sampled, lead elsewhere."""

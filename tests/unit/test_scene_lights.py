@@ -186,10 +186,13 @@ def a_tile_of_hits(rng):
     return tile, buffer
 
 
-def beside_the_box(tile, at):
-    """The numbers of a field of all other pixels."""
+def beside_the_box(tile, at, number=None):
+    """The numbers of a field of all other pixels; all of them set to a number, if one is given."""
     y, x = np.divmod(np.arange(PIXELS), WIDTH)
-    return tile[int(at) : int(at) + PIXELS][(y >= BOX[3] - BOX[1]) | (x >= BOX[2] - BOX[0])]
+    beside = np.flatnonzero((y >= BOX[3] - BOX[1]) | (x >= BOX[2] - BOX[0])) + int(at)
+    if number is not None:
+        tile[beside] = number
+    return tile[beside]
 
 
 def lit_and_flux(light, p, n, sh_n, o, d, t, sides, extent):
@@ -234,11 +237,13 @@ def test_hits_of_a_tile_are_lit_as_the_formula_states(name):
     ).all()
     for at, expected in ((OX, start), (DX, along), (T_MIN, t_min)):
         found = field(shadow_tile, at, 3 if expected.ndim == 3 else 1)[cast]
-        assert found == pytest.approx(expected[cast], rel=1e-9, abs=1e-12)
+        assert found == pytest.approx(expected[cast], rel=1e-9, abs=0.0 if at == T_MIN else 1e-12)
     assert field(buffer, FLUX)[cast] == pytest.approx(flux[cast], rel=1e-9)
     rows = shadow_tile[int(T_MAX) : int(T_MAX) + (BOX[3] - BOX[1]) * WIDTH].reshape(-1, WIDTH)
     assert (rows[:, BOX[2] - BOX[0] :] == -1.0).all()  # whole vectors are cast
 
+    for at, number in ((T_MAX, 1.0), (T, math.inf)):  # of an earlier tile
+        beside_the_box(shadow_tile, at, number)
     rng = np.random.default_rng(231)
     shaded, unsure = rng.random((2, *cast.shape)) < 0.4
     field(shadow_tile, T, 1)[shaded], field(shadow_tile, UNCERTAIN, 1)[unsure] = 2.0, 1.0
@@ -269,6 +274,8 @@ def test_shadow_rays_of_some_rays_are_those_of_the_formula(name):
     shadow_rays_of(light, surfaces, rays, t, extents, where, out)
     about = surfaces.p, n, n, rays.o, rays.d, t, False, extents
     _, _, start, along, t_min = (each[where] for each in lit_and_flux(light, *about))
-    for found, expected in ((out.o, start), (out.d, along), (out.t_min, t_min)):
-        assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert out.o == pytest.approx(start, rel=1e-9, abs=1e-12)
+    assert out.d == pytest.approx(along, rel=1e-9, abs=1e-12) and out.t_min == pytest.approx(
+        t_min, rel=1e-9, abs=0.0
+    )
     assert (out.t_max == (1.0 if name == "point" else math.inf)).all()
