@@ -47,6 +47,7 @@ TESTS = (
     "tests/unit/test_ray_bounds.py",
     "tests/unit/test_ray_sorting.py",
     "tests/unit/test_sphere_clouds.py",
+    "tests/unit/test_tiles.py",
     "tests/unit/test_screen_bounds.py",
     "tests/unit/test_rejected_faces.py",
     "tests/unit/test_primitive_properties.py",

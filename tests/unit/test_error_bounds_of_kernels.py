@@ -445,3 +445,22 @@ def test_a_line_is_sure_to_miss_just_where_its_intersection_is_a_miss(name, leng
         assert not (missed and exact_intersect(prims, 0, o, d, -1e9, 1e9).hit)
         said[missed] += 1
     assert min(said.values()) > 60
+
+
+def test_a_disk_is_decided_at_its_rim_as_exact_arithmetic_decides_in_every_direction():
+    """Rays across it, up to some units of float64 from the rim: only what x^2 + y^2 - 1 rounds is in between."""
+    prims, rng, none = prims_of(Disk()), np.random.default_rng(174), (0.0, 0.0, 0.0)
+    rows, said = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), {"hit": 0, "missed": 0, "neither": 0}
+    for _ in range(6000):
+        x = float(rng.uniform(-0.7, 0.7))
+        y = math.copysign(math.sqrt(1.0 - x * x) + rng.integers(-12, 13) * 2.0**-53, rng.normal())
+        x, y = (x, y) if rng.random() < 0.5 else (y, x)
+        t, error = intersect(prims, (rows, (x, y, 1.0), none, none), (0.0, 0.0, -1.0), 0.0, math.inf)
+        beyond = Fraction(x) ** 2 + Fraction(y) ** 2 - 1
+        if error == math.inf:
+            said["neither"] += 1
+            assert abs(beyond) <= 16 * Fraction(2) ** -53
+        else:
+            said["missed" if t == math.inf else "hit"] += 1
+            assert (t == math.inf) == (beyond > 0)
+    assert min(said.values()) > 300, said
