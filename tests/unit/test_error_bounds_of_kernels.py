@@ -224,8 +224,12 @@ def test_rays_of_a_packet_that_go_singly_hit_what_brute_force_does(any_hit):
     count, workspace = 32, (np.zeros(STACK_SIZE, np.int32), np.empty(STACK_SIZE), np.empty(CHILDREN))
     for i in range(count):
         o, d = 4.0 * rng.normal(size=3), rng.normal(size=3)
+        d = d - 0.4 * o
+        if i % 8 == 3:  # at the first one, from close by
+            d, first = moved(rng, np.zeros(3), 1.0), balls[0]
+            o = np.array(first.center) - 1.01 * first.radius * d
         for tile in (singly, brute):
-            start_ray(tile, lane(i), (tuple(o), tuple(d - 0.4 * o), 0.0, math.inf))
+            start_ray(tile, lane(i), (tuple(o), tuple(d), 0.0, math.inf))
     for first in range(0, count, LANES):
         cast_rays_singly(kind.prims, tree, 5, singly, lane(first), workspace, any_hit)
     cast_packets_brute_force(kind.prims, len(balls), 5, count, brute, any_hit)
@@ -237,6 +241,7 @@ def test_rays_of_a_packet_that_go_singly_hit_what_brute_force_does(any_hit):
             part = slice(int(field), int(field) + count)
             assert singly[part].tobytes() == brute[part].tobytes()
     assert (singly[int(PRIM) : int(PRIM) + count][met] >= 5.0).all()
+    assert any_hit or (brute[int(PRIM) : int(PRIM) + count] == 5.0).any()
 
 
 def test_the_permanent_is_the_cross_product_of_magnitudes_with_every_minus_a_plus():

@@ -8,8 +8,8 @@ import pytest
 import caster
 from caster.aovs import kernel_of
 from caster.geometry.packing import pack
-from caster.kernels.nearest import Rays, no_hits
-from caster.kernels.protocol import camera_ray, normal
+from caster.kernels.nearest import NearestMode, Rays, no_hits
+from caster.kernels.protocol import camera_ray, normal, update_best
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import (
     DEPTH_BUCKETS,
@@ -17,27 +17,33 @@ from caster.kernels.raster.tile import (
     DY,
     DZ,
     HEIGHT,
+    LANE_FIELDS,
     OX,
     OY,
     OZ,
     PIXELS,
     PRIM,
+    SURFACE_LANES,
     T_ERROR,
     T_MAX,
     T_MIN,
+    TILE_SIZE,
     UNCERTAIN,
     WIDTH,
     T,
     count_in_tiles,
     generate_camera_rays,
+    lane,
     load_hits,
     load_ray_range,
     load_rays,
+    new_lanes,
     new_tile,
     scatter_to_tiles,
     store_blocked,
     store_nearest,
     store_ray_range,
+    update_nearest,
 )
 from caster.kernels.surface.normals import normals_in_tile
 from caster.kernels.surface.per_hit import NO_IDS, fill_miss, new_surface_buffer, store_hits, write_aov
@@ -292,3 +298,37 @@ def test_primitives_are_counted_and_listed_in_the_tiles_that_they_reach_into_by_
         scatter_to_tiles(pixels, bits, last, queue, across, ends, order, start, stop)
         assert order.tolist() == [k for each in expected for k in each]
         assert ends.tolist() == np.cumsum(counts).tolist()
+
+
+@pytest.mark.parametrize("t", [math.inf, 2.0, 2.25, 2.5, 3.0, 3.5, 3.75, 4.0, -1.0])
+@pytest.mark.parametrize("error", [0.0, 0.25, 0.5])
+def test_an_answer_is_nearer_where_both_errors_allow_it_and_uncertain_where_they_do_not(t, error):
+    """For the nearest so far at 3, within 0.25, and for none; at a distance of both errors it is uncertain."""
+    for held, held_error in ((3.0, 0.25), (math.inf, 0.0)):
+        for unsure in (0.0, 1.0):
+            tile = used_tile()
+            fields = {T: held, T_ERROR: held_error, PRIM: 4.0, UNCERTAIN: unsure}
+            for at, number in fields.items():
+                tile[int(at) + 9] = number
+            before = tile.copy()
+            update_nearest(tile, lane(9), 6.0, t, error)
+            nearer = t < held - held_error - error
+            near = t < math.inf and held < math.inf and abs(held - t) <= held_error + error
+            expected = (t, error, 6.0) if nearer else (held, held_error, 4.0)
+            assert tuple(tile[int(at) + 9] for at in (T, T_ERROR, PRIM)) == expected
+            assert tile[int(UNCERTAIN) + 9] == float(unsure or near)
+            changed = np.flatnonzero(tile != before)
+            assert set(changed.tolist()) <= {int(at) + 9 for at in fields}
+            mode, best = NearestMode(np.zeros(1, np.int32)), (held, held_error, 4, bool(unsure))
+            assert update_best(mode, best, 0, 6, (t, error)) == (
+                *expected[:2],
+                int(expected[2]),
+                bool(unsure or near),
+            )
+
+
+@pytest.mark.parametrize("new", [new_tile, new_lanes])
+def test_fields_begin_at_a_cache_line(new):
+    for _ in range(3):
+        assert new().ctypes.data % 64 == 0 and new().flags.c_contiguous
+    assert len(new_tile()) == TILE_SIZE and len(new_lanes()) == LANE_FIELDS * SURFACE_LANES
