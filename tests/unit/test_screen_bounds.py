@@ -29,7 +29,7 @@ from caster.kernels.protocol import (
     project_bounding_sphere,
     t_lower_bound,
 )
-from caster.kernels.raster.screen_bounds import Window
+from caster.kernels.raster.screen_bounds import ScreenBounds, Window, bound_triangles
 from caster.kernels.raster.tile import DX, DY, DZ, generate_camera_rays, new_tile
 from caster.kernels.raster.tile import HEIGHT as TILE_HEIGHT
 from caster.kernels.raster.tile import WIDTH as TILE_WIDTH
@@ -254,3 +254,36 @@ def test_a_sphere_at_the_rim_of_a_fisheye_is_on_its_film_up_to_the_rounding_of_a
     center = (math.sin(angle), 0.0, math.cos(angle))
     left, _, right, _, _, valid = project_bounding_sphere(camera, center, 0.25)
     assert valid and (left > right) == off
+
+
+def test_a_triangle_around_one_pixel_centre_has_that_pixel_just_where_it_holds_the_centre():
+    """Anywhere in a window; one around no centre has no pixels, one around several all of its box."""
+    rng, count = np.random.default_rng(147), 600
+    middle = np.column_stack([rng.integers(0, WIDTH, count), rng.integers(0, HEIGHT, count)]) + 0.5
+    corners = middle[:, None] + rng.uniform(-1.1, 1.1, (count, 3, 2))
+    wide = 2.0**-20
+    projected = np.column_stack([corners.reshape(-1, 2), np.full((3 * count, 2), (wide, 1.0))])
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    bounds = ScreenBounds(
+        np.zeros((count, 4), np.int32), np.zeros(count), faces, projected, (0.0, 0.0, 0.0), 0.0
+    )
+    bound_triangles(Window(0, 0, WIDTH, HEIGHT), bounds, (0.0, wide), 0, count)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    first = np.maximum(np.ceil(low - wide - 0.5), 0).astype(int)
+    stop = np.minimum(np.floor(high + wide + 0.5), (WIDTH, HEIGHT)).astype(int)
+    found = {"held": 0, "missed": 0, "none": 0, "several": 0}
+    for k in range(count):
+        number = int(np.prod(np.maximum(stop[k] - first[k], 0)))
+        x0, y0, x1, y1 = bounds.pixels[k].tolist()
+        if number != 1:
+            found["several" if number else "none"] += 1
+            assert max(x1 - x0, 0) * max(y1 - y0, 0) == number
+            continue
+        p = corners[k] - (first[k] + 0.5)
+        areas = [p[i - 1, 0] * p[i, 1] - p[i - 1, 1] * p[i, 0] for i in range(3)]
+        if min(map(abs, areas)) < 1e-4:
+            continue
+        held = min(areas) > 0.0 or max(areas) < 0.0
+        found["held" if held else "missed"] += 1
+        assert (x0, y0, y1) == (*first[k], stop[k][1]) and x1 - x0 == held
+    assert min(found.values()) > 20, found
