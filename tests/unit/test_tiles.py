@@ -45,7 +45,7 @@ from caster.kernels.raster.tile import (
     store_ray_range,
     update_nearest,
 )
-from caster.kernels.surface.normals import normals_in_tile
+from caster.kernels.surface.normals import box_of, normals_in_tile
 from caster.kernels.surface.per_hit import NO_IDS, fill_miss, new_surface_buffer, store_hits, write_aov
 from caster.shapes.sphere import SphereCloud
 
@@ -332,3 +332,18 @@ def test_fields_begin_at_a_cache_line(new):
     for _ in range(3):
         assert new().ctypes.data % 64 == 0 and new().flags.c_contiguous
     assert len(new_tile()) == TILE_SIZE and len(new_lanes()) == LANE_FIELDS * SURFACE_LANES
+
+
+@pytest.mark.parametrize(
+    ("width", "height"), [(1, 1), (WIDTH, HEIGHT), (3 * WIDTH + 5, 2 * HEIGHT + 1), (130, 200)]
+)
+def test_tiles_cover_each_pixel_of_a_window_once_row_by_row(width, height):
+    window, across, down = Window(7, 9, width, height), -(-width // WIDTH), -(-height // HEIGHT)
+    covered = np.zeros((height, width), int)
+    corners = []
+    for number in range(across * down):
+        x0, y0, x1, y1 = box_of(window, number)
+        assert 0 < x1 - x0 <= WIDTH and 0 < y1 - y0 <= HEIGHT
+        covered[y0:y1, x0:x1] += 1
+        corners.append((y0, x0))
+    assert (covered == 1).all() and corners == sorted(corners)
