@@ -56,6 +56,7 @@ TESTS = (
     "tests/unit/test_sliver_normals.py",
     "tests/unit/test_quadric_normals.py",
     "tests/unit/test_mesh_normals.py",
+    "tests/unit/test_builtin_scenes.py",
     "tests/unit/test_mesh_obj.py",
     "tests/unit/test_mesh_plain_text.py",
     "tests/unit/test_mesh_ply.py",
