@@ -1,5 +1,6 @@
 """tests/agreement on rays that plain Python casts in a second: trees and fans find what brute force finds."""
 
+import math
 import sys
 from pathlib import Path
 
@@ -10,6 +11,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "agreement")
 from hard_rays import hard_rays
 from random_scenes import name, random_scene
 from same_bits import assert_same_bits
+from test_ray_fans import from_point, points, to_point
 from test_shadow_fans import COUNT as SHADOW_RAYS
 from test_shadow_fans import lights, shadow_rays, tile_of
 
@@ -19,7 +21,7 @@ from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import T, lane
-from caster.rendering.casting import ShadowCaster, find_any, find_nearest, new_ray_groups
+from caster.rendering.casting import SAMPLED_RAYS, ShadowCaster, find_any, find_nearest, new_ray_groups
 from caster.rendering.hits import validated_rays
 from caster.rendering.shading import decide_shadows
 from caster.shapes import SHAPES
@@ -28,6 +30,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 PAIRS = ("cube", "sphere"), ("triangle", "disk"), ("icosphere", "cylinder"), ("rectangle", "triangle")
 LIGHTS = 8  # of `lights`
 RAYS = 48 // LANES * LANES
+COMMON = "from a point", "to a point", "in one direction"
 
 
 def two_kinds(number):
@@ -35,6 +38,32 @@ def two_kinds(number):
     rng = np.random.default_rng([61, number])
     chosen = [cls for cls in SHAPES if name(cls) in PAIRS[number % len(PAIRS)]]
     return packed(random_scene(rng, chosen, Pinhole, count=LEAF_SIZE + 2)), rng
+
+
+@pytest.mark.parametrize(("place", "pair"), [(0, 3), (1, 1), (2, 3), (3, 1)])  # others have many faces
+@pytest.mark.parametrize("common", COMMON)
+def test_rays_of_one_point_or_direction_find_as_fans_what_brute_force_finds(common, place, pair):
+    """Some of them, but for those that are sampled, lead elsewhere."""
+    arrays, rng = two_kinds(pair)
+    p = list(points(arrays, rng, 1.0))[place]
+    if common == "from a point":
+        rays = from_point(p, arrays, rng, 1.0)
+    else:
+        rays = to_point(p, arrays, rng, 1.0, ("float64", "float32", "unit")[place % 3])
+    rays = Rays(*(a[: SAMPLED_RAYS + RAYS] for a in rays))
+    if common == "in one direction":
+        rays.d[:], rays.t_max[:] = rays.d[place], math.inf
+    stray = np.setdiff1d(np.arange(len(rays.d)), np.linspace(0, len(rays.d) - 1, SAMPLED_RAYS).astype(int))[
+        ::3
+    ]
+    rays.d[stray] = rng.normal(size=(len(stray), 3))
+    if common != "in one direction":
+        rays.o[stray] += rng.normal(size=(len(stray), 3))
+    slow = find_nearest(arrays, rays, "brute-force", 1)
+    if common == "from a point":
+        fast = find_nearest(arrays, rays, threads=1, always_fans=True)
+        assert_same_bits({"t": slow.t, "prim": slow.prim}, {"t": fast.t, "prim": fast.prim}, common)
+    assert find_any(arrays, rays, 1, always_fans=True).tolist() == (slow.prim >= 0).tolist()
 
 
 @pytest.mark.parametrize("number", range(LIGHTS * len(PAIRS)))

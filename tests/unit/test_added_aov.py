@@ -1,5 +1,6 @@
 """An AOV from outside of the tree, once registered, renders like those of the tree: films, arrays, brute force."""
 
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -9,9 +10,9 @@ import numpy as np
 import pytest
 
 import caster
-from caster.aovs import BY_NAME, register, unregister
+from caster.aovs import BY_NAME, kernel_of, needs_of, register, unregister
 from caster.kernels.protocol import Vec3
-from caster.kernels.surface.per_hit import Hit
+from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, per_hit
 from caster.rendering.hits import RayHits
 from caster.rendering.images import trace_film
 
@@ -51,6 +52,43 @@ ADDED = {
     "in_light": aov("in_light", shape_in_light, "ABC", NEEDS),
     "twice": aov("twice", twice, "I", ("prim_id",), np.int32, -3),
 }
+
+
+HIT = Hit(
+    o=(1.0, 2.0, 3.0),
+    d=(2.0, -3.0, 6.0),  # 7 long
+    t=0.5,
+    start=0.25,
+    position=(4.0, 5.0, 6.0),
+    normal=(7.0, 8.0, 9.0),
+    shading_normal=(10.0, 11.0, 12.0),
+    uv=(13.0, 14.0),
+    albedo=(15.0, 16.0, 17.0),
+    radiance=(18.0, 19.0, 20.0),
+    shape_id=21,
+    prim_id=22,
+)
+VALUES = {"hit": 1.0, "depth": 3.75, "diffuse": (18.0, 19.0, 20.0)}  # others: the field of their name
+MISSES = {"depth": math.inf, "shape_id": -1, "prim_id": -1}  # others: 0
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_an_aov_of_the_tree_is_a_field_of_the_hit_and_its_miss_in_every_channel(name):
+    kernel, expected = kernel_of(name), VALUES.get(name) or getattr(HIT, name)
+    channels = len(expected) if isinstance(expected, tuple) else 1
+    assert per_hit(kernel, HIT) == expected and len(BY_NAME[name].CHANNELS) == channels
+    assert kernel.miss == MISSES.get(name, 0) and kernel.misses == (kernel.miss,) * channels
+    ids = name in ("shape_id", "prim_id")
+    assert BY_NAME[name].DTYPE is (np.int32 if ids else np.float64) and type(kernel.miss) is (
+        int if ids else float
+    )
+
+
+def test_an_aov_needs_the_fields_that_it_reads_and_no_others():
+    for name, aov in BY_NAME.items():
+        read = [field for field in NEEDED_FIELDS if aov.evaluate(HIT._replace(**{field: None})) is None]
+        assert sorted(aov.NEEDS) == read, name
+    assert needs_of(["depth", "uv", "diffuse"]) == {"uv", "radiance"} and not needs_of(["hit"])
 
 
 @pytest.fixture(params=ADDED, scope="module")  # kernels are compiled once for each registration

@@ -243,3 +243,10 @@ def test_a_verdict_with_waivers_is_read_back():
 
     found = judged(scene("a"), declined("b"), skip_unsupported=True)
     assert isinstance(found, Verdict) and verdict_of(found.to_dict()) == found
+
+
+def test_a_mesh_without_a_finite_corner_is_no_scene(tmp_path):
+    (tmp_path / "m.obj").write_text("v nan 0 0\nv 0 inf 0\nv 0 0 nan\nf 1 2 3\n")
+    bounds = r"got bounds \[0.0, 0.0, 0.0\] to \[0.0, 0.0, 0.0\]"
+    with pytest.raises(SceneError, match=f"expected a mesh with an extent, {bounds}"):
+        load_scene(tmp_path / "m.obj")

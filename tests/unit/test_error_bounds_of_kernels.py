@@ -18,14 +18,14 @@ from caster.kernels.bvh.traversal import cast_packets_brute_force, cast_rays_sin
 from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
 from caster.kernels.math.vec import permanent
 from caster.kernels.nearest import ALL_IN_RANGE, OUT_OF_RANGE, find_invalid_ray
-from caster.kernels.protocol import intersect, load, normal, prepare
+from caster.kernels.protocol import exact_intersect, intersect, load, normal, prepare, surely_misses
 from caster.kernels.raster.tile import PRIM, T_ERROR, UNCERTAIN, T, lane, new_tile, start_ray
 from caster.kernels.raster.tile_casting import bounds_in_tile, row_bounds
 from caster.kernels.raster.wide_angle import MAX_HULL_ANGLE
 from caster.rendering.bvh_construction import bvh_of
 from caster.rendering.casting import STACK_SIZE
 from caster.scene.model import Scene
-from caster.shapes import Cylinder, Disk, Plane, Sphere, Torus
+from caster.shapes import Cylinder, Disk, Plane, Sphere, Torus, Triangle
 from caster.shapes.cylinder import clip_to_height
 
 SLACK = 1e-9  # of what is computed here in float64, far below the errors that are planted
@@ -224,8 +224,12 @@ def test_rays_of_a_packet_that_go_singly_hit_what_brute_force_does(any_hit):
     count, workspace = 32, (np.zeros(STACK_SIZE, np.int32), np.empty(STACK_SIZE), np.empty(CHILDREN))
     for i in range(count):
         o, d = 4.0 * rng.normal(size=3), rng.normal(size=3)
+        d = d - 0.4 * o
+        if i % 8 == 3:  # at the first one, from close by
+            d, first = moved(rng, np.zeros(3), 1.0), balls[0]
+            o = np.array(first.center) - 1.01 * first.radius * d
         for tile in (singly, brute):
-            start_ray(tile, lane(i), (tuple(o), tuple(d - 0.4 * o), 0.0, math.inf))
+            start_ray(tile, lane(i), (tuple(o), tuple(d), 0.0, math.inf))
     for first in range(0, count, LANES):
         cast_rays_singly(kind.prims, tree, 5, singly, lane(first), workspace, any_hit)
     cast_packets_brute_force(kind.prims, len(balls), 5, count, brute, any_hit)
@@ -237,6 +241,7 @@ def test_rays_of_a_packet_that_go_singly_hit_what_brute_force_does(any_hit):
             part = slice(int(field), int(field) + count)
             assert singly[part].tobytes() == brute[part].tobytes()
     assert (singly[int(PRIM) : int(PRIM) + count][met] >= 5.0).all()
+    assert any_hit or (brute[int(PRIM) : int(PRIM) + count] == 5.0).any()
 
 
 def test_the_permanent_is_the_cross_product_of_magnitudes_with_every_minus_a_plus():
@@ -395,3 +400,72 @@ def test_the_class_of_an_aov_belongs_to_the_module_that_declares_it():
     for each in AOVS:
         assert type(kernel_of(each.NAME)).__module__ == each.__name__
         assert getattr(each, type(kernel_of(each.NAME)).__name__) is type(kernel_of(each.NAME))
+
+
+def at_the_rim(prims, rng, q, tangent, length):
+    """A ray whose line touches an image of a unit shape at q, but for so little that rounding decides."""
+    center, to_world = prims.center[0], prims.to_world[0]
+    q = q * (1.0 + rng.uniform(-1.0, 1.0) * 10.0 ** rng.uniform(-16.0, -11.0))
+    d = to_world @ tangent
+    d *= length / np.abs(d).sum()
+    return tuple(center + to_world @ q - rng.uniform(1.0, 9.0) / length * d), tuple(d)
+
+
+def through_an_edge(prims, rng, length):
+    """The same of a point of an edge of a triangle, or so near to one."""
+    a, b, c = prims.vertices[prims.faces[0]][rng.permutation(3)]
+    aside = rng.uniform(-1.0, 1.0) * 10.0 ** rng.uniform(-15.0, -10.0)
+    o = 5.0 * rng.normal(size=3)
+    d = a + rng.uniform(0.1, 0.9) * (b - a) + aside * (c - a) - o
+    return tuple(o), tuple(d * (length / np.abs(d).sum()))
+
+
+RIMS = {
+    "ellipsoid": Sphere(to_world=PLACED),
+    "cylinder": Cylinder(to_world=PLACED),
+    "triangle": Triangle(vertices=((0, 0, 1), (3, 0.5, 0), (1, 2, 0.25)), to_world=PLACED),
+}
+
+
+@pytest.mark.parametrize("length", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("name", RIMS)
+def test_a_line_is_sure_to_miss_just_where_its_intersection_is_a_miss(name, length):
+    """At rims, where error bounds decide, for directions of any length; and exact arithmetic finds no hit there."""
+    prims, rng, said = prims_of(RIMS[name]), np.random.default_rng(173), {True: 0, False: 0}
+    for _ in range(400):
+        if name == "triangle":
+            o, d = through_an_edge(prims, rng, length)
+        else:
+            turn, rise = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(-1.0, 1.0)
+            q, tangent = (math.cos(turn), math.sin(turn), 0.0), (-math.sin(turn), math.cos(turn), 0.05 * rise)
+            if name == "ellipsoid":
+                q, tangent = rng.permutation(np.stack([q, tangent]), axis=1)
+                tangent -= (tangent @ q) * q
+            else:
+                q = (*q[:2], 0.5)
+            o, d = at_the_rim(prims, rng, np.array(q), np.array(tangent), length)
+        pre = prepare(prims, load(prims, 0), o)
+        missed = surely_misses(prims, pre, d)
+        assert missed == (intersect(prims, pre, d, -1e9, 1e9) == (math.inf, 0.0))
+        assert not (missed and exact_intersect(prims, 0, o, d, -1e9, 1e9).hit)
+        said[missed] += 1
+    assert min(said.values()) > 60
+
+
+def test_a_disk_is_decided_at_its_rim_as_exact_arithmetic_decides_in_every_direction():
+    """Rays across it, up to some units of float64 from the rim: only what x^2 + y^2 - 1 rounds is in between."""
+    prims, rng, none = prims_of(Disk()), np.random.default_rng(174), (0.0, 0.0, 0.0)
+    rows, said = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), {"hit": 0, "missed": 0, "neither": 0}
+    for _ in range(6000):
+        x = float(rng.uniform(-0.7, 0.7))
+        y = math.copysign(math.sqrt(1.0 - x * x) + rng.integers(-12, 13) * 2.0**-53, rng.normal())
+        x, y = (x, y) if rng.random() < 0.5 else (y, x)
+        t, error = intersect(prims, (rows, (x, y, 1.0), none, none), (0.0, 0.0, -1.0), 0.0, math.inf)
+        beyond = Fraction(x) ** 2 + Fraction(y) ** 2 - 1
+        if error == math.inf:
+            said["neither"] += 1
+            assert abs(beyond) <= 16 * Fraction(2) ** -53
+        else:
+            said["missed" if t == math.inf else "hit"] += 1
+            assert (t == math.inf) == (beyond > 0)
+    assert min(said.values()) > 300, said

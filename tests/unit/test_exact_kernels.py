@@ -16,6 +16,10 @@ from caster.kernels.exact.numbers import (
     is_within,
     surd_of_float,
 )
+from caster.kernels.nearest import Rays, nearest_of_candidates, no_hits
+from caster.kernels.protocol import same_geometry
+from caster.kernels.triangles import Triangles
+from caster.shapes.sphere import Spheres
 
 RNG = np.random.default_rng(70)
 
@@ -174,3 +178,58 @@ def test_an_integer_too_large_for_a_float_gives_the_largest(shift):
     x = a_root(1 << 2000, 0, 1, 0, shift)
     assert as_float(x) == sys.float_info.max
     assert as_float(a_root(1, 0, 1 << 2000, 0, shift)) == (0.0 if shift <= 0 else 2.0 ** (shift - 2000))
+
+
+def stacked_triangles():
+    """Right angles at heights 2, 1, 3, 1, 1 above the origin; 1 and 3 are the same one, 4 is larger."""
+    heights, sizes = [2.0, 1.0, 3.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0, 2.0]
+    corners = np.array([[-1.0, -1.0, 0.0], [3.0, -1.0, 0.0], [-1.0, 3.0, 0.0]])
+    vertices = np.concatenate([s * corners + [0.0, 0.0, h] for s, h in zip(sizes, heights, strict=True)])
+    count = len(heights)
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    none = np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), np.zeros(count, bool), np.zeros(count, bool)
+    return Triangles(vertices, faces, *none), np.array(heights)
+
+
+@pytest.mark.parametrize("t_min", [0.0, 0.25, 0.5, 0.75, 1.5])
+def test_of_candidates_the_first_exactly_is_the_hit_and_on_a_tie_the_one_of_the_least_number(t_min):
+    """Whatever order they are in, and where two of them are the same one; d is 4 long. One ray has no candidates."""
+    prims, heights = stacked_triangles()
+    rng = np.random.default_rng(240)
+    for _ in range(40):
+        lists = [rng.permutation(5)[: rng.integers(6)] for _ in range(4)]
+        rays = Rays(
+            np.zeros((4, 3)), np.tile([0.0, 0.0, 4.0], (4, 1)), np.full(4, t_min), np.full(4, math.inf)
+        )
+        rays.t_max[2] = 0.5
+        starts = np.cumsum([0, *map(len, lists)])
+        found = no_hits(4)
+        found.prim[:] = -7
+        nearest_of_candidates(prims, rays, starts, np.concatenate(lists).astype(np.int32), found, 0, 3)
+        for i in range(3):
+            ahead = [k for k in lists[i] if t_min < heights[k] / 4.0 <= rays.t_max[i]]
+            expected = min(ahead, key=lambda k: (heights[k], k), default=-7)
+            assert found.prim[i] == expected
+            if ahead:
+                assert found.t[i] == heights[expected] / 4.0 and 0.0 < found.error[i] < 1e-13
+        assert found.prim[3] == -7
+
+
+def test_geometry_is_the_same_where_all_of_its_numbers_are():
+    prims, _ = stacked_triangles()
+    same = [(k, j) for k in range(5) for j in range(5) if same_geometry(prims, k, j)]
+    assert same == [(0, 0), (1, 1), (1, 3), (2, 2), (3, 1), (3, 3), (4, 4)]
+    for vertex in range(3):
+        for axis in range(3):
+            kept = prims.vertices[9 + vertex, axis]
+            prims.vertices[9 + vertex, axis] = math.nextafter(kept, 9.0)
+            assert not same_geometry(prims, 1, 3) and not same_geometry(prims, 3, 1)
+            prims.vertices[9 + vertex, axis] = kept
+    center, radius = np.array([[1.0, 2.0, 3.0]] * 2), np.array([0.5, 0.5])
+    spheres = Spheres(center, radius, np.tile(np.eye(3), (2, 1, 1)))
+    assert same_geometry(spheres, 0, 1)
+    for numbers in (radius[1:], *(center[1:, axis] for axis in range(3))):
+        kept = numbers[0]
+        numbers[0] = math.nextafter(kept, 9.0)
+        assert not same_geometry(spheres, 0, 1)
+        numbers[0] = kept

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from caster.description.errors import FileMissing, SceneError
-from caster.geometry.mesh_files import load_mesh
+from caster.geometry.mesh_files import _check_stl_size, load_mesh
 from caster.geometry.triangle_mesh import vertex_normals
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -186,3 +186,17 @@ def test_the_numbers_are_the_nearest_float64(load):
     numbers = [0.1, 1 / 3, -math.pi * 1e-300]
     mesh = load(f"v {numbers[0]!r} {numbers[1]!r} {numbers[2]!r}\nf 1 1 1\n")
     assert np.array_equal(mesh.vertices, [numbers])
+
+
+@pytest.mark.parametrize("facets", [0, 1, 3, 300])
+def test_a_binary_stl_file_has_84_bytes_and_50_for_each_facet_and_a_text_any_number(facets):
+    size = 84 + 50 * facets
+    binary = b"solid but binary".ljust(80) + facets.to_bytes(4, "little") + bytes(50 * facets)
+    assert len(binary) == size
+    _check_stl_size(binary, "x.stl")
+    for wrong in (binary[:-1], binary + b"\0"):
+        with pytest.raises(
+            SceneError, match=rf"^x.stl: binary STL: expected {size} bytes, .* got {len(wrong)};"
+        ):
+            _check_stl_size(wrong, "x.stl")
+    _check_stl_size(b"solid a\n" + b"facet normal 0 0 1\n" * facets + b"facet", "x.stl")

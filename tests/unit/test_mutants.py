@@ -78,6 +78,7 @@ def test_every_mutant_of_a_module_parses_and_differs_and_has_a_key_of_its_own():
 
 
 WRONG = "def test_wrong():\n    assert False\n"
+BROKEN = "import nothing_of_this_name\n"
 
 # In a process of its own, which has loaded neither package.
 CAMPAIGN = """
@@ -99,7 +100,7 @@ for name in sys.argv[1:]:
 def trees(tmp_path_factory) -> dict[str, Path]:
     """Folders of finished campaigns over MODULE, each with other tests."""
     found = {}
-    for name, tests in {"asserting": ASSERTING, "empty": EMPTY, "wrong": WRONG}.items():
+    for name, tests in {"asserting": ASSERTING, "empty": EMPTY, "wrong": WRONG, "broken": BROKEN}.items():
         tree = found[name] = tmp_path_factory.mktemp(name)
         for package in ("caster", "mitsuba_ref"):
             (tree / package).mkdir()
@@ -135,6 +136,10 @@ def test_tests_that_assert_nothing_find_nothing(trees):
 
 def test_without_a_test_that_passes_there_is_no_score(trees):
     assert "no test passes" in (trees["wrong"] / "error").read_text()
+
+
+def test_a_file_whose_tests_cannot_be_collected_ends_the_campaign(trees):
+    assert "exit codes [1]" in (trees["broken"] / "error").read_text()
 
 
 def test_every_listed_test_is_there():

@@ -116,6 +116,27 @@ def test_the_distance_from_a_rim_is_that_of_the_nearest_point(name, center, radi
         assert unit * found.inside == pytest.approx(expected, rel=1e-9, abs=1e-11)
 
 
+ALONG = {  # shape, directions along it, and others, in object space
+    "disk": (Disk(to_world=TURNED), [(1, 0, 0), (-0.5, 2, 0)], [(1, 0, 1), (1, 0, -1), (0, 0, 2)]),
+    "cylinder": (Cylinder(to_world=TURNED), [(0, 0, 1), (0, 0, -3)], [(1, 0, 3), (0, 1, 0), (2, -1, 1)]),
+}
+
+
+@pytest.mark.parametrize("name", ALONG)
+def test_a_ray_along_a_disk_or_the_axis_of_a_cylinder_has_no_distance_from_its_outline(name):
+    """Its only distance is 0, in radii, and is called otherwise than the silhouette or the rim that others have."""
+    shape, along, across = ALONG[name]
+    (kind,) = pack(scene_of(shape)).kinds
+    kind.prims.to_world[:] = np.round(64.0 * kind.prims.to_world) / 64.0  # so that products with it are exact
+    m, o = kind.prims.to_world[0], kind.prims.center[0] + [0.3, 0.2, 0.5]
+    for directions, expected in ((along, "edge-on" if name == "disk" else "along the axis"), (across, None)):
+        for d in directions:
+            (found,) = edge_distances(kind.prims, 0, o, m @ np.array(d, float))
+            outline = "rim" if name == "disk" else "silhouette"
+            assert found.of == (expected or outline) and found.unit == "radii"
+            assert type(found.inside) is float and (found.inside == 0.0) == (expected is not None)
+
+
 @pytest.mark.parametrize(
     "axis", [(0, 0, 2), (0, 0, -2), (0, 3, 0), (0.5, 0, 0), (1, -2, 2), (1e-9, 0, 1), (0, 1e-9, -1)]
 )

@@ -1,6 +1,7 @@
 """The two ways to the normal of a ball give the same bits."""
 
 import numpy as np
+import pytest
 
 from caster.kernels.math.quadric_roots import outward_normal, outward_normal_in_range
 
@@ -16,3 +17,13 @@ def test_both_ways_to_a_normal_round_a_tiny_component_alike():
         assert outward_normal(f, (0.0, y, z), 2.0 * r, r) == outward_normal_in_range(
             f, (0.0, y, z), 2.0 * r, r
         )
+
+
+@pytest.mark.parametrize("d", [(0.0, 0.0, 1.0), (-0.6, 0.0, 0.8), (0.0, 0.8, -0.6)])
+@pytest.mark.parametrize("r", [1e-200, 1.3e-310, 5e-324])
+def test_a_sphere_too_small_for_a_square_has_its_normals_along_a_ray_through_its_centre(d, r):
+    """Against the ray where it is met first; along it where t is sure to be beyond the centre."""
+    far = 2.0**600
+    f = tuple(-far * x for x in d)
+    assert outward_normal(f, d, far, r) == tuple(-x for x in d)
+    assert outward_normal(f, d, far * (1.0 + 2.0**-40), r) == d

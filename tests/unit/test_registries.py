@@ -5,7 +5,9 @@ import pytest
 from caster.aovs import AOVS
 from caster.cameras import CAMERAS
 from caster.description.fields import Shape
+from caster.geometry.packing import pack, rejected_faces
 from caster.geometry.world_space import MeshShape
+from caster.scene.model import Film, Scene
 from caster.shapes import SHAPES
 from mitsuba_ref import cameras, shapes
 from mitsuba_ref.judge.comparison import CHECKS
@@ -54,6 +56,16 @@ def test_what_is_compared_has_a_check_of_its_name():
 
 def test_the_reference_gives_every_aov():
     assert set(REFERENCE_AOVS) == {aov.NAME for aov in AOVS}
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda cls: cls.__name__)
+def test_the_least_description_of_a_camera_and_of_each_shape_is_rendered(camera):
+    """One without a face that is never hit: kernels are compiled ahead for these."""
+    own = [shape(**shape.MINIMAL) for shape in SHAPES if not hasattr(shape, "load")]
+    for shape in own:
+        scene = Scene(camera=camera(**camera.MINIMAL), film=Film(width=2, height=2), shapes=[shape])
+        assert sum(len(kind.ids) for kind in pack(scene).kinds) > 0 and rejected_faces(scene) == {}
+    assert len(own) > 8
 
 
 def test_types_are_named_once():

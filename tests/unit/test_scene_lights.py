@@ -6,42 +6,64 @@ import numpy as np
 import pytest
 
 from caster.cameras import Pinhole
+from caster.kernels.nearest import new_rays
+from caster.kernels.raster.tile import (
+    DX,
+    OX,
+    PIXELS,
+    PRIM,
+    STRIDE,
+    T_MAX,
+    T_MIN,
+    UNCERTAIN,
+    WIDTH,
+    T,
+    new_tile,
+)
 from caster.kernels.surface.lighting import (
+    SHADOW_OFFSET,
+    add_ambient,
+    add_light,
     incident_irradiance,
     light_direction,
+    materials_in_tile,
     received_irradiance,
     shadow_ray,
+    shadow_rays_in_tile,
+    shadow_rays_of,
 )
+from caster.kernels.surface.per_hit import ALBEDO, FLUX, RADIANCE, SH_N, SIDES, N, P, new_surface_buffer
+from caster.rendering.hits import Surfaces
 from caster.rendering.images import render
 from caster.scene.model import Ambient, Directional, Film, Point, Scene
 from caster.shapes import Cylinder, Disk, Rectangle, Sphere
 
-P = [(0.0, 0.0, 0.0), (3.0, 0.0, 4.0), (1.0, 2.0, 3.0)]
+POINTS = [(0.0, 0.0, 0.0), (3.0, 0.0, 4.0), (1.0, 2.0, 3.0)]
 
 
 def test_a_point_light_fades_with_the_squared_distance():
     light = Point(position=[0, 0, 2], intensity=[4, 8, 12]).pack()
-    assert incident_irradiance(light, P[0]) == ((0, 0, 1), (1, 2, 3))
-    assert incident_irradiance(light, P[1])[1] == pytest.approx(np.array([4, 8, 12]) / 13)
-    for p in P:
+    assert incident_irradiance(light, POINTS[0]) == ((0, 0, 1), (1, 2, 3))
+    assert incident_irradiance(light, POINTS[1])[1] == pytest.approx(np.array([4, 8, 12]) / 13)
+    for p in POINTS:
         assert math.hypot(*incident_irradiance(light, p)[0]) == pytest.approx(1, abs=2.0**-51)
 
 
 def test_the_shadow_ray_of_a_point_light_ends_in_it():
     light = Point(position=[1, 1, 1], intensity=[1, 1, 1]).pack()
-    for p in P:
+    for p in POINTS:
         d, reach = light_direction(light, p)
         assert np.array_equal(np.array(p) + np.array(d) * reach, np.ones(3))
 
 
 def test_a_point_in_the_light_itself_gets_nothing_and_no_nan():
-    towards, strength = incident_irradiance(Point(position=[1, 2, 3], intensity=[1, 1, 1]).pack(), P[2])
+    towards, strength = incident_irradiance(Point(position=[1, 2, 3], intensity=[1, 1, 1]).pack(), POINTS[2])
     assert np.isfinite(towards).all() and strength == (0, 0, 0)
 
 
 def test_a_directional_light_is_the_same_everywhere_and_never_ends():
     sun = Directional(direction=[0, -2, 0], irradiance=[1, 2, 3]).pack()
-    for p in P:
+    for p in POINTS:
         assert incident_irradiance(sun, p) == ((0, 1, 0), (1, 2, 3))
         assert light_direction(sun, p) == ((0, 1, 0), math.inf)
 
@@ -67,12 +89,12 @@ UP, DOWN, SLANTED = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.8, 0.0)
     ],
 )
 def test_which_side_is_lit(normal, ray, two_sided, lit):
-    seen, flux = received_irradiance(SUN, P[1], normal, ray, two_sided)
+    seen, flux = received_irradiance(SUN, POINTS[1], normal, ray, two_sided)
     assert seen == lit and flux == (1, 2, 4)
 
 
 def test_slanting_light_gives_its_cosine():
-    assert received_irradiance(SUN, P[1], SLANTED, DOWN, False) == (True, (0.8, 1.6, 3.2))
+    assert received_irradiance(SUN, POINTS[1], SLANTED, DOWN, False) == (True, (0.8, 1.6, 3.2))
 
 
 @pytest.mark.parametrize(("normal", "side"), [(UP, 1.0), (DOWN, 1.0), ((1.0, 0.0, 0.0), 0.0)])
@@ -126,3 +148,134 @@ def test_the_light_of_several_lamps_adds_up():
 
 
 LYING = [{"rotate": {"axis": [1, 0, 0], "degrees": -90}}, {"scale": 4}]
+
+
+BOX = 130, 70, 147, 75  # of a tile
+SHAPES_OF = np.array([0, 2, 1, 1, 2], np.int32)  # by primitive
+REFLECTANCE = np.array([[0.1, 0.2, 0.3], [0.9, 0.8, 0.7], [0.5, 0.25, 0.0]])
+TWO_SIDED = np.array([False, True, False])
+EXTENTS = np.array([0.0, 1e12, 1e13])  # so large that the offset of a shadow ray is seen
+LIGHTS = {
+    "point": Point(position=[0.5, 3.0, -1.0], intensity=[1, 2, 4]).pack(),
+    "directional": Directional(direction=[0.6, -0.8, 0.0], irradiance=[1, 2, 4]).pack(),
+}
+
+
+def field(tile, at, count=3):
+    """(rows, columns, count) of the pixels of the box, which can be written; its first column if that is one."""
+    shape, step = (count, BOX[3] - BOX[1], BOX[2] - BOX[0]), 8 * np.array([STRIDE, WIDTH, 1])
+    view = np.lib.stride_tricks.as_strided(tile[int(at) :], shape, step).transpose(1, 2, 0)
+    return view if count > 1 else view[..., 0]
+
+
+def unit(v):
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def a_tile_of_hits(rng):
+    """(tile, surface buffer) of rays and what they hit: any primitive, or none. Numbers beside the box are 7."""
+    tile, buffer = new_tile(), new_surface_buffer()
+    tile[:], buffer[:] = 7.0, 7.0
+    for at in (OX, DX):
+        field(tile, at)[:] = rng.normal(size=(*field(tile, at).shape[:2], 3))
+    shape = field(tile, T, 1).shape
+    field(tile, T, 1)[:], field(tile, PRIM, 1)[:] = rng.uniform(1.0, 9.0, shape), rng.integers(-1, 5, shape)
+    for at in (P, N, SH_N):
+        v = rng.normal(size=(*shape, 3))
+        field(buffer, at)[:] = v if at == P else unit(v)
+    return tile, buffer
+
+
+def beside_the_box(tile, at, number=None):
+    """The numbers of a field of all other pixels; all of them set to a number, if one is given."""
+    y, x = np.divmod(np.arange(PIXELS), WIDTH)
+    beside = np.flatnonzero((y >= BOX[3] - BOX[1]) | (x >= BOX[2] - BOX[0])) + int(at)
+    if number is not None:
+        tile[beside] = number
+    return tile[beside]
+
+
+def lit_and_flux(light, p, n, sh_n, o, d, t, sides, extent):
+    """By formula: (whether it is lit, flux, start of the shadow ray, its direction, its t_min)."""
+    way = np.array(light.position) - p if hasattr(light, "position") else np.broadcast_to(light.back, p.shape)
+    square = (way * way).sum(axis=-1, keepdims=True)
+    arriving = (
+        np.array(light.intensity) / square if hasattr(light, "position") else np.array(light.irradiance)
+    )
+    cosine = (unit(way) * sh_n).sum(axis=-1)
+    faced = -(d * sh_n).sum(axis=-1)
+    lit = np.where(sides, cosine * faced > 0.0, (cosine > 0.0) & (faced > 0.0))
+    seen_from = np.abs(o).max(axis=-1) + t * np.linalg.norm(d, axis=-1) + np.abs(p).max(axis=-1)
+    offset = SHADOW_OFFSET * np.maximum(seen_from, extent)
+    start = p + (np.sign((n * way).sum(axis=-1)) * offset)[..., None] * n
+    along = np.array(light.position) - start if hasattr(light, "position") else way
+    return lit, np.abs(cosine)[..., None] * arriving, start, along, offset / np.linalg.norm(along, axis=-1)
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_hits_of_a_tile_are_lit_as_the_formula_states(name):
+    """Materials, shadow rays and what arrives, for each pixel of the box and for none beside it."""
+    light, (tile, buffer) = LIGHTS[name], a_tile_of_hits(np.random.default_rng(230))
+    materials_in_tile(tile, BOX, SHAPES_OF, REFLECTANCE, TWO_SIDED, buffer)
+    prim, shadow_tile = field(tile, PRIM, 1).astype(int), new_tile()
+    hit, shape = prim >= 0, SHAPES_OF[np.maximum(prim, 0)]
+    assert np.array_equal(field(buffer, ALBEDO)[hit], REFLECTANCE[shape[hit]])
+    assert np.array_equal(field(buffer, SIDES, 1)[hit], TWO_SIDED[shape[hit]])
+    assert (field(buffer, RADIANCE) == 0.0).all()
+    shadow_tile[:] = 7.0
+    count = shadow_rays_in_tile(light, tile, BOX, SHAPES_OF, EXTENTS, buffer, shadow_tile)
+    surface = [field(buffer, at) for at in (P, N, SH_N)]
+    lit, flux, start, along, t_min = lit_and_flux(
+        light, *surface, field(tile, OX), field(tile, DX), field(tile, T, 1), TWO_SIDED[shape], EXTENTS[shape]
+    )
+    cast = hit & lit
+    assert count == cast.sum() and 10 < count < cast.size
+    assert np.array_equal(field(shadow_tile, T_MAX, 1) >= 0.0, cast)
+    assert (field(shadow_tile, T_MAX, 1)[cast] == (1.0 if name == "point" else math.inf)).all()
+    assert (field(shadow_tile, T_MAX, 1)[~cast] == -1.0).all() and (
+        field(shadow_tile, T, 1) == math.inf
+    ).all()
+    for at, expected in ((OX, start), (DX, along), (T_MIN, t_min)):
+        found = field(shadow_tile, at, 3 if expected.ndim == 3 else 1)[cast]
+        assert found == pytest.approx(expected[cast], rel=1e-9, abs=0.0 if at == T_MIN else 1e-12)
+    assert field(buffer, FLUX)[cast] == pytest.approx(flux[cast], rel=1e-9)
+    rows = shadow_tile[int(T_MAX) : int(T_MAX) + (BOX[3] - BOX[1]) * WIDTH].reshape(-1, WIDTH)
+    assert (rows[:, BOX[2] - BOX[0] :] == -1.0).all()  # whole vectors are cast
+
+    for at, number in ((T_MAX, 1.0), (T, math.inf)):  # of an earlier tile
+        beside_the_box(shadow_tile, at, number)
+    rng = np.random.default_rng(231)
+    shaded, unsure = rng.random((2, *cast.shape)) < 0.4
+    field(shadow_tile, T, 1)[shaded], field(shadow_tile, UNCERTAIN, 1)[unsure] = 2.0, 1.0
+    field(tile, UNCERTAIN, 1)[:] = 0.0
+    for times in (1, 2):  # two lights of the same kind
+        add_light(tile, BOX, buffer, shadow_tile)
+        reached = cast & ~shaded
+        expected = times * field(buffer, ALBEDO) / math.pi * field(buffer, FLUX) * reached[..., None]
+        assert field(buffer, RADIANCE)[hit] == pytest.approx(expected[hit], rel=1e-9)
+    assert np.array_equal(field(tile, UNCERTAIN, 1) != 0.0, reached & unsure)
+    ambient = np.array([[0.1, 0.2, 0.4], [1.0, 0.0, 3.0]])
+    before = field(buffer, RADIANCE).copy()
+    add_ambient(tile, BOX, buffer, ambient)
+    more = field(buffer, ALBEDO) * ambient.sum(axis=0) * hit[..., None]
+    assert field(buffer, RADIANCE) == pytest.approx(before + more, rel=1e-9)
+    for at in (ALBEDO, SIDES, FLUX, RADIANCE):
+        assert (beside_the_box(buffer, at) == 7.0).all()
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_shadow_rays_of_some_rays_are_those_of_the_formula(name):
+    light, rng, count = LIGHTS[name], np.random.default_rng(232), 30
+    rays, out, where = new_rays(count), new_rays(9), rng.permutation(count)[:9]
+    n, none = unit(rng.normal(size=(count, 3))), np.full((count, 3), np.nan)
+    surfaces = Surfaces(rng.normal(size=(count, 3)), n, none, none[:, :2])
+    rays.o[:], rays.d[:] = rng.normal(size=(2, count, 3))
+    t, extents = rng.uniform(1.0, 9.0, count), rng.choice(EXTENTS, count)
+    shadow_rays_of(light, surfaces, rays, t, extents, where, out)
+    about = surfaces.p, n, n, rays.o, rays.d, t, False, extents
+    _, _, start, along, t_min = (each[where] for each in lit_and_flux(light, *about))
+    assert out.o == pytest.approx(start, rel=1e-9, abs=1e-12)
+    assert out.d == pytest.approx(along, rel=1e-9, abs=1e-12) and out.t_min == pytest.approx(
+        t_min, rel=1e-9, abs=0.0
+    )
+    assert (out.t_max == (1.0 if name == "point" else math.inf)).all()

@@ -18,6 +18,7 @@ from caster.cameras import (
     parabolic,
     pinhole,
 )
+from caster.jit.simd import LANES
 from caster.kernels.protocol import (
     camera_ray,
     distortion_bound,
@@ -28,11 +29,11 @@ from caster.kernels.protocol import (
     project_bounding_sphere,
     t_lower_bound,
 )
-from caster.kernels.raster.screen_bounds import Window
+from caster.kernels.raster.screen_bounds import ScreenBounds, Window, bound_triangles
 from caster.kernels.raster.tile import DX, DY, DZ, generate_camera_rays, new_tile
 from caster.kernels.raster.tile import HEIGHT as TILE_HEIGHT
 from caster.kernels.raster.tile import WIDTH as TILE_WIDTH
-from caster.kernels.raster.tile_casting import direction_bounds_from_corners
+from caster.kernels.raster.tile_casting import direction_bounds, direction_bounds_from_corners
 from caster.kernels.triangles import Triangles
 
 WIDTH, HEIGHT = 300, 200
@@ -213,6 +214,21 @@ def test_the_directions_of_a_tile_are_between_those_of_its_corners(fov):
                 assert most - least < 1.3 * np.ptp(d) + 0.02 * fov / 40.0 + 1e-9
 
 
+@pytest.mark.parametrize("name", CAMERAS)
+def test_directions_of_a_tile_are_within_its_bounds_which_are_tight_without_straight_lines(name):
+    rng, camera = np.random.default_rng(146), CAMERAS[name].pack(WIDTH, HEIGHT)
+    straight = name in ("pinhole", "orthographic")
+    for _ in range(6):
+        x, y = (int(n) for n in rng.integers((0, 0), (170, 150)))
+        box = x, y, x + LANES * int(rng.integers(1, 128 // LANES)), y + int(rng.integers(1, 40))
+        tile = new_tile()
+        generate_camera_rays(camera, Window(0, 0, WIDTH, HEIGHT), box, tile)
+        low, high = direction_bounds(tile, box, camera.forward if straight else (0.0, 0.0, 0.0))
+        for d, least, most in zip([fields(tile, box, f) for f in (DX, DY, DZ)], low, high, strict=True):
+            assert least <= d.min() and d.max() <= most
+            assert straight or (least, most) == (d.min(), d.max())
+
+
 def test_tangents_of_a_circle_are_rounded_outwards():
     """x = m z touches |p - c| = r where (c_x - m c_z)^2 = r^2 (1 + m^2); beyond it the left side is larger."""
     rng, tight = np.random.default_rng(171), 0
@@ -238,3 +254,36 @@ def test_a_sphere_at_the_rim_of_a_fisheye_is_on_its_film_up_to_the_rounding_of_a
     center = (math.sin(angle), 0.0, math.cos(angle))
     left, _, right, _, _, valid = project_bounding_sphere(camera, center, 0.25)
     assert valid and (left > right) == off
+
+
+def test_a_triangle_around_one_pixel_centre_has_that_pixel_just_where_it_holds_the_centre():
+    """Anywhere in a window; one around no centre has no pixels, one around several all of its box."""
+    rng, count = np.random.default_rng(147), 600
+    middle = np.column_stack([rng.integers(0, WIDTH, count), rng.integers(0, HEIGHT, count)]) + 0.5
+    corners = middle[:, None] + rng.uniform(-1.1, 1.1, (count, 3, 2))
+    wide = 2.0**-20
+    projected = np.column_stack([corners.reshape(-1, 2), np.full((3 * count, 2), (wide, 1.0))])
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    bounds = ScreenBounds(
+        np.zeros((count, 4), np.int32), np.zeros(count), faces, projected, (0.0, 0.0, 0.0), 0.0
+    )
+    bound_triangles(Window(0, 0, WIDTH, HEIGHT), bounds, (0.0, wide), 0, count)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    first = np.maximum(np.ceil(low - wide - 0.5), 0).astype(int)
+    stop = np.minimum(np.floor(high + wide + 0.5), (WIDTH, HEIGHT)).astype(int)
+    found = {"held": 0, "missed": 0, "none": 0, "several": 0}
+    for k in range(count):
+        number = int(np.prod(np.maximum(stop[k] - first[k], 0)))
+        x0, y0, x1, y1 = bounds.pixels[k].tolist()
+        if number != 1:
+            found["several" if number else "none"] += 1
+            assert max(x1 - x0, 0) * max(y1 - y0, 0) == number
+            continue
+        p = corners[k] - (first[k] + 0.5)
+        areas = [p[i - 1, 0] * p[i, 1] - p[i - 1, 1] * p[i, 0] for i in range(3)]
+        if min(map(abs, areas)) < 1e-4:
+            continue
+        held = min(areas) > 0.0 or max(areas) < 0.0
+        found["held" if held else "missed"] += 1
+        assert (x0, y0, y1) == (*first[k], stop[k][1]) and x1 - x0 == held
+    assert min(found.values()) > 20, found

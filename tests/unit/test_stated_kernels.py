@@ -18,7 +18,9 @@ import pytest
 import caster
 from caster.geometry.packing import Kind
 from caster.geometry.packing import packed as make_packed
+from caster.jit.simd import FAN_FIELDS
 from caster.kernels.bvh.build import bounding_boxes
+from caster.kernels.bvh.fans import NO_POINT, PRIM_FIELDS, outline, separating_plane
 from caster.kernels.math.quadric_roots import (
     MAX_RANGE,
     MIN_RANGE,
@@ -62,7 +64,7 @@ from caster.kernels.raster.tile import LANE_FIELDS, LANE_SETUP, SURFACE_LANES, l
 from caster.kernels.raster.tile_casting import bounds_in_tile, row_bounds
 from caster.kernels.surface.lighting import DirectionalLight, PointLight, received_irradiance, shadow_ray
 from caster.kernels.triangles import barycentrics, fast_barycentrics, fast_triangle_normal
-from caster.rendering.bvh_construction import bvh_of
+from caster.rendering.bvh_construction import bvh_of, fan_bounds, fans_to
 from caster.scene.model import Scene
 
 STATED = Path(__file__).with_name("stated_kernels.json")
@@ -373,6 +375,24 @@ def trees(_: str) -> Iterator[Any]:
         yield tuple(bvh_of(kind_of(*scattered(cls), *scattered(cls)[:3])))
 
 
+def fans(name: str) -> Iterator[Any]:
+    """Spheres or triangles as fans see them, with the slack of roundings and with a large one."""
+    kind = kind_of(*scattered(name))
+    tree, lights = (
+        bvh_of(kind),
+        (PointLight(POSE["eye"], NO_POINT), DirectionalLight((0.6, 0.0, -0.8), NO_POINT)),
+    )
+    for light in lights:
+        for deviation in (0.0, 0.01):
+            fan = fans_to(light, tree.center, kind.extent, deviation)[0]
+            bounds = fan_bounds(kind, fan, 1)
+            yield tuple(fan), tuple(bounds)
+            for at in range(0, len(kind.ids), 3):
+                wide, k = bounds.prims[at * PRIM_FIELDS + FAN_FIELDS], int(tree.order[at])
+                yield outline(kind.prims, k, bounds.points, wide)
+                yield separating_plane(kind.prims, load(kind.prims, k), fan)
+
+
 def shadow_rays(_: str) -> Iterator[Any]:
     """Where rays to a light start and end, and what arrives."""
     lights = (
@@ -411,6 +431,7 @@ TABLES: dict[str, tuple[Callable[[str], Iterator[Any]], tuple[str, ...]]] = {
     "barycentrics": (triangles, ("triangles",)),
     "meshes": (meshes, tuple(MESHES)),
     "trees": (trees, ("both",)),
+    "fans": (fans, ("sphere", "triangle")),
     "shadow rays": (shadow_rays, ("both",)),
 }
 CASES = [(table, name) for table, (_, names) in TABLES.items() for name in names]

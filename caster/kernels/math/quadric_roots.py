@@ -205,9 +205,12 @@ def radial_vector(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     # where t cannot separate the two ends, the near one is what a ray from outside meets
     side = 1.0 if beyond > (4.0 * U * abs(s) if dot(f, f) > r * r else 0.0) else -1.0
     out = point_at(closest, side * half_chord, d)
-    back = point_at(closest, side * r, d)
-    there = l1_norm(out) > 0.0
-    return out[0] if there else back[0], out[1] if there else back[1], out[2] if there else back[2]
+    there = l1_norm(out) > 0.0  # else r has no square, and the ray passes through the centre
+    return (
+        out[0] if there else side * d[0],
+        out[1] if there else side * d[1],
+        out[2] if there else side * d[2],
+    )
 
 
 @jit
