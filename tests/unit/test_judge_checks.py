@@ -276,6 +276,25 @@ def test_render_between_near_and_far_is_what_the_judged_rays_hit(far):
     assert check_render(scene).ratio == 0.0 and hits < everything
 
 
+@pytest.mark.parametrize(("near", "far"), [(2.0, 4.0), (0.5, 5.5)])
+def test_a_render_that_forgets_the_far_plane_or_moves_it_fails(monkeypatch, near, far):
+    """A wall just behind the far plane, at exact distances: judged rays have the bits of those of `render`."""
+    wall = caster.Rectangle(to_world=[{"scale": 8}])
+    view = {"eye": (0, 0, far + near / 2), "look_at": (0, 0, 0), "width": 4, "near": near}
+    shown = {"shapes": (wall,), "film": caster.Film(width=4, height=4)}
+    real = scene_checks.render
+    scene = caster.Scene(camera=caster.Orthographic(**view, far=far), **shown)
+    assert check_render(scene).ratio == 0.0 and not real(scene, ("depth",)).hit.any()
+    for wrong in (None, far + near):
+        other = caster.Scene(camera=caster.Orthographic(**view, far=wrong), **shown)
+        assert real(other, ("depth",)).hit.all()
+        monkeypatch.setattr(scene_checks, "render", lambda _scene, names, other=other: real(other, names))
+        assert check_render(scene).ratio == np.inf
+    nearer = caster.Scene(camera=caster.Orthographic(**view, far=far + near), **shown)
+    monkeypatch.setattr(scene_checks, "render", lambda _, names: real(scene, names))
+    assert check_render(nearer).ratio == np.inf  # and one that cuts off what is there
+
+
 @pytest.mark.parametrize("field", ["t", "prim"])
 def test_a_ray_that_brute_force_finds_otherwise_fails_culling(monkeypatch, field):
     scene = scene_of()

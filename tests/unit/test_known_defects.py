@@ -79,6 +79,30 @@ def test_an_example_is_named_by_its_number(number):
     assert defect_of(EXAMPLES[number]) == number
 
 
+def test_no_two_cases_have_the_same_priority():
+    assert [defect.priority for defect in known_defects()] == list(range(len(EXAMPLES)))
+
+
+NEUTRAL = replace(ORDINARY, ours="", theirs="")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_pixel_of_several_cases_is_named_by_the_first_of_them(kind):
+    """Each with each other of the same kind: the measures of both examples at once."""
+    examples = [(number, example) for number, example in EXAMPLES.items() if kind in example.kinds]
+    pairs = 0
+    for i, (first, one) in enumerate(examples):
+        for second, other in examples[i + 1 :]:
+            given = [name for name in vars(one) if getattr(other, name) != getattr(NEUTRAL, name)]
+            shared = {name for name in given if getattr(one, name) != getattr(NEUTRAL, name)}
+            if any(getattr(one, name) != getattr(other, name) for name in shared) or second == 27:
+                continue
+            both = replace(one, **{name: getattr(other, name) for name in given})
+            assert defect_of(both) == first, (first, second)
+            pairs += 1
+    assert pairs >= {"Triangles": 10, "Cylinders": 4, "Spheres": 1}.get(kind, 0)
+
+
 @pytest.mark.parametrize("ours", ["", *KINDS])
 @pytest.mark.parametrize("theirs", ["", *KINDS])
 @pytest.mark.parametrize("t", [4.2, 0.0, math.inf])
