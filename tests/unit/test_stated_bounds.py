@@ -54,6 +54,9 @@ PACKED_SHAPES = {
     "torus": caster.Torus(segments=5, sides=4, to_world=PLACE),
     "icosphere": caster.Icosphere(subdivisions=1, to_world=[STRETCH]),
     "heightfield": caster.Heightfield(resolution=4, to_world=PLACE),
+    "thin torus": caster.Torus(segments=4, sides=3, major_radius=3.0, minor_radius=0.125),
+    "steep heightfield": caster.Heightfield(resolution=2, size=5.0, amplitude=2.0, waves=3, seed=4),
+    "teapot": caster.Teapot(subdivisions=2, to_world=PLACE),
 }
 TARGETS = [
     (0.5, 0.5, 0.5),
