@@ -67,10 +67,19 @@ TARGETS = [
     (1.0, 1.0, 0.2),
 ]
 ORIGINS = [(7.0, 3.0, 5.0), (0.25, -9.0, -40.0)]
+SIDES = [
+    ("reference", KU, False),
+    ("ours", KU_OURS, True),
+    ("reference, coarse", 2.0**-6, False),
+    ("ours, coarse", 2.0**-6, True),
+]
 
 
 def bounds_of(name: str) -> dict[str, Any]:
-    """Every number of the meetings of some rays with a shape, for either side's roundings."""
+    """Every number of the meetings of some rays with a shape, for either side's roundings, and for coarse ones.
+
+    Of roundings of 1/64, terms of second order are seen, and where an error has no bound any more.
+    """
     camera = caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0))
     scene = Scene(film=caster.Film(width=2, height=2), camera=camera, shapes=[SHAPES[name]])
     packed = packed_float32(scene)
@@ -81,7 +90,7 @@ def bounds_of(name: str) -> dict[str, Any]:
     o = np.repeat(np.array(ORIGINS) + low, len(TARGETS), axis=0).astype(np.float32).astype(float)
     d = ((np.tile(targets, (len(ORIGINS), 1)) - o) * 0.75).astype(np.float32).astype(float)
     found: dict[str, Any] = {}
-    for side, ku, ours in (("reference", KU, False), ("ours", KU_OURS, True)):
+    for side, ku, ours in SIDES:
         met = model.intersect(np.zeros(len(o), np.int64), o, d, ku, ours=ours)
         order = np.lexsort([np.nan_to_num(met.at.t), met.pair])
         fields = {
