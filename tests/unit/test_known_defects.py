@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mitsuba_ref.error_model import defect_conditions
-from mitsuba_ref.error_model.defect_conditions import DefectFeatures, abs_cosine
+from mitsuba_ref.error_model.defect_conditions import DefectFeatures, DefectView, abs_cosine
 from mitsuba_ref.judge.defect_lookup import defect_name, defect_of, known_defects
+from mitsuba_ref.shapes import KINDS as KINDS_OF_PRIMITIVES
 from mitsuba_ref.shapes.triangle_meshes import has_area
 
 INSIDE = frozenset({"inside"})
@@ -161,3 +163,31 @@ def test_an_area_is_reported_exactly():
 def test_a_cosine_is_one_where_a_vector_has_no_length():
     assert abs_cosine(np.array([0.0, 0, 2]), np.array([0, 3.0, 4])) == pytest.approx(0.8)
     assert abs_cosine(np.zeros(3), np.ones(3)) == 1.0
+
+
+def test_each_kind_measures_what_its_cases_depend_on():
+    """By hand: a ray of length 5 along (0, 3, 4), primitives that stretch by (2, 1, 1/2) along the axes."""
+    d, o = np.array([0.0, 3.0, 4.0]), np.ones(3)
+    to_object = np.stack([np.eye(3), np.diag([0.5, 1.0, 2.0])])
+    affine = SimpleNamespace(to_object=to_object, to_world=np.linalg.inv(to_object), center=np.zeros((2, 3)))
+    long_way = pytest.approx(math.hypot(3.0, 8.0))
+    views = {
+        "Ellipsoids": {"stretch": long_way},
+        "Cylinders": {"stretch": long_way, "axis_angle": pytest.approx(0.6)},
+        "Disks": {"cosine": pytest.approx(0.8)},
+        "Planes": {"cosine": pytest.approx(0.6)},
+        "Spheres": {},
+    }
+    affine.normal = np.array([[1.0, 0, 0], [0, -7.0, 0]])
+    for kind in KINDS_OF_PRIMITIVES.values():
+        if kind.name in views:
+            assert kind.defect_view(affine, 1, o, d, 1.0) == DefectView(**views.pop(kind.name))
+    assert not views
+
+
+def test_the_axis_of_a_cylinder_is_its_third_column():
+    turned = np.array([[[0.0, 0, 2], [0, 1, 0], [-1, 0, 0]]])
+    affine = SimpleNamespace(to_object=np.linalg.inv(turned), to_world=turned)
+    (kind,) = (each for each in KINDS_OF_PRIMITIVES.values() if each.name == "Cylinders")
+    view = kind.defect_view(affine, 0, np.zeros(3), np.array([4.0, 3.0, 0.0]), 1.0)
+    assert view.axis_angle == pytest.approx(0.6)

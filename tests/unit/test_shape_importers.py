@@ -84,8 +84,8 @@ def test_a_sphere_is_one_of_the_center_and_radius_that_its_matrix_gives(
 
 def test_a_scale_is_uniform_up_to_eight_roundings_of_float32():
     for off, notes in ((7.9, []), (8.1, [IGNORED])):
-        step = {"scale": [1.0, 1.0 - off / 2**24, 1.0]}
-        assert imported("sphere", step)[1] == notes
+        for size in (1.0, 2.0**10, 2.0**-10):
+            assert imported("sphere", {"scale": [size, size * (1.0 - off / 2**24), size]})[1] == notes
 
 
 def test_an_instance_stretches_its_sphere_and_keeps_the_side_of_its_normal():
