@@ -9,7 +9,7 @@ from oracle_aims import triangles
 
 from caster.geometry.packing import Kind
 from caster.shapes.sphere import Spheres
-from mitsuba_ref.oracle import exact_quadrics
+from mitsuba_ref.oracle import exact_planar, exact_quadrics
 from mitsuba_ref.oracle.exact_numbers import integer_ray, scaled
 from mitsuba_ref.oracle.interface import OutsideDomain, TieSet, check_rays
 from mitsuba_ref.oracle.oracle import (
@@ -234,3 +234,35 @@ def test_boxes_are_in_the_order_of_their_centres_along_the_curve(size):
     assert morton_order(low[:1], low[:1]).tolist() == [0]
     flat = np.zeros((5, 3)) * size
     assert morton_order(flat, flat).tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0**-40, 2.0**60])
+@pytest.mark.parametrize("length", [1.0, 2.0**-7, 2.0**9])
+def test_a_ray_in_the_plane_of_a_primitive_runs_along_it_between_its_ends(scale, length):
+    """t counts in lengths of d: at x from 1 to 5/2 of a triangle, from 2 to 4 of a disk, from 1 to 3 of a wall."""
+    o, d = np.array([-0.5, 0.25, 0.75]) * scale, np.array([0.5, 0.0, 0.0]) * scale * length
+    ray = integer_ray(o.tolist(), d.tolist())
+    faces = triangles(np.array([[[0.5, -0.75, 0.75], [2.5, 0.25, 0.75], [1.5, 1.25, 0.75]]]) * scale)
+    turned = np.array([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]]) * scale
+    disk = SimpleNamespace(center=np.array([[3.0, 0.25, 0.75]]) * scale, to_world=turned)
+    along = np.array([[[0.0, 0, 2], [1, 0, 0], [0, 1, 0]]]) * scale
+    wall = SimpleNamespace(center=np.array([[1.0, -0.75, 0.75]]) * scale, to_world=along)
+    back = SimpleNamespace(
+        center=np.array([[3.0, -0.75, 0.75]]) * scale, to_world=along * np.array([1, 1, -1])
+    )
+    found = [
+        (exact_planar.intersect_triangle(exact_planar.prepare_triangle(faces, 0), ray), (1, 2.5)),
+        (exact_planar.intersect_disk(exact_quadrics.prepare_affine(disk, 0), ray), (2, 4)),
+        (exact_quadrics.intersect_cylinder(exact_quadrics.prepare_affine(wall, 0), ray), (1, 3)),
+        (exact_quadrics.intersect_cylinder(exact_quadrics.prepare_affine(back, 0), ray), (1, 3)),
+    ]
+    for crossed, ends in found:
+        (contact,) = crossed.contacts
+        first, last = (Fraction(x + 0.5) / Fraction(0.5 * length) for x in ends)
+        assert crossed.roots == () and (contact.why, contact.first, contact.last) == ("edge_on", first, last)
+    beside = integer_ray((o + np.array([0, 0, scale / 64])).tolist(), d.tolist())
+    for prepare, intersect, prims in (
+        (exact_planar.prepare_triangle, exact_planar.intersect_triangle, faces),
+        (exact_quadrics.prepare_affine, exact_planar.intersect_disk, disk),
+    ):
+        assert intersect(prepare(prims, 0), beside) == exact_planar.NO_INTERSECTION

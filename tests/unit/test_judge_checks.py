@@ -21,6 +21,7 @@ from mitsuba_ref.judge.scene_checks import (
     Shares,
     check_camera,
     check_culling,
+    check_geometry,
     check_materials,
     check_placement,
     check_render,
@@ -203,6 +204,7 @@ def test_a_packed_number_may_be_off_by_sixteen_roundings_of_its_size(share, prec
 
 
 def test_precisions_are_those_of_float64_and_float32():
+    assert check_geometry(scene_of()).ok
     for precision, kind in zip(PRECISIONS, (np.float64, np.float32), strict=True):
         limits = np.finfo(kind)
         assert precision.name == kind.__name__ and precision.smallest_normal == float(limits.tiny)
