@@ -77,7 +77,7 @@ def constants(module: Any) -> dict[str, Any]:
 
 def test_every_tolerance_is_the_stated_number():
     found = constants(tolerances)
-    assert found == pytest.approx(TOLERANCES, rel=1e-15)
+    assert found == pytest.approx(TOLERANCES, rel=1e-15, abs=0.0)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_every_tolerance_is_the_stated_number():
 )
 def test_every_limit_of_an_error_model_is_the_stated_number(module, numbers):
     found = constants(module)
-    assert {name: found[name] for name in numbers} == pytest.approx(numbers, rel=1e-15)
+    assert {name: found[name] for name in numbers} == pytest.approx(numbers, rel=1e-15, abs=0.0)
 
 
 def test_a_tolerance_is_not_negative_and_there_is_none_unless_it_is_given():
