@@ -229,7 +229,7 @@ def _latest_at_edges(found: RayIntersections) -> np.ndarray:
     rows = np.flatnonzero(side != 0.0)
     latest = np.full(len(found.ray), np.inf)
     if len(rows):
-        keys = np.column_stack([found.ray[rows], edge[rows] + 0.0])  # no -0.0
+        keys = np.column_stack([found.ray[rows], edge[rows]])
         which = row_groups(keys)
         left, right = (
             np.bincount(which[side[rows] == s], minlength=which.max() + 1) > 0 for s in (-1.0, 1.0)

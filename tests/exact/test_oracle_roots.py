@@ -141,6 +141,14 @@ def test_the_float_of_a_root_is_the_nearest():
     assert irrational >= 200
 
 
+def test_an_interval_is_one_number_where_that_is_the_root_and_else_two_neighbours_around_it():
+    for x in (0.1, -3.0, 0.0, 5e-324, -1.7e308, 2.0**-1070):
+        assert Root.of(x).interval() == (x, x)
+    for root in (Root(1, 0, 0, 3), Root(-2, 0, 0, 3), Root(0, 1, 2), Root(0, -1, 3), Root(1, 0, 0, 3, -1080)):
+        low, high = root.interval()
+        assert root > low and root < high and high == math.nextafter(low, math.inf)
+
+
 def test_float_finds_what_nearly_cancels():
     """n + 1 - sqrt(n^2 + 2 n) is a little less than 1 / 2n, 600 bits below its terms; with one more, it is 0."""
     n = 1 << 300

@@ -1,13 +1,15 @@
 """What a camera's rounding may do to a hit is held by the nine rays that the widened model looks along."""
 
+import math
+
 import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting, rays_at, scene_of
 
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
-from mitsuba_ref.error_model.intersections import norm, unit
-from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
+from mitsuba_ref.error_model.intersections import Intersections, norm, unit
+from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel, enclosing_intersections
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
@@ -77,3 +79,103 @@ def test_the_widened_bound_is_a_few_times_what_rays_need(kind):
     reach = (SHIFT + TURN * np.abs(wide.t) * norm(d))[rows]
     assert rows.sum() > 20
     assert np.median(wide.t_error[rows] * norm(d)[rows] * cosine / reach) < 2.5
+
+
+EDGES = ((0.0, 0, 0, 1, 0, 0), (0.0, 0, 0, 0, 1, 0))
+
+
+def lattice(rng: np.random.Generator, count: int) -> Intersections:
+    """Intersections with small numbers that are often equal; half of them hang on one of two edges."""
+    side = rng.choice([0.0, 0.0, 1.0, 1.0, -1.0], count)
+    edge = np.where((side != 0.0)[:, None], np.array(EDGES)[(rng.random(count) < 0.2).astype(int)], np.nan)
+    t = rng.choice([1.0, 1.25, 2.0, 2.0, np.nan], count)
+    n, sh_n = rng.choice([0.0, 0.5, 1.0], (2, count, 3))
+    errors = rng.choice([0.0, 0.25, 0.5], (5, count))
+    possible, certain = rng.random((2, count)) < 0.4
+    return Intersections(
+        t,
+        errors[0],
+        n,
+        errors[1],
+        sh_n,
+        errors[2],
+        possible,
+        certain & (side == 0.0),
+        errors[3],
+        n,
+        errors[4],
+        edge,
+        side,
+    )
+
+
+def test_an_intersection_is_widened_until_it_holds_those_of_all_rays():
+    """Number by number; one edge is left in doubt only where each ray hits for certain or hangs on that one."""
+    rng = np.random.default_rng(122)
+    found, along = [lattice(rng, 3000) for _ in range(3)], rng.choice([0.0, 0.5], 3000)
+    wide = enclosing_intersections(found, along)
+    hanging = 0
+    for i in range(3000):
+        rows = [at.take(np.array([i])) for at in found]
+        first = rows[0]
+        off = [abs(at.t[0] - first.t[0]) + at.t_error[0] + along[i] for at in rows]
+        assert wide.t_error[i] == (math.inf if any(map(math.isnan, off)) else max(off))
+        for what, error in (("n", "n_error"), ("sh_n", "sh_error")):
+            apart = [
+                math.dist(getattr(at, what)[0], getattr(first, what)[0]) + getattr(at, error)[0]
+                for at in rows
+            ]
+            assert getattr(wide, error)[i] == pytest.approx(max(apart), rel=1e-15)
+        assert wide.possible[i] == any(at.possible[0] for at in rows)
+        assert wide.certain[i] == all(at.certain[0] for at in rows)
+        sides = {(float(at.side[0]), *at.edge[0].tolist()) for at in rows if at.side[0]}
+        steady = len(sides) == 1 and all(at.certain[0] or at.side[0] for at in rows)
+        assert wide.side[i] == (next(iter(sides))[0] if steady else 0.0)
+        if steady:
+            assert tuple(wide.edge[i]) == next(iter(sides))[1:]
+            hanging += 1
+    assert hanging > 100 and np.isinf(wide.p_error).all() and np.isinf(wide.uv_error).all()
+    assert all(getattr(wide, name) is getattr(found[0], name) for name in ("t", "n", "sh_n", "uv"))
+    alone = enclosing_intersections(found[:1], np.zeros(3000))
+    assert np.array_equal(alone.side, found[0].side) and np.array_equal(
+        alone.edge, found[0].edge, equal_nan=True
+    )
+
+
+def test_intersections_of_kinds_without_edges_are_widened_without_any():
+    plain = lattice(np.random.default_rng(123), 50)._replace(edge=None, side=None)
+    wide = enclosing_intersections([plain, plain], np.zeros(50))
+    assert not wide.side.any() and np.isnan(wide.edge).all()
+
+
+@pytest.mark.parametrize("refined", [False, True])
+def test_rays_around_a_ray_are_at_the_corners_of_polygons_around_their_circles(refined):
+    """Each polygon holds its circle; no corner is twice there, and they are equally far apart."""
+    model, _, _, d = cases("spheres", 0)
+    wide, d = aimed(model), d[:40] * np.linspace(0.1, 10.0, 40)[:, None]
+    wide = wide.refined() if refined else wide
+    corners = np.array(list(wide._around(d)))
+    per_ring, rings = (16, (0.4, 0.7, 1.0)) if refined else (8, (1.0,))
+    assert len(corners) == per_ring * len(rings)
+    assert np.abs(np.einsum("rij,ij->ri", corners, unit(d))).max() < 1e-15
+    for j, radius in enumerate(rings):
+        ring = corners[j * per_ring : (j + 1) * per_ring]
+        assert np.linalg.norm(ring, axis=2) == pytest.approx(radius / math.cos(math.pi / per_ring))
+        sides = np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=2)
+        assert sides == pytest.approx(2.0 * radius * math.tan(math.pi / per_ring))
+        middles = 0.5 * (ring + np.roll(ring, 1, axis=0))
+        assert np.linalg.norm(middles, axis=2) == pytest.approx(radius)
+    assert (wide.turn, wide.shift, wide.packed) == (TURN, SHIFT, model.packed)
+
+
+def test_a_primitive_is_lost_between_the_rays_where_it_is_eight_circles_large_or_less():
+    model, *_ = cases("triangles", 0)
+    low, high = model.boxes
+    prim = np.arange(len(low))
+    size, d = np.linalg.norm(high - low, axis=1), np.tile([0.0, 3.0, 4.0], (len(low), 1))
+    wide, t = aimed(model), (size / 8.0 - SHIFT) / (5.0 * TURN)
+    for sign in (1.0, -1.0):
+        assert wide.is_unresolved(prim, d, sign * t * (1.0 + 1e-12)).all()
+        assert not wide.is_unresolved(prim, d, sign * t * (1.0 - 1e-12)).any()
+    assert not wide.is_unresolved(np.full(3, -1), d[:3], np.full(3, 1e30)).any()
+    assert not wide.is_unresolved(prim[:1], d[:1], np.array([np.nan])).any()

@@ -190,8 +190,8 @@ def test_a_hit_at_zero_is_within_its_bound_or_exactly_there(
         )
 
     low = np.zeros((10, 3))
-    low[5:, 0] = [1.0, 2.0, 9.0, -1.0, 1.0]  # 9 begins 1 beside the origin, 7 ends 1.5 before it
-    low[7, 0] = -4.5
+    low[5:, 0] = [1.0, 2.0, 9.0, -1.0, 0.5]  # 9 begins 1/2 beside the origin, 7 ends 3/4 before it
+    low[7, 0] = -3.75
     high = low + 3.0
     t, error = (np.array([each[i] for each in roots]) for i in range(2))
     model = SimpleNamespace(

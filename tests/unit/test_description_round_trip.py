@@ -1,6 +1,7 @@
 """Packed primitives come back as descriptions that pack to the same float32 numbers, for every kind there is."""
 
 import json
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -121,3 +122,28 @@ def test_hex_floats_are_short_and_exact(number):
     (text,) = with_hex_floats([number])
     assert float.fromhex(text).hex() == number.hex() and len(text) <= len(number.hex())
     assert with_hex_floats(1.5) == "0x1.8p+0" and with_hex_floats({"a": (2.0,)}) == {"a": ["0x1p+1"]}
+
+
+CENTRE = math.sqrt(0.5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "uv", "point"),
+    [
+        ("Spheres", (0.0, 0.5), (1, 0, 0)), ("Spheres", (0.25, 0.5), (0, 1, 0)), ("Spheres", (0.3, 0.0), (0, 0, 1)),
+        ("Spheres", (0.625, 0.75), (-0.5, -0.5, -CENTRE)), ("Ellipsoids", (0.125, 0.25), (0.5, 0.5, CENTRE)),
+        ("Spheres", (1.0, 1.0), (0, 0, -1)), ("Spheres", (0.5, 1.0 + 1e-9), None), ("Spheres", (-1e-9, 0.5), None),
+        ("Spheres", (1.0 + 1e-9, 0.5), None), ("Ellipsoids", (0.5, -1e-9), None), ("Disks", (0.5, 0.25), (0, 0.5, 0)),
+        ("Disks", (2.0, 0.5), (-2, 0, 0)), ("Disks", (-1e-9, 0.5), None), ("Disks", (0.5, 1.1), None),
+        ("Disks", (0.0, 0.3), (0, 0, 0)), ("Cylinders", (0.75, 0.3), (0, -1, 0.3)), ("Cylinders", (1.5, 0.3), None),
+        ("Cylinders", (0.0, 7.0), (1, 0, 7)), ("Planes", (3.0, -4.0), (3, -4, 0)),
+        ("Triangles", (0.5, 9.0), (0.5, 9, 0)),
+    ],
+)  # fmt: skip
+def test_uv_are_the_point_of_their_surface_and_none_outside_of_their_range(kind, uv, point):
+    (model,) = (each.model for each in KINDS.values() if each.name == kind)
+    found = model.uv.subject(None, np.zeros(2, int), np.array([uv, uv]))
+    if point is None:
+        assert np.isnan(found).any(axis=1).all()
+    else:
+        assert found == pytest.approx(np.array([point, point], float), abs=1e-12)

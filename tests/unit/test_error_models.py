@@ -12,6 +12,7 @@ from ray_primitive_pairs import Pairs, pose, rounding
 
 from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
+from mitsuba_ref.shapes import plane
 from mitsuba_ref.shapes.plane import PATCH_FACES, _face_of_hit, as_triangles
 
 SINGLE = [kind for kind in KINDS if kind != "meshes"]  # kinds with one primitive a shape
@@ -185,3 +186,17 @@ def test_a_fault_of_a_few_millionths_is_beyond_the_bound(kind):
         caught = np.mean(beyond[sure])
         print(f"{kind}: {fault} caught at {caught:.3f} of {sure.sum()}")
         assert caught >= least, fault
+
+
+def test_the_least_height_around_a_face_of_a_patch_is_that_of_its_triangles():
+    """Of its own ring and of those within and around it; triangle by triangle."""
+    sizes = 0.5 * 2.0 ** np.arange(plane.PATCH_RINGS + 1)
+    corners = (sizes[:, None, None] * plane.SQUARE_CORNERS).reshape(-1, 2)
+    sides = corners[plane.PATCH_FACES]
+    (ax, ay), (bx, by) = (sides[:, 1] - sides[:, 0]).T, (sides[:, 2] - sides[:, 0]).T
+    longest = np.linalg.norm(sides - np.roll(sides, 1, axis=1), axis=2).max(axis=1)
+    heights = np.abs(ax * by - ay * bx) / longest
+    rings = np.array([0] * 2 + [1 + k // 8 for k in range(8 * plane.PATCH_RINGS)])
+    for face in range(0, len(rings), 2):
+        least = heights[np.abs(rings - rings[face]) <= 1].min()
+        assert plane._least_height(np.array([0.5]), np.array([face]))[0] == pytest.approx(least, rel=1e-12)

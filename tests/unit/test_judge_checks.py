@@ -21,6 +21,7 @@ from mitsuba_ref.judge.scene_checks import (
     Shares,
     check_camera,
     check_culling,
+    check_geometry,
     check_materials,
     check_placement,
     check_render,
@@ -202,6 +203,18 @@ def test_a_packed_number_may_be_off_by_sixteen_roundings_of_its_size(share, prec
     assert ratio(5.0, 0.0, shape=(2, 4)) == np.inf
 
 
+def test_precisions_are_those_of_float64_and_float32():
+    assert check_geometry(scene_of()).ok
+    for precision, kind in zip(PRECISIONS, (np.float64, np.float32), strict=True):
+        limits = np.finfo(kind)
+        assert precision.name == kind.__name__ and precision.smallest_normal == float(limits.tiny)
+        assert precision.unit_roundoff == float(limits.eps) / 2.0
+        parts = precision.packing(scene_of()).parts
+        assert (
+            all((array == array.astype(kind)).all() for part in parts for array in part) and len(parts) == 2
+        )
+
+
 def test_a_placement_and_a_material_are_checked_at_every_shape(monkeypatch):
     ball, lid = scene_of().shapes
     plain = caster.Sphere(name="plain")
@@ -274,6 +287,39 @@ def test_render_between_near_and_far_is_what_the_judged_rays_hit(far):
     hits = caster.render(scene, ("depth",)).hit.sum()
     everything = caster.render(scene_of(), ("depth",)).hit.sum()
     assert check_render(scene).ratio == 0.0 and hits < everything
+
+
+def test_float64_holds_every_pixel_of_render_hits_and_misses_alike():
+    scene = scene_of()
+    rays = scene_checks.camera_rays(scene)
+    rows = np.arange(len(rays.o))
+    ours = scene_checks.render(scene, scene_checks.CHECKED_AOVS)
+    assert scene_checks._within_float64(scene, ours, rows, scene_checks._segments(rays, rows)).all()
+    assert 0 < ours.hit.sum() < ours.hit.size
+    empty = Aovs(
+        {name: np.full_like(ours[name], np.inf if name == "depth" else -1) for name in ours}, ~ours.hit
+    )
+    right = scene_checks._within_float64(scene, empty, rows, scene_checks._segments(rays, rows))
+    assert np.array_equal(right, ~ours.hit.ravel())
+
+
+@pytest.mark.parametrize(("near", "far"), [(2.0, 4.0), (0.5, 5.5)])
+def test_a_render_that_forgets_the_far_plane_or_moves_it_fails(monkeypatch, near, far):
+    """A wall just behind the far plane, at exact distances: judged rays have the bits of those of `render`."""
+    wall = caster.Rectangle(to_world=[{"scale": 8}])
+    view = {"eye": (0, 0, far + near / 2), "look_at": (0, 0, 0), "width": 4, "near": near}
+    shown = {"shapes": (wall,), "film": caster.Film(width=4, height=4)}
+    real = scene_checks.render
+    scene = caster.Scene(camera=caster.Orthographic(**view, far=far), **shown)
+    assert check_render(scene).ratio == 0.0 and not real(scene, ("depth",)).hit.any()
+    for wrong in (None, far + near):
+        other = caster.Scene(camera=caster.Orthographic(**view, far=wrong), **shown)
+        assert real(other, ("depth",)).hit.all()
+        monkeypatch.setattr(scene_checks, "render", lambda _scene, names, other=other: real(other, names))
+        assert check_render(scene).ratio == np.inf
+    nearer = caster.Scene(camera=caster.Orthographic(**view, far=far + near), **shown)
+    monkeypatch.setattr(scene_checks, "render", lambda _, names: real(scene, names))
+    assert check_render(nearer).ratio == np.inf  # and one that cuts off what is there
 
 
 @pytest.mark.parametrize("field", ["t", "prim"])
@@ -387,6 +433,42 @@ def test_one_other_bit_of_a_field_of_hits_fails_routes(monkeypatch, field):
         assert each.expected == repr(value.tolist()) != each.got
     check = check_routes(larger(), "some.toml").what
     assert "camera_rays(scene)[:2]" in check and "print(caster.cast(scene, o, d" in check
+
+
+def images_of(hit, **images) -> Aovs:
+    return Aovs({name: np.array(image) for name, image in images.items()}, np.array(hit))
+
+
+def test_an_image_of_another_shape_dtype_or_mask_and_every_other_pixel_differs():
+    """A window at (3, 2), 8 pixels wide and 6 high."""
+    scene, flat = scene_of(), np.zeros((6, 8))
+    hit = flat > 0.0
+    expected = images_of(hit, depth=flat, prim_id=flat.astype(np.int32), normal=np.zeros((6, 8, 3)))
+
+    def differences(got, **more):
+        return [tuple(each) for each in public_routes._compare(scene, "route", expected, got, **more)]
+
+    assert differences(expected) == [] == differences(images_of(hit, depth=flat))
+    assert differences(images_of(hit, depth=flat[:5])) == [
+        ("route", "depth", 3, 2, "(6, 8) float64", "(5, 8) float64", 48)
+    ]
+    single = images_of(hit, depth=flat.astype(np.float32), normal=np.zeros((6, 8, 3)))
+    assert differences(single) == [("route", "depth", 3, 2, "(6, 8) float64", "(6, 8) float32", 48)]
+    rounded = images_of(hit, depth=flat.astype(np.float32), prim_id=flat.astype(np.int32))
+    assert differences(rounded, dtype=np.float32) == []
+    other = expected["normal"].copy()
+    other[4, 6, 1] = other[5, 0, 2] = 0.5
+    assert differences(images_of(hit, normal=other)) == [
+        ("route", "normal", 9, 6, "[0.0, 0.0, 0.0]", "[0.0, 0.5, 0.0]", 2)
+    ]
+    masked = hit.copy()
+    masked[0, 7] = True
+    assert differences(images_of(masked, depth=-flat)) == [
+        ("route", "mask", 10, 2, "False", "True", 1),
+        ("route", "depth", 3, 2, "0.0", "-0.0", 48),
+    ]
+    found = str(next(public_routes._compare(scene, "route", expected, images_of(masked, depth=flat))))
+    assert found == "route: mask at (10, 2) is True, expected False; 1 pixels"
 
 
 def test_an_occluded_ray_that_cast_finds_free_fails_routes(monkeypatch):

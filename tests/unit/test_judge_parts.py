@@ -242,6 +242,7 @@ OTHER_TIE = {
     "as it is": ({}, True),
     "another shape": ({"shape": 1}, False),
     "t within": ({"t": 2.0 + 0.24}, True),
+    "t at its bound": ({"t": 2.0 + 0.25}, True),
     "t beyond": ({"t": 2.0 + 0.26}, False),
     "t before": ({"t": 2.0 - 0.26}, False),
     "n within": ({"n": tilted(SIDE, 0.009)}, True),
@@ -249,6 +250,7 @@ OTHER_TIE = {
     "sh_n within": ({"sh_n": tilted(UP, 0.019)}, True),
     "sh_n beyond": ({"sh_n": tilted(UP, 0.021)}, False),
     "p within": ({"p": np.array([2.0, 0.07, 0.0])}, True),
+    "p at its bound": ({"p": np.array([2.0, 0.08, 0.0])}, True),
     "p beyond": ({"p": np.array([2.0, 0.09, 0.0])}, False),
     "no number": ({"n": SIDE * np.nan}, False),
 }

@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mitsuba_ref.error_model import defect_conditions
-from mitsuba_ref.error_model.defect_conditions import DefectFeatures, abs_cosine
+from mitsuba_ref.error_model.defect_conditions import DefectFeatures, DefectView, abs_cosine
 from mitsuba_ref.judge.defect_lookup import defect_name, defect_of, known_defects
+from mitsuba_ref.shapes import KINDS as KINDS_OF_PRIMITIVES
 from mitsuba_ref.shapes.triangle_meshes import has_area
 
 INSIDE = frozenset({"inside"})
@@ -79,6 +81,30 @@ def test_an_example_is_named_by_its_number(number):
     assert defect_of(EXAMPLES[number]) == number
 
 
+def test_no_two_cases_have_the_same_priority():
+    assert [defect.priority for defect in known_defects()] == list(range(len(EXAMPLES)))
+
+
+NEUTRAL = replace(ORDINARY, ours="", theirs="")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_pixel_of_several_cases_is_named_by_the_first_of_them(kind):
+    """Each with each other of the same kind: the measures of both examples at once."""
+    examples = [(number, example) for number, example in EXAMPLES.items() if kind in example.kinds]
+    pairs = 0
+    for i, (first, one) in enumerate(examples):
+        for second, other in examples[i + 1 :]:
+            given = [name for name in vars(one) if getattr(other, name) != getattr(NEUTRAL, name)]
+            shared = {name for name in given if getattr(one, name) != getattr(NEUTRAL, name)}
+            if any(getattr(one, name) != getattr(other, name) for name in shared) or second == 27:
+                continue
+            both = replace(one, **{name: getattr(other, name) for name in given})
+            assert defect_of(both) == first, (first, second)
+            pairs += 1
+    assert pairs >= {"Triangles": 10, "Cylinders": 4, "Spheres": 1}.get(kind, 0)
+
+
 @pytest.mark.parametrize("ours", ["", *KINDS])
 @pytest.mark.parametrize("theirs", ["", *KINDS])
 @pytest.mark.parametrize("t", [4.2, 0.0, math.inf])
@@ -93,6 +119,29 @@ ROUNDED = (22, 19, 26, 43, 53, 8, 57, 2, 35, 9, 34, 47, 61)
 @pytest.mark.parametrize("number", ROUNDED)
 def test_what_is_far_beyond_rounding_is_no_case_of_rounding(number):
     assert defect_of(replace(EXAMPLES[number], nearly=False)) is None
+
+
+@pytest.mark.parametrize("number", [30, 7])
+def test_a_start_on_a_surface_is_a_case_where_it_is_hit_at_zero_alone(number):
+    for change in ({"t": 4.2}, {"t": -1e-30}, {"t": math.inf}, {"at_zero": False}):
+        assert defect_of(replace(EXAMPLES[number], **change)) is None
+
+
+@pytest.mark.parametrize(
+    ("number", "name", "limit"),
+    [
+        (28, "cosine", 2.0**-6), (22, "slenderness", 2.0**-20), (19, "slenderness", 2.0**-13), (26, "cosine", 2.0**-10),
+        (43, "cosine", 2.0**-10), (53, "axis_angle", 2.0**-6), (8, "stretch", 2.0**6), (57, "distance", 2.0**13),
+        (2, "distance", 2.0**13), (35, "distance", 2.0**13), (9, "offset", 2.0**13), (34, "offset", 2.0**13),
+        (47, "offset", 2.0**13), (61, "offset", 2.0**13),
+    ],
+)  # fmt: skip
+def test_a_case_begins_beyond_its_threshold(number, name, limit):
+    """The threshold itself is none, and what is one unit in the last place beyond it is one."""
+    example = EXAMPLES[number]
+    toward = 0.0 if getattr(example, name) < limit else math.inf
+    assert defect_of(replace(example, **{name: math.nextafter(limit, toward)})) == number
+    assert defect_of(replace(example, **{name: limit})) != number
 
 
 @pytest.mark.parametrize("number", [4, 55, 16, 45, 56])
@@ -114,3 +163,31 @@ def test_an_area_is_reported_exactly():
 def test_a_cosine_is_one_where_a_vector_has_no_length():
     assert abs_cosine(np.array([0.0, 0, 2]), np.array([0, 3.0, 4])) == pytest.approx(0.8)
     assert abs_cosine(np.zeros(3), np.ones(3)) == 1.0
+
+
+def test_each_kind_measures_what_its_cases_depend_on():
+    """By hand: a ray of length 5 along (0, 3, 4), primitives that stretch by (2, 1, 1/2) along the axes."""
+    d, o = np.array([0.0, 3.0, 4.0]), np.ones(3)
+    to_object = np.stack([np.eye(3), np.diag([0.5, 1.0, 2.0])])
+    affine = SimpleNamespace(to_object=to_object, to_world=np.linalg.inv(to_object), center=np.zeros((2, 3)))
+    long_way = pytest.approx(math.hypot(3.0, 8.0))
+    views = {
+        "Ellipsoids": {"stretch": long_way},
+        "Cylinders": {"stretch": long_way, "axis_angle": pytest.approx(0.6)},
+        "Disks": {"cosine": pytest.approx(0.8)},
+        "Planes": {"cosine": pytest.approx(0.6)},
+        "Spheres": {},
+    }
+    affine.normal = np.array([[1.0, 0, 0], [0, -7.0, 0]])
+    for kind in KINDS_OF_PRIMITIVES.values():
+        if kind.name in views:
+            assert kind.defect_view(affine, 1, o, d, 1.0) == DefectView(**views.pop(kind.name))
+    assert not views
+
+
+def test_the_axis_of_a_cylinder_is_its_third_column():
+    turned = np.array([[[0.0, 0, 2], [0, 1, 0], [-1, 0, 0]]])
+    affine = SimpleNamespace(to_object=np.linalg.inv(turned), to_world=turned)
+    (kind,) = (each for each in KINDS_OF_PRIMITIVES.values() if each.name == "Cylinders")
+    view = kind.defect_view(affine, 0, np.zeros(3), np.array([4.0, 3.0, 0.0]), 1.0)
+    assert view.axis_angle == pytest.approx(0.6)

@@ -106,6 +106,85 @@ def test_the_bound_holds_for_points_and_normals_that_are_off_by_theirs(light, er
     assert used.max() > 0.5
 
 
+def stated_bound(light: Any, material: Any, hit: Any, ku: float) -> tuple[list[float], list[float], bool]:
+    """(error, radiance of the side that faces the light, doubtful) of one point (docs/method.md, "Diffuse")."""
+    p, d, n, p_error, sh_error = hit
+    if light["type"] == "point":
+        way = [a - b for a, b in zip(light["position"], p, strict=True)]
+        away = math.hypot(*way)
+        arriving = [i / away**2 for i in light["intensity"]]
+        turn = 2.0 * p_error / away
+    else:
+        way, away, turn = [-c for c in light["direction"]], math.hypot(*light["direction"]), 0.0
+        arriving = light["irradiance"]
+    turn = turn if turn < 0.5 else math.inf
+    cosine = math.fsum(a * b for a, b in zip(way, n, strict=True)) / away
+    facing = -math.fsum(a * b for a, b in zip(d, n, strict=True)) / math.hypot(*d)
+    two_sided = material.get("two_sided", False)
+    seen = cosine * facing > 0.0 and (two_sided or cosine > 0.0)
+    flux = [r / math.pi * e for r, e in zip(material["reflectance"], arriving, strict=True)]
+    cosine_error, cosine = sh_error + turn + ku, abs(cosine)
+    spread = math.inf if math.isinf(turn) else 1.0 / (1.0 - turn) ** 2
+    doubtful = abs(facing) <= sh_error + ku
+    if seen:
+        error = [f * (cosine + cosine_error) * spread - f * cosine + ku * f * cosine for f in flux]
+    else:
+        dark = cosine > cosine_error and not doubtful
+        error = [0.0 if dark else f * cosine_error * spread for f in flux]
+    return error, [f * cosine for f in flux], doubtful
+
+
+@pytest.mark.parametrize("light", [0, 1], ids=["point", "directional"])
+@pytest.mark.parametrize("sh_error", [0.0, 0.01, 0.4])
+@pytest.mark.parametrize("p_error", [0.0, 0.2, 0.7])
+def test_the_bound_is_the_stated_one_on_either_side_of_the_surface(light, sh_error, p_error):
+    """Among the points: lit, on the dark side by more than the error and by less, and seen nearly from the side."""
+    hit = some(np.random.default_rng([143, light]), p_error, sh_error)
+    found = light_contribution(SHAPE_MATERIALS, SCENE.lights[light], hit, KU)
+    kinds = set()
+    for i in range(COUNT):
+        point = (hit.p[i].tolist(), hit.d[i].tolist(), hit.at.sh_n[i].tolist(), p_error, sh_error)
+        error, either, doubtful = stated_bound(LIGHTS[light], list(MATERIALS.values())[i % 2], point, KU)
+        assert found.error[i] == pytest.approx(error, rel=1e-9, abs=1e-15)
+        assert found.either_side[i] == pytest.approx(either, rel=1e-13) and found.doubtful[i] == doubtful
+        kinds.add((bool(found.radiance[i].any()), error[0] > 0.0, math.isinf(error[0]), doubtful))
+    assert {(True, True), (False, False)} <= {kind[:2] for kind in kinds}
+    assert not sh_error or {(False, True, False), (False, True, True)} & {kind[:3] for kind in kinds}
+    assert any(kind[2] for kind in kinds) is (light == 0 and p_error > 0.5)
+
+
+@pytest.mark.parametrize(
+    ("n", "d", "p_error", "error", "doubtful"),
+    [
+        ((1.0, 0.0, -0.25 - KU), (-1.0, 0.0, 0.0), 0.0, 0.25 + KU, False),  # behind by exactly its error
+        ((1.0, 0.0, -0.25 - 2.0 * KU), (-1.0, 0.0, 0.0), 0.0, 0.0, False),
+        (
+            (0.25 + KU, 0.0, -1.0),
+            (-1.0, 0.0, 0.0),
+            0.0,
+            0.25 + KU,
+            True,
+        ),  # from the side by exactly its error
+        ((0.25 + 2.0 * KU, 0.0, -1.0), (-1.0, 0.0, 0.0), 0.0, 0.0, False),
+        ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.25, math.inf, False),  # its direction is off by 1/2
+        ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.125, (1.5 + KU) / 0.5625 - 1.0 + KU, False),
+    ],
+)
+def test_the_bound_at_its_limits(n, d, p_error, error, doubtful):
+    """A light of flux pi at a distance of 1, above; sh_error is 1/4."""
+    light = SCENE.lights[0].model_copy(update={"position": (0.0, 0.0, 1.0), "intensity": (math.pi,) * 3})
+    hit = hits(
+        np.random.default_rng(0),
+        np.zeros((COUNT, 3)),
+        np.tile(d, (COUNT, 1)),
+        np.tile(n, (COUNT, 1)),
+        p_error,
+        0.25,
+    )
+    found = light_contribution(lambert.Materials(np.ones((2, 3)), np.zeros(2, bool)), light, hit, KU)
+    assert np.all(found.error == pytest.approx(error, rel=1e-14)) and (found.doubtful == doubtful).all()
+
+
 def test_ambient_light_is_reflectance_times_radiance():
     ambient = SHAPE_MATERIALS.reflectance * ambient_radiance(SCENE.lights)
     assert np.allclose(ambient, [[0.055, 0.05, 0.24], [0.022, 0.18, 0.128]], rtol=1e-15)

@@ -106,3 +106,14 @@ def test_scales_stay_where_nothing_is_rejected_and_nothing_underflows(power, sig
 
 def test_a_scene_without_shapes_has_nothing_to_scale():
     assert check_scaling(scene_of(radius=None)).what == "no shape to scale"
+
+
+@pytest.mark.parametrize("window", [(0, 0, 9, 60), (5, 40, 29, 65), (100, 7, 160, 8), (3, 0, 51, 24)])
+def test_a_window_is_as_large_as_may_be_and_anywhere_within_the_films(window):
+    x0, y0, x1, y1 = window
+    rng = np.random.default_rng(3)
+    found = np.array([module._random_window(rng, window) for _ in range(2000)])
+    for low, high, first, last in ((0, 2, x0, x1), (1, 3, y0, y1)):
+        side = min(24, last - first)
+        assert set(found[:, high] - found[:, low]) == {side}
+        assert set(found[:, low]) == set(range(first, last - side + 1))
