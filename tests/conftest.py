@@ -48,7 +48,7 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("markers", f"{kind}: {what} (everything in tests/{kind})")
     config.addinivalue_line(
         "markers",
-        "slow(why, keep=0): left out by `make test` but for its first `keep` cases, run by `make slow`",
+        "slow(why, keep=0, every=0): run by `make slow`; `make test` has the first `keep` cases, or every so many",
     )
 
 
@@ -79,7 +79,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses by the marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    keep_first_cases(items)
+    keep_some_cases(items)
     for item in items:
         folder = item.path.relative_to(TESTS).parts[0] if item.path.is_relative_to(TESTS) else ""
         if folder in KINDS:
@@ -92,8 +92,8 @@ def warm(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("caster.system.terminal.announce_compilation", lambda what: contextlib.nullcontext())
 
 
-def keep_first_cases(items: list[pytest.Item]) -> None:
-    """Take the mark `slow` from the first cases of each test that keeps some."""
+def keep_some_cases(items: list[pytest.Item]) -> None:
+    """Take the mark `slow` from the cases that `make test` runs."""
     seen: collections.Counter[tuple[Path, str]] = collections.Counter()
     for item in items:
         mark = item.get_closest_marker("slow")
@@ -102,5 +102,6 @@ def keep_first_cases(items: list[pytest.Item]) -> None:
         assert mark.args and isinstance(mark.args[0], str), f"{item.nodeid}: slow without a reason"
         test = (item.path, item.nodeid.partition("[")[0])
         seen[test] += 1
-        if seen[test] <= mark.kwargs.get("keep", 0):
+        keep, every = (mark.kwargs.get(name, 0) for name in ("keep", "every"))
+        if seen[test] <= keep or (every and seen[test] % every == 1):
             item.own_markers.remove(mark)

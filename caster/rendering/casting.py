@@ -83,7 +83,7 @@ from caster.rendering.threads import (
     unwritten_array,
 )
 
-__all__ = ["Culling", "find_any", "find_nearest"]
+__all__ = ["Culling", "find_any", "find_nearest", "find_rows"]
 
 Culling = Literal["brute-force", "raster", "bvh"]
 
@@ -460,11 +460,12 @@ class FanCaster:
         if common is None:
             return None
         light, outward, deviation = common
-        rows = find_rows(rays) if outward and not always and count >= MIN_RAYS_IN_ROWS else None
+        rows = find_rows(rays) if outward and (always or count >= MIN_RAYS_IN_ROWS) else None
         if rows is not None:
-            number = int(count * PRIMITIVES_PER_RAY_IN_ROWS * MIN_SHADOW_RAYS_PER_PRIMITIVE)
+            few = int(count * PRIMITIVES_PER_RAY_IN_ROWS * MIN_SHADOW_RAYS_PER_PRIMITIVE)
+            number = MAX_PRIMITIVES if always else few
             caster = ShadowCaster(packed, light, number, any_hit=any_hit, outward=True)
-            pays = caster.has_fans and share_ahead(caster, rays) >= MIN_SHARE_IN_VIEW
+            pays = caster.has_fans and (always or share_ahead(caster, rays) >= MIN_SHARE_IN_VIEW)
             return FanCaster(caster, common, NO_CORNERS, rows) if pays else None
         if count < MIN_RAYS_SORTED and not always:
             return None

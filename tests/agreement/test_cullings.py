@@ -34,6 +34,7 @@ def count_hits_where_cullings_agree(scene: Scene) -> tuple[int, int]:
 
 @pytest.mark.parametrize("camera", VIEWS, ids=name)
 @pytest.mark.parametrize("shape", SHAPES, ids=name)
+@pytest.mark.slow("every kind before every camera", every=2)
 def test_culling_never_changes_a_bit(shape, camera):
     rng = np.random.default_rng([1, SHAPES.index(shape), VIEWS.index(camera)])
     counts = []

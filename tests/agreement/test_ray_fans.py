@@ -135,6 +135,7 @@ def test_rays_from_one_point_hit_what_they_hit_alone(shape, size, taken):
 
 @pytest.mark.parametrize("rounding", ["float64", "float32", "unit"])
 @pytest.mark.parametrize("shape", WITH_TREES, ids=name)
+@pytest.mark.slow("three roundings of each kind", every=2)
 def test_rays_to_one_point_are_blocked_where_they_are_alone(shape, rounding, taken):
     arrays, rng = scene_of([shape], 1.0, [95, list(SHAPES).index(shape)])
     blocked = [

@@ -131,6 +131,7 @@ def bench(tmp_path):
 
 
 @pytest.mark.parametrize("says", FAULTS)
+@pytest.mark.slow("one waits until a hang is ended", keep=8)
 def test_a_command_that_breaks_a_rule_is_named(bench, says, monkeypatch):
     monkeypatch.setitem(hostile_runs.MAINS, "caster", FAULTS[says])
     monkeypatch.setattr(hostile_runs, "MAX_WALL_SECONDS", 8.0)

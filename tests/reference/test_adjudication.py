@@ -322,6 +322,7 @@ def test_a_reproducer_holds_the_very_numbers_and_shows_the_same(brought):
     assert len(kinds) >= 5, kinds
 
 
+@pytest.mark.slow("runs several commands")
 def test_the_command_probe_writes_one_that_every_command_takes(tmp_path):
     scene = tmp_path / "skinny.toml"
     more = [caster.Sphere(name="far off", center=(900, 900, 900)), SKINNY]

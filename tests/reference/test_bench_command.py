@@ -86,6 +86,7 @@ def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monke
     assert "timed_caster:cast" in capsys.readouterr().out
 
 
+@pytest.mark.slow("times several processes")
 def test_a_candidate_that_cannot_be_timed_is_no_result(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(run, "contestants_for", lambda asks, **more: [BY_KEY["ours"]])
     monkeypatch.chdir(tmp_path)

@@ -347,6 +347,7 @@ def test_depth_along_z_and_names_of_another_program_are_read_as_compare_reads_th
     assert code == 1 and "has no channel depth.Z" in out
 
 
+@pytest.mark.slow("judges a film several times")
 def test_what_is_read_so_is_judged_all_the_same(tmp_path, capsys):
     """A depth off by a ten thousandth fails, and the replay reads its image in the same way."""
     code, out, _ = blender(tmp_path, capsys, "--depth", "z", factor="1.0001")

@@ -89,6 +89,7 @@ def test_the_same_seed_does_the_same_whatever_the_limits(fuzz):
     assert first["total"] != other["total"]
 
 
+@pytest.mark.slow("fuzzes for some seconds")
 def test_time_is_kept(fuzz):
     start = time.monotonic()
     *_, told = fuzz("--time", "1s", "--judge-every", "0")

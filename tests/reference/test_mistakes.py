@@ -38,7 +38,7 @@ def test_there_are_many_mistakes():
 
 
 @pytest.mark.parametrize("mistake", ALL_MISTAKES, ids=lambda mistake: mistake.name)
-@pytest.mark.slow("each judges a scene", keep=12)
+@pytest.mark.slow("each judges a scene", every=4)
 def test_a_mistake_is_named_in_the_first_line(mistake, tmp_path):
     start = time.process_time()
     found = judged(mistake.name, mistake.trace, mistakes.scene_of(mistake.scene, tmp_path))

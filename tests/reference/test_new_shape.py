@@ -88,6 +88,7 @@ def test_with_its_reference_its_scenes_pass(plugin):
     assert found.stdout.count("PASS  ") == 2
 
 
+@pytest.mark.slow("judges in plain Python")
 def test_a_mistake_in_the_new_shape_is_found(plugin):
     add_reference(plugin)
     edit(plugin, "tetrahedron.py", "MeshShape):", "MeshShape):\n    def pack(self, rounded):\n"

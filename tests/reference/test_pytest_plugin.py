@@ -215,6 +215,7 @@ def pytest_configure():
 """
 
 
+@pytest.mark.slow("starts several processes")
 def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path, monkeypatch):
     """The judge is made up here: what counts is how often it is asked, while workers share the tests of a scene."""
     monkeypatch.setenv("CI", "true")

@@ -151,6 +151,7 @@ SERVING = {
 
 
 @pytest.mark.parametrize("tool", SERVING)
+@pytest.mark.slow("each compiles a program", keep=1)
 def test_an_example_that_stays_passes(tmp_path, tool):
     if shutil.which(tool) is None:
         pytest.skip(f"not on this machine: {tool}")
@@ -172,7 +173,7 @@ NO_RESPONSE = {
 
 
 @pytest.mark.parametrize("which", NO_RESPONSE)
-@pytest.mark.slow("each waits for a program to end", keep=3)
+@pytest.mark.slow("each waits for a program to end", keep=1)
 def test_a_program_that_stays_and_gives_no_hits_fails_with_the_reason(tmp_path, which):
     source, words = NO_RESPONSE[which]
     more = ("--candidate-timeout", "2")

@@ -172,6 +172,7 @@ FAULTS = (
 
 
 @pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.slow("each judges a list of rays", keep=5)
 def test_each_planted_fault_fails_and_is_named(folder, given, fault):
     hits, words = planted(fault, *given)
     code, (scene,) = judge(folder, hits)
@@ -425,7 +426,7 @@ OWN_RAYS = {
 
 
 @pytest.mark.parametrize("which", OWN_RAYS)
-@pytest.mark.slow("each judges a film along rays of its own", keep=1)
+@pytest.mark.slow("each judges a film along rays of its own")
 def test_an_image_passes_along_its_own_rays_which_are_described(folder, tmp_path, which):
     """Judged along the pixels' centres, it is wrong nearly everywhere."""
     scene = caster.load_scene(folder / "scene.toml")
@@ -469,7 +470,7 @@ OWN_RAY_FAULTS = {
 
 @pytest.mark.parametrize("places", [jittered, shifted])
 @pytest.mark.parametrize("fault", OWN_RAY_FAULTS)
-@pytest.mark.slow("each judges a film along rays of its own", keep=2)
+@pytest.mark.slow("each judges a film along rays of its own", keep=1)
 def test_a_fault_of_one_pixel_fails_along_own_rays(folder, tmp_path, fault, places):
     scene = caster.load_scene(folder / "scene.toml")
     channels = rendered_through(scene, *places(scene))

@@ -255,7 +255,7 @@ def verdicts_without_residents(tmp_path_factory) -> list[dict]:
 
 
 @pytest.mark.parametrize("at", [1, 2, 3])
-@pytest.mark.slow("each starts Mitsuba three times", keep=1)
+@pytest.mark.slow("each starts Mitsuba three times")
 def test_verdicts_are_equal_when_the_resident_dies_at_any_scene(
     tmp_path, plant, verdicts_without_residents, at
 ):

@@ -286,7 +286,7 @@ def fake_mitsuba(tmp_path):
     ],
     ids=["abort", "segfault", "missing", "silence"],
 )
-@pytest.mark.slow("each judges in a copy of the tree", keep=1)
+@pytest.mark.slow("each judges in a copy of the tree")
 def test_the_end_of_mitsuba_is_a_scene_that_fails(scenes, tmp_path, fake_mitsuba, source, says):
     words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml", "--html", tmp_path / "v.html"]
     found = started("validate", scenes, "-k", "ball or other", *SMALL, *words, **fake_mitsuba(source))

@@ -96,6 +96,7 @@ def test_the_child_process_describes_it():
 
 
 @pytest.mark.parametrize("missing", ["/nonexistent/libLLVM.so", str(Path(__file__))])
+@pytest.mark.slow("each starts processes of its own", keep=1)
 def test_without_libllvm_there_is_the_scalar_variant(tmp_path, monkeypatch, missing):
     monkeypatch.setenv(LIBLLVM_ENVIRONMENT_VARIABLE, missing)
     found = usable_variants()

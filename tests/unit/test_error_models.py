@@ -68,6 +68,7 @@ def test_the_judges_own_arithmetic_is_right_to_float64(kind, setting):
 
 @every_kind
 @pytest.mark.parametrize("setting", SETTINGS)
+@pytest.mark.slow("every input of each kind", every=2)
 def test_no_rounding_of_the_inputs_leaves_the_bound(kind, setting):
     """Each input moved by up to u of itself, and solved anew without any rounding."""
     pairs = pose(kind, SETTINGS[setting], [101, SINGLE.index(kind)])

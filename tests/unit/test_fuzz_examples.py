@@ -89,6 +89,7 @@ def test_rays_are_strange_where_they_should_be(examples):
 
 
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.name)
+@pytest.mark.slow("each decides some hundred rays exactly", every=2)
 def test_a_family_finds_trouble_to_check_example(family):
     """Hits on edges, corners, rims and tangents, or several at once; no scene is thrown away."""
     tally = Tally()

@@ -512,6 +512,27 @@ def test_one_other_ray_of_a_fan_fails_routes(monkeypatch, call):
     assert f"print({call}(packed(scene), " in check and "import rays_back" in check
 
 
+def test_a_film_that_is_cast_row_by_row_is_compared(monkeypatch):
+    """Some of its rows, as `cast` takes them: one other hit of them fails."""
+    scene = caster.Scene(
+        camera=larger().camera,
+        film=caster.Film(width=140, height=9),
+        shapes=(caster.Icosphere(subdivisions=2),),
+    )
+    assert not route_differences(scene)
+    real, stored = casting.store_rays, []
+
+    def other(tile, first, width, box, ids, nearest, uncertain):
+        real(tile, first, width, box, ids, nearest, uncertain)
+        nearest.prim[first + box[0]] += 1
+        stored.append(box)
+
+    monkeypatch.setattr(casting, "store_rays", other)
+    found = route_differences(scene)
+    assert stored and {each.aov for each in found} == {"prim_id", "shape_id"}
+    assert all(each.route.startswith("find_nearest") and each.pixels == 2 for each in found)
+
+
 def test_a_fan_without_margins_fails_routes(monkeypatch):
     """What is compared is cast as a fan."""
     scene = larger().model_copy(update={"shapes": (caster.Icosphere(subdivisions=2),)})

@@ -52,6 +52,7 @@ def test_any_byte_of_any_source_is_part_of_the_key(copy, monkeypatch):
     ],
     ids=["first block", "stripped", "size", "first lines"],
 )
+@pytest.mark.slow("each tries every source file", keep=1)
 def test_a_digest_that_leaves_out_a_part_is_found(copy, monkeypatch, digest_of):
     class Planted(type(copy)):
         def read_bytes(self):

@@ -17,10 +17,10 @@ from caster.kernels.bvh.ray_sorting import (
     NOT_IN_FAN,
     OTHER_FANS,
     find_keys,
-    have_same_limits,
     largest_deviation,
     load_sorted,
     project_rays,
+    rays_of_other_limits,
     scatter_to_buckets,
     sort_buckets,
     store_sorted,
@@ -196,14 +196,14 @@ def test_the_largest_deviation_is_that_of_the_ray_that_passes_a_point_farthest_o
 @pytest.mark.parametrize("field", ["t_min", "t_max"])
 def test_limits_are_the_same_where_none_differs_from_those_of_the_first_ray(field):
     rays = some_rays(ORIGIN, INTEGERS[:7])
-    assert have_same_limits(rays, 0, 7)
+    assert rays_of_other_limits(rays, 0, 7) == 0
     for n in range(1, 7):
         getattr(rays, field)[n] = 9.0
-        assert not have_same_limits(rays, 0, 7) and not have_same_limits(rays, n, 7)
-        assert have_same_limits(rays, 0, n) and have_same_limits(rays, n + 1, 7)
+        assert rays_of_other_limits(rays, 0, 7) > 0 and rays_of_other_limits(rays, n, 7) > 0
+        assert rays_of_other_limits(rays, 0, n) == 0 and rays_of_other_limits(rays, n + 1, 7) == 0
         getattr(rays, field)[n] = getattr(rays, field)[0]
     getattr(rays, field)[0] = 3.0
-    assert not have_same_limits(rays, 2, 4)
+    assert rays_of_other_limits(rays, 2, 4) > 0
 
 
 @pytest.mark.parametrize("outward", [True, False])

@@ -457,6 +457,7 @@ def of_candidate(name, call, precision=None):
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow("every family in two precisions", every=3)
 def test_a_right_candidate_passes_every_family(name, precision):
     rounded = altered(lambda o, d, t, n: (t.astype(precision), n.astype(precision)))
     sweep = of_candidate(name, rounded)

@@ -162,11 +162,12 @@ def test_the_hits_of_a_box_are_stored_in_its_place_of_the_window():
 def test_rays_with_a_hit_are_blocked_and_those_without_may_be_uncertain():
     rng, tile = np.random.default_rng(253), new_tile()
     values = met(rng, tile)
-    t, unsure = (values[f].ravel()[:200] for f in (T, UNCERTAIN))
+    t, unsure, prim = (values[f].ravel()[:200] for f in (T, UNCERTAIN, PRIM))
+    hit = (t < math.inf) & (prim >= 0.0)
     blocked, uncertain = np.zeros((2, 300), bool)
-    store_blocked(tile, 200, 50, blocked, uncertain)
-    assert np.array_equal(blocked[50:250], t < math.inf)
-    assert np.array_equal(uncertain[50:250], (unsure == 1.0) & (t == math.inf)) and uncertain.sum() > 5
+    store_blocked(tile, 0, 50, 250, blocked, uncertain)
+    assert np.array_equal(blocked[50:250], hit) and 0 < hit.sum() < 200
+    assert np.array_equal(uncertain[50:250], (unsure == 1.0) & ~hit) and uncertain.sum() > 5
     for found in (blocked, uncertain):
         assert not found[:50].any() and not found[250:].any()
 

@@ -14,7 +14,7 @@ import numpy as np
 from caster import cast, occluded
 from caster.aovs import AOVS, Aovs
 from caster.geometry.packing import packed
-from caster.rendering.casting import Culling, find_any, find_nearest
+from caster.rendering.casting import Culling, find_any, find_nearest, find_rows
 from caster.rendering.hits import trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
 from caster.scene.model import Scene
@@ -46,6 +46,7 @@ SAMPLE_SHARE, SAMPLED_PIXELS = (
 )  # pixels: that share, within limits; cast one by one, half of them at edges
 LIMITS = 3  # pairs of t_min and t_max, each of a call of its own
 PROBED_PIXELS = 2
+FAN_ROWS = 4  # of a film, at least, that are cast as rows: fewer are not seen to be some
 MIN_FAN_RAYS = 64  # of a sample of fewer it is not seen what they have in common
 MAX_FAN_PRIMITIVES = 1 << 20  # 50 bytes each, for a sample of rays
 
@@ -354,7 +355,7 @@ def _hits_differences(
 
 
 def _as_fans(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
-    """Rays that start at one point as `cast` takes many of them in any order, and `occluded` of those back to it."""
+    """Rays that start at one point as `cast` takes many of them, in any order and row by row, and those back to it."""
     rays, numbers = camera_rays(scene), packed(scene)
     count = int(np.clip(len(rays.o) // SAMPLE_SHARE, *SAMPLED_PIXELS))
     rows = rng.permutation(_some_pixels(rng, whole, edges, count))
@@ -362,21 +363,34 @@ def _as_fans(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
     from_one_point = len(rows) >= MIN_FAN_RAYS and (rays.o[rows] == rays.o[rows[0]]).all()
     if not from_one_point or int(numbers.first[-1]) > MAX_FAN_PRIMITIVES:
         return
-    found = find_nearest(numbers, type(rays)(*(a[rows] for a in rays)), always_fans=True)
+    height, width = whole.hit.shape
+    high = min(height, max(FAN_ROWS, count // width))
+    first = int(rng.integers(height - high + 1)) * width
+    for some in (np.arange(first, first + high * width), rows):
+        part = type(rays)(*(a[some] for a in rays))
+        if some is rows or find_rows(part) is not None:
+            found = find_nearest(numbers, part, always_fans=True)
+            yield _fan_differences(scene, part.d, found, some, whole)
+    back, hit = _rays_back(rays, found.t, rows)
+    if len(hit) >= MIN_FAN_RAYS:
+        free, fast = (find_any(numbers, back, always_fans=fans) for fans in (False, True))
+        route = "find_any(packed(scene), rays_back(scene), always_fans=True)"
+        yield _rows_differ(scene, route, "t", free, fast, hit)
+
+
+def _fan_differences(
+    scene: Scene, d: np.ndarray, found: Any, rows: np.ndarray, whole: Aovs
+) -> Iterator[RouteDifference]:
+    """Nearest hits of some of the camera's rays, cast as a fan."""
+    numbers = packed(scene)
     route = "find_nearest(packed(scene), camera_rays(scene), always_fans=True)"
-    d = rays.d[rows]
     length = np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2])
     for name, values in (
         ("depth", found.t * length),
         ("shape_id", numbers.shape_of(found.prim)),
         ("prim_id", numbers.index_in_shape(found.prim)),
     ):
-        yield _rows_differ(scene, route, name, aov_rows(whole, name)[rows], values, rows)
-    back, hit = _rays_back(rays, found.t, rows)
-    if len(hit) >= MIN_FAN_RAYS:
-        free, fast = (find_any(numbers, back, always_fans=fans) for fans in (False, True))
-        route = "find_any(packed(scene), rays_back(scene), always_fans=True)"
-        yield _rows_differ(scene, route, "t", free, fast, hit)
+        yield from _rows_differ(scene, route, name, aov_rows(whole, name)[rows], values, rows)
 
 
 def _rays_back(rays: Any, t: np.ndarray, rows: np.ndarray) -> tuple[Any, np.ndarray]:
