@@ -77,6 +77,7 @@ def starting_on_a_disk() -> Scene:
     ],
     ids=["quads", "balls", "disks", "quads that overlap"],
 )
+@pytest.mark.slow("each judges a film", keep=2)
 def test_of_coincident_surfaces_either_may_be_the_one(judged, shapes):
     found = judged(scene_of(*shapes, materials={"a": {"reflectance": (0.9, 0.1, 0.1)}}))
     counts = found.counts

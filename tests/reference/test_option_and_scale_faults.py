@@ -167,7 +167,7 @@ CHOSEN = [fault for fault in FAULTS if fault.what in QUICK or os.environ.get("FA
 
 
 @pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: fault.what)
-@pytest.mark.slow("each judges in plain Python", keep=1)
+@pytest.mark.slow("each judges in plain Python")
 def test_a_planted_fault_is_found(tmp_path, fault):
     tree = copy_tree(tmp_path / "tree")
     edit(tree, fault.file, fault.old, fault.new)

@@ -61,6 +61,7 @@ def test_a_foreign_kind_renders_like_a_disk_of_the_tree(plugin, culling):
         np.testing.assert_allclose(found[name], expected[name], rtol=1e-12, atol=1e-12, err_msg=name)
 
 
+@pytest.mark.slow("compiles the kernels of a foreign camera")
 def test_a_foreign_camera_renders_like_an_orthographic_one(plugin):
     found, expected = (
         caster.render(scene_from_text(FILM + camera + LAMP + COINS), AOVS)
