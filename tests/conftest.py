@@ -46,10 +46,6 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     for kind, what in KINDS.items():
         config.addinivalue_line("markers", f"{kind}: {what} (everything in tests/{kind})")
-    config.addinivalue_line(
-        "markers",
-        "slow(why, keep=0, every=0): run by `make slow`; `make test` has the first `keep` cases, or every so many",
-    )
 
 
 def pytest_report_header() -> list[str]:
