@@ -45,6 +45,7 @@ def count_wrong(packed: Packed, rays: Rays) -> int:
 
 
 @pytest.mark.parametrize("shape", SMALL, ids=name)
+@pytest.mark.slow("decides every ray exactly for every primitive", keep=4)
 def test_the_quick_way_finds_what_exact_arithmetic_finds(shape):
     rng = np.random.default_rng([90, SHAPES.index(shape)])
     asked = 0

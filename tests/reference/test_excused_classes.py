@@ -39,6 +39,7 @@ def first(shaded) -> Judgement:
 
 @pytest.mark.parametrize("name", ["diffuse", "depth", "position", "normal"])
 @pytest.mark.parametrize("change", [lambda v: v * 1.5 + 0.1, lambda v: v * np.nan], ids=["other", "nan"])
+@pytest.mark.slow("each judges a scene", keep=4)
 def test_an_excused_pixel_has_to_be_right_by_our_own_arithmetic(shaded, first, name, change):
     before, excused = (
         first.classes,

@@ -49,6 +49,7 @@ def test_a_mistake_is_named_in_the_first_line(mistake, tmp_path):
 
 
 @pytest.mark.parametrize("name", sorted({mistake.scene for mistake in ALL_MISTAKES}))
+@pytest.mark.slow("each judges a scene", keep=3)
 def test_without_a_mistake_the_caster_passes_and_no_hypothesis_is_reported(name, tmp_path):
     found = judged("right", mistakes.Caster(), mistakes.scene_of(name, tmp_path))
     assert found.ok and not found.findings, failure_text(found)

@@ -851,7 +851,7 @@ def test_every_fault_fits_the_source_of_today():
 
 
 @pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: fault.what)
-@pytest.mark.slow("each judges in plain Python", keep=8)
+@pytest.mark.slow("each judges in plain Python", keep=6)
 def test_a_planted_fault_fails_by_the_check_it_offends(forks, tree, coarse_scenes, fault):
     edit(tree, fault.file, fault.old, fault.new)
     found = validate(forks, tree, coarse_scenes / f"{fault.scene}.toml", fault.size, fault.check)

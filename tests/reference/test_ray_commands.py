@@ -92,6 +92,7 @@ def test_planted_faults_in_the_caster_in_c_fail(tmp_path, fault):
     assert code == 1 and scene["counts"]["wrong"] > 0
 
 
+@pytest.mark.slow("starts another language")
 def test_the_caster_in_javascript_passes(tmp_path):
     if shutil.which("node") is None:
         pytest.skip("no JavaScript: node")

@@ -137,7 +137,7 @@ def test_an_added_aov_is_rendered_each_way(added, camera):
 
 
 @pytest.mark.parametrize("shapes", [SHAPES[:1], SHAPES[1:], ()], ids=["triangles", "a sphere", "nothing"])
-@pytest.mark.slow("each compiles kernels", keep=3)
+@pytest.mark.slow("each compiles kernels", keep=1)
 def test_an_added_aov_beside_others_of_one_kind_or_none(added, shapes):
     """Films of one kind without surfaces are rendered many tiles at once."""
     a_scene = scene(shapes=shapes)
