@@ -82,9 +82,8 @@ if hasattr(os, "register_at_fork"):
 
 # Memory of arrays that nobody holds any more is written again by later ones: for new memory, the system clears and maps
 # each page when it is first written, which takes longer than most AOVs.
-MAX_SPARE_BYTES = (
-    3 << 26
-)  # a million rays in float64 with what is found of them; eight images of as many vectors
+# Spare ones hold a million rays in float64 with what is found of them, or eight images of as many vectors.
+MAX_SPARE_BYTES = 3 << 26
 MIN_SPARE_BYTES = 1 << 17  # of one array; smaller ones come from memory that the process has anyway
 
 _SPARE_BLOCKS: dict[int, np.ndarray] = {}  # by id, oldest first
