@@ -16,12 +16,13 @@ from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.build import open_largest
 from caster.kernels.bvh.traversal import cast_packets_brute_force, cast_rays_singly
 from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
-from caster.kernels.math.vec import permanent
+from caster.kernels.math.vec import U, permanent
 from caster.kernels.nearest import ALL_IN_RANGE, OUT_OF_RANGE, find_invalid_ray
 from caster.kernels.protocol import exact_intersect, intersect, load, normal, prepare, surely_misses
 from caster.kernels.raster.tile import PRIM, T_ERROR, UNCERTAIN, T, lane, new_tile, start_ray
 from caster.kernels.raster.tile_casting import bounds_in_tile, row_bounds
 from caster.kernels.raster.wide_angle import MAX_HULL_ANGLE
+from caster.kernels.triangles import SHEAR_ERROR, fast_barycentrics
 from caster.rendering.bvh_construction import bvh_of
 from caster.rendering.casting import STACK_SIZE
 from caster.scene.model import Scene
@@ -101,6 +102,59 @@ def test_a_sphere_is_hit_or_missed_at_its_rim_as_exact_arithmetic_decides():
         elif not (found.met or found.missed):
             assert away < 1e-11 * (1.0 + np.linalg.norm(f) / r)
     assert min(said.values()) > 40, said
+
+
+@pytest.mark.parametrize("f", [(-2.0, 0.0, 0.0), (2.0, 0.0, 0.0)])
+def test_roots_are_known_where_the_larger_one_is_known_to_half_of_itself(f):
+    """q = b +- sqrt(a within), 3 in length here; its error is stated by `b_error`."""
+    setup, d = quadric_setup(f, 1.0, 0.0), (1.0, 0.0, 0.0)
+    for b_error, met in (
+        (1e-3, True),
+        (1.4999, True),
+        (1.5001, False),
+        (2.9, False),
+        (3.1, False),
+        (9.0, False),
+    ):
+        found = quadric_roots(setup._replace(b_error=b_error), d, 0.0)
+        assert (found.met, found.missed) == (met, False)
+
+
+def smallest_known(of_height) -> float:
+    """The least height, up to rounding, of a triangle whose barycentrics `fast_barycentrics` knows."""
+    low, high = 0.0, 1.0
+    assert fast_barycentrics(*of_height(high))[0] and not fast_barycentrics(*of_height(low))[0]
+    for _ in range(60):
+        middle = math.sqrt(low * high) if low else high * 1e-6
+        low, high = (low, middle) if fast_barycentrics(*of_height(middle))[0] else (middle, high)
+    return high
+
+
+@pytest.mark.parametrize("far", [1.0, 2.0**12])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("corner", [0, 1, 2])
+@pytest.mark.parametrize("side", [0, 1])
+def test_barycentrics_are_known_where_the_area_is_beyond_its_error_by_the_largest_coordinate(
+    far, axis, corner, side
+):
+    """Flat triangles around a ray along an axis, whose largest coordinate is of one corner, along one side."""
+    wide, long = 8.0, 1.0
+    others = [k for k in range(3) if k != corner]
+
+    def of_height(height):
+        flat = np.zeros((3, 2))
+        flat[corner, side] = -wide
+        flat[others, side] = 1.0, 0.5
+        flat[others[0], 1 - side] = height
+        corners = np.column_stack([flat, np.full(3, long * far)])
+        d = np.roll([0.0, 0.0, 1.0], axis - 2)
+        turned = np.roll(corners, axis - 2, axis=1)
+        return (*(tuple(each.tolist()) for each in turned), tuple(d.tolist()))
+
+    error = SHEAR_ERROR * max(wide, far)
+    limit = 2.0 * (12.0 * wide * error + 6.0 * error * error + 15.0 * U * wide * wide)
+    area = smallest_known(of_height) * (wide + 0.5)  # base times height: twice the triangle's
+    assert area == pytest.approx(limit, rel=1e-6)
 
 
 def test_a_ray_is_none_where_any_number_is_not_finite_or_no_direction_is_there():

@@ -1,13 +1,17 @@
 """Aimed rays of a scene check: every kind is aimed at, the same scene gives the same rays, and errors show."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
 from caster.scene.model import Scene
 from mitsuba_ref.judge.independent_checks import knife_edges as module
 from mitsuba_ref.judge.independent_checks.knife_edges import (
+    RayBatch,
     cast_by_culling,
     knife_edges,
+    lossless_exponents,
     prepared_scene,
     rays_at_edges,
 )
@@ -63,3 +67,35 @@ def test_a_wrong_hit_fails_with_a_scene_of_its_ray(monkeypatch, spoil, words):
 def test_nothing_to_aim_at_is_no_failure():
     check, failures = knife_edges(scene_of([]))
     assert check.ok and check.what == "no primitive to aim at" and not failures
+
+
+def test_directions_too_short_or_long_to_square_give_the_bits_of_t_that_they_have_themselves():
+    """t of a direction 2^-k as long is 2^k times as large; also where t is denormal for the scaled direction."""
+    packed = prepared_scene(scene_of()).packed
+    plain = np.array([[0.01 * k, 0.02, -1.0] for k in range(-8, 9)])
+    o = np.tile([0.0, 0.0, 5.0], (len(plain), 1))
+
+    def cast(d):
+        count = len(d)
+        return cast_by_culling(packed, RayBatch(o, d, np.zeros(count), np.full(count, np.inf)), "brute-force")
+
+    expected = cast(plain)
+    assert (expected.prim >= 0).all()
+    for power in (-900, -300, 0, 300, 900):
+        found = cast(np.ldexp(plain, power))
+        assert np.array_equal(found.prim, expected.prim)
+        assert np.array_equal(found.t, np.ldexp(expected.t, -power))
+
+
+def test_a_hit_so_near_that_the_scaled_t_is_denormal_keeps_the_bits_of_t():
+    packed = prepared_scene(
+        scene_of([{**SHAPES[1], "vertices": [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]]}])
+    ).packed
+    for power in (-900, -400):
+        d = np.ldexp([[0.01, 0.02, -0.7], [0.0, -0.03, -0.9]], power)
+        o = np.tile([0.125, 0.0625, 3.0 * 2.0**-1060], (2, 1))
+        rays = RayBatch(o, d, np.zeros(2), np.full(2, np.inf))
+        assert (lossless_exponents(rays) < 0).all()
+        found = cast_by_culling(packed, rays, "brute-force")
+        expected = [float(Fraction(3) / 2**1060 / -Fraction(float(z))) for z in d[:, 2]]
+        assert found.t.tolist() == pytest.approx(expected, rel=1e-14, abs=0.0)

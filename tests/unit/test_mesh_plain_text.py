@@ -8,7 +8,15 @@ import pytest
 from caster.geometry.mesh_files import obj as obj_files
 from caster.geometry.mesh_files import plain_text, ply
 from caster.geometry.mesh_files.obj import parse_any_obj, parse_obj
-from caster.geometry.mesh_files.plain_text import POWERS_OF_TEN, parse_real, read_plain_obj, read_plain_rows
+from caster.geometry.mesh_files.plain_text import (
+    HASH,
+    PARSE_FAILED,
+    POWERS_OF_TEN,
+    parse_real,
+    read_keyword,
+    read_plain_obj,
+    read_plain_rows,
+)
 from caster.geometry.mesh_files.ply import _read_plain, parse_ply, read_any_ascii
 from caster.geometry.mesh_files.ply_header import parse_header
 from caster.jit.kernel_cache import COMPILED
@@ -179,3 +187,22 @@ def outcome(data: bytes) -> object:
     except obj_files.SceneError as error:
         return str(error)
     return [None if a is None else (a.shape, str(a.dtype), a.tobytes()) for a in mesh]
+
+
+@pytest.mark.parametrize(
+    ("text", "end"),
+    [
+        ("v 1", 1),
+        ("vt\n", 2),
+        ("usemtl a", 6),
+        ("seven77 ", 7),
+        ("eightlet ", PARSE_FAILED),
+        ("v#", 1),
+        ("#", 0),
+    ],
+)
+def test_a_keyword_is_read_up_to_seven_letters(text, end):
+    code, found = read_keyword(np.frombuffer((text + "\n\n").encode(), np.uint8), 0)
+    assert found == end and chr(HASH) == "#"
+    if end != PARSE_FAILED:
+        assert code.to_bytes(8, "little").rstrip(b"\0").decode() == text[:end]

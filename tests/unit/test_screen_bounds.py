@@ -29,7 +29,14 @@ from caster.kernels.protocol import (
     project_bounding_sphere,
     t_lower_bound,
 )
-from caster.kernels.raster.screen_bounds import ScreenBounds, Window, bound_triangles
+from caster.kernels.raster.screen_bounds import (
+    PROJECTION_MARGIN,
+    ScreenBounds,
+    Window,
+    bound_distorted_triangles,
+    bound_triangles,
+    project_vertices,
+)
 from caster.kernels.raster.tile import DX, DY, DZ, generate_camera_rays, new_tile
 from caster.kernels.raster.tile import HEIGHT as TILE_HEIGHT
 from caster.kernels.raster.tile import WIDTH as TILE_WIDTH
@@ -164,6 +171,47 @@ def test_a_bend_that_is_taken_for_a_twentieth_of_it_is_detected(name, monkeypatc
         )
     camera = CAMERAS[name].pack(FINE * WIDTH, FINE * HEIGHT)
     assert max(off_the_line(camera, np.random.default_rng(144))) > 1.0
+
+
+@pytest.mark.parametrize("name", BENDING)
+def test_the_pixels_of_a_triangle_hold_its_bent_edges_on_every_side(name):
+    """Edges bend out of the box of their corners by more than a pixel, to each side, and none leaves its pixels."""
+    size = 50 * WIDTH, 50 * HEIGHT
+    camera, rng, count = CAMERAS[name].pack(*size), np.random.default_rng(148), 800
+    corners, inside = [], []
+    while len(corners) < count:
+        at = rng.uniform(0.2, 0.8, 2) * size
+        half = rng.choice([(0, 1), (1, 0)]) * rng.uniform(0.02, 0.1) * size[1]  # the edge is upright or level
+        rays = [camera_ray(camera, *each) for each in (at, at - half, at + half)]
+        if min(t_max for *_, t_max in rays) >= 0.0:
+            middle, start, end = (np.array(o) + 3.0 * np.array(d) for o, d, *_ in rays)
+            corners.append([start, end, middle + 1e-3 * rng.normal(size=3)])
+    points = np.array(corners).reshape(-1, 3)
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    none = np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), np.zeros(count, bool), np.zeros(count, bool)
+    window, reach = Window(0, 0, *size), (0.0, PROJECTION_MARGIN)
+    bounds = ScreenBounds(
+        np.zeros((count, 4), np.int32), np.zeros(count), faces, np.zeros((3 * count, 4)), (0.0, 0.0, 0.0), 0.0
+    )
+    project_vertices(points, camera, window, bounds.projected, reach, 0, 3 * count)
+    bound_distorted_triangles(Triangles(points, faces, *none), camera, window, bounds, reach, 0, count)
+    beyond = np.zeros(4, int)  # left, top, right, bottom
+    for k in range(count):
+        a, b = points[3 * k : 3 * k + 2]
+        seen = np.array([project(camera, tuple(a + s * (b - a))) for s in np.linspace(0.0, 1.0, 17)])
+        if (
+            not seen[:, 4].all() or np.abs(np.diff(seen[:, :2], axis=0)).max() > min(size) / 4
+        ):  # around the seam
+            continue
+        low, high = np.clip(seen[:, :2].min(axis=0), 0, size), np.clip(seen[:, :2].max(axis=0), 0, size)
+        pixels = bounds.pixels[k]
+        # pixels whose centres the edge passes
+        assert (np.ceil(low - 0.5) >= pixels[:2]).all() and (np.floor(high + 0.5) <= pixels[2:]).all()
+        box = bounds.projected[3 * k : 3 * k + 3, :2]
+        beyond += [*(box.min(axis=0) - low > 1.0), *(high - box.max(axis=0) > 1.0)]
+        inside.append(np.prod(pixels[2:] - pixels[:2]) < np.prod(size) / 16)
+    bent = beyond[1::2] if name == "panorama" else beyond  # which draws upright lines straight
+    assert bent.min() >= 20 and np.mean(inside) > 0.5, (beyond, np.mean(inside))
 
 
 def random_triangle(rng: np.random.Generator) -> Triangles:
