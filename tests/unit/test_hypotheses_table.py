@@ -13,6 +13,7 @@ from pixel_tables import INF, NAN, Z, explained, intersections, pixels, roots_of
 import caster
 from caster.geometry.packing import packed
 from caster.scene.model import Scene
+from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, MATCH_RTOL
 from mitsuba_ref.judge import hypotheses, scene_checks
 from mitsuba_ref.judge.hypotheses import SELECTIONS, WrongPixels, range_text
 
@@ -674,11 +675,11 @@ def turned_by(degrees: float) -> np.ndarray:
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
-def normals(change, count=8, n_error=1e-9, seed=2, flat=None, **more) -> dict[str, list[bool]]:
+def normals(change, count=8, n_error=1e-9, seed=2, flat=None, right=None, **more) -> dict[str, list[bool]]:
     """What is said of normals; change: (right normals, directions) -> the given ones."""
     rng = np.random.default_rng(seed)
-    right, d, o = unit_rows(rng, count), unit_rows(rng, count), rng.normal(size=(count, 3))
-    sh = unit_rows(rng, count)
+    drawn, d, o = unit_rows(rng, count), unit_rows(rng, count), rng.normal(size=(count, 3))
+    sh, right = unit_rows(rng, count), drawn if right is None else right
     right = right if flat is None else np.tile(flat, (count, 1))
     at = intersections([2.0] * count, n=right, n_error=n_error, sh_n=sh)
     f = pixels([2.0] * count, [2.0] * count, at=at, d=d, o=o, **more)
@@ -720,6 +721,26 @@ NORMALS = {
 def test_a_mistake_of_normals_is_named_with_its_remedy(what):
     change, remedy = NORMALS[what]
     assert normals(change) == {what: ([True] * 8, remedy)}
+
+
+def test_a_normal_at_the_tolerance_of_a_hypothesis_is_still_explained_by_it():
+    def turned(off):
+        return normals(lambda x: -x.right + [off, 0.0, 0.0], flat=[0.0, 0.0, 1.0])
+
+    assert turned(MATCH_RTOL) == {ROUND: ([True] * 8, NORMALS[ROUND][1])}
+    assert ROUND not in turned(MATCH_RTOL * (1.0 + 1e-9))
+
+
+def test_normals_that_hardly_differ_say_nothing_of_axes():
+    """Of permuted axes, right normals have to differ by more than what is no chance: DISTINCT_RTOL."""
+    what = "the normal's axes are permuted or signed: (y, x, z) in place of (x, y, z)"
+
+    def permuted(apart):
+        right = np.tile([1.0, 0.0, 0.0], (8, 1))
+        right[4:, 1] = apart
+        return normals(lambda x: right[:, [1, 0, 2]], right=right)
+
+    assert what not in permuted(DISTINCT_RTOL) and what in permuted(DISTINCT_RTOL * (1.0 + 1e-9))
 
 
 def test_normals_in_the_axes_of_the_camera(monkeypatch):

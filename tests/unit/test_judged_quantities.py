@@ -12,7 +12,7 @@ import caster
 from caster.aovs import Aovs
 from caster.description.errors import SceneError
 from caster.scene.model import Scene
-from mitsuba_ref.judge import aggregate, diffuse
+from mitsuba_ref.judge import aggregate, classification, diffuse
 from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
 from mitsuba_ref.judge.comparison import ImagePair, PixelPairs, SelfCheck, UvPair, check_allowances
@@ -554,6 +554,40 @@ def test_normals_are_held_to_the_reference_and_to_their_own_primitive(name):
     own = {value: np.array([[0.0, 0, 0]] * 3), error: np.array([0.25, 1.0, 0.25])}
     found = pairs(subject, reference, {error: np.array([0.5, 0.125, 0.5])}, own)
     assert ratio_of(f"{name}_ratio", found) == [2.0, 2.0, 0.0]
+
+
+def test_uv_of_another_face_are_held_to_that_face_wherever_both_hit_and_mitsuba_has_uv(monkeypatch):
+    """Points of uv are uv + (face, 0): of face 1, Mitsuba's are off by as much as from what its own t gives."""
+    prim, theirs = np.array([0, 1, -1, 0, 0, 2]), np.array([1, 0, 1, -1, 0, 1])
+    uv = np.array([[[0.25, 0.5]] * 6])
+    reference_uv = uv + 2.0**-10
+    calls = []
+
+    def at(model, other, lines, t, ku, *, ours):
+        calls.append((other.tolist(), lines[0][:, 0].tolist(), t.tolist(), ours))
+        off = uv[0, : len(other)] + 2.0**-9
+        return SimpleNamespace(
+            uv=np.column_stack([off[:, 0] + other, off[:, 1]]), uv_error=np.full(len(other), 7.0)
+        )
+
+    monkeypatch.setattr(classification, "intersections_at", at)
+    model = SimpleNamespace(
+        uv_points=lambda prim, uv, ours: np.column_stack([uv[:, 0] + prim, uv[:, 1]]),
+        reference_has_uv=lambda prim: prim != 2,
+    )
+    hit = np.ones((1, 6), bool)
+    pair = SimpleNamespace(subject=Aovs({"uv": uv}, hit), reference=Aovs({"uv": reference_uv}, hit))
+    numbers = np.arange(6.0)
+    judge = SimpleNamespace(
+        prim=prim, reference_prim=theirs, pair=pair, model=model, reference_t=numbers,
+        reference_lines=(numbers[:, None], numbers[:, None], numbers),
+        bounds=SimpleNamespace(at=SimpleNamespace(uv_error=np.ones(6))),
+    )  # fmt: skip
+    found = classification.Judge._uv_pair(judge)
+    assert calls == [([1, 0], [0.0, 1.0], [0.0, 1.0], False)]
+    assert found.bound.tolist() == [7.0, 7.0, 1.0, 1.0, 1.0, 1.0]
+    off = np.array([-(2.0**-10)] * 2 + [2.0**-10] * 3 + [0.0])  # of the two, 2^-10 less 2^-9
+    assert np.array_equal(found.reference, found.subject + off[:, None])
 
 
 def test_uv_is_compared_in_the_space_of_its_kind():

@@ -7,6 +7,7 @@ import pytest
 
 from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import _check_stl_size, load_mesh
+from caster.geometry.mesh_files.obj import join_table
 from caster.geometry.triangle_mesh import vertex_normals
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -200,3 +201,23 @@ def test_a_binary_stl_file_has_84_bytes_and_50_for_each_facet_and_a_text_any_num
         ):
             _check_stl_size(wrong, "x.stl")
     _check_stl_size(b"solid a\n" + b"facet normal 0 0 1\n" * facets + b"facet", "x.stl")
+
+
+def test_a_stl_file_is_loaded_after_its_size_is_checked(tmp_path):
+    path = tmp_path / "x.STL"
+    path.write_bytes(bytes(80) + (3).to_bytes(4, "little") + bytes(50 * 2))
+    pytest.importorskip("trimesh")
+    with pytest.raises(SceneError, match="binary STL: expected 234 bytes"):
+        load_mesh(path)
+
+
+def test_tables_too_large_for_an_integer_key_are_joined_to_the_same_mesh():
+    """2^21 positions, normals and uv have more combinations than an int64 counts."""
+    rng, count = np.random.default_rng(17), 2**21
+    small = [rng.normal(size=(9, width)) for width in (3, 2, 3)]
+    corners = np.column_stack([rng.integers(0, 9, 60), rng.integers(-1, 9, 60), rng.integers(-1, 9, 60)])
+    sizes = np.full(20, 3)
+    expected = join_table(*small, corners, sizes)
+    large = [np.concatenate([each, np.zeros((count - 9, each.shape[1]))]) for each in small]
+    for found, right in zip(join_table(*large, corners, sizes), expected, strict=True):
+        assert np.array_equal(found, right)

@@ -27,7 +27,7 @@ from caster.kernels.raster.screen_bounds import surely_beyond_edge
 from caster.kernels.triangles import Triangles
 from caster.rendering.images import render
 from caster.scene.model import Scene
-from caster.shapes import Cylinder, Disk, Sphere, Triangle
+from caster.shapes import Cylinder, Disk, Sphere, Triangle, plane
 
 ALONG_AXES = [
     {"scale": [1.0, 2.0, 0.5]},
@@ -153,6 +153,24 @@ def test_the_axes_of_a_cylinder_are_perpendicular_and_those_of_the_world_where_t
     assert columns[:, 2] == pytest.approx(axis, abs=1e-15)
     if axis.tolist() == [0.0, 0.0, 2.0]:
         assert np.array_equal(columns, np.diag(lengths))
+
+
+@pytest.mark.parametrize(
+    ("n", "side"),
+    [
+        ((0.0, 0.6, 0.8), (1, 0, 0)),
+        ((math.nextafter(0.5, 0.0), 0.5, math.sqrt(0.5)), (1, 0, 0)),
+        ((0.5, 0.5, math.sqrt(0.5)), (0, 1, 0)),
+        ((-0.5, 0.5, math.sqrt(0.5)), (0, 1, 0)),
+        ((-1.0, 0.0, 0.0), (0, 1, 0)),
+    ],
+)
+def test_uv_of_a_plane_run_across_the_x_axis_or_the_y_axis_where_its_normal_is_nearer_to_x(n, side):
+    right, ahead = plane._axes(n)
+    expected = np.cross(side, n) / np.linalg.norm(np.cross(side, n))
+    assert right == pytest.approx(expected, abs=1e-15) and ahead == pytest.approx(
+        np.cross(n, expected), abs=1e-15
+    )
 
 
 def test_the_distance_from_an_edge_is_that_of_two_lines_with_the_sign_of_the_inside():

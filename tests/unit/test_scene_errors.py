@@ -53,6 +53,11 @@ ONE_LINERS = [
         "7:1: scene: shapes is a second 'shape': write one of them only",
     ),
     (
+        "no axis",
+        shape("cylinder", "p0 = [1, 2, 3]\np1 = [1, 2, 3]"),
+        "5:1: shapes[0] (cylinder): p0 and p1 must be different points, got [1.0, 2.0, 3.0] for both",
+    ),
+    (
         "wrong type",
         shape("sphere", 'radius = "big"'),
         '7:1: shapes[0] (sphere): radius must be a length > 0, got "big"',

@@ -66,6 +66,8 @@ def test_a_directional_light_is_the_same_everywhere_and_never_ends():
     for p in POINTS:
         assert incident_irradiance(sun, p) == ((0, 1, 0), (1, 2, 3))
         assert light_direction(sun, p) == ((0, 1, 0), math.inf)
+    slanting = Directional(direction=[2, -3, -6], irradiance=[1, 2, 3]).pack()
+    assert light_direction(slanting, POINTS[0])[0] == pytest.approx((-2 / 7, 3 / 7, 6 / 7), rel=1e-15)
 
 
 def test_ambient_light_has_no_direction():
