@@ -9,7 +9,7 @@ import pytest
 from caster.description import parsing
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import read_input
-from caster.geometry.mesh_files import load_mesh, ply_header
+from caster.geometry.mesh_files import load_mesh, ply
 from caster.image.exr import UnreadableExr, read_exr
 from caster.scene.files import load_scene, scene_from_text
 
@@ -109,8 +109,8 @@ def test_nothing_is_allocated_for_rows_that_the_file_cannot_hold(tmp_path, encod
 
 def test_elements_and_properties_of_a_ply_are_counted(tmp_path):
     for what, limit in (
-        ("property float p{}", ply_header.MAX_PROPERTIES),
-        ("element e{} 0", ply_header.MAX_ELEMENTS),
+        ("property float p{}", ply.MAX_PROPERTIES),
+        ("element e{} 0", ply.MAX_ELEMENTS),
     ):
         lines = "".join(what.format(i) + "\n" for i in range(limit + 1))
         (tmp_path / "a.ply").write_text("ply\nformat ascii 1.0\nelement vertex 1\n" + lines + FACES)

@@ -17,8 +17,7 @@ from caster.geometry.mesh_files.plain_text import (
     read_plain_obj,
     read_plain_rows,
 )
-from caster.geometry.mesh_files.ply import _read_plain, parse_ply, read_any_ascii
-from caster.geometry.mesh_files.ply_header import parse_header
+from caster.geometry.mesh_files.ply import _read_plain, parse_header, parse_ply, read_any_ascii
 from caster.jit.kernel_cache import COMPILED
 
 SHARE = 1 if COMPILED else 10  # of what is read; without the compiler, kernels are plain Python
