@@ -21,8 +21,10 @@ from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import T, lane
-from caster.rendering.casting import SAMPLED_RAYS, ShadowCaster, find_any, find_nearest, new_ray_groups
+from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.hits import validated_rays
+from caster.rendering.ray_fans import SAMPLED_RAYS
+from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups
 from caster.rendering.shading import decide_shadows
 from caster.shapes import SHAPES
 

@@ -58,6 +58,14 @@ def has_bvh(kind: Kind) -> bool:
     return "bvh" in kind.derived
 
 
+# Where a kind's largest coordinate lies beyond these, products with 1/d may leave float64: everything is tried instead.
+MIN_BVH_EXTENT, MAX_BVH_EXTENT = 2.0**-400, 2.0**400
+
+
+def uses_bvh(kind: Kind) -> bool:
+    return kind.bounded and len(kind.ids) > LEAF_SIZE and MIN_BVH_EXTENT < kind.extent < MAX_BVH_EXTENT
+
+
 def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
     """A tree over boxes low, high (n, 3), n > 0. The same for every number of threads.
 

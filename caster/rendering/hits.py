@@ -15,9 +15,10 @@ from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import PIXELS, WIDTH, Box, clear_rays, load_hits
 from caster.kernels.surface.lighting import shadow_rays_of
-from caster.rendering.casting import find_any, find_nearest, prim_offsets
+from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
+from caster.rendering.ray_tiles import prim_offsets
 from caster.rendering.shading import NO_START, TileShader, TileWorkspace, material_tables, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Light, Scene

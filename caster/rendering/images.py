@@ -20,7 +20,7 @@ from caster.kernels.raster.tile import WIDTH, Box, generate_camera_rays
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.surface.normals import film_of_own_origins, film_of_shared_origin
 from caster.kernels.surface.per_hit import NO_IDS, store_hits
-from caster.rendering.casting import Culling, exact_nearest, find_nearest, tile_caster
+from caster.rendering.casting import Culling, exact_nearest, find_nearest
 from caster.rendering.hits import RayHits
 from caster.rendering.plan import Plan, culling_for, plan
 from caster.rendering.rasterization import (
@@ -31,6 +31,7 @@ from caster.rendering.rasterization import (
     parallel_for_tiles,
     release_workspace,
 )
+from caster.rendering.ray_tiles import tile_caster
 from caster.rendering.shading import (
     NO_BOX,
     NO_START,

@@ -13,8 +13,8 @@ from caster.description.errors import SceneError
 from caster.geometry.edge_distances import EDGE_ON, EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, in_words, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
-from caster.rendering.bvh_construction import bvh_of, has_bvh
-from caster.rendering.casting import find_nearest, uses_bvh
+from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
+from caster.rendering.casting import find_nearest
 from caster.rendering.images import RenderResult, camera_rays, trace_film
 from caster.rendering.plan import Step
 from caster.scene.model import Scene

@@ -38,7 +38,8 @@ from caster.kernels.raster.tile import (
 )
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.triangles import Triangles
-from caster.rendering.casting import decide_uncertain, prim_offsets, scene_prim_ids
+from caster.rendering.casting import decide_uncertain
+from caster.rendering.ray_tiles import prim_offsets, scene_prim_ids
 from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
 
 __all__ = ["find_nearest_on_film"]

@@ -49,14 +49,9 @@ from caster.kernels.surface.per_hit import (
     surfaces_in_tile_by_lanes,
     write_aov,
 )
-from caster.rendering.casting import (
-    ShadowCaster,
-    exact_nearest,
-    new_ray_groups,
-    prim_offsets,
-    scene_prim_ids,
-)
+from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
+from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups, prim_offsets, scene_prim_ids
 from caster.rendering.threads import unwritten_array
 from caster.scene.model import Scene
 

@@ -24,19 +24,11 @@ from caster.kernels.raster.tile import (
     store_blocked_rays,
     store_rays,
 )
-from caster.rendering.casting import (
-    SAMPLED_RAYS,
-    Culling,
-    ShadowCaster,
-    exact_nearest,
-    find_any,
-    find_nearest,
-    find_rows,
-    new_ray_groups,
-    scene_prim_ids,
-)
+from caster.rendering.casting import Culling, exact_nearest, find_any, find_nearest
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
+from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
+from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups, scene_prim_ids
 from caster.scene.model import Ambient, Directional, Point, Scene
 from caster.shapes import SHAPES
 

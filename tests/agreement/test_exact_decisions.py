@@ -10,7 +10,8 @@ from caster.geometry.packing import Packed
 from caster.kernels.exact.numbers import as_float, compare
 from caster.kernels.nearest import Rays, exact_hit
 from caster.rendering import casting
-from caster.rendering.casting import exact_nearest, find_nearest, uses_bvh
+from caster.rendering.bvh_construction import uses_bvh
+from caster.rendering.casting import exact_nearest, find_nearest
 from caster.rendering.hits import cast, packed, validated_rays
 from caster.rendering.images import film_window, trace_film
 from caster.rendering.rasterization import bin_kinds

@@ -14,7 +14,7 @@ from same_bits import assert_same_bits
 
 from caster.cameras import Panorama, Pinhole
 from caster.description.fields import Camera, Shape
-from caster.rendering import casting, rasterization, threads
+from caster.rendering import rasterization, ray_tiles, threads
 from caster.rendering.bvh_construction import bvh_of
 from caster.rendering.hits import packed
 from caster.shapes import Sphere, Torus
@@ -66,12 +66,12 @@ def test_a_screen_rectangle_cut_short_is_detected(monkeypatch):
 
 
 def test_a_ray_lost_by_the_tree_is_detected(monkeypatch):
-    cast_packets = casting.cast_packets
+    cast_packets = ray_tiles.cast_packets
 
     def forgetful(prims, tree, base, count, tile, room, any_hit):
         cast_packets(prims, tree, base, count // 2, tile, room, any_hit)
 
-    monkeypatch.setattr(casting, "cast_packets", forgetful)
+    monkeypatch.setattr(ray_tiles, "cast_packets", forgetful)
     monkeypatch.setattr(test_cullings, "cullings_for", lambda scene: ("bvh",))
     with pytest.raises(AssertionError, match="bvh: "):
         test_cullings.count_hits_where_cullings_agree(a_scene(Panorama))

@@ -13,10 +13,11 @@ from caster.kernels.bvh import ray_sorting
 from caster.kernels.bvh.build import LEAF_SIZE
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import PIXELS, WIDTH
-from caster.rendering import casting
-from caster.rendering.casting import find_any, find_nearest, sort_rays
+from caster.rendering import ray_fans, ray_tiles
+from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import camera_rays
+from caster.rendering.ray_fans import sort_rays
 from caster.scene.model import Scene
 from caster.shapes import SHAPES, Sphere
 
@@ -32,8 +33,8 @@ def taken(monkeypatch):
     """Fans take all rays that they can; how many they were given."""
     numbers = []
     for constant, value in (("MIN_RAYS_SORTED", 64), ("MAX_PATH_IN_ORDER", -1.0), ("MIN_SHARE_IN_VIEW", 0.0)):
-        monkeypatch.setattr(casting, constant, value)
-    real = casting.sort_rays
+        monkeypatch.setattr(ray_fans, constant, value)
+    real = ray_fans.sort_rays
 
     def sort(*about):
         order, members = real(*about)
@@ -41,7 +42,7 @@ def taken(monkeypatch):
         numbers.append(members)
         return order, members
 
-    monkeypatch.setattr(casting, "sort_rays", sort)
+    monkeypatch.setattr(ray_fans, "sort_rays", sort)
     return numbers
 
 
@@ -165,7 +166,7 @@ def test_rays_that_do_not_belong_are_cast_as_any_others(kind, taken):
     if kind == "along":
         rays.d[:], rays.t_max[:] = [0.3, 0.2, 1.0], np.inf
     stray = np.arange(COUNT) % 7 == 3
-    sampled = np.linspace(0, COUNT - 1, casting.SAMPLED_RAYS).astype(int)
+    sampled = np.linspace(0, COUNT - 1, ray_fans.SAMPLED_RAYS).astype(int)
     stray[sampled] = False
     rays.o[stray] += rng.normal(size=(stray.sum(), 3))
     rays.d[stray] = rng.normal(size=(stray.sum(), 3))
@@ -185,7 +186,7 @@ def test_signs_of_zero_in_an_origin_change_no_bit(taken):
 
 
 def test_more_rays_than_are_sorted_at_a_time(monkeypatch, taken):
-    monkeypatch.setattr(casting, "MAX_RAYS_SORTED", 400)
+    monkeypatch.setattr(ray_fans, "MAX_RAYS_SORTED", 400)
     arrays, rng = scene_of([CUBE], 1.0, 99)
     assert_fans_change_nothing(arrays, from_point(next(points(arrays, rng, 1.0)), arrays, rng, 1.0), "chunks")
     assert len(taken) == 4
@@ -195,7 +196,7 @@ def test_rays_in_order_past_everything_or_few_are_no_fans(monkeypatch):
     """So are rays that go on beyond the point in common, those to several points, and nearest hits of rays to one."""
     monkeypatch.undo()
     arrays, rng = scene_of([CUBE], 1.0, 100, count=14)
-    monkeypatch.setattr(casting, "MIN_RAYS_SORTED", 4096)
+    monkeypatch.setattr(ray_fans, "MIN_RAYS_SORTED", 4096)
     middle = hull_points(arrays, rng, 1)[0]
     eye = middle + np.array([0.0, 0.0, 6.0])
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, 128), np.linspace(-0.5, 0.5, 128))
@@ -206,11 +207,11 @@ def test_rays_in_order_past_everything_or_few_are_no_fans(monkeypatch):
     mixed = mixed._replace(d=rows.d[rng.permutation(x.size)])
 
     def is_fan(rays, any_hit=False):
-        return casting.FanCaster.of(arrays, rays, any_hit) is not None
+        return ray_fans.FanCaster.of(arrays, rays, any_hit) is not None
 
     assert is_fan(mixed) and is_fan(mixed, True)
     assert not is_fan(Rays(*(a[:4000] for a in mixed)))
-    monkeypatch.setattr(casting, "MIN_RAYS_IN_ROWS", x.size + 1)
+    monkeypatch.setattr(ray_fans, "MIN_RAYS_IN_ROWS", x.size + 1)
     assert not is_fan(rows)
     assert not is_fan(mixed._replace(d=mixed.d * [1.0, 1.0, -1.0]))  # the other way
     back = Rays(eye + mixed.d, -mixed.d, mixed.t_min, np.ones(x.size))
@@ -230,15 +231,15 @@ WIDE, HIGH = 131, 9  # a film of two tiles, the second narrow
 @pytest.fixture
 def in_rows(monkeypatch):
     """Rows are looked for among few rays, too; how many rays each tile of them had elsewhere."""
-    monkeypatch.setattr(casting, "MIN_RAYS_IN_ROWS", 4 * WIDE)
+    monkeypatch.setattr(ray_fans, "MIN_RAYS_IN_ROWS", 4 * WIDE)
     numbers = []
-    real = casting.load_rays_from
+    real = ray_fans.load_rays_from
 
     def load(*about):
         numbers.append(real(*about))
         return numbers[-1]
 
-    monkeypatch.setattr(casting, "load_rays_from", load)
+    monkeypatch.setattr(ray_fans, "load_rays_from", load)
     return numbers
 
 
@@ -261,10 +262,10 @@ def test_rays_in_rows_hit_what_they_hit_alone(shape, in_rows):
     """Whole films, arrays that begin and end within a row, and with rays from elsewhere, whose tiles are no fans."""
     arrays, rng = scene_of([shape], 1.0, [104, list(SHAPES).index(shape)])
     rays = film_rays(arrays, rng, 1.0)
-    assert casting.find_rows(rays) == (0, WIDE, HIGH)
+    assert ray_fans.find_rows(rays) == (0, WIDE, HIGH)
     assert assert_fans_change_nothing(arrays, rays, "whole") > WIDE
     part = Rays(*(a[57:-20] for a in rays))
-    assert casting.find_rows(part) == (WIDE - 57, WIDE, HIGH - 2)
+    assert ray_fans.find_rows(part) == (WIDE - 57, WIDE, HIGH - 2)
     assert_fans_change_nothing(arrays, part, "part")
     assert len(in_rows) == 8 and not any(in_rows)
     rays.o[-5] += 1e-9
@@ -282,8 +283,8 @@ def test_rows_of_all_kinds_and_of_many_tiles(in_rows):
 
 
 def trust_origins(monkeypatch):
-    real = casting.load_rays_from
-    monkeypatch.setattr(casting, "load_rays_from", lambda *about: 0 * real(*about))
+    real = ray_fans.load_rays_from
+    monkeypatch.setattr(ray_fans, "load_rays_from", lambda *about: 0 * real(*about))
 
 
 @pytest.mark.parametrize(
@@ -300,7 +301,7 @@ def test_a_fault_of_a_fan_of_rows_is_found(monkeypatch, plant, in_rows):
     rays = film_rays(arrays, rng, 1.0)
     if plant is trust_origins:
         rays.o[40:90] += [3.0, 0.0, 0.0]
-        rays.o[np.linspace(0, len(rays.o) - 1, casting.SAMPLED_RAYS).astype(int)] = rays.o[0]
+        rays.o[np.linspace(0, len(rays.o) - 1, ray_fans.SAMPLED_RAYS).astype(int)] = rays.o[0]
     assert_fans_change_nothing(arrays, rays, "right")
     assert in_rows and any(in_rows) == (plant is trust_origins)
     plant(monkeypatch)
@@ -315,13 +316,13 @@ def film_of(camera, width=200, height=120):
 @pytest.mark.parametrize("fov", [1.0, 45.0, 150.0])
 def test_rows_of_a_film_are_found_also_in_a_part_of_it(fov):
     rays = film_of(Pinhole(eye=(1.0, 2.0, 3.0), look_at=(0.0, 0.0, 0.0), fov=fov))
-    assert casting.find_rows(rays) == (0, 200, 120)
-    assert casting.find_rows(Rays(*(a[90:-70] for a in rays))) == (110, 200, 118)
+    assert ray_fans.find_rows(rays) == (0, 200, 120)
+    assert ray_fans.find_rows(Rays(*(a[90:-70] for a in rays))) == (110, 200, 118)
 
 
 def test_rows_of_a_round_image_are_found_in_its_middle():
     rays = film_of(Fisheye(eye=(1.0, 2.0, 3.0), look_at=(0.0, 0.0, 0.0), fov=180.0), 400, 400)
-    assert (rays.t_max < 0.0).any() and casting.find_rows(rays) == (0, 400, 400)
+    assert (rays.t_max < 0.0).any() and ray_fans.find_rows(rays) == (0, 400, 400)
 
 
 def test_no_rows_are_found_where_there_are_none():
@@ -337,9 +338,9 @@ def test_no_rows_are_found_where_there_are_none():
         square[:, :50].ravel(),
         square[:2].ravel(),
     ):
-        assert casting.find_rows(Rays(*(a[order] for a in rays))) is None
-    assert casting.find_rows(rays._replace(d=np.tile(rays.d[0], (len(rays.d), 1)))) is None
-    assert casting.find_rows(rays._replace(t_max=np.full(len(rays.d), -1.0))) is None
+        assert ray_fans.find_rows(Rays(*(a[order] for a in rays))) is None
+    assert ray_fans.find_rows(rays._replace(d=np.tile(rays.d[0], (len(rays.d), 1)))) is None
+    assert ray_fans.find_rows(rays._replace(t_max=np.full(len(rays.d), -1.0))) is None
 
 
 @pytest.mark.parametrize("count", [1, 7, 64, PIXELS - 1, PIXELS])
@@ -357,8 +358,8 @@ def test_sorted_rays_are_in_the_order_of_their_keys(monkeypatch):
     arrays, _ = scene_of([CUBE], 1.0, 101)
     clustered = rng.normal(size=(3000, 3)) * rng.choice([1e-3, 1.0], (3000, 1)) + [0.0, 0.0, -5.0]
     rays = Rays(np.zeros((3000, 3)), clustered, np.zeros(3000), np.full(3000, np.inf))
-    common = casting.common_point(rays, False)
-    fan = casting.ShadowCaster(arrays, common.light, 3000, outward=True).first_fan
+    common = ray_fans.common_point(rays, False)
+    fan = ray_tiles.ShadowCaster(arrays, common.light, 3000, outward=True).first_fan
     pairs, counts = np.empty(3000, np.int64), np.zeros(ray_sorting.BUCKETS, np.int64)
     corners = (-0.2, -0.2, 0.2, 0.2)
     ray_sorting.find_keys(fan, rays, True, 0.0, corners, 0, (0, 3000), pairs, counts)
@@ -370,8 +371,10 @@ def test_sorted_rays_are_in_the_order_of_their_keys(monkeypatch):
 
 
 def spoilt_fans(monkeypatch, **changes):
-    real = casting.fans_to
-    monkeypatch.setattr(casting, "fans_to", lambda *about: [fan._replace(**changes) for fan in real(*about)])
+    real = ray_tiles.fans_to
+    monkeypatch.setattr(
+        ray_tiles, "fans_to", lambda *about: [fan._replace(**changes) for fan in real(*about)]
+    )
 
 
 @pytest.mark.parametrize(
@@ -394,9 +397,9 @@ def test_too_small_a_deviation_is_found(monkeypatch):
     arrays, rng = scene_of([CUBE], 1.0, 103, count=20)
     rays = to_point(next(points(arrays, rng, 1.0)), arrays, rng, 1.0, "float32")
     assert_any_hit_is_the_same(arrays, rays, "right")
-    real = casting.fans_to
+    real = ray_tiles.fans_to
     monkeypatch.setattr(
-        casting, "fans_to", lambda light, center, extent, off: real(light, center, extent, -off)
+        ray_tiles, "fans_to", lambda light, center, extent, off: real(light, center, extent, -off)
     )
     with pytest.raises(AssertionError):
         assert_any_hit_is_the_same(arrays, rays, "wrong")

@@ -12,7 +12,8 @@ from caster.kernels.nearest import Rays
 from caster.kernels.protocol import hull_point, hull_size
 from caster.kernels.raster.tile import PIXELS, WIDTH, T, clear_rays, lane, load_ray_range, new_tile
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
-from caster.rendering.casting import ShadowCaster, find_nearest, new_ray_groups, scene_prim_ids
+from caster.rendering.casting import find_nearest
+from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups, scene_prim_ids
 from caster.rendering.shading import decide_shadows
 from caster.shapes import SHAPES
 

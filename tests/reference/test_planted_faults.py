@@ -665,7 +665,7 @@ FAULTS = (
         "only some kinds of shape cast shadows",
         "lights-and-shadows",
         "diffuse",
-        "caster/rendering/casting.py",
+        "caster/rendering/ray_tiles.py",
         "offsets = list(zip(packed.kinds, prim_offsets(packed), strict=True))\n        most",
         "offsets = list(zip(packed.kinds, prim_offsets(packed), strict=True))[:1]\n        most",
     ),

@@ -13,7 +13,7 @@ from caster.cameras import Fisheye
 from caster.description.errors import SceneError
 from caster.geometry.packing import pack
 from caster.jit.simd import CHILDREN, LANES
-from caster.kernels.bvh.build import open_largest
+from caster.kernels.bvh.build import STACK_SIZE, open_largest
 from caster.kernels.bvh.traversal import cast_packets_brute_force, cast_rays_singly
 from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
 from caster.kernels.math.vec import U, permanent
@@ -24,7 +24,6 @@ from caster.kernels.raster.tile_casting import bounds_in_tile, row_bounds
 from caster.kernels.raster.wide_angle import MAX_HULL_ANGLE
 from caster.kernels.triangles import SHEAR_ERROR, fast_barycentrics
 from caster.rendering.bvh_construction import bvh_of
-from caster.rendering.casting import STACK_SIZE
 from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Plane, Sphere, Torus, Triangle
 from caster.shapes.cylinder import clip_to_height

@@ -8,7 +8,7 @@ import pytest
 
 import caster
 from caster.aovs import Aovs
-from caster.rendering import casting
+from caster.rendering import casting, ray_tiles
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.judge import scene_checks
@@ -537,8 +537,10 @@ def test_a_fan_without_margins_fails_routes(monkeypatch):
     """What is compared is cast as a fan."""
     scene = larger().model_copy(update={"shapes": (caster.Icosphere(subdivisions=2),)})
     assert not route_differences(scene)
-    real = casting.fans_to
-    monkeypatch.setattr(casting, "fans_to", lambda *given: [fan._replace(slack=-0.1) for fan in real(*given)])
+    real = ray_tiles.fans_to
+    monkeypatch.setattr(
+        ray_tiles, "fans_to", lambda *given: [fan._replace(slack=-0.1) for fan in real(*given)]
+    )
     assert {each.route.split("(")[0] for each in route_differences(scene)} >= {"find_nearest"}
 
 

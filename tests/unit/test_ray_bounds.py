@@ -40,7 +40,7 @@ from caster.kernels.raster.tile import (
     start_ray,
 )
 from caster.kernels.raster.tile_casting import any_pixel_visible, max_visible_t, min_t_per_depth
-from caster.rendering.casting import new_ray_groups
+from caster.rendering.ray_tiles import new_ray_groups
 
 FLAT = 2.0**-20  # what stands for 0 in a direction here
 

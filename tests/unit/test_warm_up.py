@@ -14,7 +14,7 @@ from caster.geometry.packing import pack
 from caster.jit import decorators
 from caster.kernels.bvh import ray_sorting
 from caster.kernels.protocol import intersect, project_bounding_sphere
-from caster.rendering import casting, warm_up
+from caster.rendering import casting, ray_fans, ray_tiles, warm_up
 from caster.scene.model import LIGHTS, Scene
 from caster.shapes.icosphere import Icosphere
 from caster.system.terminal import CompileProgress, announce_compilation
@@ -39,19 +39,22 @@ def test_every_kind_of_primitive_and_every_camera_is_warmed():
 def test_shadow_rays_are_warmed_whether_a_fan_takes_them_or_not(monkeypatch):
     """However many primitives there are, and however few pixels."""
     called = []
-    kernels = {"cast_fan": casting, "cast_left_runs": casting, "cast_packets_brute_force": warm_up}
+    kernels = {"cast_fan": ray_tiles, "cast_left_runs": ray_tiles, "cast_packets_brute_force": warm_up}
     for kernel, module in kernels.items():
         monkeypatch.setattr(module, kernel, lambda *args, kernel=kernel: called.append(kernel))
-    monkeypatch.setattr(casting, "FEW_PRIMITIVES", 1)
+    monkeypatch.setattr(ray_tiles, "FEW_PRIMITIVES", 1)
     scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere(subdivisions=1)], lights=warm_up.LAMPS)
     warm_up._warm_shadows(pack(scene), scene)
     shadowing = [lamp for lamp in warm_up.LAMPS if lamp.type != "ambient"]
     assert called == ["cast_fan", "cast_left_runs"] * len(shadowing) + ["cast_packets_brute_force"]
 
 
-# What caster/rendering/casting.py calls of ray_sorting.py.
-KERNELS_OF_RAYS = {name for name in vars(ray_sorting) if name.islower() and hasattr(casting, name)} & {
-    name for name, it in vars(casting).items() if getattr(it, "__module__", "") == ray_sorting.__name__
+# What caster/rendering/ray_fans.py and casting.py call of ray_sorting.py.
+KERNELS_OF_RAYS = {
+    name
+    for module in (ray_fans, casting)
+    for name, it in vars(module).items()
+    if name.islower() and getattr(it, "__module__", "") == ray_sorting.__name__
 }
 
 
@@ -68,7 +71,7 @@ def test_rays_through_one_point_are_warmed(monkeypatch):
         return call
 
     for name in kernels:
-        for module in (casting, warm_up):
+        for module in (casting, ray_fans, ray_tiles, warm_up):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, recorded(name, getattr(module, name)))
     warm_up._warm_fans(pack(Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere(subdivisions=1)])))

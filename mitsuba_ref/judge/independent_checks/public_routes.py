@@ -14,9 +14,10 @@ import numpy as np
 from caster import cast, occluded
 from caster.aovs import AOVS, Aovs
 from caster.geometry.packing import packed
-from caster.rendering.casting import Culling, find_any, find_nearest, find_rows
+from caster.rendering.casting import Culling, find_any, find_nearest
 from caster.rendering.hits import trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
+from caster.rendering.ray_fans import find_rows
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.independent_checks.knife_edges import content_seed
