@@ -120,7 +120,7 @@ def test_roots_are_known_where_the_larger_one_is_known_to_half_of_itself(f):
 
 
 def smallest_known(of_height) -> float:
-    """The least height, up to rounding, of a triangle whose barycentrics `fast_barycentrics` knows."""
+    """The least height, up to rounding, of a triangle whose barycentrics are known to `fast_barycentrics`."""
     low, high = 0.0, 1.0
     assert fast_barycentrics(*of_height(high))[0] and not fast_barycentrics(*of_height(low))[0]
     for _ in range(60):
