@@ -416,7 +416,10 @@ def generic_inlined(stub: Function) -> Function:
 
 def _declared(stub: Function, options: dict[str, Any]) -> Function:
     entry = Generic(stub, options)
-    _GENERICS[entry.call] = entry
+    with _LOCK:
+        _GENERICS[entry.call] = entry
+        if _numba.cache_info().currsize:  # reading a mesh compiles kernels before those of rendering are imported
+            entry.overload(_numba())
     return entry.call  # type: ignore[return-value]  # called like the stub
 
 

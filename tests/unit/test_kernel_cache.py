@@ -193,6 +193,23 @@ def test_a_bound_call_is_the_call_with_what_it_is_given():
             call(*wrong)
 
 
+LATE_GENERICS = """
+from caster.jit import decorators
+numba = decorators._numba()  # as when a mesh file is read before anything of rendering is imported
+from caster.kernels.bvh import fans
+context = numba.core.registry.cpu_target.typing_context
+context.refresh()
+for function in (fans.outline, fans.separating_plane):
+    context.resolve_value_type(function)  # raises where Numba has not been given it
+print("typed")
+"""
+
+
+def test_functions_of_the_protocol_may_be_imported_after_numba_is_loaded(tmp_path):
+    done = run(tmp_path, "-c", LATE_GENERICS)
+    assert done.stdout == "typed\n", done.stderr
+
+
 def test_a_call_made_for_some_classes_of_arguments_takes_no_others():
     """Machine code reads memory as it is told: an array of another type would be read beyond its end."""
     args = (np.zeros((3, 2)), 1, 2.5, (4, None))
