@@ -3,7 +3,7 @@
 NAME, CHANNELS: of the AOV, and of its channels in an EXR file; one channel is an image (h, w), more are (h, w, c).
 DTYPE, MISS: np.float64 (images have the requested dtype) or np.int32; the value where nothing is hit.
 NEEDS: fields of `caster.kernels.surface.per_hit.Hit` beyond the ray and t; what no AOV needs is not computed.
-PREVIEW: how its image is coloured, a key of `caster.image.aov_views.COLORINGS`.
+PREVIEW: how its image is coloured, a key of `caster.image.previews.COLORINGS`.
 evaluate(hit): the per-hit kernel; a number, or a tuple with one for each channel.
 
 An AOV from elsewhere is added by `register` and rendered like these.

@@ -1,6 +1,7 @@
 """Arguments of a kernel as machine code takes them: an array by its address, a tuple by its members."""
 
 import ctypes
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -87,7 +88,7 @@ def checked_call(args: tuple[Any, ...], entry: Callable[..., int], gives: str) -
     of the answer, "" for none; `entry` takes the address for it first.
     """
     names = [f"a{n}" for n in range(len(args))]
-    known: dict[str, Any] = {"entry": entry, "DONE": DONE, "OTHER": MISMATCH, "failed": _failed}
+    known: dict[str, Any] = {"entry": entry, "DONE": DONE, "OTHER": MISMATCH, "failed": fail}
     tests: list[str] = []
     flat: list[str] = []
     for name, arg in zip(names, args, strict=True):
@@ -129,46 +130,28 @@ def _unfold(
         flat.append(f"id({name})")
 
 
-def bound_call(
-    args: tuple[Any, ...], given: tuple[int, ...], entry: Callable[[int], int], gives: str
-) -> Callable[..., Any]:
-    """A function that calls a kernel with these arguments, but takes those at the places `given`, integers or tuples.
-
-    It looks at nothing else any more, and is one thread's at a time.
-    entry: takes the address of a block (machine_code.ObjectCode.block_entry).
-    """
-    answer = C[gives or INTEGER]()
-    words, places = [ctypes.addressof(answer)], []
-    for n, arg in enumerate(args):
-        start = len(words)
-        words += _words_of(arg)
-        if n in given:
-            places.append(slice(start, len(words)))
-    block = (ctypes.c_int64 * len(words))(*words)
-    address = ctypes.addressof(block)
-
-    def call(*numbers: int | tuple[int, ...], kept: Any = args) -> Any:  # whose addresses are in the block
-        for place, those in zip(places, numbers, strict=True):
-            block[place] = list(those) if isinstance(those, tuple) else [those]
-        if entry(address) not in DONE:
-            _failed()
-        return answer.value if gives else None
-
-    return call
+WORD, NUMBER = struct.Struct("=q"), struct.Struct("=d")
 
 
-def _words_of(arg: Any) -> list[int]:
+def words_of(arg: Any) -> list[int]:
     """An argument as eight bytes each for what an entry takes of it."""
-    if isinstance(arg, tuple):
-        return [word for member in arg for word in _words_of(member)]
-    if isinstance(arg, np.ndarray):
-        return [id(arg)]
-    if arg is None:
-        return []
-    return [np.float64(arg).view(np.int64).item() if SCALARS[type(arg)] == REAL else int(arg)]
+    words: list[int] = []
+    _append_words(arg, words)
+    return words
 
 
-def _failed() -> None:
+def _append_words(arg: Any, words: list[int]) -> None:
+    kind = type(arg)
+    if kind is np.ndarray:
+        words.append(id(arg))
+    elif isinstance(arg, tuple):
+        for member in arg:
+            _append_words(member, words)
+    elif arg is not None:
+        words.append(WORD.unpack(NUMBER.pack(arg))[0] if SCALARS[kind] == REAL else int(arg))
+
+
+def fail() -> None:
     raise RuntimeError("a kernel failed: it counted with a number beyond its range")
 
 

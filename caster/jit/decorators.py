@@ -19,11 +19,11 @@ from caster.jit.arguments import (
     MISMATCH,
     REAL,
     argument_forms,
-    bound_call,
     checked_call,
     named_tuple_names,
     signature_key,
 )
+from caster.jit.command_list import BoundCall
 from caster.jit.kernel_cache import COMPILED, CompileResultCache, cache_folder
 from caster.jit.simd import (
     CHILDREN,
@@ -177,14 +177,13 @@ class Kernel:
             self._latest[type(args[0])] = call
         return call
 
-    def bound(self, args: tuple[Any, ...], given: tuple[int, ...]) -> Callable[..., Any] | None:
-        """`arguments.bound_call` of this kernel; None where only Numba can call it."""
+    def code(self, args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
+        """Machine code for such arguments; None where only Numba can call this kernel."""
         key = self._key(args)
         if key not in self._codes:
             self._prepared(args)
         with _LOCK:
-            code = self._codes.get(key)
-            return None if code is None else bound_call(args, given, code.block_entry, code.gives)
+            return self._codes.get(key)
 
     def _key(self, args: tuple[Any, ...]) -> str | None:
         """Key of machine code: in all processes, or, with classes from elsewhere, in this one."""
@@ -297,25 +296,12 @@ def inlined(function: Function) -> Function:
     return Kernel(function, {"forceinline": True}) if COMPILED else function  # type: ignore[return-value]  # likewise
 
 
-def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> Callable[..., Any]:
-    """A function that calls a kernel with these arguments, but takes those at the places `given`.
+def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> BoundCall:
+    """A kernel with these arguments, but for those at the places `given`, integers or tuples of integers.
 
-    Those are integers or tuples of integers. A call takes a tenth of the time of others, and is one thread's at a time.
+    A call takes a tenth of the time of others, and is one thread's at a time.
     """
-    call = function.bound(args, given) if isinstance(function, Kernel) else None
-    return call or _partly(function, args, given)
-
-
-def _partly(
-    function: Callable[..., Any], args: tuple[Any, ...], given: tuple[int, ...]
-) -> Callable[..., Any]:
-    def call(*numbers: int | tuple[int, ...]) -> Any:
-        every = list(args)
-        for n, those in zip(given, numbers, strict=True):
-            every[n] = those
-        return function(*every)
-
-    return call
+    return BoundCall(function, args, given, function.code(args) if isinstance(function, Kernel) else None)
 
 
 def _overload_lanes(numba: Any) -> None:
@@ -418,7 +404,9 @@ def _declared(stub: Function, options: dict[str, Any]) -> Function:
     entry = Generic(stub, options)
     with _LOCK:
         _GENERICS[entry.call] = entry
-        if _numba.cache_info().currsize:  # reading a mesh compiles kernels before those of rendering are imported
+        if (
+            _numba.cache_info().currsize
+        ):  # reading a mesh compiles kernels before those of rendering are imported
             entry.overload(_numba())
     return entry.call  # type: ignore[return-value]  # called like the stub
 

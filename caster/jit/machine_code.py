@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.jit.arguments import ARRAY, BOOLEAN, INTEGER, NONE, REAL, C, Form
+from caster.jit.arguments import ARRAY, BOOLEAN, DONE, INTEGER, NONE, REAL, C, Form
 from caster.jit.kernel_cache import distrust, distrust_installed, installed_folder, read_sealed, write_sealed
 
 # A record as Numba's code reads it: count of references, two fields for others, address of the data, size of the data.
@@ -99,6 +99,111 @@ MATHEMATICS = (
 )
 C_LIBRARY_SYMBOLS = {*MATHEMATICS.split(" "), "trunc", "malloc", "free", "memcpy", "memmove", "memset"}
 """What object code may call of the C library; anything else would be Numba's own."""
+
+
+# Lists of calls (caster/jit/command_list.py). A command is the addresses of an entry that takes a block, of the block,
+# and of a number that is not 0 where the command is to be carried out, or 0; then how many numbers of the row are to be
+# copied into the block first, from and to an address each. PAUSE in place of an entry returns to Python.
+END_OF_COMMANDS, PAUSE = 0, 1
+COMMAND_STATE_SIZE = (
+    7  # first command, next row, end of rows, numbers of a row, place of a row; where it paused, and at what
+)
+PAUSED, FAILED = 1, 2
+
+_GO_ON = "\n".join(f"    i32 {status}, label %next" for status in DONE)
+
+RUN_COMMANDS = f"""
+define i32 @caster_run_commands(i64 %address) {{
+  %state = inttoptr i64 %address to ptr
+  %rows.at = getelementptr i64, ptr %state, i64 1
+  %end.at = getelementptr i64, ptr %state, i64 2
+  %width.at = getelementptr i64, ptr %state, i64 3
+  %place.at = getelementptr i64, ptr %state, i64 4
+  %paused.at = getelementptr i64, ptr %state, i64 5
+  %what.at = getelementptr i64, ptr %state, i64 6
+  %program = load ptr, ptr %state
+  %end = load i64, ptr %end.at
+  %width = load i64, ptr %width.at
+  %place = load ptr, ptr %place.at
+  %paused = load ptr, ptr %paused.at
+  %begins = icmp eq ptr %paused, null
+  br i1 %begins, label %row, label %command
+row:
+  %at = load i64, ptr %rows.at
+  %over = icmp eq i64 %at, %end
+  br i1 %over, label %done, label %take
+done:
+  ret i32 0
+take:
+  %from = inttoptr i64 %at to ptr
+  br label %number
+number:
+  %n = phi i64 [ 0, %take ], [ %n.next, %number ]
+  %from.n = getelementptr i64, ptr %from, i64 %n
+  %place.n = getelementptr i64, ptr %place, i64 %n
+  %value = load i64, ptr %from.n
+  store i64 %value, ptr %place.n
+  %n.next = add i64 %n, 1
+  %more = icmp ult i64 %n.next, %width
+  br i1 %more, label %number, label %taken
+taken:
+  %bytes = mul i64 %width, 8
+  %following = add i64 %at, %bytes
+  store i64 %following, ptr %rows.at
+  br label %command
+command:
+  %c = phi ptr [ %paused, %0 ], [ %program, %taken ], [ %c.next, %next ]
+  %entry = load i64, ptr %c
+  %last = icmp eq i64 %entry, {END_OF_COMMANDS}
+  br i1 %last, label %row, label %read
+read:
+  %block.at = getelementptr i64, ptr %c, i64 1
+  %when.at = getelementptr i64, ptr %c, i64 2
+  %count.at = getelementptr i64, ptr %c, i64 3
+  %copies = getelementptr i64, ptr %c, i64 4
+  %block = load i64, ptr %block.at
+  %when = load ptr, ptr %when.at
+  %count = load i64, ptr %count.at
+  %words = mul i64 %count, 2
+  %c.next = getelementptr i64, ptr %copies, i64 %words
+  %always = icmp eq ptr %when, null
+  br i1 %always, label %act, label %ask
+ask:
+  %flag = load i64, ptr %when
+  %skipped = icmp eq i64 %flag, 0
+  br i1 %skipped, label %next, label %act
+act:
+  %pauses = icmp eq i64 %entry, {PAUSE}
+  br i1 %pauses, label %pause, label %copy
+pause:
+  store ptr %c.next, ptr %paused.at
+  store i64 %block, ptr %what.at
+  ret i32 {PAUSED}
+copy:
+  %k = phi i64 [ 0, %act ], [ %k.next, %one ]
+  %copied = icmp eq i64 %k, %words
+  br i1 %copied, label %call, label %one
+one:
+  %source.at = getelementptr i64, ptr %copies, i64 %k
+  %target.at = getelementptr i64, ptr %source.at, i64 1
+  %source = load ptr, ptr %source.at
+  %target = load ptr, ptr %target.at
+  %word = load i64, ptr %source
+  store i64 %word, ptr %target
+  %k.next = add i64 %k, 2
+  br label %copy
+call:
+  %function = inttoptr i64 %entry to ptr
+  %status = call i32 %function(i64 %block)
+  switch i32 %status, label %failed [
+{_GO_ON}
+  ]
+failed:
+  ret i32 {FAILED}
+next:
+  br label %command
+}}
+"""
 
 
 # Compiled kernels without Numba: the object code it made is kept, and loaded and called by llvmlite alone.
@@ -248,6 +353,23 @@ def _engine() -> Any:
     llvm.initialize_native_asmprinter()
     target = llvm.Target.from_default_triple().create_target_machine()
     return llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
+
+
+@cache
+def command_runner() -> Callable[[int], int]:
+    """Carries out commands; takes the address of COMMAND_STATE_SIZE int64."""
+    import llvmlite.binding as llvm
+
+    _engine()  # LLVM is initialised
+    # 2 ms in place of 6, for a function whose time does not count
+    target = llvm.Target.from_default_triple().create_target_machine(opt=0)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(RUN_COMMANDS), target)
+    engine.finalize_object()
+    run: Any = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(
+        int(engine.get_function_address("caster_run_commands"))
+    )
+    run.engine = engine  # which owns the code
+    return run
 
 
 def _load(symbol: str, data: bytes) -> int:

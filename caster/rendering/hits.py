@@ -1,6 +1,6 @@
 """Nearest hits of any rays: `cast`, `occluded`, and AOVs of what was hit."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import Rounding, as_given
+from caster.jit.command_list import Command
 from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray, new_rays
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import PIXELS, WIDTH, Box, clear_rays, load_hits
+from caster.kernels.raster.tile import BOX, PIXELS, WIDTH, Box, clear_rays, load_hits, tile_rows
 from caster.kernels.surface.lighting import shadow_rays_of
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
@@ -95,20 +96,20 @@ class RayHits:
             self.scene, self.packed, planned, images, start=self._start(window), exact_shadows=True
         )
 
-        def begin() -> Callable[[int, Box], None]:
+        def begin() -> list[Command]:
             workspace = TileWorkspace()
-            shade = shader.begin(workspace)
 
-            def work(number: int, box: Box) -> None:
+            def load(box: Box) -> None:
                 first = box[1] * WIDTH
                 stop = min(first + PIXELS, count)
                 load_hits(self.rays, self.nearest.t, prim, first, stop, workspace.tile)
                 clear_rays(workspace.tile, stop - first, (box[3] - box[1]) * WIDTH)
-                shade(box, None)
 
-            return work
+            return [Command(load, (BOX,)), *shader.commands(workspace)]
 
-        parallel_for_tiles(begin, window, self.threads)
+        parallel_for_tiles(
+            begin, tile_rows(window.width, window.height, len(self.packed.kinds)), self.threads
+        )
         return {name: image.reshape(-1, *image.shape[2:])[:count] for name, image in images.items()}
 
     def _prim_in_tile(self) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Films of a scene: its AOVs as images."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -13,10 +13,11 @@ from caster.description.errors import SceneError, suggestion
 from caster.description.fields import Camera
 from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import Rounding, as_given
+from caster.jit.command_list import Command
 from caster.jit.decorators import bind
 from caster.kernels.nearest import Rays, generate_rays, generate_rays_at, new_rays
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import WIDTH, Box, generate_camera_rays
+from caster.kernels.raster.tile import BOX, generate_camera_rays, kind_numbers, tile_rows
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.surface.normals import film_of_own_origins, film_of_shared_origin
 from caster.kernels.surface.per_hit import NO_IDS, store_hits
@@ -26,17 +27,18 @@ from caster.rendering.plan import Plan, culling_for, plan
 from caster.rendering.rasterization import (
     BinnedKind,
     bin_kinds,
+    cast_commands,
     find_nearest_on_film,
-    kinds_caster,
     parallel_for_tiles,
     release_workspace,
 )
-from caster.rendering.ray_tiles import tile_caster
+from caster.rendering.ray_tiles import kind_command, prim_offsets
 from caster.rendering.shading import (
     NO_BOX,
     NO_START,
     UNUSED_SURFACE,
     TileShader,
+    TileWorkspace,
     new_image,
     spare_workspaces,
 )
@@ -149,7 +151,7 @@ class FilmRenderer:
         if kinds and len(kinds) == 1 and (aovs := self._without_surface()) is not None:
             self._render_at_once(kinds[0], *aovs)
         else:
-            self._render_by_tile(kinds)
+            self._render_by_commands(kinds)
         decided = self._decide_uncertain()
         release_workspace(kinds or [])
         on_film = None if kinds is None else tuple(it.binned for it in kinds)
@@ -200,39 +202,32 @@ class FilmRenderer:
         channels = (len(BY_NAME[otherwise].CHANNELS),) if len(BY_NAME[otherwise].CHANNELS) > 1 else ()
         return kernel_of(otherwise), np.empty((0, 0, *channels))
 
-    def _render_by_tile(self, kinds: list[BinnedKind] | None) -> None:
+    def _render_by_commands(self, kinds: list[BinnedKind] | None) -> None:
         """Any AOVs of any scene. kinds: None for trees."""
-        seek = self._seeker(kinds)
-
-        def begin() -> Callable[[int, Box], None]:
-            workspace = take()
-            tile = workspace.tile
-            generate = bind(generate_camera_rays, self.camera, self.window, NO_BOX, tile, given=(2,))
-            cast, shade, miss = seek(tile), self.shader.begin(workspace), self.shader.begin_misses()
-            store = bind(store_hits, tile, NO_BOX, self.hit, self.uncertain, given=(1,))
-
-            def work(number: int, box: Box) -> None:
-                present = None if kinds is None else [it.runs[number] < it.runs[number + 1] for it in kinds]
-                if present is not None and not any(present):
-                    miss(box)
-                    return
-                generate(box)
-                cast(number, box)
-                shade(box, present)
-                store(box)  # last: shadows may be uncertain, too
-
-            return work
-
+        runs, number = None if kinds is None else [it.runs for it in kinds], len(self.packed.kinds)
+        rows = tile_rows(self.window.width, self.window.height, number, runs)
+        seen = rows[:, [kind_numbers(k).present for k in range(number)]].any(axis=1)
         with spare_workspaces() as take:
-            parallel_for_tiles(begin, self.window, self.threads, self.on_progress)
+            begin = partial(self._commands, take, kinds)
+            parallel_for_tiles(begin, rows[seen], self.threads, self.on_progress)
+        parallel_for_tiles(self.shader.miss_commands, rows[~seen], self.threads, self.on_progress)
 
-    def _seeker(self, kinds: list[BinnedKind] | None) -> Callable[[np.ndarray], Callable[[int, Box], None]]:
-        """Finds the hits of tiles in a workspace, given their numbers and boxes."""
+    def _commands(
+        self, take: Callable[[], TileWorkspace], kinds: list[BinnedKind] | None
+    ) -> Iterator[Command]:
+        """What renders tiles where something may be hit. kinds: None for trees."""
+        workspace = take()
+        tile = workspace.tile
+        yield Command(bind(generate_camera_rays, self.camera, self.window, NO_BOX, tile, given=(2,)), (BOX,))
         if kinds is not None:
             cast = cast_shared_origin if self.scene.camera.shares_origin else cast_own_origins
-            return partial(kinds_caster, cast, kinds)
-        cast_rows = tile_caster(self.packed)
-        return lambda tile: lambda number, box: cast_rows((box[3] - box[1]) * WIDTH, tile)
+            yield from cast_commands(cast, kinds, tile)
+        else:
+            for kind, base in zip(self.packed.kinds, prim_offsets(self.packed), strict=True):
+                yield kind_command(kind, base, tile)
+        yield from self.shader.commands(workspace)
+        # last: shadows may be uncertain, too
+        yield Command(bind(store_hits, tile, NO_BOX, self.hit, self.uncertain, given=(1,)), (BOX,))
 
     def _decide_uncertain(self) -> int:
         """The pixels that float64 leaves open, exactly; how many."""

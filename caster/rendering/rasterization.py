@@ -1,14 +1,16 @@
 """Rasterization: nearest hits of a film by testing each primitive in the pixels of its screen bounds."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
+from caster.jit.command_list import Command, CommandList
 from caster.jit.decorators import bind, implements
 from caster.kernels.bvh.build import BOX_PADDING
 from caster.kernels.nearest import Nearest, Rays, no_hits
@@ -25,16 +27,18 @@ from caster.kernels.raster.screen_bounds import (
     project_vertices,
 )
 from caster.kernels.raster.tile import (
+    BOX,
     DEPTH_BUCKETS,
     HEIGHT,
     WIDTH,
     Box,
     count_in_tiles,
+    kind_numbers,
     load_rays,
     new_tile,
     scatter_to_tiles,
     store_nearest,
-    tile_boxes,
+    tile_rows,
 )
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.triangles import Triangles
@@ -97,65 +101,57 @@ def find_nearest_on_film(
     nearest, uncertain = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
     ids = scene_prim_ids(packed)
 
-    def begin() -> Callable[[int, Box], None]:
+    def begin() -> list[Command]:
         tile = new_tile()
-        cast_tile = kinds_caster(cast, kinds, tile)
 
-        def work(number: int, box: Box) -> None:
+        def load(box: Box) -> None:
             load_rays(rays, window.width, box, tile)
-            cast_tile(number, box)
+
+        def store(box: Box) -> None:
             store_nearest(tile, ids, window.width, box, nearest, uncertain)
 
-        return work
+        return [Command(load, (BOX,)), *cast_commands(cast, kinds, tile), Command(store, (BOX,))]
 
-    parallel_for_tiles(begin, window, threads)
+    rows = tile_rows(window.width, window.height, len(kinds), [it.runs for it in kinds])
+    parallel_for_tiles(begin, rows, threads)
     return decide_uncertain(packed, rays, nearest, uncertain, threads)
 
 
-def kinds_caster(
-    cast: Callable[..., None], kinds: list[BinnedKind], tile: np.ndarray
-) -> Callable[[int, Box], None]:
-    """What tests all primitives that may be visible in the tile of that number and box."""
+def cast_commands(cast: Callable[..., None], kinds: list[BinnedKind], tile: np.ndarray) -> Iterator[Command]:
+    """What tests all primitives that may be visible in a tile."""
     empty, box = (0, 0), (0, 0, 0, 0)
-    casters = [
-        (
-            it.runs,
-            bind(cast, it.kind.prims, it.order, empty, it.bounds, it.prim_range[0], box, tile, given=(2, 5)),
-        )
-        for it in kinds
-    ]
+    for k, it in enumerate(kinds):
+        about = it.kind.prims, it.order, empty, it.bounds, it.prim_range[0], box, tile
+        at = kind_numbers(k)
+        yield Command(bind(cast, *about, given=(2, 5)), (at.run, BOX), at.present)
 
-    def cast_tile(number: int, box: Box) -> None:
-        for runs, test in casters:
-            run = int(runs[number]), int(runs[number + 1])
-            if run[0] < run[1]:
-                test(run, box)
 
-    return cast_tile
+PIECES_PER_THREAD = 32  # so few that steps of Python do not count, enough to share the work evenly
 
 
 def parallel_for_tiles(
-    begin: Callable[[], Callable[[int, Box], None]],
-    window: Window,
+    begin: Callable[[], Iterable[Command]],
+    rows: np.ndarray,
     threads: int | None,
     on_progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Call work(number, box) for each tile of the window; `begin` returns the `work` of each thread.
+    """Carry out the commands that `begin` returns, for each thread, for the rows of all tiles (`tile_rows`).
 
-    on_progress: called with the number of pixels of each tile that is done.
+    on_progress: called with the number of pixels of tiles that are done.
     """
 
-    def done(piece: tuple[int, Box]) -> None:
+    def done(piece: tuple[int, int]) -> None:
         assert on_progress is not None
-        x0, y0, x1, y1 = piece[1]
-        on_progress((x1 - x0) * (y1 - y0))
+        x0, y0, x1, y1 = rows[slice(*piece), BOX].T
+        on_progress(int(((x1 - x0) * (y1 - y0)).sum()))
 
-    def begin_pieces() -> Callable[[tuple[int, Box]], None]:
-        work = begin()
-        return lambda piece: work(*piece)
+    def begin_pieces() -> Callable[[tuple[int, int]], None]:
+        run = CommandList(begin(), rows).run
+        return lambda piece: run(*piece)
 
-    pieces = list(enumerate(tile_boxes(window.width, window.height)))
-    parallel_for_pieces(begin_pieces, pieces, thread_count(threads), done if on_progress else None)
+    workers = thread_count(threads)
+    edges = np.linspace(0, len(rows), min(len(rows), workers * PIECES_PER_THREAD) + 1).astype(int).tolist()
+    parallel_for_pieces(begin_pieces, list(pairwise(edges)), workers, done if on_progress else None)
 
 
 def bin_kinds(

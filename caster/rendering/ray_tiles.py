@@ -2,12 +2,13 @@
 
 import itertools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
+from caster.jit.command_list import Command, CommandList, Condition
 from caster.jit.decorators import bind
 from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.build import STACK_SIZE
@@ -19,6 +20,7 @@ from caster.kernels.bvh.fans import (
     Fan,
     FanBounds,
     RayGroups,
+    begin_groups,
     cast_fan,
     cast_fan_outward,
     cast_left_runs,
@@ -26,7 +28,17 @@ from caster.kernels.bvh.fans import (
 )
 from caster.kernels.bvh.traversal import cast_packets, cast_packets_brute_force
 from caster.kernels.nearest import Rays
-from caster.kernels.raster.tile import PIXELS, WIDTH, Box, clear_rays, load_ray_range, new_tile
+from caster.kernels.raster.tile import (
+    COUNT,
+    LINES,
+    PIXELS,
+    TILE_NUMBERS,
+    WIDTH,
+    Box,
+    clear_rays,
+    load_ray_range,
+    new_tile,
+)
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.rendering.bvh_construction import boxes_along, bvh_of, fan_bounds, fans_to, uses_bvh
 from caster.rendering.threads import parallel_for
@@ -64,6 +76,17 @@ def for_ray_tiles(
 
     if end > begin:
         parallel_for(work, end - begin, threads)
+
+
+def kind_command(
+    kind: Kind, base: int, tile: np.ndarray, any_hit: bool = False, when: Condition | None = None
+) -> Command:
+    """Casts the first rays of a tile at a kind."""
+    if uses_bvh(kind):
+        about = kind.prims, bvh_of(kind), base, 0, tile, new_workspace(), any_hit
+        return Command(bind(cast_packets, *about, given=(3,)), (COUNT,), when)
+    about_all = kind.prims, len(kind.ids), base, 0, tile, any_hit
+    return Command(bind(cast_packets_brute_force, *about_all, given=(3,)), (COUNT,), when)
 
 
 def tile_caster(packed: Packed, any_hit: bool = False) -> Callable[[int, np.ndarray], None]:
@@ -128,7 +151,7 @@ class ShadowCaster:
         self._kinds = [(kind, base) for kind, base in offsets if uses_bvh(kind) and len(kind.ids) <= most]
         few, many = (
             [
-                _kind_caster(kind, base, any_hit)
+                (kind, base)
                 for kind, base in offsets
                 if uses_bvh(kind) == with_tree and (not with_tree or len(kind.ids) > most)
             ]
@@ -168,31 +191,51 @@ class ShadowCaster:
 
     def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """What casts the first so many rays of this tile, whole rows of it."""
-        workspace, counts = new_workspace(), groups.counts
-        find = [bind(group_rays, fan, tile, 0, groups, self._outward, given=(2,)) for fan in self._fans]
-        casters: dict[int, list[Callable[[], None]]] = {}
+        row = np.zeros((1, TILE_NUMBERS), np.int64)
+        commands = CommandList(self.commands(tile, groups), row)
 
         def go(count: int) -> None:
-            for cast_others in self._before_fans:  # what they hit ends the search for the rest
-                cast_others(count, tile, workspace)
-            groups.taken[:], counts[:] = 0, (0, count)
-            for number, group in enumerate(find):
+            row[0, COUNT], row[0, LINES] = count, count // WIDTH
+            commands.run(0, 1)
+
+        return go
+
+    def commands(
+        self, tile: np.ndarray, groups: RayGroups, when: Condition | None = None
+    ) -> Iterator[Command]:
+        """Cast the first rays of this tile, whole rows of it; what is hit before fans ends the search for the rest."""
+        yield from (kind_command(kind, base, tile, self._any_hit, when) for kind, base in self._before_fans)
+        if self._fans:
+            yield Command(bind(begin_groups, groups, given=()), ())
+            group = bind(group_rays, self._fans[0], tile, 0, groups, self._outward, given=(2,))
+            yield Command(group, (LINES,), when)
+            some, others = (groups.counts, 0), (groups.counts, 1)
+            for n in range(len(self._kinds)):
+                yield Command(self._fan_caster(0, n, tile, groups), (), some)
+            yield Command(self._other_fans(tile, groups), (COUNT,), others)
+        yield from (kind_command(kind, base, tile, self._any_hit, when) for kind, base in self._after_fans)
+
+    def _other_fans(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
+        """Casts rays that the first fan does not have, by the other ones, then through the tree."""
+        workspace, counts = new_workspace(), groups.counts
+        casters: dict[int, tuple[Callable[[int], None], list[Callable[[], None]]]] = {}
+
+        def go(count: int) -> None:
+            for number in range(1, len(self._fans)):
+                if number not in casters:
+                    about = self._fans[number], tile, 0, groups, self._outward
+                    kinds = [self._fan_caster(number, n, tile, groups) for n in range(len(self._kinds))]
+                    casters[number] = bind(group_rays, *about, given=(2,)), kinds
+                group, cast_kinds = casters[number]
                 group(count // WIDTH)
                 if counts[0]:
-                    if number not in casters:
-                        casters[number] = [
-                            self._fan_caster(number, n, tile, groups) for n in range(len(self._kinds))
-                        ]
-                    for cast in casters[number]:
+                    for cast in cast_kinds:
                         cast()
                 if not counts[1]:
-                    break
-            if counts[1]:
-                for kind, base in self._kinds:
-                    about = kind.prims, bvh_of(kind), base, count, tile, groups.taken, workspace
-                    cast_left_runs(*about, self._any_hit)
-            for cast_others in self._after_fans:
-                cast_others(count, tile, workspace)
+                    return
+            for kind, base in self._kinds:
+                about_all = kind.prims, bvh_of(kind), base, count, tile, groups.taken, workspace
+                cast_left_runs(*about_all, self._any_hit)
 
         return go
 

@@ -4,23 +4,25 @@ One way for all rays: a film is tiles of its camera's rays; an array of rays is 
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import compress
 from typing import Any
 
 import numpy as np
 
 from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
+from caster.jit.command_list import BoundCall, Command
 from caster.jit.decorators import bind, implements
 from caster.kernels.bvh.fans import RayGroups
 from caster.kernels.nearest import Rays
 from caster.kernels.protocol import fast_surface, fast_uv
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import (
+    BOX,
+    COUNT,
     DX,
     DY,
     DZ,
@@ -30,9 +32,8 @@ from caster.kernels.raster.tile import (
     T_MAX,
     T_MIN,
     UNCERTAIN,
-    WIDTH,
-    Box,
     T,
+    kind_numbers,
     new_lanes,
     new_tile,
 )
@@ -105,9 +106,7 @@ def spare_workspaces() -> Iterator[Callable[[], TileWorkspace]]:
     _SPARE_WORKSPACES.extend(taken[: max(MAX_SPARE_WORKSPACES - len(_SPARE_WORKSPACES), 0)])
 
 
-Present = Sequence[bool]  # by the place of a kind in Packed.kinds: whether it may be hit in a tile
-TileWork = Callable[[Box, Present], None]
-Step = Callable[["TileWorkspace"], TileWork]  # what is done with tiles in a workspace
+Step = Callable[["TileWorkspace"], Iterable[Command]]  # what is done with tiles in a workspace
 
 
 def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
@@ -138,12 +137,11 @@ class TileShader:
         exact_shadows: bool = False,
     ) -> None:
         self.images, self.start, self.reach = images, start, reach
-        self._shadow_rays: list[int] = []  # one a tile and light: threads only append
+        self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
         self.normals_alone = plan.surfaces == ("normals",) and not start.size
         self.ids = _primitive_ids(packed, plan.needs)
         self._fields = None if start.size else _single_fields(images, plan)
-        self._anywhere = [True] * len(packed.kinds)
-        self.steps: list[Step] = [lambda workspace: _box_alone(self.begin_misses())]
+        self.steps: list[Step] = [lambda workspace: self.miss_commands()]
         if packed.kinds:
             self.steps = self._surface_steps(packed, plan)
             if plan.needs & {"albedo", "radiance"}:
@@ -155,29 +153,18 @@ class TileShader:
     @property
     def shadow_rays(self) -> int:
         """Shadow rays cast so far."""
-        return sum(self._shadow_rays)
+        return sum(int(total[0]) for total in self._shadow_rays)
 
-    def begin(self, workspace: TileWorkspace) -> Callable[[Box, Present | None], None]:
-        """What writes the AOVs of tiles of this workspace; present: None: any kind may be hit."""
-        work, anywhere = [step(workspace) for step in self.steps], self._anywhere
+    def commands(self, workspace: TileWorkspace) -> list[Command]:
+        """What writes the AOVs of tiles of this workspace, by their rows (`tile_rows`)."""
+        return [command for step in self.steps for command in step(workspace)]
 
-        def go(box: Box, present: Present | None) -> None:
-            for each in work:
-                each(box, present or anywhere)
-
-        return go
-
-    def begin_misses(self) -> Callable[[Box], None]:
-        """What writes the AOVs of a box where nothing is hit; one thread's."""
-        work = [
-            bind(fill_miss, kernel_of(name), NO_BOX, image, given=(1,)) for name, image in self.images.items()
+    def miss_commands(self) -> list[Command]:
+        """What writes the AOVs of tiles where nothing is hit."""
+        return [
+            Command(bind(fill_miss, kernel_of(name), NO_BOX, image, given=(1,)), (BOX,))
+            for name, image in self.images.items()
         ]
-
-        def go(box: Box) -> None:
-            for each in work:
-                each(box)
-
-        return go
 
     def _surface_steps(self, packed: Packed, plan: Plan) -> list[Step]:
         if not plan.surfaces or self.normals_alone:
@@ -188,9 +175,9 @@ class TileShader:
 
     def _material_step(self, scene: Scene, packed: Packed) -> Step:
         tables = shape_by_primitive(packed), *material_tables(scene)
-        return lambda ws: _box_alone(
-            bind(materials_in_tile, ws.tile, NO_BOX, *tables, ws.surface, given=(1,))
-        )
+        return lambda ws: [
+            Command(bind(materials_in_tile, ws.tile, NO_BOX, *tables, ws.surface, given=(1,)), (BOX,))
+        ]
 
     def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
         pixels = max((math.prod(image.shape[:2]) for image in self.images.values()), default=0)
@@ -212,7 +199,9 @@ class TileShader:
         )
         if len(ambient):
             steps.append(
-                lambda ws: _box_alone(bind(add_ambient, ws.tile, NO_BOX, ws.surface, ambient, given=(1,)))
+                lambda ws: [
+                    Command(bind(add_ambient, ws.tile, NO_BOX, ws.surface, ambient, given=(1,)), (BOX,))
+                ]
             )
         return steps
 
@@ -222,20 +211,15 @@ class TileShader:
             return partial(_write_normals, kernel, kind_ranges(packed), self.reach, image)
         unused = set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"}
 
-        def begin(ws: TileWorkspace) -> TileWork:
+        def begin(ws: TileWorkspace) -> list[Command]:
             surface = UNUSED_SURFACE if unused else ws.surface
-            return _box_alone(
-                bind(write_aov, kernel, ws.tile, NO_BOX, surface, ids, start, image, given=(2,))
-            )
+            write = bind(write_aov, kernel, ws.tile, NO_BOX, surface, ids, start, image, given=(2,))
+            return [Command(write, (BOX,))]
 
         return begin
 
 
 NO_BOX = (0, 0, 0, 0)
-
-
-def _box_alone(work: Callable[[Box], Any]) -> TileWork:
-    return lambda box, present: work(box)
 
 
 # AOVs that need one of these alone of a hit are written as soon as it is known.
@@ -266,54 +250,43 @@ def _add_light(
     light: Any,
     cast: ShadowCaster | None,
     exact: Packed | None,
-    counts: list[int],
+    counts: list[np.ndarray],
     shapes: np.ndarray,
     extents: np.ndarray,
     workspace: TileWorkspace,
-) -> TileWork:
-    """Radiance of what a light reaches; `counts` gets the number of shadow rays."""
-    tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
-    find = bind(shadow_rays_in_tile, light, tile, NO_BOX, shapes, extents, surface, shadow_tile, given=(2,))
-    add = bind(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,))
-    cast_tile = cast.begin(shadow_tile, workspace.ray_groups) if cast else None
+) -> Iterator[Command]:
+    """Radiance of what a light reaches; `counts` gets an array of the number of shadow rays."""
+    tile, surface, shadow_tile, total = (
+        workspace.tile,
+        workspace.surface,
+        workspace.shadow_tile,
+        np.zeros(1, np.int64),
+    )
+    about = light, tile, NO_BOX, shapes, extents, surface, shadow_tile, total
+    find = bind(shadow_rays_in_tile, *about, given=(2,))
+    yield Command(find, (BOX,))
+    if cast is not None:
+        counts.append(total)
+        yield from cast.commands(shadow_tile, workspace.ray_groups, find)
+        if exact is not None:
+            yield Command(partial(decide_shadows, exact, shadow_tile), (COUNT,), find)
+    yield Command(bind(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,)), (BOX,), find)
 
-    def work(box: Box, present: Present) -> None:
-        count = find(box)
-        if count and cast_tile:
-            counts.append(count)
-            cast_tile((box[3] - box[1]) * WIDTH)
-            if exact:
-                decide_shadows(exact, shadow_tile, (box[3] - box[1]) * WIDTH)
-        if count:
-            add(box)
 
-    return work
-
-
-def _find_surfaces(kinds: list[KindRange], wants_uv: bool, workspace: TileWorkspace) -> TileWork:
-    def of_kind(prims: Any, numbers: tuple[int, int]) -> Callable[[Box], None]:
-        tile, surface = workspace.tile, workspace.surface
+def _find_surfaces(kinds: list[KindRange], wants_uv: bool, workspace: TileWorkspace) -> Iterator[Command]:
+    tile, surface = workspace.tile, workspace.surface
+    for k, (prims, numbers) in enumerate(kinds):
         if implements(fast_surface, type(prims)) and (implements(fast_uv, type(prims)) or not wants_uv):
             about = prims, numbers, tile, NO_BOX, surface, workspace.lanes, wants_uv
-            return bind(surfaces_in_tile_by_lanes, *about, given=(3,))
-        return bind(surfaces_in_tile, prims, numbers, tile, NO_BOX, surface, wants_uv, given=(3,))
-
-    return _of_kinds([of_kind(*each) for each in kinds])
-
-
-def _of_kinds(work: Sequence[Callable[[Box], None]]) -> TileWork:
-    """Each for one kind, where that may be hit."""
-
-    def go(box: Box, present: Present) -> None:
-        for each in compress(work, present):
-            each(box)
-
-    return go
+            find = bind(surfaces_in_tile_by_lanes, *about, given=(3,))
+        else:
+            find = bind(surfaces_in_tile, prims, numbers, tile, NO_BOX, surface, wants_uv, given=(3,))
+        yield Command(find, (BOX,), kind_numbers(k).present)
 
 
 def _write_fields(
     kinds: list[KindRange], names: list[str], images: Mapping[str, np.ndarray], workspace: TileWorkspace
-) -> TileWork:
+) -> Iterator[Command]:
     """AOVs of one field each (`_single_fields`), kind by kind."""
     absent = np.empty((0, 0, 3), next(images[name].dtype for name in names if name))
     out = tuple(
@@ -321,7 +294,7 @@ def _write_fields(
         for field, name in zip(SINGLE_FIELDS, names, strict=True)
     )
 
-    def of_kind(prims: Any, numbers: tuple[int, int], misses: bool) -> Callable[[Box], None]:
+    def of_kind(prims: Any, numbers: tuple[int, int], misses: bool) -> BoundCall:
         if implements(fast_surface, type(prims)):
             about = prims, numbers, workspace.tile, NO_BOX, workspace.lanes, misses, out
             return bind(aovs_in_tile_by_lanes, *about, given=(3,))
@@ -331,26 +304,21 @@ def _write_fields(
 
 
 def _first_with_misses(
-    kinds: list[KindRange], of_kind: Callable[[Any, tuple[int, int], bool], Callable[[Box], None]]
-) -> TileWork:
+    kinds: list[KindRange], of_kind: Callable[[Any, tuple[int, int], bool], BoundCall]
+) -> Iterator[Command]:
     """of_kind(prims, numbers, misses): what writes the hits on a kind; the first in a tile writes the misses, too."""
-    first, others = ([of_kind(*each, misses) for each in kinds] for misses in (True, False))
-
-    def go(box: Box, present: Present) -> None:
-        there = list(compress(range(len(first)), present))
-        first[there[0]](box)
-        for k in there[1:]:
-            others[k](box)
-
-    return go
+    for k, each in enumerate(kinds):
+        yield Command(of_kind(*each, True), (BOX,), kind_numbers(k).first)
+        if k > 0:
+            yield Command(of_kind(*each, False), (BOX,), kind_numbers(k).later)
 
 
 def _write_normals(
     kernel: Any, kinds: list[KindRange], reach: float, image: np.ndarray, workspace: TileWorkspace
-) -> TileWork:
+) -> Iterator[Command]:
     """An AOV of normals alone, kind by kind."""
 
-    def of_kind(prims: Any, numbers: tuple[int, int], misses: bool) -> Callable[[Box], None]:
+    def of_kind(prims: Any, numbers: tuple[int, int], misses: bool) -> BoundCall:
         about = kernel, prims, numbers, reach, workspace.tile, NO_BOX, misses, image
         return bind(normals_in_tile, *about, given=(5,))
 

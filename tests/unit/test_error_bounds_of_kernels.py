@@ -265,7 +265,9 @@ def test_a_plane_is_hit_for_every_input_within_its_errors(axis):
                     slope = d[axis] + more * slope_error * np.abs(d).sum()
                     assert abs((height + up * height_error) / slope - t) <= error + SLACK * t
     assert hits >= 60
-    d = tuple(np.roll([0.25, 0.5, 0.25], axis - 1).tolist())  # an error of more than half of the slope says nothing
+    d = tuple(
+        np.roll([0.25, 0.5, 0.25], axis - 1).tolist()
+    )  # an error of more than half of the slope says nothing
     for share, known in ((0.9, False), (0.501, False), (0.499, True)):
         pre = (tuple(n), 1.0, 0.0, share * 0.5)  # slopes are 0.5, for a d whose components have a sum of 1
         assert (intersect(prims, pre, d, 0.0, math.inf)[0] > 0.0) == known

@@ -9,10 +9,13 @@ from PIL import Image
 import caster
 from caster.__main__ import main
 from caster.aovs import AOVS, BY_NAME
-from caster.image.aov_views import (
+from caster.image.image_files import IMAGE_FORMATS, label_image, read_image
+from caster.image.previews import (
     CHECKER_GREYS,
     CHECKER_PIXELS,
     COLORINGS,
+    GAP_PIXELS,
+    LABEL_PIXELS,
     LINEAR_SRGB_FROM_LMS,
     LMS_FROM_OKLAB,
     NON_FINITE_COLOR,
@@ -23,11 +26,10 @@ from caster.image.aov_views import (
     colormap_path,
     label_colors,
     oklab_to_linear_srgb,
+    sheet,
     srgb_encoded,
     to_bytes,
 )
-from caster.image.image_files import IMAGE_FORMATS, label_image, read_image
-from caster.image.previews import GAP_PIXELS, LABEL_PIXELS, sheet
 
 pytestmark = pytest.mark.usefixtures("warm")
 

@@ -287,6 +287,13 @@ def block_corner(block: int) -> int:
 
 
 @jit
+def begin_groups(groups: Any) -> None:
+    """No run of a tile belongs to a fan yet."""
+    groups.taken[:] = 0
+    groups.counts[:] = 0
+
+
+@jit
 def group_rays(fan: Any, tile: Any, rows: int, groups: Any, outward: bool) -> None:
     """Find runs of the first `rows` rows that belong to the fan and are not yet taken; they are taken now.
 

@@ -5,8 +5,8 @@ known distances, the compiler can assume that a store into one changes no other,
 """
 
 import math
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,6 +48,48 @@ def tile_boxes(width: int, height: int) -> Iterator[Box]:
     for y in range(0, height, HEIGHT):
         for x in range(0, width, WIDTH):
             yield x, y, min(x + WIDTH, width), min(y + HEIGHT, height)
+
+
+# Numbers that commands for a tile take (caster/jit/command_list.py), a row of them for each tile of a film.
+BOX = slice(0, 4)
+COUNT, LINES = 4, 5  # rays of the tile that are looked at, whole rows of it; how many rows these are
+TILE_NUMBERS = 6
+
+
+class KindNumbers(NamedTuple):
+    """Where a row has what there is of one kind of primitive in the tile."""
+
+    run: slice  # of BinnedKind.order: its primitives
+    present: int  # 1 where it has any
+    first: int  # 1 for the first kind that has any
+    later: int  # 1 for those behind it
+
+
+def kind_numbers(k: int) -> KindNumbers:
+    at = TILE_NUMBERS + 5 * k
+    return KindNumbers(slice(at, at + 2), at + 2, at + 3, at + 4)
+
+
+def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | None = None) -> np.ndarray:
+    """(tiles, numbers) int64, row by row of the film. runs: (tiles + 1,) of each kind; None: any may be anywhere."""
+    top, left = (a.ravel() for a in np.mgrid[0:height:HEIGHT, 0:width:WIDTH])
+    rows = np.zeros((len(top), TILE_NUMBERS + 5 * kinds), np.int64)
+    right, bottom = np.minimum(left + WIDTH, width), np.minimum(top + HEIGHT, height)
+    for field, numbers in enumerate((left, top, right, bottom, (bottom - top) * WIDTH, bottom - top)):
+        rows[:, field] = numbers
+    earlier = np.zeros(len(rows), bool)
+    for k in range(kinds):
+        at, present = kind_numbers(k), np.ones(len(rows), bool)
+        if runs is not None:
+            rows[:, at.run.start], rows[:, at.run.start + 1] = runs[k][:-1], runs[k][1:]
+            present = runs[k][:-1] < runs[k][1:]
+        rows[:, at.present], rows[:, at.first], rows[:, at.later] = (
+            present,
+            present & ~earlier,
+            present & earlier,
+        )
+        earlier |= present
+    return rows
 
 
 CACHE_LINE = 64  # bytes

@@ -144,9 +144,9 @@ NOWHERE = (0.0, 0.0, 0.0)
 
 @jit
 def shadow_rays_in_tile(
-    light: Any, tile: Any, box: Box, shapes: Any, extents: Any, buffer: Any, shadow_tile: Any
+    light: Any, tile: Any, box: Box, shapes: Any, extents: Any, buffer: Any, shadow_tile: Any, total: Any
 ) -> int:
-    """Begin the tile `shadow_tile`: a ray to the light from each hit that faces it; how many.
+    """Begin the tile `shadow_tile`: a ray to the light from each hit that faces it; how many, which total[0] grows by.
 
     shapes[prim] is a primitive's, extents[shape] its largest |coordinate|. FLUX: what arrives if nothing is in between.
     """
@@ -178,6 +178,7 @@ def shadow_rays_in_tile(
             start_ray(shadow_tile, i, aim)
             count += 1 if there else 0
         clear_rays(shadow_tile, y * WIDTH + width, (y + 1) * WIDTH)
+    total[0] += count
     return count
 
 
