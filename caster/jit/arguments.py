@@ -1,7 +1,9 @@
 """Arguments of a kernel as machine code takes them: an array by its address, a tuple by its members."""
 
 import ctypes
+import struct
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -52,19 +54,31 @@ def signature_key(args: tuple[Any, ...]) -> str | None:
 
 def _describe(args: tuple[Any, ...], words: list[str]) -> bool:
     for arg in args:
-        kind = type(arg)
+        kind: Any = type(arg)
         if kind is np.ndarray:
-            flags = arg.flags.num
-            words.append(f"{arg.dtype.str}/{arg.ndim}/{flags & significant_flags(flags)}")
+            words.append(_array_word(arg.dtype, arg.ndim, arg.flags.num))
         elif kind in SCALARS or arg is None:
             words.append(NONE if arg is None else SCALARS[kind])
         elif isinstance(arg, tuple):
-            words.append(f"{kind.__module__}.{kind.__qualname__}/{len(arg)}")
+            words.append(_tuple_word(kind, len(arg)))
             if not _describe(arg, words):
                 return False
         else:
             return False
     return True
+
+
+# Written once for each combination, of which there are few: a film describes some hundred arguments a thread.
+
+
+@cache
+def _array_word(dtype: Any, ndim: int, flags: int) -> str:
+    return f"{dtype.str}/{ndim}/{flags & significant_flags(flags)}"
+
+
+@cache
+def _tuple_word(kind: Any, length: int) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}/{length}"
 
 
 def argument_forms(args: tuple[Any, ...]) -> list[Form]:
@@ -141,7 +155,7 @@ def bound_call(
     words, places = [ctypes.addressof(answer)], []
     for n, arg in enumerate(args):
         start = len(words)
-        words += _words_of(arg)
+        _add_words((arg,), words)
         if n in given:
             places.append(slice(start, len(words)))
     block = (ctypes.c_int64 * len(words))(*words)
@@ -157,15 +171,19 @@ def bound_call(
     return call
 
 
-def _words_of(arg: Any) -> list[int]:
-    """An argument as eight bytes each for what an entry takes of it."""
-    if isinstance(arg, tuple):
-        return [word for member in arg for word in _words_of(member)]
-    if isinstance(arg, np.ndarray):
-        return [id(arg)]
-    if arg is None:
-        return []
-    return [np.float64(arg).view(np.int64).item() if SCALARS[type(arg)] == REAL else int(arg)]
+def _add_words(args: tuple[Any, ...], words: list[int]) -> None:
+    """Arguments as eight bytes each for what an entry takes of them."""
+    for arg in args:
+        kind = type(arg)
+        if kind is np.ndarray:
+            words.append(id(arg))
+        elif kind in SCALARS:
+            words.append(BITS(REAL_NUMBER(arg))[0] if SCALARS[kind] == REAL else int(arg))
+        elif arg is not None:
+            _add_words(arg, words)
+
+
+REAL_NUMBER, BITS = struct.Struct("d").pack, struct.Struct("q").unpack
 
 
 def _failed() -> None:

@@ -4,8 +4,9 @@ import itertools
 import math
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
-from functools import partial
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -66,6 +67,7 @@ from caster.kernels.raster.tile import (
     clear_rays,
     load_ray_range,
     load_rays_from,
+    new_lanes,
     new_tile,
     store_blocked,
     store_blocked_rays,
@@ -74,6 +76,7 @@ from caster.kernels.raster.tile import (
     tile_boxes,
 )
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
+from caster.kernels.surface.per_hit import new_surface_buffer
 from caster.rendering.bvh_construction import boxes_along, bvh_of, fan_bounds, fans_to, has_bvh
 from caster.rendering.threads import (
     CHUNKS_PER_THREAD,
@@ -163,6 +166,10 @@ class Record(NamedTuple):
     ]  # (tile, order, first, stop): of order[first:stop]
 
 
+# To wake a second thread takes as long as so many rays, about.
+MIN_RAYS_PER_THREAD = 256
+
+
 def _for_ray_tiles(
     cast: Callable[[int, np.ndarray], None],
     rays: Rays,
@@ -174,16 +181,17 @@ def _for_ray_tiles(
     begin, end = ray_range or (0, len(rays.t_min))
 
     def work(start: int, stop: int) -> None:
-        tile = new_tile()
-        for first in range(begin + start, begin + stop, PIXELS):
-            number = min(PIXELS, begin + stop - first)
-            load_ray_range(rays, first, first + number, tile, 0)
-            clear_rays(tile, number, -(-number // LANES) * LANES)
-            cast(number, tile)
-            record.ray_range(tile, first, first + number)
+        with spare_workspaces() as take:
+            tile = take().tile
+            for first in range(begin + start, begin + stop, PIXELS):
+                number = min(PIXELS, begin + stop - first)
+                load_ray_range(rays, first, first + number, tile, 0)
+                clear_rays(tile, number, -(-number // LANES) * LANES)
+                cast(number, tile)
+                record.ray_range(tile, first, first + number)
 
     if end > begin:
-        parallel_for(work, end - begin, threads)
+        parallel_for(work, end - begin, threads, least=MIN_RAYS_PER_THREAD)
 
 
 def tile_caster(packed: Packed, any_hit: bool = False) -> Callable[[int, np.ndarray], None]:
@@ -289,15 +297,17 @@ class ShadowCaster:
     def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """What casts the first so many rays of this tile, whole rows of it."""
         workspace, counts = _new_workspace(), groups.counts
-        find = [bind(group_rays, fan, tile, 0, groups, self._outward, given=(2,)) for fan in self._fans]
+        find: list[Callable[[int], None]] = []  # bound when they are needed: most tiles lie in the first fan
         casters: dict[int, list[Callable[[], None]]] = {}
 
         def go(count: int) -> None:
             for cast_others in self._before_fans:  # what they hit ends the search for the rest
                 cast_others(count, tile, workspace)
             groups.taken[:], counts[:] = 0, (0, count)
-            for number, group in enumerate(find):
-                group(count // WIDTH)
+            for number, fan in enumerate(self._fans):
+                if number == len(find):
+                    find.append(bind(group_rays, fan, tile, 0, groups, self._outward, given=(2,)))
+                find[number](count // WIDTH)
                 if counts[0]:
                     if number not in casters:
                         casters[number] = [
@@ -506,8 +516,9 @@ class FanCaster:
         origin = self._caster.first_fan.origin
 
         def begin() -> Callable[[Box], None]:
-            tile, groups = new_tile(), new_ray_groups()
-            cast_fans = self._caster.begin(tile, groups)
+            workspace = take()
+            tile = workspace.tile
+            cast_fans = self._caster.begin(tile, workspace.ray_groups)
 
             def work(box: Box) -> None:
                 count = (box[3] - box[1]) * WIDTH
@@ -520,7 +531,8 @@ class FanCaster:
             return work
 
         boxes = list(tile_boxes(width, height))
-        parallel_for_pieces(begin, boxes, thread_count(threads))
+        with spare_workspaces() as take:
+            parallel_for_pieces(begin, boxes, thread_count(threads))
         for rest in ((0, first), (first + width * height, len(rays.t_min))):
             _for_ray_tiles(cast_others, rays, record, threads, rest)
 
@@ -539,8 +551,9 @@ class FanCaster:
             order, members = sort_rays(fan, rays, self._common, (first, stop), self._corners, threads)
 
             def begin(order: np.ndarray = order, members: int = members) -> Callable[[tuple[int, int]], None]:
-                tile, groups = new_tile(), new_ray_groups()
-                cast_fans = self._caster.begin(tile, groups)
+                workspace = take()
+                tile = workspace.tile
+                cast_fans = self._caster.begin(tile, workspace.ray_groups)
 
                 def work(piece: tuple[int, int]) -> None:
                     belong = piece[1] <= members
@@ -554,7 +567,8 @@ class FanCaster:
                 return work
 
             pieces = [*_tiles(0, members), *_tiles(members, stop - first)]
-            parallel_for_pieces(begin, pieces, thread_count(threads))
+            with spare_workspaces() as take:
+                parallel_for_pieces(begin, pieces, thread_count(threads))
 
 
 def _total(number: Callable[[int, int], int], count: int, threads: int | None) -> int:
@@ -657,6 +671,50 @@ def new_ray_groups() -> RayGroups:
     )
 
 
+@dataclass(frozen=True)
+class TileWorkspace:
+    """Buffers of one thread: the tile it works on, and what only some AOVs need."""
+
+    tile: np.ndarray = field(default_factory=new_tile)
+
+    @cached_property
+    def surface(self) -> np.ndarray:
+        return new_surface_buffer()
+
+    @cached_property
+    def lanes(self) -> np.ndarray:
+        return new_lanes()
+
+    @cached_property
+    def shadow_tile(self) -> np.ndarray:
+        return new_tile()
+
+    @cached_property
+    def ray_groups(self) -> RayGroups:
+        return new_ray_groups()
+
+
+MAX_SPARE_WORKSPACES = 16  # 3 MB each
+
+_SPARE_WORKSPACES: list[TileWorkspace] = []
+
+
+@contextmanager
+def spare_workspaces() -> Iterator[Callable[[], TileWorkspace]]:
+    """Gives a function that returns a workspace, with what earlier work left in it; they are spare afterwards."""
+    taken: list[TileWorkspace] = []
+
+    def take() -> TileWorkspace:
+        workspace = None
+        with suppress(IndexError):
+            workspace = _SPARE_WORKSPACES.pop()
+        taken.append(workspace or TileWorkspace())
+        return taken[-1]
+
+    yield take
+    _SPARE_WORKSPACES.extend(taken[: max(MAX_SPARE_WORKSPACES - len(_SPARE_WORKSPACES), 0)])
+
+
 def prim_offsets(packed: Packed) -> list[int]:
     """Place of each kind's first primitive: they are counted kind by kind."""
     return [0, *itertools.accumulate(len(kind.ids) for kind in packed.kinds)][: len(packed.kinds)]
@@ -714,6 +772,9 @@ def decide_uncertain(
 # For fewer rays than this, trying every primitive takes less time than growing a tree that is not there yet.
 BVH_MIN_RAYS = 64
 
+# As MIN_RAYS_PER_THREAD: so many tests of a ray and a primitive, so many rays whose candidates integers choose from.
+MIN_TESTS_PER_THREAD, MIN_EXACT_PER_THREAD = 1 << 15, 64
+
 # So many primitives that may come first are written down at once, 16 MiB of them; rays with more take turns.
 MAX_LISTED_CANDIDATES = 1 << 22
 
@@ -728,8 +789,10 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
 
     def go_through(kind: Kind, mode: Mode, rays: Rays = rays, sketch: UncertainHits = sketch) -> None:
         tree = trees and uses_bvh(kind) and (count > BVH_MIN_RAYS or has_bvh(kind))
-        cast = _bvh_caster if tree else _brute_force_caster
-        parallel_for(cast(mode, kind, rays, sketch), len(rays.t_min), threads)
+        cast, least = _brute_force_caster, MIN_TESTS_PER_THREAD // max(len(kind.ids), 1)
+        if tree:
+            cast, least = _bvh_caster, MIN_RAYS_PER_THREAD
+        parallel_for(cast(mode, kind, rays, sketch), len(rays.t_min), threads, least=least)
 
     for kind in packed.kinds:
         go_through(kind, NearestMode(kind.ids))
@@ -746,6 +809,7 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
                 partial(nearest_of_candidates, kind.prims, some, starts, candidates, into),
                 len(starts) - 1,
                 threads,
+                least=MIN_EXACT_PER_THREAD,
             )
         merge(nearest, found, kind.ids, contested, 0, count)
         for i in np.flatnonzero(contested):

@@ -15,10 +15,16 @@ from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import PIXELS, WIDTH, Box, clear_rays, load_hits
 from caster.kernels.surface.lighting import shadow_rays_of
-from caster.rendering.casting import find_any, find_nearest, prim_offsets
+from caster.rendering.casting import (
+    MIN_RAYS_PER_THREAD,
+    find_any,
+    find_nearest,
+    prim_offsets,
+    spare_workspaces,
+)
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
-from caster.rendering.shading import NO_START, TileShader, TileWorkspace, material_tables, new_image
+from caster.rendering.shading import NO_START, TileShader, material_tables, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Light, Scene
 
@@ -95,7 +101,7 @@ class RayHits:
         )
 
         def begin() -> Callable[[int, Box], None]:
-            workspace = TileWorkspace()
+            workspace = take()
             shade = shader.begin(workspace)
 
             def work(number: int, box: Box) -> None:
@@ -107,7 +113,8 @@ class RayHits:
 
             return work
 
-        parallel_for_tiles(begin, window, self.threads)
+        with spare_workspaces() as take:
+            parallel_for_tiles(begin, window, self.threads)
         return {name: image.reshape(-1, *image.shape[2:])[:count] for name, image in images.items()}
 
     def _prim_in_tile(self) -> np.ndarray:
@@ -245,7 +252,9 @@ def validated_rays_with_range(
         raise SceneError(f"{which}: need t_min >= 0 and a t_max, got t_min {first} and t_max {last}")
     found: list[int] = []
     parallel_for(
-        lambda start, stop: found.append(find_invalid_ray(origins, directions, start, stop)), len(origins)
+        lambda start, stop: found.append(find_invalid_ray(origins, directions, start, stop)),
+        len(origins),
+        least=MIN_RAYS_PER_THREAD,
     )
     if bad := [i for i in found if i >= 0]:
         i = min(bad)
@@ -301,5 +310,5 @@ def _rows(a: ArrayLike, name: str) -> np.ndarray:
     def copy(start: int, stop: int) -> None:
         rows[start:stop] = given[start:stop]
 
-    parallel_for(copy, len(rows))
+    parallel_for(copy, len(rows), least=MIN_RAYS_PER_THREAD)
     return rows

@@ -20,7 +20,7 @@ from caster.kernels.raster.tile import WIDTH, Box, generate_camera_rays
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.surface.normals import film_of_own_origins, film_of_shared_origin
 from caster.kernels.surface.per_hit import NO_IDS, store_hits
-from caster.rendering.casting import Culling, exact_nearest, find_nearest, tile_caster
+from caster.rendering.casting import Culling, exact_nearest, find_nearest, spare_workspaces, tile_caster
 from caster.rendering.hits import RayHits
 from caster.rendering.plan import Plan, culling_for, plan
 from caster.rendering.rasterization import (
@@ -37,7 +37,6 @@ from caster.rendering.shading import (
     UNUSED_SURFACE,
     TileShader,
     new_image,
-    spare_workspaces,
 )
 from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count, unwritten_array
 from caster.scene.model import Scene

@@ -31,14 +31,13 @@ from caster.kernels.raster.tile import (
     Box,
     count_in_tiles,
     load_rays,
-    new_tile,
     scatter_to_tiles,
     store_nearest,
     tile_boxes,
 )
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.triangles import Triangles
-from caster.rendering.casting import decide_uncertain, prim_offsets, scene_prim_ids
+from caster.rendering.casting import decide_uncertain, prim_offsets, scene_prim_ids, spare_workspaces
 from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
 
 __all__ = ["find_nearest_on_film"]
@@ -97,7 +96,7 @@ def find_nearest_on_film(
     ids = scene_prim_ids(packed)
 
     def begin() -> Callable[[int, Box], None]:
-        tile = new_tile()
+        tile = take().tile
         cast_tile = kinds_caster(cast, kinds, tile)
 
         def work(number: int, box: Box) -> None:
@@ -107,7 +106,8 @@ def find_nearest_on_film(
 
         return work
 
-    parallel_for_tiles(begin, window, threads)
+    with spare_workspaces() as take:
+        parallel_for_tiles(begin, window, threads)
     return decide_uncertain(packed, rays, nearest, uncertain, threads)
 
 

@@ -4,10 +4,8 @@ One way for all rays: a film is tiles of its camera's rays; an array of rays is 
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import compress
 from typing import Any
 
@@ -16,7 +14,6 @@ import numpy as np
 from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
 from caster.jit.decorators import bind, implements
-from caster.kernels.bvh.fans import RayGroups
 from caster.kernels.nearest import Rays
 from caster.kernels.protocol import fast_surface, fast_uv
 from caster.kernels.raster.screen_bounds import Window
@@ -33,8 +30,6 @@ from caster.kernels.raster.tile import (
     WIDTH,
     Box,
     T,
-    new_lanes,
-    new_tile,
 )
 from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
 from caster.kernels.surface.normals import normals_in_tile
@@ -51,8 +46,8 @@ from caster.kernels.surface.per_hit import (
 )
 from caster.rendering.casting import (
     ShadowCaster,
+    TileWorkspace,
     exact_nearest,
-    new_ray_groups,
     prim_offsets,
     scene_prim_ids,
 )
@@ -64,51 +59,6 @@ NO_START = np.empty((0, 0))
 
 # Shared by all AOVs that need no field of it, and never written.
 UNUSED_SURFACE = new_surface_buffer()
-
-
-@dataclass(frozen=True)
-class TileWorkspace:
-    """Buffers of one thread: the tile it works on, and what only some AOVs need."""
-
-    tile: np.ndarray = field(default_factory=new_tile)
-
-    @cached_property
-    def surface(self) -> np.ndarray:
-        return new_surface_buffer()
-
-    @cached_property
-    def lanes(self) -> np.ndarray:
-        return new_lanes()
-
-    @cached_property
-    def shadow_tile(self) -> np.ndarray:
-        return new_tile()
-
-    @cached_property
-    def ray_groups(self) -> RayGroups:
-        return new_ray_groups()
-
-
-MAX_SPARE_WORKSPACES = 16  # 3 MB each
-
-_SPARE_WORKSPACES: list[TileWorkspace] = []
-
-
-@contextmanager
-def spare_workspaces() -> Iterator[Callable[[], TileWorkspace]]:
-    """Gives a function that returns a workspace, with what an earlier film left in it; they are spare afterwards."""
-    taken: list[TileWorkspace] = []
-
-    def take() -> TileWorkspace:
-        workspace = None
-        with suppress(IndexError):
-            workspace = _SPARE_WORKSPACES.pop()
-        taken.append(workspace or TileWorkspace())
-        return taken[-1]
-
-    yield take
-    _SPARE_WORKSPACES.extend(taken[: max(MAX_SPARE_WORKSPACES - len(_SPARE_WORKSPACES), 0)])
-
 
 Present = Sequence[bool]  # by the place of a kind in Packed.kinds: whether it may be hit in a tile
 TileWork = Callable[[Box, Present], None]
@@ -339,7 +289,8 @@ def _first_with_misses(
     kinds: list[KindRange], of_kind: Callable[[Any, tuple[int, int], bool], Callable[[Box], None]]
 ) -> TileWork:
     """of_kind(prims, numbers, misses): what writes the hits on a kind; the first in a tile writes the misses, too."""
-    first, others = ([of_kind(*each, misses) for each in kinds] for misses in (True, False))
+    first = [of_kind(*each, True) for each in kinds]
+    others = [first[0], *(of_kind(*each, False) for each in kinds[1:])]  # the first kind is never another
 
     def go(box: Box, present: Present) -> None:
         there = list(compress(range(len(first)), present))
