@@ -6,6 +6,7 @@ A candidate that is a Python function may end the process it runs in, or never a
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import sys
 import time
@@ -22,10 +23,18 @@ ABOUT = "A judge of ray casters: compares them with Mitsuba 3, ray by ray, withi
 CODES = tuple(code for code in MEANINGS if code != PIPE_CLOSED)
 
 
+# As of `caster`; NumPy starts OpenBLAS's threads as it is loaded, and they wait for each other longer than the judge's
+# products of 3 x 3 numbers take.
+COLLECTION_THRESHOLDS = (50_000, 20, 20)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; its exit code. argv: default those of this process, which may need a supervisor."""
     if argv is None and needs_supervision(sys.argv[1:]):
         return run_supervised(sys.argv[1:])
+    if argv is None:  # and so this process runs nothing else
+        gc.set_threshold(*COLLECTION_THRESHOLDS)
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return application.main("mitsuba-ref", ABOUT, COMMANDS, CODES, argv)
 
 

@@ -3,6 +3,7 @@
 import ctypes
 import struct
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -53,19 +54,31 @@ def signature_key(args: tuple[Any, ...]) -> str | None:
 
 def _describe(args: tuple[Any, ...], words: list[str]) -> bool:
     for arg in args:
-        kind = type(arg)
+        kind: Any = type(arg)
         if kind is np.ndarray:
-            flags = arg.flags.num
-            words.append(f"{arg.dtype.str}/{arg.ndim}/{flags & significant_flags(flags)}")
+            words.append(_array_word(arg.dtype, arg.ndim, arg.flags.num))
         elif kind in SCALARS or arg is None:
             words.append(NONE if arg is None else SCALARS[kind])
         elif isinstance(arg, tuple):
-            words.append(f"{kind.__module__}.{kind.__qualname__}/{len(arg)}")
+            words.append(_tuple_word(kind, len(arg)))
             if not _describe(arg, words):
                 return False
         else:
             return False
     return True
+
+
+# Written once for each combination, of which there are few: a film describes some hundred arguments a thread.
+
+
+@cache
+def _array_word(dtype: Any, ndim: int, flags: int) -> str:
+    return f"{dtype.str}/{ndim}/{flags & significant_flags(flags)}"
+
+
+@cache
+def _tuple_word(kind: Any, length: int) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}/{length}"
 
 
 def argument_forms(args: tuple[Any, ...]) -> list[Form]:
@@ -130,25 +143,19 @@ def _unfold(
         flat.append(f"id({name})")
 
 
-WORD, NUMBER = struct.Struct("=q"), struct.Struct("=d")
+def add_words(args: tuple[Any, ...], words: list[int]) -> None:
+    """Arguments as eight bytes each for what an entry takes of them."""
+    for arg in args:
+        kind = type(arg)
+        if kind is np.ndarray:
+            words.append(id(arg))
+        elif kind in SCALARS:
+            words.append(BITS(REAL_NUMBER(arg))[0] if SCALARS[kind] == REAL else int(arg))
+        elif arg is not None:
+            add_words(arg, words)
 
 
-def words_of(arg: Any) -> list[int]:
-    """An argument as eight bytes each for what an entry takes of it."""
-    words: list[int] = []
-    _append_words(arg, words)
-    return words
-
-
-def _append_words(arg: Any, words: list[int]) -> None:
-    kind = type(arg)
-    if kind is np.ndarray:
-        words.append(id(arg))
-    elif isinstance(arg, tuple):
-        for member in arg:
-            _append_words(member, words)
-    elif arg is not None:
-        words.append(WORD.unpack(NUMBER.pack(arg))[0] if SCALARS[kind] == REAL else int(arg))
+REAL_NUMBER, BITS = struct.Struct("d").pack, struct.Struct("q").unpack
 
 
 def fail() -> None:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit import machine_code
-from caster.jit.arguments import DONE, INTEGER, C, fail, words_of
+from caster.jit.arguments import DONE, INTEGER, C, add_words, fail
 
 __all__ = ["BoundCall", "Command", "CommandList", "Condition"]
 
@@ -66,7 +66,7 @@ def _block_of(answer: int, args: tuple[Any, ...], given: tuple[int, ...]) -> tup
     words, places = [answer], []
     for n, arg in enumerate(args):
         start = len(words)
-        words += words_of(arg)
+        add_words((arg,), words)
         if n in given:
             places.append(slice(start, len(words)))
     return (ctypes.c_int64 * len(words))(*words), places

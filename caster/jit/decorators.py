@@ -130,6 +130,9 @@ class Kernel:
         self._codes: dict[str | None, machine_code.ObjectCode] = {}  # by `signature_key` the arguments
         self._calls: dict[str | None, Callable[..., Any]] = {}  # by `signature_key` the arguments
         self._latest: dict[type, Callable[..., Any]] = {}  # by the class of the first argument
+        self._keeps: dict[
+            str, bool
+        ] = {}  # by `signature_key`: `_kept`, as long as no class has a body from elsewhere
         self._dispatcher: Any = None
 
     def __call__(self, *args: Any) -> Any:
@@ -188,7 +191,12 @@ class Kernel:
     def _key(self, args: tuple[Any, ...]) -> str | None:
         """Key of machine code: in all processes, or, with classes from elsewhere, in this one."""
         key = signature_key(args)
-        return key if key is None or self._kept(args) else f"{key} {_class_ids(args)}"
+        if key is None:
+            return None
+        kept = self._keeps.get(key) if not _EXTENDED else None
+        if kept is None:
+            kept = self._keeps[key] = self._kept(args)
+        return key if kept else f"{key} {_class_ids(args)}"
 
     def _place(self, key: str, target: str) -> tuple[str, str]:
         """Name of the entry, and of the file it is kept in."""

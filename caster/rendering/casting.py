@@ -30,7 +30,14 @@ from caster.kernels.nearest import (
 from caster.kernels.raster.tile import store_blocked, store_blocked_rays, store_ray_range, store_rays
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
 from caster.rendering.ray_fans import FanCaster
-from caster.rendering.ray_tiles import Record, for_ray_tiles, new_workspace, scene_prim_ids, tile_caster
+from caster.rendering.ray_tiles import (
+    MIN_RAYS_PER_THREAD,
+    Record,
+    for_ray_tiles,
+    new_workspace,
+    scene_prim_ids,
+    tile_caster,
+)
 from caster.rendering.threads import parallel_for, unwritten_array
 
 __all__ = ["Culling", "find_any", "find_nearest"]
@@ -141,6 +148,9 @@ def decide_uncertain(
 # For fewer rays than this, trying every primitive takes less time than growing a tree that is not there yet.
 BVH_MIN_RAYS = 64
 
+# As MIN_RAYS_PER_THREAD: so many tests of a ray and a primitive, so many rays whose candidates integers choose from.
+MIN_TESTS_PER_THREAD, MIN_EXACT_PER_THREAD = 1 << 15, 64
+
 # So many primitives that may come first are written down at once, 16 MiB of them; rays with more take turns.
 MAX_LISTED_CANDIDATES = 1 << 22
 
@@ -155,8 +165,10 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
 
     def go_through(kind: Kind, mode: Mode, rays: Rays = rays, sketch: UncertainHits = sketch) -> None:
         tree = trees and uses_bvh(kind) and (count > BVH_MIN_RAYS or has_bvh(kind))
-        cast = _bvh_caster if tree else _brute_force_caster
-        parallel_for(cast(mode, kind, rays, sketch), len(rays.t_min), threads)
+        cast, least = _brute_force_caster, MIN_TESTS_PER_THREAD // max(len(kind.ids), 1)
+        if tree:
+            cast, least = _bvh_caster, MIN_RAYS_PER_THREAD
+        parallel_for(cast(mode, kind, rays, sketch), len(rays.t_min), threads, least=least)
 
     for kind in packed.kinds:
         go_through(kind, NearestMode(kind.ids))
@@ -173,6 +185,7 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
                 partial(nearest_of_candidates, kind.prims, some, starts, candidates, into),
                 len(starts) - 1,
                 threads,
+                least=MIN_EXACT_PER_THREAD,
             )
         merge(nearest, found, kind.ids, contested, 0, count)
         for i in np.flatnonzero(contested):

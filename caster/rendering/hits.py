@@ -19,8 +19,8 @@ from caster.kernels.surface.lighting import shadow_rays_of
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
-from caster.rendering.ray_tiles import prim_offsets
-from caster.rendering.shading import NO_START, TileShader, TileWorkspace, material_tables, new_image
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, prim_offsets, spare_workspaces
+from caster.rendering.shading import NO_START, TileShader, material_tables, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Light, Scene
 
@@ -97,7 +97,7 @@ class RayHits:
         )
 
         def begin() -> list[Command]:
-            workspace = TileWorkspace()
+            workspace = take()
 
             def load(box: Box) -> None:
                 first = box[1] * WIDTH
@@ -107,9 +107,9 @@ class RayHits:
 
             return [Command(load, (BOX,)), *shader.commands(workspace)]
 
-        parallel_for_tiles(
-            begin, tile_rows(window.width, window.height, len(self.packed.kinds)), self.threads
-        )
+        rows = tile_rows(window.width, window.height, len(self.packed.kinds))
+        with spare_workspaces() as take:
+            parallel_for_tiles(begin, rows, self.threads)
         return {name: image.reshape(-1, *image.shape[2:])[:count] for name, image in images.items()}
 
     def _prim_in_tile(self) -> np.ndarray:
@@ -247,7 +247,9 @@ def validated_rays_with_range(
         raise SceneError(f"{which}: need t_min >= 0 and a t_max, got t_min {first} and t_max {last}")
     found: list[int] = []
     parallel_for(
-        lambda start, stop: found.append(find_invalid_ray(origins, directions, start, stop)), len(origins)
+        lambda start, stop: found.append(find_invalid_ray(origins, directions, start, stop)),
+        len(origins),
+        least=MIN_RAYS_PER_THREAD,
     )
     if bad := [i for i in found if i >= 0]:
         i = min(bad)
@@ -303,5 +305,5 @@ def _rows(a: ArrayLike, name: str) -> np.ndarray:
     def copy(start: int, stop: int) -> None:
         rows[start:stop] = given[start:stop]
 
-    parallel_for(copy, len(rows))
+    parallel_for(copy, len(rows), least=MIN_RAYS_PER_THREAD)
     return rows

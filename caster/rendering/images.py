@@ -32,15 +32,13 @@ from caster.rendering.rasterization import (
     parallel_for_tiles,
     release_workspace,
 )
-from caster.rendering.ray_tiles import kind_command, prim_offsets
+from caster.rendering.ray_tiles import TileWorkspace, kind_command, prim_offsets, spare_workspaces
 from caster.rendering.shading import (
     NO_BOX,
     NO_START,
     UNUSED_SURFACE,
     TileShader,
-    TileWorkspace,
     new_image,
-    spare_workspaces,
 )
 from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count, unwritten_array
 from caster.scene.model import Scene

@@ -35,7 +35,6 @@ from caster.kernels.raster.tile import (
     count_in_tiles,
     kind_numbers,
     load_rays,
-    new_tile,
     scatter_to_tiles,
     store_nearest,
     tile_rows,
@@ -43,7 +42,7 @@ from caster.kernels.raster.tile import (
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.triangles import Triangles
 from caster.rendering.casting import decide_uncertain
-from caster.rendering.ray_tiles import prim_offsets, scene_prim_ids
+from caster.rendering.ray_tiles import prim_offsets, scene_prim_ids, spare_workspaces
 from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
 
 __all__ = ["find_nearest_on_film"]
@@ -102,7 +101,7 @@ def find_nearest_on_film(
     ids = scene_prim_ids(packed)
 
     def begin() -> list[Command]:
-        tile = new_tile()
+        tile = take().tile
 
         def load(box: Box) -> None:
             load_rays(rays, window.width, box, tile)
@@ -113,7 +112,8 @@ def find_nearest_on_film(
         return [Command(load, (BOX,)), *cast_commands(cast, kinds, tile), Command(store, (BOX,))]
 
     rows = tile_rows(window.width, window.height, len(kinds), [it.runs for it in kinds])
-    parallel_for_tiles(begin, rows, threads)
+    with spare_workspaces() as take:
+        parallel_for_tiles(begin, rows, threads)
     return decide_uncertain(packed, rays, nearest, uncertain, threads)
 
 

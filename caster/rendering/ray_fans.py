@@ -31,7 +31,7 @@ from caster.kernels.bvh.ray_sorting import (
 )
 from caster.kernels.nearest import Rays
 from caster.kernels.protocol import Vec3
-from caster.kernels.raster.tile import PIXELS, WIDTH, Box, load_rays_from, new_tile, tile_boxes
+from caster.kernels.raster.tile import PIXELS, WIDTH, Box, load_rays_from, tile_boxes
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.rendering.bvh_construction import uses_bvh
 from caster.rendering.ray_tiles import (
@@ -39,7 +39,7 @@ from caster.rendering.ray_tiles import (
     Record,
     ShadowCaster,
     for_ray_tiles,
-    new_ray_groups,
+    spare_workspaces,
 )
 from caster.rendering.threads import CHUNKS_PER_THREAD, parallel_for, parallel_for_pieces, thread_count
 
@@ -219,8 +219,9 @@ class FanCaster:
         origin = self._caster.first_fan.origin
 
         def begin() -> Callable[[Box], None]:
-            tile, groups = new_tile(), new_ray_groups()
-            cast_fans = self._caster.begin(tile, groups)
+            workspace = take()
+            tile = workspace.tile
+            cast_fans = self._caster.begin(tile, workspace.ray_groups)
 
             def work(box: Box) -> None:
                 count = (box[3] - box[1]) * WIDTH
@@ -233,7 +234,8 @@ class FanCaster:
             return work
 
         boxes = list(tile_boxes(width, height))
-        parallel_for_pieces(begin, boxes, thread_count(threads))
+        with spare_workspaces() as take:
+            parallel_for_pieces(begin, boxes, thread_count(threads))
         for rest in ((0, first), (first + width * height, len(rays.t_min))):
             for_ray_tiles(cast_others, rays, record, threads, rest)
 
@@ -252,8 +254,9 @@ class FanCaster:
             order, members = sort_rays(fan, rays, self._common, (first, stop), self._corners, threads)
 
             def begin(order: np.ndarray = order, members: int = members) -> Callable[[tuple[int, int]], None]:
-                tile, groups = new_tile(), new_ray_groups()
-                cast_fans = self._caster.begin(tile, groups)
+                workspace = take()
+                tile = workspace.tile
+                cast_fans = self._caster.begin(tile, workspace.ray_groups)
 
                 def work(piece: tuple[int, int]) -> None:
                     belong = piece[1] <= members
@@ -267,7 +270,8 @@ class FanCaster:
                 return work
 
             pieces = [*_tiles(0, members), *_tiles(members, stop - first)]
-            parallel_for_pieces(begin, pieces, thread_count(threads))
+            with spare_workspaces() as take:
+                parallel_for_pieces(begin, pieces, thread_count(threads))
 
 
 def _total(number: Callable[[int, int], int], count: int, threads: int | None) -> int:

@@ -3,6 +3,9 @@
 import itertools
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -37,9 +40,11 @@ from caster.kernels.raster.tile import (
     Box,
     clear_rays,
     load_ray_range,
+    new_lanes,
     new_tile,
 )
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
+from caster.kernels.surface.per_hit import new_surface_buffer
 from caster.rendering.bvh_construction import boxes_along, bvh_of, fan_bounds, fans_to, uses_bvh
 from caster.rendering.threads import parallel_for
 
@@ -55,6 +60,10 @@ class Record(NamedTuple):
     ]  # (tile, order, first, stop): of order[first:stop]
 
 
+# To wake a second thread takes as long as so many rays, about.
+MIN_RAYS_PER_THREAD = 256
+
+
 def for_ray_tiles(
     cast: Callable[[int, np.ndarray], None],
     rays: Rays,
@@ -66,16 +75,17 @@ def for_ray_tiles(
     begin, end = ray_range or (0, len(rays.t_min))
 
     def work(start: int, stop: int) -> None:
-        tile = new_tile()
-        for first in range(begin + start, begin + stop, PIXELS):
-            number = min(PIXELS, begin + stop - first)
-            load_ray_range(rays, first, first + number, tile, 0)
-            clear_rays(tile, number, -(-number // LANES) * LANES)
-            cast(number, tile)
-            record.ray_range(tile, first, first + number)
+        with spare_workspaces() as take:
+            tile = take().tile
+            for first in range(begin + start, begin + stop, PIXELS):
+                number = min(PIXELS, begin + stop - first)
+                load_ray_range(rays, first, first + number, tile, 0)
+                clear_rays(tile, number, -(-number // LANES) * LANES)
+                cast(number, tile)
+                record.ray_range(tile, first, first + number)
 
     if end > begin:
-        parallel_for(work, end - begin, threads)
+        parallel_for(work, end - begin, threads, least=MIN_RAYS_PER_THREAD)
 
 
 def kind_command(
@@ -268,6 +278,50 @@ def new_ray_groups() -> RayGroups:
         np.zeros(STACK_SIZE),
         np.zeros(PIXELS // LANES),
     )
+
+
+@dataclass(frozen=True)
+class TileWorkspace:
+    """Buffers of one thread: the tile it works on, and what only some AOVs need."""
+
+    tile: np.ndarray = field(default_factory=new_tile)
+
+    @cached_property
+    def surface(self) -> np.ndarray:
+        return new_surface_buffer()
+
+    @cached_property
+    def lanes(self) -> np.ndarray:
+        return new_lanes()
+
+    @cached_property
+    def shadow_tile(self) -> np.ndarray:
+        return new_tile()
+
+    @cached_property
+    def ray_groups(self) -> RayGroups:
+        return new_ray_groups()
+
+
+MAX_SPARE_WORKSPACES = 16  # 3 MB each
+
+_SPARE_WORKSPACES: list[TileWorkspace] = []
+
+
+@contextmanager
+def spare_workspaces() -> Iterator[Callable[[], TileWorkspace]]:
+    """Gives a function that returns a workspace, with what earlier work left in it; they are spare afterwards."""
+    taken: list[TileWorkspace] = []
+
+    def take() -> TileWorkspace:
+        workspace = None
+        with suppress(IndexError):
+            workspace = _SPARE_WORKSPACES.pop()
+        taken.append(workspace or TileWorkspace())
+        return taken[-1]
+
+    yield take
+    _SPARE_WORKSPACES.extend(taken[: max(MAX_SPARE_WORKSPACES - len(_SPARE_WORKSPACES), 0)])
 
 
 def prim_offsets(packed: Packed) -> list[int]:

@@ -5,9 +5,7 @@ One way for all rays: a film is tiles of its camera's rays; an array of rays is 
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,6 @@ from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
 from caster.jit.command_list import BoundCall, Command
 from caster.jit.decorators import bind, implements
-from caster.kernels.bvh.fans import RayGroups
 from caster.kernels.nearest import Rays
 from caster.kernels.protocol import fast_surface, fast_uv
 from caster.kernels.raster.screen_bounds import Window
@@ -34,8 +31,6 @@ from caster.kernels.raster.tile import (
     UNCERTAIN,
     T,
     kind_numbers,
-    new_lanes,
-    new_tile,
 )
 from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
 from caster.kernels.surface.normals import normals_in_tile
@@ -52,7 +47,7 @@ from caster.kernels.surface.per_hit import (
 )
 from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
-from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups, prim_offsets, scene_prim_ids
+from caster.rendering.ray_tiles import ShadowCaster, TileWorkspace, prim_offsets, scene_prim_ids
 from caster.rendering.threads import unwritten_array
 from caster.scene.model import Scene
 
@@ -62,51 +57,7 @@ NO_START = np.empty((0, 0))
 UNUSED_SURFACE = new_surface_buffer()
 
 
-@dataclass(frozen=True)
-class TileWorkspace:
-    """Buffers of one thread: the tile it works on, and what only some AOVs need."""
-
-    tile: np.ndarray = field(default_factory=new_tile)
-
-    @cached_property
-    def surface(self) -> np.ndarray:
-        return new_surface_buffer()
-
-    @cached_property
-    def lanes(self) -> np.ndarray:
-        return new_lanes()
-
-    @cached_property
-    def shadow_tile(self) -> np.ndarray:
-        return new_tile()
-
-    @cached_property
-    def ray_groups(self) -> RayGroups:
-        return new_ray_groups()
-
-
-MAX_SPARE_WORKSPACES = 16  # 3 MB each
-
-_SPARE_WORKSPACES: list[TileWorkspace] = []
-
-
-@contextmanager
-def spare_workspaces() -> Iterator[Callable[[], TileWorkspace]]:
-    """Gives a function that returns a workspace, with what an earlier film left in it; they are spare afterwards."""
-    taken: list[TileWorkspace] = []
-
-    def take() -> TileWorkspace:
-        workspace = None
-        with suppress(IndexError):
-            workspace = _SPARE_WORKSPACES.pop()
-        taken.append(workspace or TileWorkspace())
-        return taken[-1]
-
-    yield take
-    _SPARE_WORKSPACES.extend(taken[: max(MAX_SPARE_WORKSPACES - len(_SPARE_WORKSPACES), 0)])
-
-
-Step = Callable[["TileWorkspace"], Iterable[Command]]  # what is done with tiles in a workspace
+Step = Callable[[TileWorkspace], Iterable[Command]]  # what is done with tiles in a workspace
 
 
 def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:

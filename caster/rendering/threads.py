@@ -28,8 +28,10 @@ def parallel_for(
     work: Callable[[int, int], None], count: int, threads: int | None = None, *, least: int = 1
 ) -> None:
     """Call work(start, stop) over 0..count in pieces, of no fewer than `least` for a second thread to begin."""
-    workers = max(1, min(thread_count(threads), count // max(least, 1)))
-    edges = np.linspace(0, count, min(count, workers * CHUNKS_PER_THREAD) + 1).astype(int).tolist()
+    least = max(least, 1)
+    workers = max(1, min(thread_count(threads), count // least))
+    pieces = min(workers * CHUNKS_PER_THREAD, count if workers > 1 else -(-count // least))
+    edges = np.linspace(0, count, pieces + 1).astype(int).tolist()
     parallel_for_pieces(lambda: lambda band: work(*band), list(pairwise(edges)), workers)
 
 
@@ -47,9 +49,10 @@ def parallel_for_pieces(
     left = iter(pieces)  # one step of a list's iterator at a time: no two threads get the same
 
     def go() -> None:
+        work = None
         try:
-            work = begin()
             for piece in left:  # signals are handled between two pieces
+                work = work or begin()  # by a thread that has something to do
                 work(piece)
                 if done is not None:
                     done(piece)

@@ -8,6 +8,7 @@ import numpy as np
 
 from caster.description.fields import Camera, Description
 from caster.scene.model import Film
+from mitsuba_ref.error_model.intersections import stacked_columns, unit
 from mitsuba_ref.scene_xml.elements import XmlElement
 
 
@@ -70,6 +71,9 @@ class CameraReference:
     # (random generator, size of the scene's shapes, random view) -> the camera's fields, for the fuzzer
     random_fields: Callable[[np.random.Generator, float, RandomView], Fields] = view_only
 
+    # `rays` gives a ray through every position: the image does not end at a rim
+    covers_film: bool = False
+
     @property
     def type_name(self) -> str:
         """What a scene file calls it."""
@@ -90,10 +94,8 @@ def camera_axes(camera: Camera) -> np.ndarray:
 
 def to_world_directions(camera: Camera, local: np.ndarray) -> np.ndarray:
     """Local directions (n, 3) right, up, forward -> unit world directions."""
-    d = np.einsum(
-        "ij,jk->ik", local, camera_axes(camera)
-    )  # BLAS's threads wait for each other longer than this takes
-    return d / np.linalg.norm(d, axis=1, keepdims=True)
+    (x, y, z), axes = local.T, camera_axes(camera).T
+    return unit(stacked_columns(*(x * right + y * up + z * forward for right, up, forward in axes)))
 
 
 def eye_origins(camera: Camera, count: int) -> np.ndarray:

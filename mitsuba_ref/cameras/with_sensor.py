@@ -19,6 +19,7 @@ from mitsuba_ref.cameras.camera_reference import (
     sensor_pose,
     to_world_directions,
 )
+from mitsuba_ref.error_model.intersections import stacked_columns
 from mitsuba_ref.scene_xml.elements import XmlElement, matrix_element
 
 
@@ -42,7 +43,7 @@ def pinhole_rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> C
     px, py = camera.principal_point
     right = (2.0 * (x / film.width + px) - 1.0) * across
     up = (1.0 - 2.0 * (y / film.height + py)) * above
-    local = np.column_stack([right, up, np.ones(len(x))])
+    local = stacked_columns(right, up, np.ones(len(x)))
     length = np.sqrt(right * right + up * up + 1.0)
     far = np.inf if camera.far is None else camera.far
     return CameraRays(
@@ -81,7 +82,14 @@ def pinhole_random_fields(rng: np.random.Generator, size: float, view: RandomVie
     return {**view(), "fov": fov, **planes}
 
 
-PINHOLE = CameraReference(Pinhole, pinhole_rays, pinhole_to_xml, pinhole_amplification, pinhole_random_fields)
+PINHOLE = CameraReference(
+    Pinhole,
+    pinhole_rays,
+    pinhole_to_xml,
+    pinhole_amplification,
+    pinhole_random_fields,
+    covers_film=True,
+)
 
 
 def orthographic_rays(camera: Orthographic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
@@ -110,5 +118,9 @@ def orthographic_random_fields(rng: np.random.Generator, size: float, view: Rand
 
 
 ORTHOGRAPHIC = CameraReference(
-    Orthographic, orthographic_rays, orthographic_to_xml, random_fields=orthographic_random_fields
+    Orthographic,
+    orthographic_rays,
+    orthographic_to_xml,
+    random_fields=orthographic_random_fields,
+    covers_film=True,
 )

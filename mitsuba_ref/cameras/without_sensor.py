@@ -43,7 +43,7 @@ def panorama_rays(camera: Panorama, film: Film, x: np.ndarray, y: np.ndarray) ->
     return rays_from_eye(camera, to_world_directions(camera, local))
 
 
-PANORAMA = CameraReference(Panorama, panorama_rays)
+PANORAMA = CameraReference(Panorama, panorama_rays, covers_film=True)
 
 
 def parabolic_rays(camera: Parabolic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:

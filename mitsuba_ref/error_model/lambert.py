@@ -11,7 +11,7 @@ import numpy as np
 
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.bracket import Bracket
-from mitsuba_ref.error_model.intersections import Intersections, dot, norm
+from mitsuba_ref.error_model.intersections import Intersections, dot, largest_of_columns, norm
 from mitsuba_ref.error_model.tolerances import KU_OURS, U32
 
 # Where the direction to a light is known to no better than this, the light's value is not known at all.
@@ -118,7 +118,7 @@ def certain_lights(value: np.ndarray, error: np.ndarray) -> LightChoices:
 
 def smallest_error_ratio(ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, ku: float) -> np.ndarray:
     """(m,) difference between ours (m, 3) and fixed plus lights, over its bound, for the choice that fits best."""
-    sorted_ = _uncertain_lights_first(choices)
+    sorted_ = _uncertain_lights_first(choices) if choices.doubt.any() else choices
     count = min(int(choices.doubt.sum(axis=0).max(initial=0)), MAX_UNCERTAIN_LIGHTS)
     best = np.full(len(ours), np.inf)
     for flips in itertools.product((False, True), repeat=count):
@@ -142,11 +142,14 @@ def _uncertain_lights_first(choices: LightChoices) -> LightChoices:
 def _share(
     ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, switched: np.ndarray, ku: float
 ) -> np.ndarray:
-    total = fixed + np.where(switched, choices.second, choices.first).sum(axis=0)
-    error = np.where(switched, choices.second_error, choices.first_error).sum(axis=0)
+    first, error = choices.first, choices.first_error
+    if switched.any():
+        first = np.where(switched, choices.second, first)
+        error = np.where(switched, choices.second_error, error)
+    total, error = fixed + first.sum(axis=0), error.sum(axis=0)
     rounded = ku * (fixed + total)  # the ambient light's own product, and the sum
     share = error_over_bound(np.abs(ours - total), error + rounded)
-    return np.asarray(share.max(axis=1, initial=0.0))
+    return largest_of_columns(share)
 
 
 # Lit or in shadow: which of the two each side may answer (docs/method.md, "Shadows").
@@ -175,7 +178,7 @@ def reference_shadow_rays(
     """From Mitsuba's own p (m, 3), moved along its normal n to the light's side, to just before the light."""
     near = np.isfinite(lit.reach)
     way = np.where(near[:, None], hit.p + lit.to_light - p, lit.to_light)
-    offset = (1.0 + np.abs(p).max(axis=1)) * RAY_EPSILON
+    offset = (1.0 + largest_of_columns(np.abs(p))) * RAY_EPSILON
     o = p + (np.copysign(offset, dot(n, way)))[:, None] * n
     d = np.where(near[:, None], p + way - o, way)
     return ShadowRays(o, d, np.where(near, 1.0 - SHADOW_EPSILON, np.inf))

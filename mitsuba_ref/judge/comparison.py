@@ -18,6 +18,7 @@ from caster.geometry.packing import Packed
 from caster.rendering.images import film_window
 from caster.scene.model import Check, Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
+from mitsuba_ref.error_model.intersections import all_of_columns, any_of_columns, norm
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -47,8 +48,7 @@ class ImagePair:
     @cached_property
     def length(self) -> np.ndarray:
         """(n,) of each ray's d."""
-        length: np.ndarray = np.linalg.norm(self.rays.d.astype(np.float64), axis=1)
-        return length
+        return norm(self.rays.d.astype(np.float64))
 
     @property
     def t(self) -> np.ndarray:
@@ -84,7 +84,7 @@ def pair_images(scene: Scene, rays: SharedRays, answer: Answer, result: Referenc
 def _images_of(answer: Answer, rays: SharedRays, shape: tuple[int, int]) -> Aovs:
     """t and n as images; depth counts from the eye, as the reference's. A normal that is not finite is NaN."""
     with np.errstate(over="ignore"):
-        depth = rays.start + answer.t * np.linalg.norm(rays.d.astype(np.float64), axis=1)
+        depth = rays.start + answer.t * norm(rays.d.astype(np.float64))
     images = {"depth": depth.reshape(shape)}
     if answer.n is not None:
         none = answer.broken.get(NOT_FINITE, np.zeros(len(answer.t), bool))
@@ -391,13 +391,13 @@ def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str
     found["shape_id"] |= aov_rows(subject, "prim_id") != prim_id
     colors = np.array([scene.material_of(each).reflectance for each in scene.shapes]).reshape(-1, 3)
     albedo = np.where(hit[:, None], colors[shape], 0.0) if len(colors) else np.zeros((len(hit), 3))
-    found["diffuse"] |= (aov_rows(subject, "albedo") != albedo).any(axis=1)
+    found["diffuse"] |= any_of_columns(aov_rows(subject, "albedo") != albedo)
     return found
 
 
 def _fits_mask(aovs: Aovs, name: str, hit: np.ndarray) -> np.ndarray:
     values = aov_rows(aovs, name).reshape(len(hit), -1)
-    on_hit, on_miss = np.isfinite(values).all(axis=1), (values == MISS_VALUES.get(name, 0)).all(axis=1)
+    on_hit, on_miss = (all_of_columns(a) for a in (np.isfinite(values), values == MISS_VALUES.get(name, 0)))
     return np.where(hit, on_hit, on_miss)
 
 

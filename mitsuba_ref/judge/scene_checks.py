@@ -18,7 +18,7 @@ from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, nearest_root
 from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
-from mitsuba_ref.error_model.intersections import norm
+from mitsuba_ref.error_model.intersections import any_of_columns, dot, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
 from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, KU, KU_OURS, TRANSFORM_ROUNDINGS
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
@@ -49,7 +49,7 @@ def bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
     """(n,) bool: pixels where one AOV of two images has other bits."""
     rows, others = aov_rows(a, name), aov_rows(b, name)
     different = rows.view(f"u{rows.itemsize}") != others.view(f"u{rows.itemsize}")
-    return different if different.ndim == 1 else different.any(axis=1)
+    return different if different.ndim == 1 else any_of_columns(different)
 
 
 def pixel_centers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -209,7 +209,8 @@ def check_camera(scene: Scene) -> SceneCheck:
     expected = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
     size = float(np.abs(expected.o).max(initial=np.finfo(np.float64).tiny))
     rounding = CAMERA_ROUNDINGS * KU_OURS / _up_sine(scene.camera)
-    seen, rim = expected.t_max >= 0.0, _on_rim(scene, x, y)
+    seen = expected.t_max >= 0.0
+    rim = np.zeros(len(x), bool) if reference_of_camera(scene.camera).covers_film else _on_rim(scene, x, y)
     shares = {
         "rays there are": np.where(seen == (ours.t_max >= 0.0), 0.0, np.inf),
         "origin": norm(ours.o - expected.o) / (rounding * size),
@@ -252,7 +253,7 @@ def check_sensor(scene: Scene, witness: ReferenceResult) -> SceneCheck:
     if len(d) != len(ours.d):
         return SceneCheck("sensor", np.inf, f"Mitsuba gives {len(d)} rays, we {len(ours.d)}")
     bound = KU * reference.amplification(scene.camera, scene.film)
-    along = np.sum((o - ours.o) * ours.d, axis=1)
+    along = dot(o - ours.o, ours.d)
     aside = norm(o - ours.o - along[:, None] * ours.d)
     size = norm(ours.o) + np.abs(along) + np.abs(scene.camera.eye).max() + getattr(scene.camera, "width", 0.0)
     shares = {"direction": norm(d - ours.d) / bound, "origin": aside / (bound * size)}

@@ -166,7 +166,7 @@ class ExactAnswer:
 
 def check_rays(o: np.ndarray, d: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> None:
     """Raise OutsideDomain, naming the first of the rays (n, 3), (n, 3), (n,), (n,) that is outside the domain."""
-    fits = np.isfinite(o).all(axis=1) & np.isfinite(d).all(axis=1) & (d != 0.0).any(axis=1)
+    fits = np.logical_and.reduce(np.isfinite([*o.T, *d.T])) & np.logical_or.reduce([*(d != 0.0).T])
     bad = np.flatnonzero(~fits | np.isnan(t_min) | np.isnan(t_max))
     if len(bad):
         i = int(bad[0])

@@ -10,6 +10,7 @@ from caster.aovs import AOVS, Aovs
 from caster.rendering.images import film_window
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
+from mitsuba_ref.error_model.intersections import norm
 from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
@@ -123,7 +124,7 @@ def aovs_of(
 ) -> Aovs:
     """Images (height, width) of a result, misses as the caster writes them."""
     answer, hit = witness.answer, witness.hit
-    length = np.linalg.norm(rays.d.astype(np.float64), axis=1)
+    length = norm(rays.d.astype(np.float64))
     flat = {
         "hit": hit,
         "depth": rays.start + witness.t * length,

@@ -54,6 +54,11 @@ class SceneEntry:
         x0, y0, x1, y1 = self.scene.film.window
         return (x1 - x0) * (y1 - y0)
 
+    @property
+    def cost(self) -> int:
+        """Work to be expected, about, in pixels."""
+        return self.pixels
+
     def load(self) -> "SceneEntry":
         """Itself."""
         return self
@@ -69,6 +74,12 @@ class SceneSource:
     size: tuple[int, int] | None = None  # of the film instead of the scene's own
     mesh_dirs: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
+    size_bytes: int = 0  # of the file
+
+    @property
+    def cost(self) -> int:
+        """Work to be expected, about, in pixels: what is checked of a shape takes as long for each of its bytes."""
+        return self.pixels + self.size_bytes
 
     def load(self) -> SceneEntry:
         """Read the file. Raises SceneError, FileMissing."""
@@ -95,7 +106,11 @@ def source_of(
 ) -> SceneSource:
     """A scene file of which only the film is read yet; parameters as of `load_entry`."""
     film = (size[0], size[1]) if size else None
-    return SceneSource(name, path, film_pixels(path, film), film, tuple(mesh_dirs), options)
+    try:
+        size_bytes = Path(path).stat().st_size
+    except OSError:  # whoever loads it says so
+        size_bytes = 0
+    return SceneSource(name, path, film_pixels(path, film), film, tuple(mesh_dirs), options, size_bytes)
 
 
 def load_entry(
@@ -123,17 +138,35 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+# Of the last scenes, so many for each worker are begun in the order of their costs: a long one at the very end would
+# leave the other workers idle. Rows before them are not held up.
+REORDERED_PER_WORKER = 4
+
+
+def start_order(costs: Sequence[int], workers: int) -> list[int]:
+    """The order in which entries are begun."""
+    every = list(range(len(costs)))
+    tail = max(0, len(every) - REORDERED_PER_WORKER * workers)
+    return every[:tail] + sorted(every[tail:], key=lambda place: -costs[place])
+
+
 def map_in_order(
     work: Callable[[Entry], Result], entries: Sequence[Entry], workers: int | None = None
 ) -> Generator[Result, None, None]:
-    """work(entry) for each, several at a time, in order; after an interruption no further one is started."""
+    """work(entry) for each, several at a time; results in order. After an interruption no further one is started."""
     stop = threading.Event()
 
     def unless_stopped(entry: Entry) -> Result | None:
         return None if stop.is_set() else work(entry)
 
-    pool = ThreadPoolExecutor(workers or default_workers())
-    futures = [pool.submit(unless_stopped, entry) for entry in entries]
+    workers = workers or default_workers()
+    pool = ThreadPoolExecutor(workers)
+    begun = {
+        place: pool.submit(unless_stopped, entries[place])
+        for place in start_order([each.cost for each in entries], workers)
+    }
+    futures = [begun[place] for place in range(len(entries))]
+    del begun
     try:
         for place, future in enumerate(futures):
             result = future.result()

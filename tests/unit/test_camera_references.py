@@ -219,3 +219,14 @@ def test_roundings_of_a_pinhole_are_magnified_by_its_half_extents_and_its_offset
             "principal_point": offset,
         }
         assert pinhole_amplification(caster.Pinhole(**view), film) == pytest.approx(expected)
+
+
+@every_camera
+def test_a_camera_that_covers_its_film_has_a_ray_through_every_position(camera):
+    rng = np.random.default_rng([9, TYPES.index(camera)])
+    missing = 0
+    for _ in range(20):
+        scene = random_scene(camera, rng)
+        x, y = (side * rng.uniform(-0.1, 1.1, 500) for side in (scene.film.width, scene.film.height))
+        missing += (reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y).t_max < 0.0).sum()
+    assert reference_of_camera(scene.camera).covers_film == (missing == 0)

@@ -208,3 +208,14 @@ def test_mitsubas_shadow_rays_start_off_the_surface_and_stop_short_of_the_light(
     assert np.allclose(near.o + near.d, LIGHTS[0]["position"], rtol=0.0, atol=1e-14)
     assert np.allclose(near.t_max, 1.0 - 8.940697e-04, rtol=1e-9) and np.isposinf(far.t_max).all()
     assert np.allclose(far.d, -np.array([1, -3, 0.5]) / math.sqrt(10.25), rtol=1e-15)
+
+
+def test_a_largest_difference_that_is_no_number_fits_nothing():
+    """Sums are compared channel by channel, the worst of three decides, and NaN is no agreement."""
+    fixed, ours = np.full((4, 3), 0.5), np.full((4, 3), 0.5)
+    ours[1, 2], ours[2, 0] = 0.75, np.nan
+    value, error = np.zeros((2, 1, 4, 3))
+    found = lambert.smallest_error_ratio(ours, fixed, lambert.certain_lights(value, error), KU)
+    assert found[0] == found[3] == 0.0 and found[1] == 0.25 / KU and np.isinf(found[2])
+    none = np.zeros((0, 4, 3))
+    assert (lambert.smallest_error_ratio(ours, fixed, lambert.certain_lights(none, none), KU) == found).all()

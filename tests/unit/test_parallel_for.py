@@ -1,6 +1,7 @@
 """Pieces of work on several threads: each done once, errors told, nothing begun after one."""
 
 import threading
+from collections.abc import Callable
 
 import pytest
 
@@ -37,6 +38,27 @@ def test_too_little_for_a_second_thread_stays_on_this_one():
     where = set()
     parallel_for(lambda start, stop: where.add(threading.get_ident()), 99, 4, least=50)
     assert where == {threading.get_ident()}
+
+
+@pytest.mark.parametrize(("count", "pieces"), [(1, 1), (50, 1), (99, 2), (100, 8), (101, 8), (400, 16)])
+def test_too_little_for_a_second_thread_is_no_more_pieces_than_needed(count, pieces):
+    done: list[tuple[int, int]] = []
+    parallel_for(lambda *band: done.append(band), count, 4, least=50)
+    assert len(done) == pieces and sum(stop - start for start, stop in done) == count
+
+
+def test_a_thread_prepares_itself_only_for_a_piece():
+    """The first thread does all: what others would prepare, such as buffers, is never asked for."""
+    begun: list[int] = []
+
+    def begin() -> Callable[[int], None]:
+        begun.append(threading.get_ident())
+        return lambda piece: None
+
+    parallel_for_pieces(begin, [], 3)
+    assert begun == []
+    parallel_for_pieces(begin, [1, 2], 1)
+    assert begun == [threading.get_ident()]
 
 
 def test_an_error_is_raised_and_what_has_not_begun_is_not_begun():

@@ -225,7 +225,9 @@ def test_hits_of_a_tile_are_lit_as_the_formula_states(name):
     assert np.array_equal(field(buffer, SIDES, 1)[hit], TWO_SIDED[shape[hit]])
     assert (field(buffer, RADIANCE) == 0.0).all()
     shadow_tile[:] = 7.0
-    count = shadow_rays_in_tile(light, tile, BOX, SHAPES_OF, EXTENTS, buffer, shadow_tile)
+    total = np.full(1, 5)
+    count = shadow_rays_in_tile(light, tile, BOX, SHAPES_OF, EXTENTS, buffer, shadow_tile, total)
+    assert total[0] == 5 + count
     surface = [field(buffer, at) for at in (P, N, SH_N)]
     lit, flux, start, along, t_min = lit_and_flux(
         light, *surface, field(tile, OX), field(tile, DX), field(tile, T, 1), TWO_SIDED[shape], EXTENTS[shape]

@@ -4,6 +4,7 @@ import json
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mitsuba_ref.__main__
@@ -11,7 +12,7 @@ from caster.description.errors import SceneError
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict
 from mitsuba_ref.runner import many_scenes, validation_run
-from mitsuba_ref.runner.many_scenes import Entry, SceneSource, matching, run, source_of
+from mitsuba_ref.runner.many_scenes import Entry, SceneSource, matching, run, source_of, start_order
 from mitsuba_ref.runner.shards import Shard, missing_shards, scenes_of_shard
 
 SCENE = """[film]
@@ -98,3 +99,23 @@ def test_work_is_in_proportion_to_scenes_and_words(folder):
     with pytest.raises(SceneError, match="more than 50 parentheses are nested"):
         matching("(" * 100_000)
     assert time.process_time() - begin < 2.0
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_of_the_last_scenes_alone_the_long_ones_are_begun_first(workers):
+    costs = np.random.default_rng(workers).integers(1, 9, 30).tolist()
+    order, tail = start_order(costs, workers), 30 - 4 * workers
+    assert sorted(order) == list(range(30)) and order[:tail] == list(range(tail))
+    assert [costs[place] for place in order[tail:]] == sorted(costs[tail:], reverse=True)
+    assert (
+        start_order([5, 5, 5], 2) == [0, 1, 2]
+        and start_order([1, 2], 8) == [1, 0]
+        and start_order([], 1) == []
+    )
+
+
+def test_a_long_description_counts_as_work(tmp_path):
+    for name, text in (("short", SCENE), ("long", SCENE + "#" * 10_000)):
+        (tmp_path / f"{name}.toml").write_text(text)
+    short, long = (source_of(str(tmp_path / f"{name}.toml"), name) for name in ("short", "long"))
+    assert long.cost - short.cost == 10_000 and short.cost == short.pixels + len(SCENE)
