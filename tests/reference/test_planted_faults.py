@@ -39,7 +39,7 @@ ONE_NAN = """
 
 def one_nan(aov: str) -> Fault:
     """A single pixel that is not a number."""
-    old = "        parallel_for_tiles(begin, window, self.threads)\n"
+    old = "            parallel_for_tiles(begin, rows, self.threads)\n"
     return Fault(f"one NaN in {aov}", "one-sphere", aov, HITS, old, old + ONE_NAN.format(aov=aov)[1:])
 
 
