@@ -162,6 +162,15 @@ def test_whatever_changes_is_requested_again(request_, monkeypatch, change):
     assert changed != before and changed
 
 
+def test_a_mesh_file_counts_by_its_bytes_and_its_name(request_, tmp_path):
+    """Mitsuba reads it by itself, whatever the exported scene has of it."""
+    keys = set()
+    for name, content in (("a.obj", b"v 0 0 0"), ("a.obj", b"v 0 0 1"), ("b.obj", b"v 0 0 1")):
+        (tmp_path / name).write_bytes(content)
+        keys.add(request_key(replace(request_, mesh_files=(tmp_path / name,))))
+    assert len(keys) == 3
+
+
 def test_scenes_that_are_requested_together_have_keys_of_their_own(request_, tmp_path):
     (tmp_path / "more").mkdir()
     second = replace(request_, xml=write(tmp_path / "more", shape("sphere", "egg", 0)), lights=False)

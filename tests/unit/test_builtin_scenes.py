@@ -17,7 +17,7 @@ from caster.rendering.images import render
 from caster.scene.files import film_pixels, load_scene, types_in_file
 from mitsuba_ref.cli import options
 from mitsuba_ref.cli.validate import UNSUPPORTED_SCENE, exit_code
-from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, Verdict
+from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneCheck, Verdict
 from mitsuba_ref.runner.many_scenes import matching
 from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
 
@@ -214,6 +214,8 @@ def test_known_failures_pass_and_no_others(tmp_path):
     assert not judged(scene("a", ok=False), scene("b", ok=False), expected=known).ok
     more = replace(scene("b", ok=False), counts=scene("b", ok=False).counts | {"wrong": 2})
     assert not judged(scene("a"), more, expected=known).ok, "more pixels than are known"
+    both = replace(scene("b", ok=False), checks=(SceneCheck("camera", 2.0, "direction at (0, 0)"),))
+    assert not judged(scene("a"), both, expected=known).ok, "another check beside the known one"
     broken = scene("b", ok=False, problem="killed")
     assert not judged(scene("a"), broken, expected=known).ok, "another failure than the known one"
 

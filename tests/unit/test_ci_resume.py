@@ -121,12 +121,22 @@ def test_other_code_or_versions_judge_all_anew(judged, monkeypatch, other):
     assert judged("--resume")[1] == ["a", "b", "m"]
 
 
-def test_another_variant_or_size_judges_all_anew(judged, monkeypatch):
+@pytest.mark.parametrize("words", [("--size", "20", "10"), ("--mesh-dir", "scenes")], ids=" ".join)
+def test_another_option_judges_all_anew(judged, words):
     judged()
-    assert judged("--resume", "--size", "20", "10")[1] == ["a", "b", "m"]
+    assert judged("--resume", *words)[1] == ["a", "b", "m"]
+    assert judged("--resume", *words)[1] == []
+
+
+@pytest.mark.parametrize("other", ["variant", "settings"])
+def test_another_variant_or_another_setting_of_it_judges_all_anew(judged, monkeypatch, other):
+    """Each alone, the other one being what it is."""
+    known = {"variant": "scalar_rgb", "settings": {"DRJIT_LIBLLVM_PATH": "/libLLVM.so.19"}}
+    monkeypatch.setattr(resume, "variant_of", lambda scene: known["variant"])
+    monkeypatch.setattr(resume.variants, "environment_for", lambda variant: known["settings"])
     judged()
-    monkeypatch.setattr(resume, "variant_of", lambda scene: "another")
-    monkeypatch.setattr(resume.variants, "environment_for", lambda variant: {})
+    assert judged("--resume")[1] == []
+    known |= {other: {"variant": "llvm_ad_rgb", "settings": {"DRJIT_LIBLLVM_PATH": "/libLLVM.so.99"}}[other]}
     assert judged("--resume")[1] == ["a", "b", "m"]
 
 

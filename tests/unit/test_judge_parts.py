@@ -11,6 +11,8 @@ import verdict_factory
 import caster
 from caster.geometry.packing import packed
 from caster.scene.model import Scene
+from caster.system.process import OK
+from mitsuba_ref.cli.validate import exit_code
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Claims
 from mitsuba_ref.judge import adjudication, diagnosis
 from mitsuba_ref.judge.adjudication import (
@@ -38,7 +40,7 @@ from mitsuba_ref.judge.independent_checks.knife_edges import (
     lossless_exponents,
     with_limits,
 )
-from mitsuba_ref.judge.verdict import CLASSES, Finding, SceneCheck, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, Finding, SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.oracle.oracle import OutsideDomain
 from mitsuba_ref.subjects.subject import Answer
 
@@ -665,6 +667,7 @@ EXPECTED = replace(FAILED, waived="expected")
 )
 def test_a_run_passes_where_every_scene_does_or_is_waived(verdict, ok):
     assert verdict.ok is ok
+    assert (exit_code(verdict, ()) == OK) is ok
 
 
 def test_a_run_adds_up_its_scenes():
@@ -755,3 +758,23 @@ def test_windows_are_added_up_and_the_worst_of_each_is_kept():
         ("y", 1, 0, 2),
     ]
     assert merge_windows([one, replace(two, problem="p")]).problem == "p" and found.problem == ""
+
+
+WINDOW_FAULTS = {
+    "a check": lambda checks: {"checks": (checks[0], replace(checks[1], ratio=2.0))},
+    "a check without a number": lambda checks: {"checks": (checks[0], replace(checks[1], ratio=np.nan))},
+    "a check that others lack": lambda checks: {"checks": (*checks, SceneCheck("placement", np.inf, ""))},
+    "a pixel": lambda checks: {"counts": PASSED.counts | {"undecided": 1}},
+    "an unknown error of Mitsuba": lambda checks: {"cases": {UNLISTED: 1}},
+    "no comparison": lambda checks: {"problem": "killed"},
+}
+
+
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize("fault", WINDOW_FAULTS)
+def test_a_film_passes_only_where_each_of_its_windows_does(fault, place):
+    checks = SceneCheck("camera", 0.5, ""), SceneCheck("culling", 0.0, "")
+    windows = [replace(PASSED, checks=checks)] * 3
+    assert merge_windows(windows).ok
+    windows[place] = replace(windows[place], **WINDOW_FAULTS[fault](checks))
+    assert not windows[place].ok and not merge_windows(windows).ok
