@@ -12,6 +12,7 @@ from caster.geometry.packing import Kind, Packed
 from caster.kernels.triangles import Triangles
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import cast, occluded, packed, validated_rays
+from caster.rendering.threads import CHUNKS_PER_THREAD, thread_count
 from caster.scene.model import Scene
 from caster.shapes import SHAPES, Icosphere
 
@@ -58,6 +59,19 @@ def test_wrong_limits_are_scene_errors(function, text):
     with pytest.raises(SceneError) as found:
         function(scene, np.zeros((2, 3)), np.ones((2, 3)), **WRONG_LIMITS[text])
     assert text in str(found.value)
+
+
+@pytest.mark.parametrize("function", [cast, occluded])
+def test_the_first_of_several_rays_that_are_none_is_named(function):
+    """The second one begins a piece of another thread, which finds it long before the first thread gets to its own."""
+    count = 1 << 18
+    o, d = np.zeros((count, 3)), np.ones((count, 3))
+    pieces = CHUNKS_PER_THREAD * thread_count()
+    second = int(np.linspace(0, count, pieces + 1)[1])
+    d[[second - 1, second, count - 1]] = 0.0
+    scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere()])
+    with pytest.raises(SceneError, match=rf"^rays\[{second - 1}\]: "):
+        function(scene, o, d)
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=name)

@@ -9,6 +9,8 @@ import pytest
 import caster
 from caster.__main__ import main
 from caster.aovs import AOVS, Aovs
+from caster.image.channels import aovs_to_channels, channels_to_aovs
+from caster.image.exr import NO_ID
 from mitsuba_ref.judge.independent_checks.exr_round_trip import (
     CHANNELS,
     WrittenImage,
@@ -54,3 +56,10 @@ def test_ids_and_numbers_beyond_float32_are_stored_as_the_page_states():
     assert planes["id.shape"].tolist() == [[2, 4294967295]] and planes["id.shape"].dtype == np.uint32
     assert planes["depth.Z"].tolist() == [[float(np.finfo(np.float32).max), np.inf]]
     assert planes["A"].tolist() == [[1.0, 0.0]]
+
+
+def test_every_number_of_a_primitive_goes_through_a_file_unrounded():
+    ids = np.array([[0, 2**24 + 1, 2**31 - 1, -1]], np.int32)
+    channels = aovs_to_channels(Aovs({"prim_id": ids}, ids >= 0))
+    assert channels["id.prim"].tolist() == [[0, 2**24 + 1, 2**31 - 1, NO_ID]]
+    assert channels_to_aovs(channels)["prim_id"].tolist() == ids.tolist()

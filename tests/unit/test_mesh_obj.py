@@ -1,6 +1,7 @@
 """Wavefront OBJ files."""
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import _check_stl_size, load_mesh
 from caster.geometry.mesh_files.obj import join_table
 from caster.geometry.triangle_mesh import vertex_normals
+from caster.shapes.mesh import MeshFile
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 SQUARE_VERTICES = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
@@ -86,6 +88,37 @@ def test_corners_without_normal_in_a_file_that_has_some_get_generated_ones(load)
     generated = vertex_normals(mesh.vertices[[0, 2, 3, 5]], np.array([(0, 1, 2), (0, 2, 3)], np.int32))
     assert np.array_equal(mesh.normals[mesh.faces[0]], generated[:3])
     assert np.array_equal(mesh.normals[mesh.faces[1]], [(0, 1, 0)] * 3)
+
+
+def test_every_corner_of_a_file_has_its_own_normal_or_that_generated_at_its_vertex(load):
+    rng = np.random.default_rng(7)
+    points, normals = rng.normal(size=(9, 3)), np.eye(3)
+    faces = np.array([rng.permutation(9)[:3] for _ in range(24)])
+    named = rng.integers(-1, 3, size=faces.shape)  # -1: none
+    lines = [f"v {' '.join(map(repr, point))}" for point in points.tolist()]
+    lines += [f"vn {' '.join(map(repr, normal))}" for normal in normals.tolist()]
+    for face, of_face in zip((faces + 1).tolist(), (named + 1).tolist(), strict=True):
+        corners = (f"{v}//{n}" if n else f"{v}" for v, n in zip(face, of_face, strict=True))
+        lines.append(f"f {' '.join(corners)}")
+    mesh = load("\n".join(lines))
+    generated = vertex_normals(points, faces.astype(np.int32))
+    expected = np.where((named < 0)[..., None], generated[faces], normals[named])
+    assert np.allclose(mesh.normals[mesh.faces], expected, rtol=0, atol=2.0**-50)
+
+
+def test_a_mesh_is_kept_until_its_file_has_another_time_or_size(tmp_path):
+    path = tmp_path / "mesh.obj"
+
+    def mesh_of(face, time):
+        path.write_text(f"{SQUARE}f {face}\n")
+        os.utime(path, ns=(time, time))
+        return MeshFile(file=str(path)).mesh()
+
+    time = 1_700_000_000_000_000_000  # ns
+    first = mesh_of("1 2 3", time)
+    assert mesh_of("1 2 3", time) is first
+    assert np.array_equal(mesh_of("2 3 4", time + 1000).faces, [(1, 2, 3)])  # within the same second
+    assert len(mesh_of("1 2 3 4", time + 1000).faces) == 2
 
 
 def test_corners_without_uv_in_a_file_that_has_some_get_zeros(load):

@@ -142,16 +142,17 @@ def test_wrong_clouds_are_refused_with_the_reason(tmp_path, fields):
     assert isinstance(found.value, FileMissing) == ("no.ply" in fields)
 
 
+@pytest.mark.parametrize("radius", [-0.5, 0.0])
 @pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
-def test_a_bad_vertex_is_named_with_its_number(tmp_path, kind):
+def test_a_bad_vertex_is_named_with_its_number(tmp_path, kind, radius):
     centers, radii = some_spheres(9)
-    radii[[4, 6]] = -0.5, np.nan
+    radii[[4, 6]] = radius, np.nan
     where = write_ply(tmp_path / "a.ply", centers, radii, kind)
     line = ":17" if kind == "ascii" else ""
     with pytest.raises(SceneError) as found:
         caster.SphereCloud(file=where).load()
     assert str(found.value) == (
-        f"{where}{line}: radius of vertex 4 must be a length > 0, got -0.5 (2 of 9 are wrong)"
+        f"{where}{line}: radius of vertex 4 must be a length > 0, got {radius:g} (2 of 9 are wrong)"
     )
     centers[7, 1] = np.inf
     where = write_ply(tmp_path / "b.ply", centers, None, kind)
