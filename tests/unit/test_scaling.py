@@ -97,6 +97,26 @@ def with_one_bit(right):
     return render
 
 
+def test_a_shape_that_stays_where_it_is_excuses_no_difference(monkeypatch):
+    plane = {"type": "plane", "normal": [0.0, 1.0, 0.0], "offset": 0.0}
+    scene = scene_of(shape=[{"type": "sphere"}, plane])
+    assert check_scaling(scene).ok
+    monkeypatch.setattr(module, "render", with_one_bit(module.render))
+    assert not check_scaling(scene).ok
+
+
+def test_a_copy_of_a_scene_that_keeps_what_was_packed_fails(monkeypatch):
+    right = Scene.model_copy
+
+    def copy_with_packed(self, **options):
+        copy = right(self, **options)
+        copy._derived = self._derived
+        return copy
+
+    monkeypatch.setattr(Scene, "model_copy", copy_with_packed)
+    assert not check_scaling(scene_of()).ok
+
+
 @pytest.mark.parametrize(("power", "signs"), [(0, [-1, 1]), (50, [-1]), (SMALLEST_SIZE_EXPONENT, [1])])
 def test_scales_stay_where_nothing_is_rejected_and_nothing_underflows(power, signs):
     exponents = exponents_of(scene_of(radius=2.0**power), 1)

@@ -36,6 +36,7 @@ SMALLEST_SIZE_EXPONENT = -300
 PACKED_LENGTHS = ("vertices", "center", "radius", "to_world", "point")
 LEAST_EXPONENT, LARGEST_EXPONENT = 24, 60
 WINDOW_SIDE = 24  # pixels of the film's window that are rendered
+OUR_SHAPES = "caster.shapes."  # modules of shapes that follow their to_world
 
 
 def scaled_scene(scene: Scene, exponent: int) -> Scene:
@@ -139,12 +140,17 @@ def check_scaling(scene: Scene) -> SceneCheck:
 
 
 def _shapes_that_stay(scene: Scene) -> list[str]:
-    """Names of shapes whose packed numbers are the same twice as large: kinds from elsewhere may ignore to_world."""
+    """Names of shapes from elsewhere whose packed numbers are the same twice as large: they may ignore to_world.
+
+    None of the caster's own does; one that stays where it is, as a plane through the origin, excuses no difference.
+    """
     parts, doubled = packed(scene).parts, packed(scaled_scene(scene, 1)).parts
     return [
         name
-        for name, part, other in zip(scene.shape_names(), parts, doubled, strict=True)
-        if type(part) is type(other) and all(map(np.array_equal, part, other))
+        for name, shape, part, other in zip(scene.shape_names(), scene.shapes, parts, doubled, strict=True)
+        if not type(shape).__module__.startswith(OUR_SHAPES)
+        and type(part) is type(other)
+        and all(map(np.array_equal, part, other))
     ]
 
 
