@@ -360,6 +360,15 @@ def test_another_primitive_than_the_one_that_is_hit_is_wrong(one):
     )
 
 
+def test_a_normal_without_a_useful_bound_agrees_with_nothing(one, monkeypatch):
+    judge = again(altered(one))
+    rows, loose = some_of_each_shape(judge), np.zeros(len(judge.hit), bool)
+    loose[rows] = True
+    assert classes_at(judge.judge(), rows) == {"agree"}
+    monkeypatch.setattr(judge, "_has_loose_normals", lambda: loose)
+    assert classes_at(judge.judge(), rows) == {"out_of_domain"}
+
+
 # Our image contradicts our own hit: no rounding excuses it, and no exact answer makes it right.
 CONTRADICTIONS = {
     "depth": lambda images: images["depth"] * (1.0 + 1e-13),
@@ -370,7 +379,7 @@ CONTRADICTIONS = {
     "diffuse": lambda images: images["diffuse"] * np.nan,
     "prim_id": lambda images: images["prim_id"] + 1,
     "hit": lambda images: 1 - images["hit"],
-    "albedo": lambda images: images["albedo"] * 0.999,
+    "albedo": lambda images: images["albedo"] + 0.001,
 }
 REPORTED_AS = {"prim_id": "shape_id", "hit": "mask", "albedo": "diffuse"}
 
@@ -385,6 +394,9 @@ def test_an_image_that_contradicts_its_hit_is_undecided(one, name, where):
         kept = image.copy()
         with np.errstate(invalid="ignore"):
             changed = CONTRADICTIONS[name]({name: kept})
+        if image.ndim == 2:  # one channel is enough: each in some pixels
+            channels = np.arange(image.shape[1])
+            changed = np.where(channels == np.arange(len(image))[:, None] % len(channels), changed, kept)
         image[rows] = changed[rows]
     else:
         image[rows] = {"hit": True, "depth": 1.0}.get(name, 1)

@@ -194,7 +194,8 @@ def test_a_packed_number_may_be_off_by_sixteen_roundings_of_its_size(share, prec
             ExpectedNumbers("what", packed, expected, size, rounded), *given
         )
 
-    assert ratio(5.0, share * 16 * unit * 5.0) == pytest.approx(share)
+    for size in (5.0, 5.0 * 2.0**60, 5.0 * 2.0**-60):
+        assert ratio(size, share * 16 * unit * size) == pytest.approx(share)
     tiny = precision.smallest_normal / 1024
     least = 16 * unit * precision.smallest_normal  # some multiples of the smallest number there is
     assert (ratio(tiny, least / 2), ratio(tiny, 2 * least)) == (0.5, 2.0)

@@ -53,6 +53,7 @@ def test_many_rays_hit_edges_rims_and_tangents_of_every_shape():
             "ours misses",
         ),
         (lambda hits: hits._replace(prim=np.where(hits.prim == 2, 3, hits.prim)), "ours hits primitive 3"),
+        (lambda hits: hits._replace(t=np.where(hits.prim == 1, np.nan, hits.t)), "nan off"),
     ],
 )
 def test_a_wrong_hit_fails_with_a_scene_of_its_ray(monkeypatch, spoil, words):
