@@ -71,6 +71,18 @@ def test_a_crop_is_that_part_of_the_whole_image_in_every_culling(camera):
     assert part.film.window == crop and whole.hit[y0:y1, x0:x1].sum() >= 50
 
 
+def test_every_culling_gives_numbers_of_the_type_that_is_requested():
+    """Rounded once, at the end; ids stay what they are."""
+    scene, names = random_scene(np.random.default_rng(6), [Sphere], Pinhole), ("depth", "normal", "shape_id")
+    images = render(scene, names)
+    expected = {name: images[name].astype(np.float32) for name in names[:2]} | {
+        "shape_id": images["shape_id"]
+    }
+    for culling in ("brute-force", *cullings_for(scene)):
+        found = render(scene, names, culling=culling, dtype=np.float32)
+        assert_same_bits(expected, found, f"float32, {culling}")
+
+
 def test_the_screen_is_compared_for_some_cameras_and_not_for_others():
     rng = np.random.default_rng(3)
     compared = {name(cls): cullings_for(random_scene(rng, SHAPES[:1], cls, count=1)) for cls in VIEWS}

@@ -7,6 +7,8 @@ import pytest
 
 from caster.description.errors import SceneError
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows, vertex_normals
+from caster.geometry.world_space import as_given
+from caster.shapes import Icosphere
 
 # About twenty roundings of u = 2^-53 lie between the corners and a component of a unit vector.
 ROUNDING = 32 * 2.0**-53
@@ -124,3 +126,14 @@ def test_degenerate_faces_are_accepted():
 def test_an_unusable_mesh_is_refused_with_the_culprit_named(changes, words):
     with pytest.raises(SceneError, match=r"^somewhere: .*" + words):
         check_mesh(mesh_of(**changes), "somewhere")
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("power", [-390, 0, 50])
+def test_faces_of_a_mesh_of_any_size_look_outwards_also_where_it_is_mirrored(power, mirrored):
+    """The volume of the smallest one, by which a mirror image is known, is below all of float64."""
+    size = 2.0**power
+    part = Icosphere(to_world={"scale": [-size if mirrored else size, size, size]}).pack(as_given)
+    a, b, c = np.moveaxis(part.vertices[part.faces] / size, 1, 0)
+    assert (np.sum(np.cross(b - a, c - a) * a, axis=1) > 0.0).all()
+    assert (np.sum(part.normals * part.vertices / size, axis=1) > 0.0).all()

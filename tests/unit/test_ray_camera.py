@@ -63,9 +63,12 @@ def test_it_sees_what_cast_sees():
     assert culling_for(scene.camera.pack(2, 2))[0] == "bvh"
 
 
+@pytest.mark.parametrize("length", [1.0, 2.0**-1000, 2.0**1000])
 @pytest.mark.parametrize(("t_max", "hit"), [(5.9999, False), (6.0, True), (None, True)])
-def test_the_ray_ends_at_t_max(t_max, hit):
-    ray = Ray(origin=(0, 0, 4), direction=(0, 0, -0.5), t_max=t_max)
+def test_the_ray_ends_at_t_max(t_max, hit, length):
+    """Which counts in lengths of the direction, however long that is."""
+    end = t_max and t_max / length
+    ray = Ray(origin=(0, 0, 4), direction=(0, 0, -0.5 * length), t_max=end)
     scene = Scene(film=Film(width=1, height=1), camera=ray, shapes=[Sphere()])
     assert bool(render(scene).hit.all()) is hit
 

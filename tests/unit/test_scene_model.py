@@ -16,7 +16,7 @@ from caster.rendering import bvh_construction
 from caster.rendering.hits import trace
 from caster.rendering.images import camera_rays, trace_film
 from caster.scene.model import Ambient, Check, Diffuse, Film, Point, Scene, Shading, one_of
-from caster.shapes import SHAPES, Cube, Disk, Icosphere, Sphere
+from caster.shapes import SHAPES, Cube, Cylinder, Disk, Icosphere, Sphere
 
 CAMERA = Pinhole(eye=[0, 0, 5], look_at=[0, 0, 0])
 
@@ -135,6 +135,14 @@ def test_a_scene_is_packed_and_its_bvhs_are_built_once_for_each_rounding(monkeyp
     single, double = (packed(scene, rounded).parts[0].vertices for rounded in (as_float32, as_given))
     assert not np.array_equal(single, double) and np.array_equal(single, double.astype(np.float32))
     assert packed(scene, lambda numbers: 2.0 * numbers).parts[0].vertices.max() == 2.0 * double.max()
+
+
+@pytest.mark.parametrize("place", [(7, 8, 9), (-7, -8, -9), (7, -9, 8)])
+def test_an_extent_is_the_largest_coordinate_of_either_sign(place):
+    shapes = [kind(to_world={"translate": place}) for kind in (Sphere, Icosphere, Disk, Cylinder)]
+    numbers = packed(Scene(camera=Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=shapes))
+    for kind, of_shape in zip(numbers.kinds, numbers.shape_extents, strict=True):
+        assert kind.extent == of_shape == np.abs(kind.boxes()).max()
 
 
 def test_a_copy_of_a_shape_elsewhere_has_its_own_matrix():
