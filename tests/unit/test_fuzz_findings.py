@@ -10,6 +10,8 @@ from mitsuba_ref.fuzz.checks import adjudicate, check_rays, check_surfaces
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally, first_of_each_kind
 from mitsuba_ref.judge.independent_checks.adversarial_rays import RayBatch
 from mitsuba_ref.judge.independent_checks.knife_edges import NearestHits, cast_by_culling, prepared_scene
+from mitsuba_ref.judge.independent_checks.public_routes import RouteDifference
+from mitsuba_ref.judge.independent_checks.scaling import Difference
 from mitsuba_ref.oracle.oracle import Oracle
 
 SQUARE = (
@@ -107,6 +109,15 @@ def test_a_bit_between_two_images_is_found(subject, monkeypatch):
     monkeypatch.setattr(checks, "render", off_by_a_bit)
     (finding,) = checks.check_image(subject, Tally())
     assert finding.kind == "culling" and finding.pixel == (2, 1) and "position" in finding.what
+
+
+def test_what_another_scale_or_another_route_shows_is_found(subject, monkeypatch):
+    scaled = [Difference(30, "depth", np.array([6]))]
+    routes = [RouteDifference("caster.cast(scene, o, d).t", "depth", 1, 2, "5.0", "6.0", 1)]
+    monkeypatch.setattr(checks, "scaling_differences", lambda scene, exponents: scaled)
+    monkeypatch.setattr(checks, "route_differences", lambda scene: routes)
+    found = checks.check_image(subject, Tally())
+    assert [(each.kind, each.pixel) for each in found] == [("scaling", (2, 1)), ("route", (1, 2))]
 
 
 def test_a_wrong_depth_in_all_images_is_found(subject, monkeypatch):
