@@ -49,6 +49,20 @@ def test_a_corner_straight_behind_has_no_image(camera):
     )
 
 
+AROUND = [(0.3, 0.1, -3), (-0.5, -0.9, -2.8), (0.1, 3, -0.1), (-0.2, -3, 0.1), (3, 0.2, 0.1), (-3, 0.1, -0.4)]
+
+
+@pytest.mark.parametrize("camera", BENDING)
+@pytest.mark.parametrize("kind", ["sphere", "cylinder", "disk", "cube"])
+def test_what_lies_around_the_eye_is_seen_whole(camera, kind):
+    """Behind it, where a panorama has its seam, above, below and to the sides."""
+    ahead = {"type": "sphere", "center": (0, 0, 3), "radius": 0.5}
+    shaped = {"scale": (0.5, 0.4, 0.45)}, {"rotate": {"axis": (1, 2, 3), "degrees": 40}}
+    for place in AROUND:
+        other = {"type": kind, "to_world": (*shaped, {"translate": place})}
+        assert_cullings_agree(camera(**AHEAD), [ahead, other], {"width": 60, "height": 30})
+
+
 @pytest.mark.parametrize("aside", [1.6e-162, 1e-170, 5e-324])
 def test_a_sphere_hardly_off_the_axis_of_a_fisheye_is_seen_whole(aside):
     """The square of so short a way has lost bits, or all of them, to underflow."""
