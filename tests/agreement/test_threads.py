@@ -8,11 +8,14 @@ from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
 from caster.cameras import Panorama, Pinhole
+from caster.kernels.raster.screen_bounds import Window
+from caster.rendering import rasterization
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import packed, validated_rays
 from caster.rendering.images import render
+from caster.rendering.rasterization import bin_kinds
 from caster.scene.model import Scene
-from caster.shapes import SHAPES
+from caster.shapes import SHAPES, Icosphere
 
 THREADS = (2, 3, 7)
 
@@ -50,3 +53,21 @@ def test_threads_never_change_a_bit_of_any_ray():
 def test_a_film_of_fewer_rows_than_threads_is_the_same(rows):
     scene = random_scene(np.random.default_rng([22, rows]), SHAPES, Panorama, count=2, film=(600, rows))
     assert count_hits_where_threads_agree(scene) >= 50
+
+
+def test_parts_that_are_binned_in_another_order_are_in_the_same_places(monkeypatch):
+    """Each thread writes where its own part belongs, whichever comes first."""
+    scene = random_scene(np.random.default_rng(8), [Icosphere], Pinhole)
+    arguments = packed(scene), scene.camera.pack(48, 32), Window(0, 0, 48, 32), 10.0
+    (alone,) = bin_kinds(*arguments, threads=1)
+    monkeypatch.setattr(rasterization, "PARALLEL_MIN_PRIMITIVES", 16)
+    (expected,) = bin_kinds(*arguments, threads=1)
+
+    def backwards(begin, pieces, workers):
+        for piece in reversed(pieces):
+            begin()(piece)
+
+    monkeypatch.setattr(rasterization, "parallel_for_pieces", backwards)
+    (found,) = bin_kinds(*arguments, threads=3)
+    assert np.array_equal(found.order, expected.order) and np.array_equal(found.runs, expected.runs)
+    assert found.binned == alone.binned > 3 * 16
