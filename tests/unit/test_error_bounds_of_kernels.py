@@ -16,13 +16,13 @@ from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.build import STACK_SIZE, open_largest
 from caster.kernels.bvh.traversal import cast_packets_brute_force, cast_rays_singly
 from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
-from caster.kernels.math.vec import U, permanent
+from caster.kernels.math.vec import UNDECIDED, U, permanent
 from caster.kernels.nearest import ALL_IN_RANGE, OUT_OF_RANGE, find_invalid_ray
 from caster.kernels.protocol import exact_intersect, intersect, load, normal, prepare, surely_misses
 from caster.kernels.raster.tile import PRIM, T_ERROR, UNCERTAIN, T, lane, new_tile, start_ray
 from caster.kernels.raster.tile_casting import bounds_in_tile, row_bounds
 from caster.kernels.raster.wide_angle import MAX_HULL_ANGLE
-from caster.kernels.triangles import SHEAR_ERROR, fast_barycentrics
+from caster.kernels.triangles import SHEAR_ERROR, barycentrics, barycentrics_edge_on, fast_barycentrics
 from caster.rendering.bvh_construction import bvh_of
 from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Plane, Sphere, Torus, Triangle
@@ -119,25 +119,35 @@ def test_roots_are_known_where_the_larger_one_is_known_to_half_of_itself(f):
         assert (found.met, found.missed) == (met, False)
 
 
-def smallest_known(of_height) -> float:
-    """The least height, up to rounding, of a triangle whose barycentrics are known to `fast_barycentrics`."""
+def known_without_a_branch(a, b, c, d) -> bool:
+    return fast_barycentrics(a, b, c, d)[0]
+
+
+def known_from_the_shear(a, b, c, d) -> bool:
+    """Whether they are not those of an edge-on triangle, which depend on t: it is 0 here, and so another point."""
+    return barycentrics(a, b, c, d, 0.0) != barycentrics_edge_on(a, b, c, (0.0, 0.0, 0.0))
+
+
+def smallest_known(known, of_height) -> float:
+    """The least height, up to rounding, of a triangle whose barycentrics are known from its sheared corners."""
     low, high = 0.0, 1.0
-    assert fast_barycentrics(*of_height(high))[0] and not fast_barycentrics(*of_height(low))[0]
+    assert known(*of_height(high)) and not known(*of_height(low))
     for _ in range(60):
         middle = math.sqrt(low * high) if low else high * 1e-6
-        low, high = (low, middle) if fast_barycentrics(*of_height(middle))[0] else (middle, high)
+        low, high = (low, middle) if known(*of_height(middle)) else (middle, high)
     return high
 
 
+@pytest.mark.parametrize("known", [known_without_a_branch, known_from_the_shear])
 @pytest.mark.parametrize("far", [1.0, 2.0**12])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("corner", [0, 1, 2])
 @pytest.mark.parametrize("side", [0, 1])
 def test_barycentrics_are_known_where_the_area_is_beyond_its_error_by_the_largest_coordinate(
-    far, axis, corner, side
+    known, far, axis, corner, side
 ):
-    """Flat triangles around a ray along an axis, whose largest coordinate is of one corner, along one side."""
-    wide, long = 8.0, 1.0
+    """Flat triangles around a ray, whose largest coordinate is of one corner, along one side, where the ray leans."""
+    wide, lean = 8.0, 2.0**-6
     others = [k for k in range(3) if k != corner]
 
     def of_height(height):
@@ -145,15 +155,16 @@ def test_barycentrics_are_known_where_the_area_is_beyond_its_error_by_the_larges
         flat[corner, side] = -wide
         flat[others, side] = 1.0, 0.5
         flat[others[0], 1 - side] = height
-        corners = np.column_stack([flat, np.full(3, long * far)])
-        d = np.roll([0.0, 0.0, 1.0], axis - 2)
+        d = np.array([0.0, 0.0, 1.0])
+        d[side] = lean
+        corners, d = np.column_stack([flat, np.zeros(3)]) + far * d, np.roll(d, axis - 2)
         turned = np.roll(corners, axis - 2, axis=1)
         return (*(tuple(each.tolist()) for each in turned), tuple(d.tolist()))
 
-    error = SHEAR_ERROR * max(wide, far)
+    error = SHEAR_ERROR * max(wide - lean * far, far)
     limit = 2.0 * (12.0 * wide * error + 6.0 * error * error + 15.0 * U * wide * wide)
-    area = smallest_known(of_height) * (wide + 0.5)  # base times height: twice the triangle's
-    assert area == pytest.approx(limit, rel=1e-6)
+    area = smallest_known(known, of_height) * (wide + 0.5)  # base times height: twice the triangle's
+    assert area == pytest.approx(limit, rel=1e-6, abs=0.0)
 
 
 def test_a_ray_is_none_where_any_number_is_not_finite_or_no_direction_is_there():
@@ -209,6 +220,21 @@ def test_a_disk_without_errors_is_decided_up_to_rounding():
         if abs(rho - 1.0) > 1e-12:
             assert (t == math.inf) == (rho > 1.0) and error < 1e-14
             assert t == math.inf or t == pytest.approx(1.0, abs=1e-14)
+
+
+def test_a_plane_or_disk_whose_slope_is_beyond_float64_is_left_to_exact_arithmetic():
+    """It is hit at t = 2^-7: a height of 2^1023 over a slope of 2^1030."""
+    n, d, height, limits, none = (
+        (0.0, 0.0, 2.0**1000),
+        (0.0, 0.0, 2.0**30),
+        2.0**1023,
+        (2.0**-9, 1.0),
+        (0.0,) * 3,
+    )
+    plane, disk = prims_of(Plane(normal=(0.0, 0.0, 1.0), offset=0.0)), prims_of(Disk())
+    assert intersect(plane, (n, height, 0.0, 0.0), d, *limits) == UNDECIDED
+    rows = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), n
+    assert intersect(disk, (rows, (0.25, 0.5, -height), none, none), d, *limits) == UNDECIDED
 
 
 def test_a_cylinder_is_clipped_for_every_height_within_its_errors():

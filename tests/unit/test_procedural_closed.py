@@ -8,8 +8,8 @@ import pytest
 
 from caster.description.errors import SceneError
 from caster.geometry.triangle_mesh import check_mesh
-from caster.shapes.icosphere import tessellate_icosphere
-from caster.shapes.torus import tessellate_torus
+from caster.shapes.icosphere import Icosphere, tessellate_icosphere
+from caster.shapes.torus import Torus, tessellate_torus
 
 # A handful of roundings of u = 2^-53 each in a sine, a product and a sum.
 ROUNDING = 8 * 2.0**-53
@@ -76,6 +76,15 @@ def test_icosphere_counts(subdivisions):
 def test_icosphere_normals_are_its_positions():
     mesh = tessellate_icosphere(3)
     assert np.array_equal(mesh.normals, mesh.vertices)
+
+
+def test_numbers_that_are_not_given_are_those_of_the_api_page():
+    for shape, made in (
+        (Torus(), tessellate_torus(1.0, 0.3, 64, 32)),
+        (Icosphere(), tessellate_icosphere(3)),
+    ):
+        mesh = shape.mesh()
+        assert np.array_equal(mesh.vertices, made.vertices) and np.array_equal(mesh.faces, made.faces)
 
 
 def test_icosphere_comes_close_to_the_sphere():

@@ -37,10 +37,14 @@ from caster.kernels.raster.screen_bounds import (
     bound_triangles,
     project_vertices,
 )
-from caster.kernels.raster.tile import DX, DY, DZ, generate_camera_rays, new_tile
+from caster.kernels.raster.tile import DX, DY, DZ, PRIM, T_ERROR, UNCERTAIN, T, generate_camera_rays, new_tile
 from caster.kernels.raster.tile import HEIGHT as TILE_HEIGHT
 from caster.kernels.raster.tile import WIDTH as TILE_WIDTH
-from caster.kernels.raster.tile_casting import direction_bounds, direction_bounds_from_corners
+from caster.kernels.raster.tile_casting import (
+    cast_shared_origin,
+    direction_bounds,
+    direction_bounds_from_corners,
+)
 from caster.kernels.triangles import Triangles
 
 WIDTH, HEIGHT = 300, 200
@@ -244,6 +248,46 @@ def test_no_ray_of_a_packet_hits_a_triangle_before_its_lower_bound_of_t():
     assert np.median(near) < 1.05  # it says something
 
 
+def test_what_a_tile_has_covered_hides_what_lies_behind_and_changes_no_hit():
+    """A wall at depth 1 is hit everywhere, and another at depth 2 is as many tries as make the tile look at it.
+
+    Then come triangles of a few pixels: before the first wall, just behind it, on both sides of it, and far behind.
+    """
+    camera = Pinhole(fov=40.0, eye=(0.0, 0.0, 0.0), direction=(0.0, 0.0, 1.0)).pack(TILE_WIDTH, TILE_HEIGHT)
+    window, box = Window(0, 0, TILE_WIDTH, TILE_HEIGHT), (0, 0, TILE_WIDTH, TILE_HEIGHT)
+    small = [(8, 8, 24, 16), (40, 40, 56, 48), (64, 16, 80, 24), (104, 48, 120, 56), (0, 56, 16, 64)]
+    depths = [(0.99,) * 3, (1.001,) * 3, (0.9, 1.1, 0.9), (1.02,) * 3, (1.9, 1.1, 1.3)]
+    points = [(-9.0, -9.0, 2.0), (9.0, -9.0, 2.0), (0.0, 18.0, 2.0)]
+    for (x0, y0, x1, y1), at in zip(small, depths, strict=True):
+        for x, y, depth in zip((x0, x1, x0), (y0, y0, y1), at, strict=True):
+            d = np.array(camera_ray(camera, float(x), float(y))[1])
+            points.append(tuple(depth * d / d[2]))
+    count = len(points) // 3
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    none = np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), np.zeros(count, bool), np.zeros(count, bool)
+    prims, pixels = Triangles(np.array(points), faces, *none), np.array([box, *small], np.int32)
+    near, unused = (
+        np.array([2.0, *(min(at) for at in depths)]),
+        (np.zeros((0, 3), np.int32), np.zeros((0, 4))),
+    )
+    bounds = ScreenBounds(pixels, near, *unused, (0.0, 0.0, 1.0), 1.0)
+    found = []
+    for first in (0, 1):  # with the second wall and without it
+        tile = new_tile()
+        generate_camera_rays(camera, window, box, tile)
+        at_wall = slice(int(T), int(T) + TILE_WIDTH * TILE_HEIGHT)
+        tile[at_wall] = 1.0 / tile[int(DZ) : int(DZ) + TILE_WIDTH * TILE_HEIGHT]
+        order = np.arange(count, dtype=np.int32)
+        cast_shared_origin(prims, order, (first, count), bounds, 10, box, tile)
+        found.append([fields(tile, box, field) for field in (T, T_ERROR, PRIM, UNCERTAIN)])
+    assert np.array_equal(*found)
+    assert np.unique(found[0][2]).tolist() == [
+        -1.0,
+        11.0,
+        13.0,
+    ]  # nothing but the wall, and what is before it
+
+
 @pytest.mark.parametrize("fov", [0.01, 40.0, 120.0, 179.9])
 def test_the_directions_of_a_tile_are_between_those_of_its_corners(fov):
     rng = np.random.default_rng(145)
@@ -302,6 +346,16 @@ def test_a_sphere_at_the_rim_of_a_fisheye_is_on_its_film_up_to_the_rounding_of_a
     center = (math.sin(angle), 0.0, math.cos(angle))
     left, _, right, _, _, valid = project_bounding_sphere(camera, center, 0.25)
     assert valid and (left > right) == off
+
+
+@pytest.mark.parametrize("short", [2.0**-38, 2.0**-30, 2.0**-20, 0.1, 0.9])
+def test_the_longitudes_of_a_sphere_are_wider_than_its_own_by_what_the_quotient_is_widened(short):
+    """Its radius is a little short of the horizontal distance of its centre: it reaches nearly to the pole."""
+    camera = Panorama(eye=(0.0, 0.0, 0.0), direction=(0.0, 0.0, 1.0)).pack(WIDTH, HEIGHT)
+    radius = 1.0 - short  # over a horizontal distance of 1
+    left, _, right, _, _, valid = project_bounding_sphere(camera, (0.0, 2.0, 1.0), radius)
+    least, most = (math.asin(radius * (1.0 + share)) for share in (2.0**-41, 2.0**-39))
+    assert valid and least < math.pi * (right - left) / WIDTH < most
 
 
 def test_a_triangle_around_one_pixel_centre_has_that_pixel_just_where_it_holds_the_centre():

@@ -37,6 +37,7 @@ from caster.kernels.raster.tile import (
     load_hits,
     load_ray_range,
     load_rays,
+    load_rays_from,
     new_lanes,
     new_tile,
     scatter_to_tiles,
@@ -98,6 +99,26 @@ def test_the_tile_of_a_box_is_begun_with_the_rays_of_the_window():
     assert np.array_equal(rays_in(tile, *expected.shape[:2]), expected)
     assert_begun(tile, BOX[3] - BOX[1])
     assert all((whole(tile, at)[BOX[3] - BOX[1] :] == 7.0).all() for at in (*RAY_FIELDS, *BEGUN))
+
+
+def test_the_tile_of_a_window_that_begins_at_a_ray_is_begun_and_rays_from_elsewhere_are_counted():
+    rng, first, tile = np.random.default_rng(251), 5, used_tile()
+    rays = some_rays(rng, first + WIDE * HIGH)
+    origin = (0.5, -0.25, 2.0)
+    rays.o[:] = origin
+    inside = np.zeros((HIGH, WIDE), bool)
+    inside[BOX[1] : BOX[3], BOX[0] : BOX[2]] = True
+    within = first + np.flatnonzero(inside)
+    rays.o[np.setdiff1d(np.arange(len(rays.o)), within)] = 7.0  # which are not of the box
+    assert load_rays_from(rays, first, WIDE, BOX, origin, tile) == 0
+    for axis in range(3):  # each of three rays differs in one coordinate, by the last digit
+        rays.o[within[[3, 20, 84][axis]], axis] = np.nextafter(origin[axis], 9.0)
+        assert load_rays_from(rays, first, WIDE, BOX, origin, tile) == axis + 1
+    expected = as_rows(rays)[first:].reshape(HIGH, WIDE, 8)[BOX[1] : BOX[3], BOX[0] : BOX[2]]
+    assert np.array_equal(rays_in(tile, *expected.shape[:2]), expected)
+    assert_begun(tile, BOX[3] - BOX[1])
+    rays.o[within, 1] = 1.0
+    assert load_rays_from(rays, first, WIDE, BOX, origin, tile) == len(within)
 
 
 @pytest.mark.parametrize("camera", [caster.Pinhole, caster.Orthographic, caster.Fisheye])
