@@ -97,6 +97,23 @@ def test_materials_are_those_of_each_shape():
     assert found.reflectance.tolist() == [list(GREY), list(RED)] and found.two_sided.dtype == bool
 
 
+def test_the_contrary_of_light_is_darkness_without_an_error_and_of_darkness_light_with_its_own():
+    """At three pixels: lit, in shadow, and in shadow where either face may be the one that is seen."""
+    light = SimpleNamespace(
+        doubtful=np.array([False, False, True]), radiance=np.full((3, 3), 2.0), error=np.full((3, 3), 0.25),
+        either_side=np.full((3, 3), 3.0),
+    )  # fmt: skip
+    lit = np.array([True, False, False])
+    given, error = (np.where(lit[:, None], number, 0.0)[None] for number in (2.0, 0.25))
+    lights = diffuse.LightAnswers([light], given * np.ones(3), error * np.ones(3), lit[None])
+    found = diffuse._choices(lit_scene(shadows=False), None, lights, None, np.arange(3), (None, None))
+    assert found.first[0, :, 0].tolist() == [2.0, 0.0, 0.0]
+    assert found.first_error[0, :, 0].tolist() == [0.25, 0.0, 0.0]
+    assert found.second[0, :, 0].tolist() == [0.0, 2.0, 3.0]
+    assert found.second_error[0, :, 0].tolist() == [0.0, 0.25, 0.25]
+    assert found.doubt.tolist() == [[False, False, True]]
+
+
 # the subject's light, Mitsuba's visibility, (they lit, they shaded, we lit, we shaded) -> beyond, explained
 LIGHT = [
     ("bright", True, (1, 0, 1, 0), False, False), ("dark", True, (1, 0, 1, 0), True, False),

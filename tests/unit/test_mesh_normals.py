@@ -105,6 +105,11 @@ def test_unit_rows_keeps_zeros_and_spans_all_magnitudes():
     assert np.abs(np.linalg.norm(rows[1:], axis=1) - 1).max() <= ROUNDING
 
 
+def one_changed(rows, place, number):
+    rows[place] = number
+    return rows
+
+
 def test_degenerate_faces_are_accepted():
     check_mesh(mesh_of(faces=np.array([(0, 0, 0), (0, 1, 1)], np.int32)), "here")
 
@@ -118,8 +123,14 @@ def test_degenerate_faces_are_accepted():
         ({"faces": np.array([(0, -1, 2)], np.int32)}, r"face 0 .*\(0, -1, 2\)"),
         ({"normals": CORNER}, r"normal of vertex 0 .*\(0, 0, 0\)"),
         ({"normals": np.full((4, 3), math.nan)}, "normal of vertex 0 .*nan"),
+        ({"normals": one_changed(np.ones((4, 3)), (2, 1), math.nan)}, r"normal of vertex 2 .*\(1, nan, 1\)"),
+        (
+            {"normals": one_changed(np.ones((4, 3)), (3, 0), -math.inf)},
+            r"normal of vertex 3 .*\(-inf, 1, 1\)",
+        ),
         ({"normals": np.ones((3, 3))}, r"normals must be one per vertex \(4\), got 3"),
         ({"uv": np.full((4, 2), math.inf)}, "uv of vertex 0 .*inf"),
+        ({"uv": one_changed(np.ones((4, 2)), (1, 1), math.nan)}, r"uv of vertex 1 .*\(1, nan\)"),
         ({"uv": np.ones((5, 2))}, "uv must be one per vertex"),
     ],
 )

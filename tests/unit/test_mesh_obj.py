@@ -244,6 +244,18 @@ def test_a_stl_file_is_loaded_after_its_size_is_checked(tmp_path):
         load_mesh(path)
 
 
+@pytest.mark.parametrize(
+    ("name", "data"), [("x.off", b"OFF\n3 0 0\n0 0 0\n1 0 0\n0 1 0\n"), ("x.stl", bytes(84))]
+)
+def test_a_file_of_another_format_that_has_no_faces_is_refused(tmp_path, name, data):
+    pytest.importorskip("trimesh")
+    path = tmp_path / name
+    path.write_bytes(data)
+    with pytest.raises(SceneError) as caught:
+        load_mesh(path)
+    assert str(caught.value) == f"{path}: the mesh has no faces: expected at least one triangle"
+
+
 def test_tables_too_large_for_an_integer_key_are_joined_to_the_same_mesh():
     """2^21 positions, normals and uv have more combinations than an int64 counts."""
     rng, count = np.random.default_rng(17), 2**21

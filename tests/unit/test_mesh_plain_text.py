@@ -152,6 +152,17 @@ def test_what_is_not_plain_is_left_to_the_slow_reader(spoilt):
     assert read_plain_obj(good + spoilt + b"\n" + good) is None
 
 
+@pytest.mark.parametrize(
+    "corner", [b"/1", b"//1", b"/1/1", b"/", b"1/", b"1/1/", b"1//", b"1///1", b"1/1/1/"]
+)
+def test_a_corner_without_one_of_its_numbers_is_left_to_the_slow_reader(corner):
+    tables = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n"
+    assert read_plain_obj(tables + b"f 1/1/1 2//1 3/1\n") is not None
+    for face in (corner + b" 2 3", b"1 2 " + corner):
+        assert read_plain_obj(tables + b"f " + face) is None
+        assert read_plain_obj(tables + b"f " + face + b"#\n") is None
+
+
 def ply_file(draw: random.Random) -> bytes:
     v, f = draw.randint(3, 9), draw.randint(1, 9)
     names = ["x", "y", "z", *draw.choice([[], ["nx", "ny", "nz"], ["u", "v"], ["quality"]])]

@@ -422,6 +422,13 @@ def test_json_errors_are_located_too(text, says):
     assert len(said.splitlines()) == 3, said
 
 
+@pytest.mark.parametrize(("text", "column"), [('{"film":', 9), ('{"film": {}', 12), ("[1, ", 5), ("", 1)])
+def test_an_error_at_the_end_of_a_line_has_one_mark_behind_it(text, column):
+    head, line, mark = errors(text, "json").split("\n")
+    assert head.startswith(f"scenes/x.toml:1:{column}: not valid JSON: ")
+    assert line == f"  1 | {text}" and mark == "    | " + " " * (column - 1) + "^"
+
+
 def test_a_key_that_is_twice_in_a_json_table_is_an_error():
     scene = {"camera": {"type": "panorama", "eye": [0, 0, 0], "direction": [0, 0, 1]}}
     text = json.dumps(scene).replace('"eye"', '"eye": [1, 1, 1], "eye"')

@@ -100,6 +100,17 @@ def test_canonical_json_is_the_same_for_equal_scenes():
     assert json.loads(a.canonical_json())["film"] == {"height": 256, "width": 256}
 
 
+def test_keys_of_canonical_json_are_sorted_in_every_table():
+    materials = {name: Diffuse(reflectance=(x, x, x)) for name, x in (("b", 0.5), ("a", 0.25), ("c", 0.125))}
+    a, b = (
+        Scene(camera=Pinhole(eye=[0, 0, 5], look_at=[0, 0, 0]), shapes=[Sphere()], materials=dict(each))
+        for each in (materials.items(), reversed(materials.items()))
+    )
+    text = a.canonical_json()
+    assert text == json.dumps(json.loads(text), sort_keys=True, separators=(",", ":"))
+    assert a == b and text == b.canonical_json() and a.sha256() == b.sha256()
+
+
 def mesh_scene(folder):
     (folder / "x.toml").write_text(
         '[camera]\ntype = "panorama"\neye = [0, 0, 0]\ndirection = [0, 0, 1]\n'

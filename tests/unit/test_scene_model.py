@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from caster.cameras import Orthographic, Pinhole
 from caster.description.errors import SceneError
 from caster.description.fields import Description
-from caster.geometry.packing import packed
+from caster.geometry.packing import forget_packed, packed
 from caster.geometry.world_space import as_float32, as_given
 from caster.rendering import bvh_construction
 from caster.rendering.hits import trace
@@ -143,6 +143,19 @@ def test_an_extent_is_the_largest_coordinate_of_either_sign(place):
     numbers = packed(Scene(camera=Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=shapes))
     for kind, of_shape in zip(numbers.kinds, numbers.shape_extents, strict=True):
         assert kind.extent == of_shape == np.abs(kind.boxes()).max()
+
+
+def test_a_packing_of_so_many_primitives_or_more_is_dropped_in_one_rounding():
+    scene = Scene(camera=CAMERA, shapes=[Sphere(), Sphere(), Sphere()])
+    forget_packed(scene, as_given, 3)  # nothing is packed yet
+    kept, other = packed(scene), packed(scene, as_float32)
+    forget_packed(scene, as_given, 4)
+    assert packed(scene) is kept
+    forget_packed(scene, as_given, 3)
+    assert packed(scene) is not kept and packed(scene, as_float32) is other
+    again = packed(scene)
+    forget_packed(scene, as_given, 0)
+    assert packed(scene) is not again
 
 
 def test_a_copy_of_a_shape_elsewhere_has_its_own_matrix():

@@ -168,6 +168,19 @@ def test_a_file_without_vertices_is_refused(tmp_path):
         caster.SphereCloud(file=where).load()
 
 
+def test_a_list_as_radius_is_refused(tmp_path):
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n"
+    columns = "".join(f"property float {name}\n" for name in "xyz")
+    (tmp_path / "a.ply").write_text(
+        f"{header}{columns}property list uchar float radius\nend_header\n0 0 0 1 2\n0 0 1 1 3\n"
+    )
+    with pytest.raises(SceneError) as found:
+        caster.SphereCloud(file=str(tmp_path / "a.ply")).load()
+    assert str(found.value) == (
+        f"{tmp_path / 'a.ply'}: expected a number as property radius of element 'vertex', got a list"
+    )
+
+
 def test_the_judge_finds_a_file_that_is_read_wrongly(tmp_path, monkeypatch):
     """Both sides trace what the caster reads, so no pixel shows it."""
     centers, radii = some_spheres()
