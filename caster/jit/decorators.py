@@ -8,7 +8,6 @@ import contextlib
 import hashlib
 import importlib
 import inspect
-import threading
 from collections.abc import Callable, Iterator
 from functools import cache, update_wrapper
 from typing import Any, TypeVar
@@ -51,7 +50,7 @@ OPTIONS = {"nogil": True, "error_model": "numpy"}  # no fast-math, IEEE division
 
 GIVES = {"none": "", "int64": INTEGER, "float64": REAL}  # what machine code can answer, by Numba's names
 
-_LOCK = threading.RLock()  # LLVM and the lists below are one thread's at a time
+_LOCK = machine_code.LLVM_LOCK  # of the lists below as well
 
 
 _PACKAGE = __name__.partition(".")[0]
@@ -181,12 +180,15 @@ class Kernel:
         return call
 
     def code(self, args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
-        """Machine code for such arguments; None where only Numba can call this kernel."""
+        """Machine code for such arguments, with its entries; None where only Numba can call this kernel."""
         key = self._key(args)
         if key not in self._codes:
             self._prepared(args)
         with _LOCK:
-            return self._codes.get(key)
+            code = self._codes.get(key)
+            if code is not None:
+                _ = code.block_entry  # found by LLVM when it is first wanted
+            return code
 
     def _key(self, args: tuple[Any, ...]) -> str | None:
         """Key of machine code: in all processes, or, with classes from elsewhere, in this one."""

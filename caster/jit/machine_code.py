@@ -11,6 +11,7 @@ import json
 import os
 import platform
 import sys
+import threading
 from collections.abc import Callable
 from functools import cache, cached_property
 from pathlib import Path
@@ -220,6 +221,9 @@ BLOCK = "_block"  # at the end of the symbol of an entry that takes a block
 LLVM = {INTEGER: "i64", REAL: "double", BOOLEAN: "i8", ARRAY: "i64"}
 
 
+LLVM_LOCK = threading.RLock()  # LLVM is one thread's at a time
+
+
 @cache
 def is_supported() -> bool:
     """Whether this Python, NumPy and machine pass arguments as the entries take them."""
@@ -355,9 +359,14 @@ def _engine() -> Any:
     return llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
 
 
-@cache
 def command_runner() -> Callable[[int], int]:
     """Carries out commands; takes the address of COMMAND_STATE_SIZE int64."""
+    with LLVM_LOCK:
+        return _made_runner()
+
+
+@cache
+def _made_runner() -> Callable[[int], int]:
     import llvmlite.binding as llvm
 
     _engine()  # LLVM is initialised

@@ -205,6 +205,8 @@ class FilmRenderer:
         runs, number = None if kinds is None else [it.runs for it in kinds], len(self.packed.kinds)
         rows = tile_rows(self.window.width, self.window.height, number, runs)
         seen = rows[:, [kind_numbers(k).present for k in range(number)]].any(axis=1)
+        if seen.any():
+            self.shader.prepare(self.threads)
         with spare_workspaces() as take:
             begin = partial(self._commands, take, kinds)
             parallel_for_tiles(begin, rows[seen], self.threads, self.on_progress)

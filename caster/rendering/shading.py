@@ -88,6 +88,7 @@ class TileShader:
         exact_shadows: bool = False,
     ) -> None:
         self.images, self.start, self.reach = images, start, reach
+        self._shadow_casters: list[ShadowCaster] = []
         self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
         self.normals_alone = plan.surfaces == ("normals",) and not start.size
         self.ids = _primitive_ids(packed, plan.needs)
@@ -105,6 +106,11 @@ class TileShader:
     def shadow_rays(self) -> int:
         """Shadow rays cast so far."""
         return sum(int(total[0]) for total in self._shadow_rays)
+
+    def prepare(self, threads: int | None) -> None:
+        """Find what shadow rays of most tiles need, on all threads, where it would else be found by the first tile."""
+        for caster in self._shadow_casters:
+            caster.prepare(threads)
 
     def commands(self, workspace: TileWorkspace) -> list[Command]:
         """What writes the AOVs of tiles of this workspace, by their rows (`tile_rows`)."""
@@ -133,18 +139,12 @@ class TileShader:
     def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
         pixels = max((math.prod(image.shape[:2]) for image in self.images.values()), default=0)
         shapes, extents = shape_by_primitive(packed), packed.shape_extents
-        steps: list[Step] = [
-            partial(
-                _add_light,
-                light,
-                ShadowCaster(packed, light, pixels) if plan.shadows.runs else None,
-                packed if exact else None,
-                self._shadow_rays,
-                shapes,
-                extents,
-            )
-            for light in (each.pack() for each in scene.lights if each.type != "ambient")
-        ]
+        steps: list[Step] = []
+        for light in (each.pack() for each in scene.lights if each.type != "ambient"):
+            caster = ShadowCaster(packed, light, pixels) if plan.shadows.runs else None
+            self._shadow_casters += [caster] if caster else []
+            exactly, counts = packed if exact else None, self._shadow_rays
+            steps.append(partial(_add_light, light, caster, exactly, counts, shapes, extents))
         ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(
             -1, 3
         )
