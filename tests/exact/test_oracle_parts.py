@@ -266,3 +266,22 @@ def test_a_ray_in_the_plane_of_a_primitive_runs_along_it_between_its_ends(scale,
         (exact_quadrics.prepare_affine, exact_planar.intersect_disk, disk),
     ):
         assert intersect(prepare(prims, 0), beside) == exact_planar.NO_INTERSECTION
+
+
+@pytest.mark.parametrize(
+    ("o", "where"),
+    [
+        ((1.0, -2.0, 0.5), ["tangent"]),
+        ((1.0, -2.0, 0.0), ["tangent"]),
+        ((-1.0, -2.0, 1.0), ["tangent"]),
+        ((0.5, -2.0, 0.5), ["inside", "inside"]),
+        ((0.5, -2.0, 0.0), ["rim", "rim"]),
+        ((0.0, -2.0, 1.0), ["rim", "rim"]),
+        ((0.0, -2.0, 1.0 + 2.0**-52), []),
+        ((1.0 + 2.0**-52, -2.0, 0.0), []),
+    ],
+)
+def test_a_line_hits_a_wall_at_its_rims_or_along_a_tangent_also_at_a_rim(o, where):
+    wall = SimpleNamespace(center=np.zeros((1, 3)), to_world=np.eye(3)[None])
+    cylinder, ray = exact_quadrics.prepare_affine(wall, 0), integer_ray(list(o), [0.0, 1.0, 0.0])
+    assert [at for _, at in exact_quadrics.intersect_cylinder(cylinder, ray).roots] == where

@@ -21,7 +21,7 @@ from mitsuba_ref.error_model.bracket import (
     near_ray_start,
 )
 from mitsuba_ref.error_model.intersections import Intersections
-from mitsuba_ref.error_model.scene_model import PairIntersections
+from mitsuba_ref.error_model.scene_model import PairIntersections, no_intersections, with_edges
 
 INF, NAN = math.inf, math.nan
 FIRST = [0, 3, 4, 7]  # of three shapes
@@ -362,3 +362,13 @@ def test_a_surface_at_the_height_that_a_start_may_be_off_is_near_it():
         starts_near(blank._replace(t=t, t_error=e, n=n), d[i].tolist(), off[i]) for i, t, e, n in rows
     ]
     assert near.tolist() == expected and 0.1 < np.mean(expected) < 0.9
+
+
+def test_no_intersections_are_the_arrays_of_some_without_their_rows():
+    one, three = np.ones(1), np.ones((1, 3))
+    flag = np.ones(1, bool)
+    some = with_edges(
+        Intersections(one, one, three, one, three, one, flag, flag, one, three, one, edge=None, side=None)
+    )
+    for mine, theirs in zip(no_intersections(), some, strict=True):
+        assert len(mine) == 0 and mine.shape[1:] == theirs.shape[1:] and mine.dtype == theirs.dtype

@@ -13,6 +13,7 @@ from ray_primitive_pairs import Pairs, pose, rounding
 from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.shapes import plane
+from mitsuba_ref.shapes.cylinder import mitsuba_accepts_matrix
 from mitsuba_ref.shapes.plane import PATCH_FACES, _face_of_hit, as_triangles
 
 SINGLE = [kind for kind in KINDS if kind != "meshes"]  # kinds with one primitive a shape
@@ -201,3 +202,26 @@ def test_the_least_height_around_a_face_of_a_patch_is_that_of_its_triangles():
     for face in range(0, len(rings), 2):
         least = heights[np.abs(rings - rings[face]) <= 1].min()
         assert plane._least_height(np.array([0.5]), np.array([face]))[0] == pytest.approx(least, rel=1e-12)
+
+
+STRETCHES = {
+    "as it is": (np.eye(3), True),
+    "longer": (np.diag([1.0, 1.0, 1.5]), True),
+    "larger": (2.0 * np.eye(3), True),
+    "so large that float32 may shear it": (3.0 * np.eye(3), False),
+    "mirrored": (np.diag([1.0, -1.0, 1.0]), False),
+    "wider along x": (np.diag([1.5, 1.0, 1.0]), False),
+    "xy": (np.eye(3) + 1e-3 * np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]]), False),
+    "xz": (np.eye(3) + 1e-3 * np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0]]), False),
+    "yz": (np.eye(3) + 1e-3 * np.array([[0, 0, 0], [0, 0, 1], [0, 1, 0]]), False),
+}
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("name", STRETCHES)
+def test_mitsuba_takes_a_cylinder_that_is_round_straight_and_not_mirrored(name, turned):
+    """The matrix is a rotation times a symmetric stretching, which may not shear any two axes."""
+    stretch, accepted = STRETCHES[name]
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    assert mitsuba_accepts_matrix(turn @ stretch if turned else stretch) == accepted
