@@ -91,4 +91,4 @@ def nearest_float(x: Fraction) -> float:
         near = float(x)
     except OverflowError:
         near = math.inf
-    return math.copysign(min(max(abs(near), 5e-324), 1.7976931348623157e308), x)
+    return math.copysign(min(max(abs(near), 5e-324), 1.7976931348623157e308), -1 if x < 0 else 1)

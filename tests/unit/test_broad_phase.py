@@ -121,3 +121,10 @@ def test_equal_rows_are_one_group_and_groups_are_in_the_order_of_their_rows():
         _, expected = np.unique(keys, axis=0, return_inverse=True)
         assert np.array_equal(row_groups(keys), expected.ravel())
     assert row_groups(np.zeros((0, 2))).shape == (0,)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_largest_of_three_components_may_be_any_of_them(axis):
+    columns = np.zeros((3, 2))
+    columns[axis] = 5.0, 7.0
+    assert scene_model._largest(columns).tolist() == [5.0, 7.0]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from caster.aovs import Aovs
-from mitsuba_ref.error_model.defect_conditions import abs_cosine
+from mitsuba_ref.error_model.defect_conditions import DefectFeatures, abs_cosine
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.classification import reference_prims
 from mitsuba_ref.judge.diagnosis import _marked_misses, marked_miss
@@ -111,3 +111,17 @@ def test_a_number_in_place_of_inf_is_reported_where_mitsuba_misses(t, hits_only,
             )
         )
     )
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "kinds"),
+    [
+        ("sphere", "disk", {"sphere", "disk"}),
+        ("sphere", "", {"sphere"}),
+        ("", "disk", {"disk"}),
+        ("", "", set()),
+    ],
+)
+def test_kinds_of_a_defect_are_those_that_somebody_hits(ours, theirs, kinds):
+    kinds_of = DefectFeatures.kinds.fget
+    assert kinds_of(SimpleNamespace(ours=ours, theirs=theirs)) == kinds

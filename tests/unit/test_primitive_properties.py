@@ -1,6 +1,7 @@
 """Hulls, edge distances and projections of each kind and camera, against independent formulas."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from caster.aovs import BY_NAME
 from caster.cameras import CAMERAS
 from caster.description.errors import SceneError
 from caster.description.fields import Shape
-from caster.geometry.edge_distances import edge_distances
+from caster.geometry.edge_distances import edge_distances, nearest_float
 from caster.geometry.packing import pack
 from caster.jit.decorators import implements
 from caster.kernels.protocol import (
@@ -278,3 +279,15 @@ def test_on_a_miss_every_aov_is_what_the_page_on_channels_states():
     scene = scene_of(Sphere(center=(0.0, 0.0, -9.0)))
     for name, image in render(scene, tuple(BY_NAME)).items():
         assert (image == MISSES.get(name, 0)).all(), name
+
+
+@pytest.mark.parametrize(
+    ("x", "nearest"),
+    [
+        (Fraction(0), 0.0), (Fraction(1, 3), 1 / 3), (Fraction(-1, 3), -1 / 3),
+        (Fraction(1, 2**1100), 5e-324), (Fraction(-1, 2**1100), -5e-324),
+        (Fraction(2**1100), 1.7976931348623157e308), (Fraction(-(2**1100)), -1.7976931348623157e308),
+    ],
+)  # fmt: skip
+def test_a_distance_keeps_its_sign_as_a_float_and_only_0_is_0(x, nearest):
+    assert nearest_float(x) == nearest
