@@ -1,4 +1,4 @@
-"""Closed forms of generated meshes: torus, icosphere, heightfield and teapot, written a second time.
+"""Closed forms of generated meshes: torus, icosphere, heightfield, teapot, and uv of the cube, written a second time.
 
 A mesh that the caster generates reaches both sides of a comparison, so no pixel shows an error in it. Here its vertices
 are held to the surface's formula, its normals to the gradient, and its faces to what makes the surface: which vertices
@@ -141,6 +141,7 @@ def expected_heightfield(shape: Any) -> Iterator[ExpectedNumbers]:
         normals / norm(normals)[:, None],
         1.0 + (height * np.abs(wave)) @ reach,
     )
+    yield exactly("uv of the waves", mesh.uv, np.stack([u, v], axis=1))
     j, i = np.divmod(mesh.faces, n + 1)
     a, b, c = (np.stack([i[:, k], j[:, k]], axis=1) for k in range(3))
     doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
@@ -151,6 +152,40 @@ def expected_heightfield(shape: Any) -> Iterator[ExpectedNumbers]:
         [2 * n * n, 0, 0],
     )
     yield exactly("open at the rim alone", unpaired_edges(mesh.faces, len(place)), [0, 4 * n])
+
+
+# The axes along which u and v grow from 0 to 1 on each side of the cube, as on that of Mitsuba.
+CUBE_UV_AXES = {"+x": "+y-z", "-x": "+y+z", "+y": "-x-z", "-y": "+z+x", "+z": "+y+x", "-z": "-y+x"}
+
+
+def expected_cube_uv(shape: Any) -> Iterator[ExpectedNumbers]:
+    """Of the corners of every face, by the side that it is on: where all its corners have the same coordinate."""
+    mesh = shape.mesh()
+    corners = mesh.vertices[mesh.faces]
+    side = np.where((corners == corners[:, :1]).all(axis=1), corners[:, 0], 0.0)
+    uv = np.full((len(corners), 3, 2), np.nan)
+    for name, axes in CUBE_UV_AXES.items():
+        on = side @ _axis(name) == 1.0
+        uv[on] = 0.5 + 0.5 * corners[on] @ np.stack([_axis(axes[:2]), _axis(axes[2:])], axis=1)
+    yield exactly("uv of a cube", _uv_at_corners(mesh), uv)
+
+
+def _axis(name: str) -> np.ndarray:
+    """The unit vector of "+x" to "-z"."""
+    axis: np.ndarray = np.eye(3)["xyz".index(name[1])] * float(f"{name[0]}1")
+    return axis
+
+
+def expected_rectangle_uv(shape: Any) -> Iterator[ExpectedNumbers]:
+    """(0, 0) at (-1, -1), (1, 1) at (1, 1)."""
+    mesh = shape.mesh()
+    yield exactly("uv of a rectangle", _uv_at_corners(mesh), (mesh.vertices[mesh.faces][..., :2] + 1.0) / 2.0)
+
+
+def _uv_at_corners(mesh: Any) -> np.ndarray:
+    """(f, 3, 2); NaN of a mesh without."""
+    uv: np.ndarray = np.full((*mesh.faces.shape, 2), np.nan) if mesh.uv is None else mesh.uv[mesh.faces]
+    return uv
 
 
 def _waves(shape: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -44,8 +44,10 @@ from mitsuba_ref.error_model.intersections import by_corner, by_normal
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.generated_meshes import (
+    expected_cube_uv,
     expected_heightfield,
     expected_icosphere,
+    expected_rectangle_uv,
     expected_teapot,
     expected_torus,
 )
@@ -251,6 +253,8 @@ def expected_triangle(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     yield exactly("face", given.faces, [[0, 1, 2]])
     if shape.normals is not None:
         yield exactly("described normals", given.normals, shape.normals)
+    if shape.uv is not None:
+        yield exactly("described uv", given.uv, shape.uv)
     yield from expected_mesh(shape, part)
 
 
@@ -341,10 +345,20 @@ FLAT_AND_SMALL = frozenset({"flat", "small"})
 TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
 MESH = triangle_mesh_reference(MeshFile, random_mesh, importers={"obj": import_mesh, "ply": import_mesh})
 RECTANGLE = triangle_mesh_reference(
-    Rectangle, no_fields, expected_rectangle, FLAT_AND_SMALL, {"rectangle": unit_shape_importer("rectangle")}
+    Rectangle,
+    no_fields,
+    expected_rectangle,
+    FLAT_AND_SMALL,
+    {"rectangle": unit_shape_importer("rectangle")},
+    expected_rectangle_uv,
 )
 CUBE = triangle_mesh_reference(
-    Cube, no_fields, expected_cube, frozenset({"flat", "mesh"}), {"cube": unit_shape_importer("cube")}
+    Cube,
+    no_fields,
+    expected_cube,
+    frozenset({"flat", "mesh"}),
+    {"cube": unit_shape_importer("cube")},
+    expected_cube_uv,
 )
 ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere, closed_form=expected_icosphere)
 TORUS = triangle_mesh_reference(Torus, random_torus, closed_form=expected_torus)

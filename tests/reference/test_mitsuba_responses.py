@@ -19,6 +19,7 @@ from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import render_reference
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
+from mitsuba_ref.shapes import reference_of
 
 HERE = VARIANTS if variants.usable_variants().llvm else VARIANTS[:1]  # the run's header says which
 ROOT = Path(__file__).resolve().parents[2]
@@ -175,6 +176,31 @@ mi.set_variant(sys.argv[1])
 scene = mi.load_file(sys.argv[2], optimize=False)
 np.save(sys.argv[3], np.array(mi.render(scene, integrator=mi.load_dict({"type": "direct"}), spp=1))[..., :3])
 """
+
+
+CUBE = """
+import sys
+import mitsuba as mi, numpy as np
+mi.set_variant(sys.argv[1])
+cube = mi.traverse(mi.load_dict({"type": "cube"}))
+columns = [np.array(cube[f"vertex_{name}"]).reshape(24, -1) for name in ("positions", "normals", "texcoords")]
+np.save(sys.argv[2], np.column_stack(columns))
+"""
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_uv_of_a_cube_grow_along_the_axes_of_mitsubas_own(tmp_path, variant):
+    command = [sys.executable, "-c", CUBE, variant, tmp_path / "cube.npy"]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    found = {tuple(row[:6]): tuple(row[6:]) for row in np.load(tmp_path / "cube.npy").tolist()}
+    mesh = caster.Cube().mesh()
+    sides = np.repeat(np.round(mesh.vertices.reshape(6, 4, 3).mean(axis=1)), 4, axis=0)
+    rows = np.column_stack([mesh.vertices, sides, mesh.uv]).tolist()
+    assert len(found) == 24 and {tuple(row[:6]): tuple(row[6:]) for row in rows} == found
+    (claim,) = reference_of(caster.Cube()).closed_form(caster.Cube())
+    corners, normals = mesh.vertices[mesh.faces].reshape(-1, 3), sides[mesh.faces].reshape(-1, 3)
+    keys = map(tuple, np.column_stack([corners, normals]).tolist())
+    assert claim.expected.reshape(-1, 2).tolist() == [list(found[key]) for key in keys]
 
 
 BEHIND = (  # a wall behind the point light, and behind the camera: it shadows nothing

@@ -268,6 +268,14 @@ FAULTS = (
         "np.stack([slope_x,",
     ),
     fault(
+        "u and v of a heightfield exchanged",
+        'type = "heightfield"\nresolution = 8',
+        "geometry: uv of the waves",
+        f"{SHAPES}/heightfield.py",
+        "normals, np.stack([u, v], axis=1)",
+        "normals, np.stack([v, u], axis=1)",
+    ),
+    fault(
         "cells of a heightfield twice",
         'type = "heightfield"\nresolution = 8',
         "geometry: (faces of half a cell|open at the rim alone)",

@@ -29,6 +29,7 @@ class Made(NamedTuple):
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray | None
+    uv: np.ndarray | None = None
 
 
 def ratios(shape: Any, mesh: Made) -> dict[str, float]:
@@ -46,7 +47,7 @@ def ratios(shape: Any, mesh: Made) -> dict[str, float]:
 
 def mesh_of(shape: Any) -> Made:
     mesh = shape.mesh()
-    return Made(mesh.vertices.copy(), mesh.faces.copy(), mesh.normals.copy())
+    return Made(*(rows if rows is None else rows.copy() for rows in mesh))
 
 
 CLAIMS = {
@@ -55,7 +56,10 @@ CLAIMS = {
         "number of faces and vertices", "angles of an icosahedron", "golden rectangles", "split triangles",
         "unit sphere", "normals of a sphere", "closed", "outside",
     ],
-    "heightfield": ["points of the waves", "normals of the waves", "faces of half a cell", "open at the rim alone"],
+    "heightfield": [
+        "points of the waves", "normals of the waves", "uv of the waves", "faces of half a cell",
+        "open at the rim alone",
+    ],
     "teapot": ["number of faces", "points of the patches", "normals of the patches"],
 }  # fmt: skip
 KIND = {
@@ -116,7 +120,9 @@ def test_faces_other_than_those_of_the_surface_are_found(name, fault):
 def test_another_number_of_vertices_or_none_of_the_normals_is_found_or_changes_nothing(name):
     """A vertex that no face has is no part of a teapot's surface."""
     mesh = mesh_of(SHAPES[name])
-    more = Made(*(np.vstack([rows, rows[:1]]) if rows is not mesh.faces else rows for rows in mesh))
+    faces, *others = mesh.faces, mesh.vertices, mesh.normals, mesh.uv
+    vertices, normals, uv = (each if each is None else np.vstack([each, each[:1]]) for each in others)
+    more = Made(vertices, faces, normals, uv)
     found = ratios(SHAPES[name], more)
     assert (max(found.values()) > 1.0) is ("teapot" not in name)
     assert found.keys() == ratios(SHAPES[name], mesh).keys() or "number of faces and vertices" in found
@@ -124,6 +130,34 @@ def test_another_number_of_vertices_or_none_of_the_normals_is_found_or_changes_n
         assert "normals of the patches" not in ratios(SHAPES[name], mesh._replace(normals=None))
         few = ratios(SHAPES[name], mesh._replace(faces=mesh.faces[:-3]))
         assert list(few) == ["number of faces", "points of the patches"] and min(few.values()) == np.inf
+
+
+WITH_UV = {
+    "cube": caster.Cube(),
+    "rectangle": caster.Rectangle(),
+    "heightfield": caster.Heightfield(resolution=3, waves=2),
+}
+
+
+@pytest.mark.parametrize("name", WITH_UV)
+def test_uv_are_those_of_every_corner_and_side(name):
+    """One number off, two exchanged, mirrored, those of one face turned by a corner, or none at all."""
+    mesh = mesh_of(WITH_UV[name])
+    assert max(ratios(WITH_UV[name], mesh).values()) < 0.7
+    assert mesh.uv is not None
+    wrong = [mesh.uv[:, ::-1], 1.0 - mesh.uv, None]
+    for row in range(len(mesh.uv)):
+        for column in range(2):
+            wrong.append(mesh.uv.copy())
+            wrong[-1][row, column] = np.nextafter(mesh.uv[row, column], 2.0)
+    for face in mesh.faces:
+        wrong.append(mesh.uv.copy())
+        wrong[-1][face] = mesh.uv[np.roll(face, 1)]
+    for uv in wrong:
+        found = ratios(WITH_UV[name], mesh._replace(uv=uv))
+        assert [what for what, ratio in found.items() if ratio > 1.0] == [
+            next(what for what in found if what.startswith("uv of "))
+        ]
 
 
 def test_the_volume_of_a_body_is_signed_and_its_size_that_of_its_terms():
