@@ -56,6 +56,9 @@ def ply(encoding: str, number: str, kind: str) -> bytes:
 
 FILES = {
     "mesh.obj": OBJ_TEXT.encode(),
+    "mixed.obj": "".join(f"v {x} {y} {z}\n" for x, y, z in POINTS).encode()
+    + b"vt 0.25 0.125\nvt 0.75 0.5\nvn 0 0 1\nvn 0.6 0 0.8\nvn 0 -3 4\n"
+    + b"f 1/1/1 2//2 3/2\nf 3/2/3 4 5//1\nf 1 2 5\nf 2/1 3/1/2 5/2/2\n",
     "plain.obj": "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in POINTS).encode() + b"f 1 2 3 4 5\nf 1 2 5",
     "ascii.ply": ply("ascii", "double", "uchar"),
     "little.ply": ply("binary_little_endian", "double", "uchar"),
@@ -127,6 +130,30 @@ FAULTS = (
         OBJ,
         "found = normals[used[:, 2]]",
         "found = normals[used[:, 2] - 1]",
+    ),
+    fault(
+        "normals in the order of the file where some corners have none",
+        "mixed.obj",
+        "mesh_files: normals",
+        OBJ,
+        "    if absent.any():\n        found[absent]",
+        "    if absent.any():\n        found = normals[np.arange(len(used)) % len(normals)]\n        found[absent]",
+    ),
+    fault(
+        "generated normals in the order of the vertices",
+        "mixed.obj",
+        "mesh_files: generated normals",
+        OBJ,
+        "vertex_normals(positions, faces)[used[absent, 0]]",
+        "vertex_normals(positions, faces)[np.arange(absent.sum()) % len(positions)]",
+    ),
+    fault(
+        "uv of another corner where a corner has none",
+        "mixed.obj",
+        "mesh_files: uv where the file has none",
+        OBJ,
+        "    found[absent] = 0.0\n",
+        "",
     ),
     fault("uv not turned over", "mesh.obj", "mesh_files: uv", OBJ, "1.0 - uv[:, 1]", "uv[:, 1]"),
     fault(
@@ -284,7 +311,12 @@ FAULTS = (
         "(here, right, opposite, here, right, opposite)",
     ),
 )
-QUICK = ("a negative index one off", "doubles cut to float32", "a torus larger by 1e-7")
+QUICK = (
+    "a negative index one off",
+    "generated normals in the order of the vertices",
+    "doubles cut to float32",
+    "a torus larger by 1e-7",
+)
 CHOSEN = [each for each in FAULTS if each.what in QUICK or os.environ.get("FAULTS") == "all"]
 
 

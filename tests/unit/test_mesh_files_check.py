@@ -109,7 +109,8 @@ def test_plain_python_reads_the_faces_of_every_kind_of_file(file):
     path, name = file
     found = read_plainly(path)
     expected = CORNERS.astype(np.float32).astype(float) if name == "stl" else CORNERS
-    assert np.array_equal(found.corners, expected) and found.plain is FILES[name][2] and not found.mixed
+    assert np.array_equal(found.corners, expected) and found.plain is FILES[name][2]
+    assert (found.indices is not None) is (path.suffix == ".obj")
     if path.suffix in (".obj", ".ply"):  # the others are trimesh's, which need not be here
         mesh = load_mesh(path)
         assert np.array_equal(mesh.vertices[mesh.faces], found.corners)
@@ -137,16 +138,17 @@ def test_a_large_file_and_one_of_another_kind_are_not_read_in_plain_python(tmp_p
     assert read_plainly(tmp_path / "a.glb") is None
 
 
-def test_corners_with_and_without_normals_are_mixed():
+def test_the_corners_that_have_uv_or_a_normal_are_told_apart():
     whole = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvt 0 0\n"
-    for faces, mixed in (
-        (b"f 1 2 3\n", False),
-        (b"f 1//1 2//1 3//1\n", False),
-        (b"f 1/1/1 2/1/1 3/1/1\n", False),
-        (b"f 1//1 2//1 3//1\nf 1 2 3\n", True),
-        (b"f 1/1 2 3\n", True),
+    for faces, uv, normals in (
+        (b"f 1 2 3\n", [[0, 0, 0]], [[0, 0, 0]]),
+        (b"f 1//1 2// 3//1\n", [[0, 0, 0]], [[1, 0, 1]]),
+        (b"f 1/1/1 2/1 3\nf -1/-1/-1 2/1/ 3//1\n", [[1, 1, 0], [1, 1, 0]], [[1, 0, 0], [1, 0, 1]]),
+        (b"f 1/1 2 3//1 1/1/1\n", [[1, 0, 0], [1, 0, 1]], [[0, 0, 1], [0, 1, 1]]),
     ):
-        assert mesh_files.plain_obj(whole + faces).mixed is mixed
+        found = mesh_files.plain_obj(whole + faces)
+        assert found.has("vt").tolist() == uv and found.has("vn").tolist() == normals
+    assert mesh_files.plain_ply(ply("ascii")).has("vn") is None
     last = list(obj_statements(b"v 1 2 3\nvt 0 0\nvn 0 0 1\nf -1/-1/-1\n"))[-1]
     assert last == ([b"f", b"1/1/1"], False)
 
@@ -285,6 +287,74 @@ def test_normals_are_compared_where_the_file_itself_was_read(smooth, tmp_path):
     assert compared(plain, ".obj") == compared(plain._replace(plain=False), ".obj") == both
     assert compared(None, ".ply") == compared(plain, ".ply") == both
     assert compared(plain._replace(plain=False), ".ply") == set()
-    assert compared(plain._replace(mixed=True), ".obj") == set()
     bare = mesh._replace(normals=None, uv=None)
     assert set(mesh_files._against_mitsuba(bare, wrong, plain, ".obj")) == {"corners"}
+
+
+MIXED = """vt 0.25 0.125
+vt 0.75 0.5
+vn 0 1 0
+vn 0.6 0 0.8
+vn 0 -3 4
+f 1/1/2 2//3 3/2
+f 3/2/3 4 5//1
+f 1 2 5
+f 2/1 6/1/2 5/2/2
+f 7 7 7//1
+"""
+
+
+@pytest.fixture
+def mixed(tmp_path):
+    """A file in which some corners have a normal, some uv; Mitsuba's numbers at the others are none."""
+    path = tmp_path / "mixed.obj"
+    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in POINTS) + MIXED)
+    mesh, plain = load_mesh(path), read_plainly(path)
+    corners, normals, uv = (values[mesh.faces].copy() for values in mesh[:1] + mesh[2:])
+    normals[~plain.has("vn")], uv[~plain.has("vt")] = np.nan, 7.0
+    return path, LoadedMesh(corners.astype(np.float32).astype(float), normals, uv)
+
+
+def shares_of(path, loaded, mesh) -> dict[str, float]:
+    plain = read_plainly(path)
+    against = mesh_files._against_mitsuba(mesh, loaded, plain, ".obj")
+    return against | mesh_files._where_there_is_none(mesh, plain)
+
+
+def test_where_some_corners_have_a_normal_each_is_compared_with_mitsubas_or_generated_again(mixed):
+    """At every vertex of the mesh, one at a time, it is one of the two that finds another number."""
+    path, loaded = mixed
+    mesh, plain = load_mesh(path), read_plainly(path)
+    assert verdict(path, loaded).ratio < 0.7
+    for row in np.unique(mesh.faces):
+        at = mesh.faces == row
+        for what, column in (("normals", "vn"), ("uv", "vt")):
+            values = getattr(mesh, what).copy()
+            values[row] = np.roll(values[row], 1) + 1e-3
+            found = shares_of(path, loaded, mesh._replace(**{what: values}))
+            generated = {"normals": "generated normals", "uv": "uv where the file has none"}[what]
+            expected = what if plain.has(column)[at].all() else generated
+            assert [name for name, share in found.items() if share > 1.0] == [expected]
+
+
+def test_all_normals_and_uv_of_a_file_are_there_and_no_others(mixed, smooth):
+    path, loaded = mixed
+    mesh = load_mesh(path)
+    for what in ("normals", "uv"):
+        found = shares_of(path, loaded, mesh._replace(**{what: None}))
+        assert [name for name, share in found.items() if share > 1.0] == [f"{what} or none"]
+    path.write_bytes(obj(TRIANGLES))
+    mesh, bare = load_mesh(smooth[0]), read_plainly(path)
+    found = mesh_files._where_there_is_none(mesh, bare)
+    assert found["normals or none"] == found["uv or none"] == np.inf
+
+
+def test_normals_generated_where_faces_are_not_finite_or_cancel_are_no_failure(tmp_path):
+    """Two faces back to back, whose normals cancel; one with a corner at infinity, which has no part in any normal."""
+    path = tmp_path / "back.obj"
+    path.write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv inf 0 1\nv 9e99 1 1\nvn 0 0 1\nf 1 2 3//1\nf 1 3 2\nf 1//1 2 4\n"
+    )
+    mesh, plain = load_mesh(path), read_plainly(path)
+    found = mesh_files._where_there_is_none(mesh, plain)
+    assert found["generated normals"] == 0.0 and np.isfinite(mesh.normals).all()

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Iterator
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,9 +20,17 @@ from caster.scene.model import Scene
 from caster.shapes.mesh import MeshFile
 from caster.shapes.sphere import SphereCloud
 from mitsuba_ref.error_model.bounds import error_over_bound
-from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
+from mitsuba_ref.error_model.independent_transform import angle_weighted_normals
+from mitsuba_ref.error_model.tolerances import (
+    FILE_NORMAL_ROUNDINGS,
+    FILE_UV_ROUNDINGS,
+    TRANSFORM_ROUNDINGS,
+    U32,
+)
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.messages import LoadedMesh
+
+T = TypeVar("T")
 
 MAX_PLAIN_BYTES = 2_000_000  # of files that plain Python reads, too: a second
 PLAIN_SPHERES = 50_000  # of a file of spheres, from its beginning: half a second
@@ -35,7 +43,13 @@ class PlainMesh(NamedTuple):
 
     corners: np.ndarray  # (f, 3, 3) float64
     plain: bool
-    mixed: bool = False  # some corners have a normal or uv, others none
+    points: np.ndarray | None = None  # (n, 3) float64, of an OBJ
+    indices: np.ndarray | None = None  # (f, 3, 3) of v, vt and vn at each corner of an OBJ, -1 for none
+
+    def has(self, statement: str) -> np.ndarray | None:
+        """(f, 3) bool: the corners that have a "vt" or "vn"; None where the file has one for every vertex or none."""
+        column = ("v", "vt", "vn").index(statement)
+        return None if self.indices is None else self.indices[..., column] >= 0
 
 
 def files_of(scene: Scene) -> dict[Path, Any]:
@@ -78,6 +92,7 @@ def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck
         claims = _against_mitsuba(mesh, theirs, found, file.suffix.lower())
         if found is not None:
             claims["float64"] = _same(mesh.vertices[mesh.faces], found.corners)
+            claims |= _where_there_is_none(mesh, found)
         shares |= {f"{what} of {file.name}": share for what, share in claims.items()}
     shares |= {f"spheres of {file.name}": share for file, share in _files_of_spheres(scene)}
     worst = max(shares, key=lambda name: shares[name], default="no mesh file")
@@ -105,22 +120,61 @@ def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, end
     given = mesh.vertices[mesh.faces]
     shares = {"corners": _same_in_float32(given, theirs.corners)}
     as_is = found is None or found.plain or ending == ".obj"  # or the copy has positions alone
-    whole = as_is and not (found is not None and found.mixed)
-    if whole and mesh.normals is not None and shares["corners"] == 0.0:
-        with np.errstate(invalid="ignore", divide="ignore"):
+    if not as_is or shares["corners"] != 0.0:
+        return shares
+    of_uv, of_normals = (None, None) if found is None else (found.has("vt"), found.has("vn"))
+    if mesh.normals is not None:
+        with np.errstate(all="ignore"):  # of corners without, Mitsuba's are whatever was in its memory
             normals = theirs.normals / np.linalg.norm(theirs.normals, axis=2, keepdims=True)
-        shares["normals"] = _share(mesh.normals[mesh.faces], normals, FILE_NORMAL_ROUNDINGS * U32)
-    if whole and mesh.uv is not None and shares["corners"] == 0.0:
+        bound = FILE_NORMAL_ROUNDINGS * U32
+        shares["normals"] = _share(mesh.normals[mesh.faces], normals, bound, of_normals)
+    if mesh.uv is not None:
         uv = mesh.uv[mesh.faces]
-        shares["uv"] = _share(uv, theirs.uv, FILE_UV_ROUNDINGS * U32 * (1.0 + np.abs(uv)))
+        shares["uv"] = _share(uv, theirs.uv, FILE_UV_ROUNDINGS * U32 * (1.0 + np.abs(uv)), of_uv)
     return shares
 
 
-def _share(ours: np.ndarray, theirs: np.ndarray, bound: Any) -> float:
+def _where_there_is_none(mesh: Any, found: PlainMesh) -> dict[str, float]:
+    """Of an OBJ: generated normals and uv (0, 0) where other corners have one; where none has, there are none."""
+    of_uv, of_normals = found.has("vt"), found.has("vn")
+    if of_uv is None or of_normals is None or of_uv.shape != mesh.faces.shape:
+        return {}
+    shares = {"uv or none": _present(mesh.uv, of_uv), "normals or none": _present(mesh.normals, of_normals)}
+    if mesh.uv is not None and not of_uv.all():
+        shares["uv where the file has none"] = _share(
+            mesh.uv[mesh.faces], np.zeros((*of_uv.shape, 2)), 0.0, ~of_uv
+        )
+    if mesh.normals is not None and not of_normals.all():
+        normals, bound = _generated_normals(found)
+        among = ~of_normals & np.isfinite(
+            bound[..., 0]
+        )  # but those that cancel: their direction is undefined
+        shares["generated normals"] = _share(mesh.normals[mesh.faces], normals, bound, among)
+    return shares
+
+
+def _present(values: np.ndarray | None, given: np.ndarray) -> float:
+    return 0.0 if (values is not None) == bool(given.any()) else float("inf")
+
+
+def _generated_normals(found: PlainMesh) -> tuple[np.ndarray, np.ndarray]:
+    """(normals (f, 3, 3) at the corners, by the angles of all finite faces; how far ours may be off)."""
+    assert found.points is not None and found.indices is not None
+    of_corners = found.indices[..., 0]
+    faces = of_corners[np.isfinite(found.corners).all(axis=(1, 2))]
+    used = np.isin(np.arange(len(found.points)), faces)
+    normals, size = angle_weighted_normals(np.where(used[:, None], found.points, 0.0), faces)
+    return normals[of_corners], TRANSFORM_ROUNDINGS * 2.0**-53 * size[of_corners]
+
+
+def _share(ours: np.ndarray, theirs: np.ndarray, bound: Any, among: np.ndarray | None = None) -> float:
+    """The largest error over its bound, of all corners or of those in `among` (f, 3)."""
     if ours.shape != theirs.shape:
         return float("inf")
-    error = np.abs(ours - theirs)
-    return float(error_over_bound(error, np.broadcast_to(bound, error.shape)).max(initial=0.0))
+    bounds = np.broadcast_to(bound, ours.shape)
+    if among is not None:
+        ours, theirs, bounds = ours[among], theirs[among], bounds[among]
+    return float(error_over_bound(np.abs(ours - theirs), bounds).max(initial=0.0))
 
 
 def _same(ours: np.ndarray, expected: np.ndarray) -> float:
@@ -170,21 +224,21 @@ def _absolute(word: bytes, counts: list[int]) -> bytes:
 
 def plain_obj(data: bytes) -> PlainMesh:
     """Faces of an OBJ file; polygons as fans around their first corner."""
-    points: list[list[float]] = []
-    triangles: list[tuple[int, int, int]] = []
-    plain, kinds = True, set()
+    rows: list[list[float]] = []
+    triangles: list[tuple[list[int], list[int], list[int]]] = []
+    plain = True
     for words, as_is in obj_statements(data):
         plain = plain and as_is
         if words[0] == b"v":
-            points.append([float(word) for word in words[1:4]])
+            rows.append([float(word) for word in words[1:4]])
         elif words[0] == b"f":
-            parts = [word.split(b"/") for word in words[1:]]
-            kinds |= {tuple(bool(text) for text in part) for part in parts}
-            triangles += _fan([int(part[0]) - 1 for part in parts])
-    return PlainMesh(np.array(points)[np.array(triangles)], plain, len(kinds) > 1)
+            parts = [(word + b"//").split(b"/")[:3] for word in words[1:]]
+            triangles += _fan([[int(text) - 1 if text else -1 for text in part] for part in parts])
+    points, indices = np.array(rows), np.array(triangles)
+    return PlainMesh(points[indices[..., 0]], plain, points, indices)
 
 
-def _fan(polygon: list[int]) -> list[tuple[int, int, int]]:
+def _fan(polygon: list[T]) -> list[tuple[T, T, T]]:
     return [(polygon[0], b, c) for b, c in pairwise(polygon[1:])]
 
 
