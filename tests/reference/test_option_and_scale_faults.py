@@ -15,7 +15,7 @@ PINHOLE, TILES = "caster/cameras/pinhole.py", "caster/rendering/shading.py"
 LIGHTING, WORLD = "caster/kernels/surface/lighting.py", "caster/geometry/world_space.py"
 SPHERE, MODEL = "caster/shapes/sphere.py", "caster/scene/model.py"
 SUN = "(0.0 - x, 0.0 - y, 0.0 - z), self.irradiance)"
-SHINING = '            for light in (each.pack() for each in scene.lights if each.type != "ambient")\n'
+SHINING = '        for light in (each.pack() for each in scene.lights if each.type != "ambient"):\n'
 SIZE = ("--size", "20", "16")
 JUDGED, UNJUDGED = ("--judge-every", "1"), ("--judge-every", "0")
 
@@ -79,8 +79,8 @@ OPTION_FAULTS = (
         "judged",
         TILES,
         SHINING,
-        "            for light in (each.pack() for i, each in enumerate(scene.lights)\n"
-        '            if each.type not in ("ambient", *(one.type for one in scene.lights[:i])))\n',
+        "        for light in (each.pack() for i, each in enumerate(scene.lights)\n"
+        '            if each.type not in ("ambient", *(one.type for one in scene.lights[:i]))):\n',
     ),
     (
         "a point light as blue as it is red",

@@ -138,7 +138,7 @@ def test_a_large_file_and_one_of_another_kind_are_not_read_in_plain_python(tmp_p
     assert read_plainly(tmp_path / "a.glb") is None
 
 
-def test_the_corners_that_have_uv_or_a_normal_are_told_apart():
+def test_the_corners_that_have_uv_or_a_normal_are_separated():
     whole = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvt 0 0\n"
     for faces, uv, normals in (
         (b"f 1 2 3\n", [[0, 0, 0]], [[0, 0, 0]]),
