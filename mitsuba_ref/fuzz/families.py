@@ -22,9 +22,11 @@ from mitsuba_ref.fuzz.settings import (
     random_setting,
     random_shape,
     random_shapes,
+    random_view,
     shape_types,
     triangle_of,
     vector,
+    view_from_within,
     with_options,
 )
 from mitsuba_ref.judge.independent_checks import adversarial_rays
@@ -57,6 +59,7 @@ class Family(NamedTuple):
     fits_float32: bool = True  # so that Mitsuba can trace it
     cameras: tuple[str, ...] = ()  # types; (): all that are registered
     films: tuple[tuple[int, int], ...] = FILM_SIZES
+    view: Callable[[Rng, Setting], Fields] = random_view
     finish: Callable[[Rng, Setting, dict[str, Any]], dict[str, Any]] = lambda rng, setting, data: data
     always_judged: bool = False  # by Mitsuba, unless none is
 
@@ -235,6 +238,31 @@ def clutter(rng: Rng) -> tuple[Setting, Shapes]:
     return setting, [random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(count)]
 
 
+def surroundings(rng: Rng) -> tuple[Setting, Shapes]:
+    """Eight to thirteen shapes, all but one of few primitives."""
+    setting = random_setting(rng, condition=10.0)
+    kinds = [*rng.choice(shape_types("small"), int(rng.integers(7, 13))), rng.choice(bounded_types())]
+    return setting, [random_shape(rng, str(kind), setting) for kind in kinds]
+
+
+def put_around_the_eye(rng: Rng, setting: Setting, data: dict[str, Any]) -> dict[str, Any]:
+    """The scene with the origin of each shape behind the eye, half of the time, or above, below or beside it.
+
+    Each is so far away that it covers a few pixels: of a larger one, the bounding sphere would hold eye or pole.
+    In half of the scenes a sphere is around them all.
+    """
+    eye, forward, up = (np.array(data["camera"][name]) for name in ("eye", "direction", "up"))
+    right = np.cross(forward, up)
+    around = np.array([*[-forward] * 4, up, -up, right, -right])
+    shapes = []
+    for shape, placed in zip(data["shape"], scene_of(data).shapes, strict=True):
+        away = 4.0 * around[rng.integers(len(around))] + rng.integers(-4, 5, 3) / 8.0
+        move = eye + setting.size * away - placed.matrix[:3, 3]
+        shapes.append(shape | {"to_world": [*shape.get("to_world", ()), {"translate": vector(move)}]})
+    walls: Shapes = [{"type": "sphere", "center": vector(eye), "radius": 8.0 * setting.size}]
+    return data | {"shape": [*shapes, *(walls if coin_flip(rng) else [])]}
+
+
 def nearly_similar(rng: Rng, setting: Setting) -> Shapes:
     """Matrices within 10^-1 to 10^-16 of a similarity: stretched, sheared, or any way off; some shapes come twice."""
     shapes = []
@@ -332,6 +360,15 @@ FAMILIES: tuple[Family, ...] = (
         films=((16, 12), (13, 13)),
     ),
     Family(
+        "surroundings",
+        "things all around the eye, at the poles and across the seam, by cameras that see more than a frame",
+        surroundings,
+        cameras=("panorama", "panorama", "fisheye", "parabolic"),
+        films=((48, 8), (16, 16)),
+        view=view_from_within,
+        finish=put_around_the_eye,
+    ),
+    Family(
         "similarities",
         "matrices within 10^-1 to 10^-16 of a similarity",
         in_random_setting(nearly_similar),
@@ -390,7 +427,7 @@ def example(seed: int, number: int, families: Sequence[Family]) -> Example:
     family = families[number % len(families)]
     rng = np.random.default_rng([seed, number, seed_of_name(family.name), SCENE_STREAM])
     setting, shapes = family.draw(rng)
-    film, camera = random_camera(rng, setting, family.cameras, family.films)
+    film, camera = random_camera(rng, setting, family.cameras, family.films, family.view)
     data = family.finish(rng, setting, {"film": film, "camera": camera, "shape": shapes})
     return Example(seed, number, family, setting, data)
 

@@ -92,26 +92,46 @@ def random_camera(
     setting: Setting,
     kinds: Sequence[str] = (),
     films: Sequence[tuple[int, int]] = FILM_SIZES,
+    view: Callable[[Rng, Setting], Fields] | None = None,
 ) -> tuple[Fields, Fields]:
-    """(film, camera) as a scene file describes them; the camera of one of these types, or of any registered one."""
+    """(film, camera) as a scene file describes them; the camera of one of these types, or of any registered one.
+
+    view: draws eye, direction and up; `random_view` if None.
+    """
     known = {each.type_name: each for each in cameras.REFERENCES.values()}
     kind = str(rng.choice(kinds or tuple(known)))
     reference = registered(known, kind, "camera")
     width, height = films[int(rng.integers(len(films)))]
-    fields = reference.random_fields(rng, setting.size, lambda: random_view(rng, setting))
+    fields = reference.random_fields(rng, setting.size, lambda: (view or random_view)(rng, setting))
     return {"width": width, "height": height}, {"type": kind, **fields}
 
 
 def random_view(rng: Rng, setting: Setting) -> Fields:
     """A view of the setting's centre, from within it up to far away; on the lattice along an axis."""
     if setting.lattice:
-        away = np.eye(3)[rng.integers(3)] * rng.choice([-1.0, 1.0])
+        away = _random_axis(rng)
         shift = rng.integers(-8, 9, 3) / 8.0
         eye = np.array(setting.center) + setting.size * (int(rng.integers(0, 9)) * away + shift)
     else:
         away = random_directions(rng, 1)[0]
         distance = setting.size * log_uniform(rng, 0.1, 1e4 if rng.random() < 0.2 else 10.0)
         eye = np.array(setting.center) + distance * away
+    return _view(eye, away)
+
+
+def view_from_within(rng: Rng, setting: Setting) -> Fields:
+    """A view along any direction from the setting's centre, or from near it; on the lattice along an axis."""
+    away = _random_axis(rng) if setting.lattice else random_directions(rng, 1)[0]
+    shift = rng.integers(-2, 3, 3) / 8.0 if coin_flip(rng) else np.zeros(3)
+    return _view(np.array(setting.center) + setting.size * shift, away)
+
+
+def _random_axis(rng: Rng) -> np.ndarray:
+    axis: np.ndarray = np.eye(3)[rng.integers(3)] * rng.choice([-1.0, 1.0])
+    return axis
+
+
+def _view(eye: np.ndarray, away: np.ndarray) -> Fields:
     up = np.eye(3)[np.argmin(np.abs(away))]  # an axis that is not along the view
     return {"eye": eye.tolist(), "direction": (-away).tolist(), "up": up.tolist()}
 

@@ -23,6 +23,7 @@ CASTING, HITS, PLACING = (
 SPHERE, CYLINDER, DISK, PLANE = (
     f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane")
 )
+PANORAMA = "caster/cameras/panorama.py"
 
 
 class Edit(NamedTuple):
@@ -244,6 +245,13 @@ FAULTS = (
         4,
         "culling",
         (SPANS, "MARGIN = 2.0**-10", "MARGIN = -0.5"),
+    ),
+    fault(
+        "nothing crosses the seam of a panorama",
+        "surroundings",
+        6,
+        "culling",
+        (PANORAMA, "if abs(longitude) + reach > math.pi", "if abs(longitude) - reach > math.pi"),
     ),
     fault(
         "boxes of ellipsoids around half of them",
