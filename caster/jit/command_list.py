@@ -30,11 +30,8 @@ class BoundCall:
         code: machine_code.ObjectCode | None,
     ) -> None:
         """code: None where only Python or Numba can call the kernel."""
-        self._function, self._args, self._given = (
-            function,
-            args,
-            given,
-        )  # arrays, whose addresses are in the block
+        # the block has addresses of arrays among the arguments
+        self._function, self._args, self._given = function, args, given
         self.entry = None if code is None else code.block_entry
         self.answer = C[(code.gives if code is not None else "") or INTEGER]()
         if code is not None:

@@ -129,9 +129,8 @@ class Kernel:
         self._codes: dict[str | None, machine_code.ObjectCode] = {}  # by `signature_key` the arguments
         self._calls: dict[str | None, Callable[..., Any]] = {}  # by `signature_key` the arguments
         self._latest: dict[type, Callable[..., Any]] = {}  # by the class of the first argument
-        self._keeps: dict[
-            str, bool
-        ] = {}  # by `signature_key`: `_kept`, as long as no class has a body from elsewhere
+        # by `signature_key`: `_kept`, as long as no class has a body from elsewhere
+        self._keeps: dict[str, bool] = {}
         self._dispatcher: Any = None
 
     def __call__(self, *args: Any) -> Any:

@@ -127,6 +127,9 @@ def cast_commands(cast: Callable[..., None], kinds: list[BinnedKind], tile: np.n
 
 
 PIECES_PER_THREAD = 32  # so few that steps of Python do not count, enough to share the work evenly
+MAX_TILES_PER_PIECE = (
+    16  # signals are handled and progress is reported between pieces, of large films as well
+)
 
 
 def parallel_for_tiles(
@@ -150,7 +153,8 @@ def parallel_for_tiles(
         return lambda piece: run(*piece)
 
     workers = thread_count(threads)
-    edges = np.linspace(0, len(rows), min(len(rows), workers * PIECES_PER_THREAD) + 1).astype(int).tolist()
+    number = min(len(rows), max(workers * PIECES_PER_THREAD, -(-len(rows) // MAX_TILES_PER_PIECE)))
+    edges = np.linspace(0, len(rows), number + 1).astype(int).tolist()
     parallel_for_pieces(begin_pieces, list(pairwise(edges)), workers, done if on_progress else None)
 
 

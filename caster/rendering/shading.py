@@ -207,12 +207,8 @@ def _add_light(
     workspace: TileWorkspace,
 ) -> Iterator[Command]:
     """Radiance of what a light reaches; `counts` gets an array of the number of shadow rays."""
-    tile, surface, shadow_tile, total = (
-        workspace.tile,
-        workspace.surface,
-        workspace.shadow_tile,
-        np.zeros(1, np.int64),
-    )
+    tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
+    total = np.zeros(1, np.int64)
     about = light, tile, NO_BOX, shapes, extents, surface, shadow_tile, total
     find = bind(shadow_rays_in_tile, *about, given=(2,))
     yield Command(find, (BOX,))

@@ -8,6 +8,7 @@ import pytest
 from caster.jit.command_list import Command, CommandList
 from caster.jit.decorators import bind, jit
 from caster.kernels.raster.tile import BOX, COUNT, HEIGHT, LINES, WIDTH, kind_numbers, tile_boxes, tile_rows
+from caster.rendering.rasterization import MAX_TILES_PER_PIECE, parallel_for_tiles
 
 
 @jit
@@ -150,3 +151,14 @@ def test_rows_of_tiles_have_their_boxes_and_what_there_is_of_each_kind(width, he
                 assert (row[at.present], row[at.first]) == (present[k], k == first)
                 assert row[at.later] == (present[k] and k > first)
                 assert row[at.run] == ([0, 0] if given is None else [runs[k][n], runs[k][n + 1]])
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 5, 200, 5000])
+def test_tiles_of_a_large_film_are_carried_out_in_small_pieces_and_all_of_them(count, threads):
+    """Between pieces, signals are handled and progress is reported."""
+    rows, seen, reported = tile_rows(WIDTH, HEIGHT * count, 0), [], []
+    parallel_for_tiles(lambda: [Command(seen.append, (BOX,))], rows, threads, reported.append)
+    assert sorted(seen) == sorted(tile_boxes(WIDTH, HEIGHT * count))
+    assert sum(reported) == WIDTH * HEIGHT * count
+    assert max(reported) <= MAX_TILES_PER_PIECE * WIDTH * HEIGHT
