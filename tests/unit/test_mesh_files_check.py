@@ -1,6 +1,7 @@
 """Mesh files read a second and a third time: each reader by small files, and each comparison by one wrong number."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -270,7 +271,7 @@ def test_a_file_that_neither_reads_fails(smooth, monkeypatch):
     assert verdict(path, refused).ratio == np.inf and verdict(path, loaded).ratio < 1.0
     mesh = load_mesh(path)
     for ending, ratio in ((".glb", 0.0), (".obj", np.inf), (".ply", np.inf)):
-        found = mesh_files._against_mitsuba(mesh, refused, None, ending)
+        found = mesh_files._against_mitsuba(mesh, refused, None, Path(f"a{ending}"))
         assert list(found.values()) == [ratio] and (READ_ONCE in found) is (ending == ".glb")
 
 
@@ -281,14 +282,14 @@ def test_normals_are_compared_where_the_file_itself_was_read(smooth, tmp_path):
     mesh, plain = load_mesh(path), read_plainly(path)
 
     def compared(found, ending) -> set[str]:
-        return set(mesh_files._against_mitsuba(mesh, wrong, found, ending)) - {"corners"}
+        return set(mesh_files._against_mitsuba(mesh, wrong, found, Path(f"a{ending}"))) - {"corners"}
 
     both = {"normals", "uv"}
     assert compared(plain, ".obj") == compared(plain._replace(plain=False), ".obj") == both
     assert compared(None, ".ply") == compared(plain, ".ply") == both
     assert compared(plain._replace(plain=False), ".ply") == set()
     bare = mesh._replace(normals=None, uv=None)
-    assert set(mesh_files._against_mitsuba(bare, wrong, plain, ".obj")) == {"corners"}
+    assert set(mesh_files._against_mitsuba(bare, wrong, plain, Path("a.obj"))) == {"corners"}
 
 
 MIXED = """vt 0.25 0.125
@@ -317,7 +318,7 @@ def mixed(tmp_path):
 
 def shares_of(path, loaded, mesh) -> dict[str, float]:
     plain = read_plainly(path)
-    against = mesh_files._against_mitsuba(mesh, loaded, plain, ".obj")
+    against = mesh_files._against_mitsuba(mesh, loaded, plain, Path("a.obj"))
     return against | mesh_files._where_there_is_none(mesh, plain)
 
 
@@ -358,3 +359,31 @@ def test_normals_generated_where_faces_are_not_finite_or_cancel_are_no_failure(t
     mesh, plain = load_mesh(path), read_plainly(path)
     found = mesh_files._where_there_is_none(mesh, plain)
     assert found["generated normals"] == 0.0 and np.isfinite(mesh.normals).all()
+
+
+@pytest.mark.parametrize(
+    ("faces", "some"),
+    [
+        (b"f 1 2 3\nf 10 2 3\n", (False, False)),
+        (b"f 1/1 2/2 3/30\n", (False, False)),
+        (b"f 1//1 20//2 3//3\r\n  fo 1//-1 2//2 3//3 # f 1 2 3\n", (False, False)),
+        (b"f 1/1/1 2/2/2 3/3/3\nf 1/1 2/2 3/3\n", (False, True)),
+        (b"f 1//1 2//2 3//3\nf 1/1/1 2/2/2 3/3/3\n", (True, False)),
+        (b"f 1 2//2 3\n", (False, True)),
+        (b"f 1/1 2 3\nf 1//1 2 3\n", (True, True)),
+        (b"v 1 2 3\nvn 1//2 3 4\n# f 1//2\n", (False, False)),
+    ],
+)
+def test_a_large_file_is_searched_for_corners_with_and_without_uv_and_normals(faces, some):
+    assert mesh_files.given_at_some(b"v 0 0 0\n" + faces) == some
+
+
+def test_what_only_some_corners_of_a_large_file_have_is_reported_as_not_compared(mixed, monkeypatch):
+    """Mitsuba's numbers at the others are none; positions are compared as ever."""
+    path, loaded = mixed
+    monkeypatch.setattr(mesh_files, "MAX_PLAIN_BYTES", 10)
+    assert verdict(path, loaded).ok
+    found = mesh_files._against_mitsuba(load_mesh(path), loaded, None, path)
+    reported = [f"{what} {mesh_files.AT_SOME}" for what in ("normals", "uv")]
+    assert found == {"corners": 0.0, **dict.fromkeys(reported, 0.0)}
+    assert not verdict(path, loaded._replace(corners=loaded.corners + 1.0)).ok

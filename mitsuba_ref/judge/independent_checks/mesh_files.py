@@ -36,6 +36,7 @@ MAX_PLAIN_BYTES = 2_000_000  # of files that plain Python reads, too: a second
 PLAIN_SPHERES = 50_000  # of a file of spheres, from its beginning: half a second
 REFUSED = "not compared: Mitsuba's loader says"
 READ_ONCE = "not compared, read by trimesh alone: triangles"
+AT_SOME = "not compared, some corners of a large file have none: those"
 
 
 class PlainMesh(NamedTuple):
@@ -89,7 +90,7 @@ def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck
     shares: dict[str, float] = {}
     for (file, mesh), theirs in zip(files.items(), loaded, strict=True):
         found = read_plainly(file)
-        claims = _against_mitsuba(mesh, theirs, found, file.suffix.lower())
+        claims = _against_mitsuba(mesh, theirs, found, file)
         if found is not None:
             claims["float64"] = _same(mesh.vertices[mesh.faces], found.corners)
             claims |= _where_there_is_none(mesh, found)
@@ -111,8 +112,9 @@ def _files_of_spheres(scene: Scene) -> Iterator[tuple[Path, float]]:
             yield Path(shape.file), same if complete else float("inf")
 
 
-def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, ending: str) -> dict[str, float]:
+def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, file: Path) -> dict[str, float]:
     """Errors over their bounds of positions, normals and uv at the corners of all faces."""
+    ending = file.suffix.lower()
     if theirs.problem and found is None and ending not in (".obj", ".ply"):
         return {READ_ONCE: 0.0}
     if theirs.problem:
@@ -123,12 +125,19 @@ def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, end
     if not as_is or shares["corners"] != 0.0:
         return shares
     of_uv, of_normals = (None, None) if found is None else (found.has("vt"), found.has("vn"))
-    if mesh.normals is not None:
+    some_uv, some_normals = (
+        given_at_some(file.read_bytes()) if found is None and ending == ".obj" else (False, False)
+    )
+    if some_normals:
+        shares[f"normals {AT_SOME}"] = 0.0
+    elif mesh.normals is not None:
         with np.errstate(all="ignore"):  # of corners without, Mitsuba's are whatever was in its memory
             normals = theirs.normals / np.linalg.norm(theirs.normals, axis=2, keepdims=True)
         bound = FILE_NORMAL_ROUNDINGS * U32
         shares["normals"] = _share(mesh.normals[mesh.faces], normals, bound, of_normals)
-    if mesh.uv is not None:
+    if some_uv:
+        shares[f"uv {AT_SOME}"] = 0.0
+    elif mesh.uv is not None:
         uv = mesh.uv[mesh.faces]
         shares["uv"] = _share(uv, theirs.uv, FILE_UV_ROUNDINGS * U32 * (1.0 + np.abs(uv)), of_uv)
     return shares
@@ -215,6 +224,19 @@ def obj_statements(data: bytes) -> Iterator[tuple[list[bytes], bool]]:
         elif words and words[0] in (b"f", b"fo"):
             corners = [_absolute(word, [*counts.values()]) for word in words[1:]]
             yield [b"f", *corners], not continued and words == [b"f", *corners]
+
+
+DIGITS_ALIKE = bytes.maketrans(b"0123456789", b"0" * 10)
+
+
+def given_at_some(data: bytes) -> tuple[bool, bool]:
+    """Whether some corners of an OBJ file have a uv, a normal, and others none; of a face's first line alone."""
+    kinds: set[bytes] = set()
+    for line in re.finditer(rb"(?m)^[ \t]*fo?[ \t]([^\r\n#\\]*)", data):
+        kinds.update(line[1].translate(DIGITS_ALIKE).split())
+    corners = [(kind + b"//").split(b"/") for kind in kinds]
+    uv, normals = ({bool(corner[place]) for corner in corners} for place in (1, 2))
+    return len(uv) > 1, len(normals) > 1
 
 
 def _absolute(word: bytes, counts: list[int]) -> bytes:
