@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -40,7 +39,13 @@ from caster.rendering.shading import (
     TileShader,
     new_image,
 )
-from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count, unwritten_array
+from caster.rendering.threads import (
+    even_pieces,
+    parallel_for,
+    parallel_for_pieces,
+    thread_count,
+    unwritten_array,
+)
 from caster.scene.model import Scene
 
 __all__ = ["camera_rays", "evaluate", "film_window", "render", "trace_film"]
@@ -175,7 +180,7 @@ class FilmRenderer:
         )
         kind = it.kind.prims, it.order, it.runs, it.bounds
         workers, count = thread_count(self.threads), len(it.runs) - 1
-        edges = np.linspace(0, count, min(count, workers * CHUNKS_PER_THREAD) + 1).astype(int).tolist()
+        pieces = even_pieces(0, count, min(count, workers * CHUNKS_PER_THREAD))
 
         def begin() -> Callable[[tuple[int, int]], None]:
             workspace = take()
@@ -191,7 +196,7 @@ class FilmRenderer:
             )  # all shares together are all
 
         with spare_workspaces() as take:
-            parallel_for_pieces(begin, list(pairwise(edges)), workers, done if on_progress else None)
+            parallel_for_pieces(begin, pieces, workers, done if on_progress else None)
 
     def _kernel_and_image(self, name: str | None, otherwise: str) -> tuple[Any, np.ndarray]:
         """Of an AOV, or, for none, a kernel with an image without size."""

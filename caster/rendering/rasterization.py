@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,7 +42,7 @@ from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_ori
 from caster.kernels.triangles import Triangles
 from caster.rendering.casting import decide_uncertain
 from caster.rendering.ray_tiles import prim_offsets, scene_prim_ids, spare_workspaces
-from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
+from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pieces, thread_count
 
 __all__ = ["find_nearest_on_film"]
 
@@ -154,8 +153,8 @@ def parallel_for_tiles(
 
     workers = thread_count(threads)
     number = min(len(rows), max(workers * PIECES_PER_THREAD, -(-len(rows) // MAX_TILES_PER_PIECE)))
-    edges = np.linspace(0, len(rows), number + 1).astype(int).tolist()
-    parallel_for_pieces(begin_pieces, list(pairwise(edges)), workers, done if on_progress else None)
+    pieces = even_pieces(0, len(rows), number)
+    parallel_for_pieces(begin_pieces, pieces, workers, done if on_progress else None)
 
 
 def bin_kinds(

@@ -41,7 +41,13 @@ from caster.rendering.ray_tiles import (
     for_ray_tiles,
     spare_workspaces,
 )
-from caster.rendering.threads import CHUNKS_PER_THREAD, parallel_for, parallel_for_pieces, thread_count
+from caster.rendering.threads import (
+    CHUNKS_PER_THREAD,
+    even_pieces,
+    parallel_for,
+    parallel_for_pieces,
+    thread_count,
+)
 
 __all__ = ["find_rows"]
 
@@ -249,8 +255,7 @@ class FanCaster:
         fan, outward = self._caster.first_fan, self._common.outward
         count = len(rays.t_min)
         same_limits = _total(partial(rays_of_other_limits, rays), count, threads) == 0
-        edges = np.linspace(0, count, -(-count // MAX_RAYS_SORTED) + 1).astype(int).tolist()
-        for first, stop in itertools.pairwise(edges):
+        for first, stop in even_pieces(0, count, -(-count // MAX_RAYS_SORTED)):
             order, members = sort_rays(fan, rays, self._common, (first, stop), self._corners, threads)
 
             def begin(order: np.ndarray = order, members: int = members) -> Callable[[tuple[int, int]], None]:
@@ -333,8 +338,7 @@ def sort_rays(
     """(numbers of rays, how many of them have the point in common): these first, sorted by keys (ray_sorting.py)."""
     first, stop = ray_range
     workers = thread_count(threads)
-    edges = np.linspace(first, stop, workers * CHUNKS_PER_THREAD + 1).astype(int).tolist()
-    pieces = list(enumerate(itertools.pairwise(edges)))
+    pieces = list(enumerate(even_pieces(first, stop, workers * CHUNKS_PER_THREAD)))
     counts = np.zeros((len(pieces), BUCKETS), np.int64)
     pairs, scattered = np.empty((2, stop - first), np.int64)
     order = np.empty(stop - first, np.int32)

@@ -12,16 +12,30 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+__all__ = ["core_count", "set_default_threads"]
+
 CHUNKS_PER_THREAD = 4  # small enough that a thread with an empty sky takes over work from one with a mesh
 
 Piece = TypeVar("Piece")
 
 
-def thread_count(requested: int | None = None) -> int:
-    """The requested number, else as many as this process may use."""
-    if requested:
-        return requested
+_default_threads: int | None = None  # None: one a core
+
+
+def set_default_threads(count: int | None) -> None:
+    """Use so many threads where none are requested: in a process beside others that use the same cores."""
+    global _default_threads
+    _default_threads = count
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def thread_count(requested: int | None = None) -> int:
+    """The requested number, else the default of this process."""
+    return requested or _default_threads or core_count()
 
 
 def parallel_for(
@@ -31,8 +45,12 @@ def parallel_for(
     least = max(least, 1)
     workers = max(1, min(thread_count(threads), count // least))
     pieces = min(workers * CHUNKS_PER_THREAD, count if workers > 1 else -(-count // least))
-    edges = np.linspace(0, count, pieces + 1).astype(int).tolist()
-    parallel_for_pieces(lambda: lambda band: work(*band), list(pairwise(edges)), workers)
+    parallel_for_pieces(lambda: lambda band: work(*band), even_pieces(0, count, pieces), workers)
+
+
+def even_pieces(first: int, stop: int, count: int) -> list[tuple[int, int]]:
+    """first..stop in so many pieces (start, stop), whose lengths differ by at most 1; count: 0 for none."""
+    return list(pairwise(first + (stop - first) * i // max(count, 1) for i in range(count + 1)))
 
 
 def parallel_for_pieces(

@@ -1,6 +1,5 @@
 """Validation of many scenes, several at a time; verdicts that are done survive an interruption."""
 
-import os
 import re
 import threading
 from collections.abc import Callable, Generator, Sequence
@@ -13,6 +12,7 @@ from typing import Any, TypeVar
 from caster.cameras import CAMERAS
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.description.registry import type_name
+from caster.rendering.threads import core_count, set_default_threads
 from caster.scene.files import film_pixels, load_scene
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
@@ -134,8 +134,13 @@ def load_entry(
 
 
 def default_workers() -> int:
-    """Half the work of a scene is another process's, so one worker for each core."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """One for each core."""
+    return core_count()
+
+
+def threads_per_worker(workers: int, scenes: int) -> int:
+    """So many that each core has one: more would wait for each other, a twentieth of the time."""
+    return max(1, core_count() // max(1, min(workers, scenes)))
 
 
 # Of the last scenes, so many for each worker are begun in the order of their costs: a long one at the very end would
@@ -272,17 +277,28 @@ def judge_here(
     return with_replay(replace(found, seen=page_of(found) if page_of and found.seen else None))
 
 
+def judge_in_fork(entry: Entry, folder: Path | None, threads: int | None, **options: Any) -> SceneVerdict:
+    """`judge_here` in a process that does nothing else, on so many threads where it requests no number."""
+    set_default_threads(threads)
+    return judge_here(entry, folder, **options)
+
+
 # Our kernels are machine code, which may end the process that it runs in.
-ISOLATED = Isolated(judge_here)
+ISOLATED = Isolated(judge_in_fork)
 
 
-def judge_entry(entry: Entry, folder: Path | None, **options: Any) -> SceneVerdict:
-    """`judge_here` in a fork, whose end is a `problem` of the verdict; in this process for other subjects than ours."""
+def judge_entry(
+    entry: Entry, folder: Path | None, *, threads: int | None = None, **options: Any
+) -> SceneVerdict:
+    """`judge_here` in a fork, whose end is a `problem` of the verdict; in this process for other subjects than ours.
+
+    threads: of the fork.
+    """
     if options.get("subject") or (isinstance(entry, SceneEntry) and entry.subject):
         return judge_here(entry, folder, **options)
     try:
         with ISOLATED.kept():
-            return ISOLATED(entry, folder, **options)
+            return ISOLATED(entry, folder, threads, **options)
     except WorkerEnded as ended:
         problem = f"the process that casts and judges ended: {ended}"
         return with_replay(SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem))

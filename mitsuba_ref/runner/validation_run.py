@@ -65,11 +65,10 @@ class ValidationRun:
         judge = self._judge()
         if self.out:
             self.out.begin()
-        workers = self.options.workers or many_scenes.default_workers()
         record = self.html.keep if self.html else None
         running = many_scenes.run(
             self.entries,
-            workers,
+            self._workers,
             self.options.maxfail,
             self.options.out,
             judge,
@@ -84,6 +83,10 @@ class ValidationRun:
                 with bar.aside():
                     yield verdict
                 many_scenes.count_scene(bar, self.entries, len(self.done))
+
+    @property
+    def _workers(self) -> int:
+        return self.options.workers or many_scenes.default_workers()
 
     def verdict(self) -> Verdict:
         """Of all scenes that are done."""
@@ -143,7 +146,8 @@ class ValidationRun:
             return recorded(judge, self.out) if self.out else judge
         if self.options.timeout > DEFAULT_TIMEOUT:
             many_scenes.ISOLATED.seconds = CALL_TIMEOUTS * self.options.timeout
-        judge = partial(many_scenes.judge_entry, **options)
+        threads = many_scenes.threads_per_worker(self._workers, len(self.entries))
+        judge = partial(many_scenes.judge_entry, threads=threads, **options)
         if self.out is None:
             return judge
         if self.html is None:

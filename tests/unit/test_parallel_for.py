@@ -5,7 +5,14 @@ from collections.abc import Callable
 
 import pytest
 
-from caster.rendering.threads import parallel_for, parallel_for_pieces, thread_count
+from caster.rendering.threads import (
+    core_count,
+    even_pieces,
+    parallel_for,
+    parallel_for_pieces,
+    set_default_threads,
+    thread_count,
+)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])
@@ -100,4 +107,22 @@ def test_work_within_work_ends():
 
 
 def test_as_many_as_requested():
-    assert thread_count(3) == 3 and thread_count() >= 1
+    assert thread_count(3) == 3 and thread_count() == core_count() >= 1
+
+
+def test_a_default_is_for_those_who_request_no_number():
+    set_default_threads(5)
+    try:
+        assert thread_count() == 5 and thread_count(2) == 2
+    finally:
+        set_default_threads(None)
+    assert thread_count() == core_count()
+
+
+@pytest.mark.parametrize(("first", "stop", "count"), [(0, 0, 0), (0, 7, 7), (3, 20, 4), (0, 5, 8), (2, 2, 3)])
+def test_even_pieces_are_all_of_a_range_and_of_about_the_same_length(first, stop, count):
+    pieces = even_pieces(first, stop, count)
+    assert len(pieces) == count
+    assert [n for piece in pieces for n in range(*piece)] == list(range(first, stop))
+    lengths = [b - a for a, b in pieces]
+    assert not lengths or max(lengths) - min(lengths) <= 1

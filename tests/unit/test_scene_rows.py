@@ -9,9 +9,11 @@ import pytest
 
 import mitsuba_ref.__main__
 from caster.description.errors import SceneError
+from caster.rendering.threads import core_count, thread_count
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict
 from mitsuba_ref.runner import many_scenes, validation_run
+from mitsuba_ref.runner.isolation import Isolated
 from mitsuba_ref.runner.many_scenes import Entry, SceneSource, matching, run, source_of, start_order
 from mitsuba_ref.runner.shards import Shard, missing_shards, scenes_of_shard
 
@@ -119,3 +121,20 @@ def test_a_long_description_counts_as_work(tmp_path):
         (tmp_path / f"{name}.toml").write_text(text)
     short, long = (source_of(str(tmp_path / f"{name}.toml"), name) for name in ("short", "long"))
     assert long.cost - short.cost == 10_000 and short.cost == short.pixels + len(SCENE)
+
+
+@pytest.mark.parametrize(
+    ("cores", "workers", "scenes", "threads"), [(8, 8, 40, 1), (8, 2, 40, 4), (8, 8, 1, 8), (2, 6, 9, 1)]
+)
+def test_all_cores_have_work_and_no_core_two_threads(monkeypatch, cores, workers, scenes, threads):
+    monkeypatch.setattr(many_scenes, "core_count", lambda: cores)
+    assert many_scenes.threads_per_worker(workers, scenes) == threads
+
+
+def test_a_fork_casts_on_its_share_of_threads(monkeypatch):
+    """The number that a fork is called with is its default; the process that forks keeps its own."""
+    isolated = Isolated(many_scenes.judge_in_fork)
+    monkeypatch.setattr(many_scenes, "judge_here", lambda entry, folder: thread_count())
+    with isolated.kept():
+        assert isolated("entry", None, 3) == 3
+    assert thread_count() == core_count()
