@@ -79,6 +79,17 @@ class Packed:
         return (np.searchsorted(self.first, prim, side="right") - 1).astype(np.int32)
 
     @cached_property
+    def prim_ids(self) -> np.ndarray:
+        """(n,) int32, number in the scene of each primitive, kind by kind: as a tile counts them (PRIM)."""
+        ids = [kind.ids for kind in self.kinds]
+        return ids[0] if len(ids) == 1 else np.concatenate([*ids, np.zeros(0, np.int32)])
+
+    @cached_property
+    def prim_shapes(self) -> np.ndarray:
+        """(n,) int32, shape of each primitive, kind by kind."""
+        return self.shape_of(self.prim_ids)
+
+    @cached_property
     def shape_extents(self) -> np.ndarray:
         """(shapes,) float64: the largest |coordinate| of the bounding boxes of each shape; 0 of an unbounded one."""
         bounded = np.array([kind.bounded for kind in self.kinds], bool)[self.kind_of]
@@ -147,7 +158,19 @@ def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:
         part = scene.shapes[i].pack(rounded)
     if part is None or not all(np.isfinite(array).all() for array in part):
         raise _not_finite(scene, i)
+    if isinstance(part, Triangles):
+        _check_lengths(part, type(scene.shapes[i]).__name__)
     return part
+
+
+def _check_lengths(part: Triangles, shape: str) -> None:
+    """Raise ValueError for arrays of a mesh that kernels would read beyond their ends."""
+    vertices, faces = len(part.vertices), len(part.faces)
+    for name, expected in (("normals", vertices), ("uv", vertices), ("smooth", faces), ("textured", faces)):
+        if (found := len(getattr(part, name))) != expected:
+            raise ValueError(
+                f"{shape}.pack: {name} must have {expected} rows, got {found}; fill up with zeros"
+            )
 
 
 def _not_finite(scene: ShapeCollection, i: int) -> SceneError:

@@ -34,14 +34,17 @@ from caster.jit.simd import (
     any_sum_reaches,
     boxes_below,
     boxes_reach_lines,
+    gather_corners,
     intersect_boxes,
     intersect_boxes_packet,
     lane_max,
     lane_max_of_sums,
     lane_min,
+    lanes_in_range,
     lanes_not_above,
     lanes_within_lines,
     lowest_bit,
+    numbers_in_range,
 )
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -328,13 +331,16 @@ def _overload_lanes(numba: Any) -> None:
             vectors.lowest_bit(types),
         ),
     )
-    below, reaching, within, not_above = map(
+    below, reaching, within, not_above, gather, in_range, counted = map(
         numba.extending.intrinsic,
         (
             vectors.boxes_below(CHILDREN, types, FAN_FIELDS),
             vectors.boxes_reach_lines(CHILDREN, types, FAN_FIELDS),
             vectors.lanes_within_lines(LANES, types),
             vectors.lanes_not_above(LANES, types, PLANE_ATOL),
+            vectors.gather_corners(LANES, types),
+            vectors.lanes_in_range(LANES, types),
+            vectors.numbers_in_range(LANES, types),
         ),
     )
     made = {
@@ -354,6 +360,13 @@ def _overload_lanes(numba: Any) -> None:
         lanes_within_lines: lambda xy, i, j, lines: lambda xy, i, j, lines: within(xy, i, j, lines),
         lanes_not_above: lambda tile, x, y, z, plane: (
             lambda tile, x, y, z, plane: not_above(tile, x, y, z, plane)
+        ),
+        lanes_in_range: lambda a, i, least, end: lambda a, i, least, end: in_range(a, i, least, end),
+        numbers_in_range: lambda a, i, least, end, lanes, into: (
+            lambda a, i, least, end, lanes, into: counted(a, i, least, end, lanes, into)
+        ),
+        gather_corners: lambda rows, faces, lanes, numbers, into, step: (
+            lambda rows, faces, lanes, numbers, into, step: gather(rows, faces, lanes, numbers, into, step)
         ),
     }
     for stub, choose in made.items():

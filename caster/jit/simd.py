@@ -33,6 +33,32 @@ def lane_max_of_sums(a: Any, i: Any, j: Any) -> float:
     return max(float(a[i + n] + a[j + n]) for n in range(LANES))
 
 
+ALL_LANES = (1 << LANES) - 1
+"""The bits of LANES numbers."""
+
+
+def lanes_in_range(a: Any, i: Any, least: float, end: float) -> int:
+    """A bit for each n of 0..LANES - 1 where least <= a[i + n] < end."""
+    return sum((least <= a[i + n] < end) << n for n in range(LANES))
+
+
+def numbers_in_range(a: Any, i: Any, least: float, end: float, lanes: Any, into: Any) -> None:
+    """lanes[into + n] = a[i + n] - least where that is at least 0 and a[i + n] < end, else 0, for n of 0..LANES - 1."""
+    for n in range(LANES):
+        lanes[into + n] = a[i + n] - least if least <= a[i + n] < end else 0.0
+
+
+def gather_corners(rows: Any, faces: Any, lanes: Any, numbers: Any, into: Any, step: Any) -> None:
+    """Rows (v, 3) of the three corners of LANES faces (f, 3), coordinate by coordinate.
+
+    lanes: numbers of the faces from `numbers` on; coordinate i of corner c goes to `into` + (3 c + i) `step` and on.
+    """
+    for n in range(LANES):
+        for c in range(3):
+            for i in range(3):
+                lanes[into + (3 * c + i) * step + n] = rows[faces[int(lanes[numbers + n]), c], i]
+
+
 CHILDREN = 8
 """Boxes a node of a tree holds: as many as are looked at at once."""
 

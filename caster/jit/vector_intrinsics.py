@@ -27,6 +27,30 @@ class Vectors:
     def store(self, vector: Any, data: Any) -> None:
         self.builder.store(vector, self.builder.bitcast(data, self.reals.as_pointer()), align=8)
 
+    def rows_of_three(self, data: Any, starts: list[Any]) -> list[Any]:
+        """The columns x, y, z of a row of three numbers from each of `starts` on, one a lane."""
+        builder, two = self.builder, ir.VectorType(REAL, 2)
+        pairs = (builder.bitcast(builder.gep(data, [start]), two.as_pointer()) for start in starts)
+        joined = self._joined([builder.load(pair, align=8) for pair in pairs])
+        x, y = (self._picked(joined, range(axis, 2 * self.lanes, 2)) for axis in (0, 1))
+        z = ir.Constant(self.reals, ir.Undefined)
+        for n, start in enumerate(starts):
+            last = builder.load(builder.gep(data, [builder.add(start, INT64(2))]))
+            z = builder.insert_element(z, last, INT32(n))
+        return [x, y, z]
+
+    def _joined(self, parts: list[Any]) -> Any:
+        """One vector of several, one behind the other."""
+        while len(parts) > 1:
+            wide = range(2 * parts[0].type.count)
+            parts = [self._picked(a, wide, b) for a, b in zip(parts[::2], parts[1::2], strict=True)]
+        return parts[0]
+
+    def _picked(self, vector: Any, places: Any, more: Any = None) -> Any:
+        """The numbers at these places of one vector, or of two."""
+        mask = ir.Constant(ir.VectorType(INT32, len(places)), list(places))
+        return self.builder.shuffle_vector(vector, vector if more is None else more, mask)
+
     def all(self, number: Any) -> Any:
         """The same number everywhere."""
         nothing = ir.Constant(self.reals, ir.Undefined)
@@ -45,9 +69,7 @@ class Vectors:
 
     def halves(self, vector: Any) -> tuple[Any, Any]:
         half = self.lanes // 2
-        starts = (ir.Constant(ir.VectorType(INT32, half), list(range(at, at + half))) for at in (0, half))
-        low, high = (self.builder.shuffle_vector(vector, vector, start) for start in starts)
-        return low, high
+        return self._picked(vector, range(half)), self._picked(vector, range(half, 2 * half))
 
     def larger(self, a: Any, b: Any) -> Any:
         return self.builder.select(self.builder.fcmp_ordered(">", a, b), a, b)
@@ -189,6 +211,64 @@ def _chosen(lanes: int, choose: Any) -> Any:
         return vectors.reduced(builder.fadd(first, *more) if more else first, choose)
 
     return build
+
+
+def lanes_in_range(lanes: int, types: Any) -> Any:
+    def typed(typing: Any, a: Any, i: Any, least: Any, end: Any) -> Any:
+        return types.int64(a, types.uint64, types.float64, types.float64), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vectors = Vectors(builder, lanes)
+        numbers = vectors.load(_data(context, builder, signature.args[0], arguments[0]), arguments[1])
+        return vectors.bits(_in_range(vectors, numbers, *map(vectors.all, arguments[2:])))
+
+    return typed
+
+
+def _in_range(vectors: Vectors, numbers: Any, least: Any, end: Any) -> Any:
+    """Which lanes are: least <= number < end."""
+    above = vectors.builder.fcmp_ordered("<=", least, numbers)
+    return vectors.builder.and_(above, vectors.builder.fcmp_ordered("<", numbers, end))
+
+
+def numbers_in_range(lanes: int, types: Any) -> Any:
+    def typed(typing: Any, a: Any, i: Any, least: Any, end: Any, scratch: Any, into: Any) -> Any:
+        return types.none(a, types.uint64, types.float64, types.float64, scratch, types.uint64), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vectors = Vectors(builder, lanes)
+        numbers = vectors.load(_data(context, builder, signature.args[0], arguments[0]), arguments[1])
+        least, end = map(vectors.all, arguments[2:4])
+        out = builder.gep(_data(context, builder, signature.args[4], arguments[4]), [arguments[5]])
+        counted, chosen = builder.fsub(numbers, least), _in_range(vectors, numbers, least, end)
+        vectors.store(builder.select(chosen, counted, vectors.all(ZERO)), out)
+        return context.get_dummy_value()
+
+    return typed
+
+
+def gather_corners(lanes: int, types: Any) -> Any:
+    def typed(typing: Any, rows: Any, faces: Any, scratch: Any, numbers: Any, into: Any, step: Any) -> Any:
+        assert rows.layout == faces.layout == scratch.layout == "C"
+        places = types.uint64, types.uint64, types.uint64
+        return types.none(rows, faces, scratch, *places), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vectors = Vectors(builder, lanes)
+        arrays = zip(signature.args[:3], arguments[:3], strict=True)
+        rows, faces, scratch = (_data(context, builder, *each) for each in arrays)
+        numbers, into, step = arguments[3:]
+        whole = builder.fptosi(vectors.load(scratch, numbers), ir.VectorType(INT64, lanes))
+        first = [builder.mul(builder.extract_element(whole, INT32(n)), INT64(3)) for n in range(lanes)]
+        for corner in range(3):
+            vertices = (builder.load(builder.gep(faces, [builder.add(at, INT64(corner))])) for at in first)
+            starts = [builder.mul(builder.sext(vertex, INT64), INT64(3)) for vertex in vertices]
+            for axis, column in enumerate(vectors.rows_of_three(rows, starts)):
+                place = builder.add(into, builder.mul(step, INT64(3 * corner + axis)))
+                vectors.store(column, builder.gep(scratch, [place]))
+        return context.get_dummy_value()
+
+    return typed
 
 
 ZERO = ir.Constant(REAL, 0.0)

@@ -110,6 +110,11 @@ def surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants
 
 
 @generic_inlined
+def setup_lanes(prims: Any, scratch: Any, wants_uv: bool) -> None:
+    """`surface_setup` for all lanes of a scratch, each of its primitive LANE_NUMBER. Optional, where it takes less."""
+
+
+@generic_inlined
 def fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) -> Any:
     """(safe, p, n, sh_n, local) of lane x: where safe, the same bits as `surface`. Without a branch. Optional.
 

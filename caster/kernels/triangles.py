@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import implement, inlined, jit
+from caster.jit.simd import LANES, gather_corners
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_triangle
 from caster.kernels.math.vec import (
@@ -43,12 +44,13 @@ from caster.kernels.protocol import (
     normal_setup,
     prepare,
     same_geometry,
+    setup_lanes,
     surely_misses,
     surface,
     surface_setup,
     t_lower_bound,
 )
-from caster.kernels.raster.tile import LANE_SETUP, SURFACE_LANES, get_lane, lane, put_lane
+from caster.kernels.raster.tile import LANE_NUMBER, LANE_SETUP, NEXT, SURFACE_LANES, get_lane, lane, put_lane
 
 
 class Triangles(NamedTuple):
@@ -56,8 +58,8 @@ class Triangles(NamedTuple):
 
     vertices: np.ndarray  # (v, 3) float64
     faces: np.ndarray  # (n, 3) int32
-    normals: np.ndarray  # (v, 3) float64, read where smooth
-    uv: np.ndarray  # (v, 2) float64, read where textured
+    normals: np.ndarray  # (v, 3) float64, used where smooth
+    uv: np.ndarray  # (v, 2) float64, used where textured
     smooth: np.ndarray  # (n,) bool: shading normal from the vertex normals
     textured: np.ndarray  # (n,) bool: uv from the vertices, else the barycentrics b1, b2
 
@@ -393,12 +395,31 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
             put_lane(scratch, LANE_NB + x, n1)
             put_lane(scratch, LANE_NC + x, n2)
     if wants_uv:
-        textured = is_textured(prims, k)
-        a0, a1, a2 = uv_of(prims, i0), uv_of(prims, i1), uv_of(prims, i2)
-        for x in range(start, stop):
-            put_lane(scratch, LANE_US + x, (a0[0], a1[0], a2[0]))
-            put_lane(scratch, LANE_VS + x, (a0[1], a1[1], a2[1]))
-            scratch[LANE_TEXTURED + x] = 1.0 if textured else 0.0
+        _setup_uv(prims, k, start, stop, scratch)
+
+
+@inlined
+def _setup_uv(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
+    textured, corners = is_textured(prims, k), prims.faces[k]
+    a, b, c = uv_of(prims, corners[0]), uv_of(prims, corners[1]), uv_of(prims, corners[2])
+    for x in range(start, stop):
+        put_lane(scratch, LANE_US + x, (a[0], b[0], c[0]))
+        put_lane(scratch, LANE_VS + x, (a[1], b[1], c[1]))
+        scratch[LANE_TEXTURED + x] = 1.0 if textured else 0.0
+
+
+@implement(setup_lanes, Triangles)
+def _setup_lanes(prims: Any, scratch: Any, wants_uv: bool) -> None:
+    """Corners and vertex normals, whether these are used or not, several lanes at a time; uv one by one."""
+    for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):
+        gather_corners(prims.vertices, prims.faces, scratch, LANE_NUMBER + x, LANE_A + x, NEXT)
+        gather_corners(prims.normals, prims.faces, scratch, LANE_NUMBER + x, LANE_NA + x, NEXT)
+    for x in range(lane(SURFACE_LANES)):
+        scratch[LANE_SMOOTH + x] = 1.0 if prims.smooth[int(scratch[LANE_NUMBER + x])] else 0.0
+    if wants_uv:
+        for x in range(lane(SURFACE_LANES)):
+            k = int(scratch[LANE_NUMBER + x])
+            _setup_uv(prims, k, x, x + lane(1), scratch)
 
 
 @inlined

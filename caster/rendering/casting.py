@@ -35,7 +35,6 @@ from caster.rendering.ray_tiles import (
     Record,
     for_ray_tiles,
     new_workspace,
-    scene_prim_ids,
     tile_caster,
 )
 from caster.rendering.threads import parallel_for, unwritten_array
@@ -69,7 +68,7 @@ def find_nearest(
         Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float))),
         unwritten_array((count,), bool),
     )
-    ids = scene_prim_ids(packed)
+    ids = packed.prim_ids
     cast = tile_caster(packed)
 
     record = Record(

@@ -20,7 +20,7 @@ from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, prim_offsets, spare_workspaces
-from caster.rendering.shading import NO_START, TileShader, material_tables, new_image
+from caster.rendering.shading import NO_START, TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Light, Scene
 
@@ -83,7 +83,7 @@ class RayHits:
     @cached_property
     def two_sided(self) -> np.ndarray:
         """(n,) bool."""
-        table = material_tables(self.scene)[1]
+        table = np.array([self.scene.material_of(shape).two_sided for shape in self.scene.shapes], bool)
         return table[self.shape_id] & self.hit if len(table) else self.hit
 
     def evaluate(self, aovs: Sequence[str], dtype: type[np.floating] = np.float64) -> dict[str, np.ndarray]:

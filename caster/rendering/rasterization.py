@@ -41,7 +41,7 @@ from caster.kernels.raster.tile import (
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.triangles import Triangles
 from caster.rendering.casting import decide_uncertain
-from caster.rendering.ray_tiles import prim_offsets, scene_prim_ids, spare_workspaces
+from caster.rendering.ray_tiles import prim_offsets, spare_workspaces
 from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pieces, thread_count
 
 __all__ = ["find_nearest_on_film"]
@@ -97,7 +97,7 @@ def find_nearest_on_film(
     kinds = bin_kinds(packed, camera, window, origin, threads, RayBounds(max_center_offset, longest))
     cast = cast_shared_origin if shares_origin else cast_own_origins
     nearest, uncertain = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
-    ids = scene_prim_ids(packed)
+    ids = packed.prim_ids
 
     def begin() -> list[Command]:
         tile = take().tile

@@ -327,8 +327,3 @@ def spare_workspaces() -> Iterator[Callable[[], TileWorkspace]]:
 def prim_offsets(packed: Packed) -> list[int]:
     """Place of each kind's first primitive: they are counted kind by kind."""
     return [0, *itertools.accumulate(len(kind.ids) for kind in packed.kinds)][: len(packed.kinds)]
-
-
-def scene_prim_ids(packed: Packed) -> np.ndarray:
-    """(places,) int32, number in the scene of each primitive, kind by kind."""
-    return np.concatenate([kind.ids for kind in packed.kinds]) if packed.kinds else np.zeros(0, np.int32)

@@ -4,7 +4,7 @@ One way for all rays: a film is tiles of its camera's rays; an array of rays is 
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -32,7 +32,13 @@ from caster.kernels.raster.tile import (
     T,
     kind_numbers,
 )
-from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
+from caster.kernels.surface.lighting import (
+    add_ambient,
+    add_light,
+    add_unshadowed_light,
+    materials_in_tile,
+    shadow_rays_in_tile,
+)
 from caster.kernels.surface.normals import normals_in_tile
 from caster.kernels.surface.per_hit import (
     NO_IDS,
@@ -47,9 +53,9 @@ from caster.kernels.surface.per_hit import (
 )
 from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
-from caster.rendering.ray_tiles import ShadowCaster, TileWorkspace, prim_offsets, scene_prim_ids
+from caster.rendering.ray_tiles import ShadowCaster, TileWorkspace, prim_offsets
 from caster.rendering.threads import unwritten_array
-from caster.scene.model import Scene
+from caster.scene.model import Diffuse, Scene
 
 NO_START = np.empty((0, 0))
 
@@ -131,20 +137,22 @@ class TileShader:
         return [partial(_find_surfaces, kind_ranges(packed), "uv" in plan.surfaces)]
 
     def _material_step(self, scene: Scene, packed: Packed) -> Step:
-        tables = shape_by_primitive(packed), *material_tables(scene)
+        materials, number = distinct_materials(scene)
+        tables = number[packed.prim_shapes], *material_tables(materials)
         return lambda ws: [
             Command(bind(materials_in_tile, ws.tile, NO_BOX, *tables, ws.surface, given=(1,)), (BOX,))
         ]
 
     def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
         pixels = max((math.prod(image.shape[:2]) for image in self.images.values()), default=0)
-        shapes, extents = shape_by_primitive(packed), packed.shape_extents
         steps: list[Step] = []
         for light in (each.pack() for each in scene.lights if each.type != "ambient"):
-            caster = ShadowCaster(packed, light, pixels) if plan.shadows.runs else None
-            self._shadow_casters += [caster] if caster else []
-            exactly, counts = packed if exact else None, self._shadow_rays
-            steps.append(partial(_add_light, light, caster, exactly, counts, shapes, extents))
+            if not plan.shadows.runs:
+                steps.append(partial(_add_unshadowed_light, light))
+                continue
+            caster = ShadowCaster(packed, light, pixels)
+            self._shadow_casters.append(caster)
+            steps.append(partial(_add_light, light, caster, packed, exact, self._shadow_rays))
         ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(
             -1, 3
         )
@@ -197,26 +205,30 @@ def kind_ranges(packed: Packed) -> list[KindRange]:
     return [(kind.prims, (first, first + len(kind.ids))) for kind, first in offsets]
 
 
+def _add_unshadowed_light(light: Any, workspace: TileWorkspace) -> Iterator[Command]:
+    """Radiance of what faces a light."""
+    about = light, workspace.tile, NO_BOX, workspace.surface
+    yield Command(bind(add_unshadowed_light, *about, given=(2,)), (BOX,))
+
+
 def _add_light(
     light: Any,
-    cast: ShadowCaster | None,
-    exact: Packed | None,
+    cast: ShadowCaster,
+    packed: Packed,
+    exact: bool,
     counts: list[np.ndarray],
-    shapes: np.ndarray,
-    extents: np.ndarray,
     workspace: TileWorkspace,
 ) -> Iterator[Command]:
     """Radiance of what a light reaches; `counts` gets an array of the number of shadow rays."""
     tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
     total = np.zeros(1, np.int64)
-    about = light, tile, NO_BOX, shapes, extents, surface, shadow_tile, total
+    about = light, tile, NO_BOX, packed.prim_shapes, packed.shape_extents, surface, shadow_tile, total
     find = bind(shadow_rays_in_tile, *about, given=(2,))
     yield Command(find, (BOX,))
-    if cast is not None:
-        counts.append(total)
-        yield from cast.commands(shadow_tile, workspace.ray_groups, find)
-        if exact is not None:
-            yield Command(partial(decide_shadows, exact, shadow_tile), (COUNT,), find)
+    counts.append(total)
+    yield from cast.commands(shadow_tile, workspace.ray_groups, find)
+    if exact:
+        yield Command(partial(decide_shadows, packed, shadow_tile), (COUNT,), find)
     yield Command(bind(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,)), (BOX,), find)
 
 
@@ -288,24 +300,31 @@ def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:
         values(UNCERTAIN)[rows] = 0.0
 
 
-def shape_by_primitive(packed: Packed) -> np.ndarray:
-    """Shape of each primitive, by its number in a tile: int32."""
-    return packed.shape_of(scene_prim_ids(packed))
-
-
 def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
     if not packed.kinds or not needs & {"shape_id", "prim_id"}:
         return NO_IDS
-    ids = scene_prim_ids(packed)
-    shapes = packed.shape_of(ids)
-    numbers = (ids - packed.first[shapes]).astype(np.int32)
+    shapes = packed.prim_shapes
+    numbers = (packed.prim_ids - packed.first[shapes]).astype(np.int32)
     return PrimitiveIds(
         shapes if "shape_id" in needs else NO_IDS.shape, numbers if "prim_id" in needs else NO_IDS.prim
     )
 
 
-def material_tables(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """By shape: reflectance (n, 3), and whether both sides are lit (n,)."""
-    materials = [scene.material_of(shape) for shape in scene.shapes]
+def distinct_materials(scene: Scene) -> tuple[list[Diffuse], np.ndarray]:
+    """(materials that differ, (shapes,) int32 number of each shape's)."""
+    number: dict[tuple[Any, ...], int] = {}
+    found: list[Diffuse] = []
+    of_shapes = np.empty(len(scene.shapes), np.int32)
+    for i, material in enumerate(map(scene.material_of, scene.shapes)):
+        key = *material.reflectance, material.two_sided
+        if key not in number:
+            number[key] = len(found)
+            found.append(material)
+        of_shapes[i] = number[key]
+    return found, of_shapes
+
+
+def material_tables(materials: Sequence[Diffuse]) -> tuple[np.ndarray, np.ndarray]:
+    """Reflectance (n, 3), and whether both sides are lit (n,)."""
     reflectance = np.array([material.reflectance for material in materials]).reshape(-1, 3)
     return reflectance, np.array([material.two_sided for material in materials], bool)

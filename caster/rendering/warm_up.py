@@ -28,7 +28,7 @@ from caster.rendering.casting import Culling, exact_nearest, find_any, find_near
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
 from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
-from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups, scene_prim_ids
+from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups
 from caster.scene.model import Ambient, Directional, Point, Scene
 from caster.shapes import SHAPES
 
@@ -120,7 +120,7 @@ def _warm_fans(packed: Packed) -> None:
         find_nearest(packed, rays, threads=1, always_fans=True)
         find_any(packed, rays, threads=1, always_fans=True)
     find_rows(outward)
-    tile, box, ids = new_tile(), (0, 0, count, 1), scene_prim_ids(packed)
+    tile, box, ids = new_tile(), (0, 0, count, 1), packed.prim_ids
     load_rays_from(outward, 0, count, box, (0.0, 0.0, 0.0), tile)
     store_rays(tile, 0, count, box, ids, no_hits(count), np.zeros(count, bool))
     store_blocked_rays(tile, 0, count, box, np.zeros(count, bool), np.zeros(count, bool))

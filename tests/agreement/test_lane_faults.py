@@ -13,7 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from test_lanes import one_view, several_views, some_boxes, wide
+from test_lanes import (
+    a_range,
+    a_range_and_lanes,
+    one_view,
+    several_views,
+    some_boxes,
+    some_faces,
+    wide,
+    written_differently,
+)
 
 from caster.jit import simd, vector_intrinsics
 from caster.jit.kernel_cache import COMPILED
@@ -52,7 +61,7 @@ FAULTS = (
         "self.builder.gep(data, [at])",
         "self.builder.gep(data, [self.builder.add(at, at.type(1))])",
     ),
-    Fault("the tail of a reduction dropped", "lane_max", "for at in (0, half)", "for at in (0, 0)"),
+    Fault("the tail of a reduction dropped", "lane_max", "range(half, 2 * half)", "range(half)"),
     Fault(
         "least and largest swapped",
         "lane_min",
@@ -80,6 +89,28 @@ FAULTS = (
         "builder.fpext(builder.fptrunc(builder.fadd(builder.fmul(children.row(near), slope), vectors.all(enter)),"
         " ir.VectorType(FLOAT32, vectors.lanes)), vectors.reals),",
     ),
+    Fault("x twice", "gather_corners", "range(axis, 2 * self.lanes, 2)", "range(0, 2 * self.lanes, 2)"),
+    Fault("y for z", "gather_corners", "builder.add(start, INT64(2))", "builder.add(start, INT64(1))"),
+    Fault("one corner three times", "gather_corners", "builder.add(at, INT64(corner))", "at"),
+    Fault(
+        "corners one coordinate apart",
+        "gather_corners",
+        "INT64(3 * corner + axis)",
+        "INT64(corner + axis)",
+    ),
+    Fault(
+        "the end in the range",
+        "lanes_in_range",
+        'fcmp_ordered("<", numbers, end)',
+        'fcmp_ordered("<=", numbers, end)',
+    ),
+    Fault(
+        "the least out of the range",
+        "lanes_in_range",
+        'fcmp_ordered("<=", least, numbers)',
+        'fcmp_ordered("<", least, numbers)',
+    ),
+    Fault("counted from 0", "numbers_in_range", "builder.fsub(numbers, least)", "numbers"),
     Fault("the highest bit for the lowest", "lowest_bit", "builder.cttz", "builder.ctlz"),
     Fault(
         "one array twice in a sum",
@@ -101,6 +132,13 @@ def edited(old: str = "", new: str = "", of: types.ModuleType = vector_intrinsic
     module = types.ModuleType("edited")
     exec(compile(source, "edited", "exec"), module.__dict__)
     return module
+
+
+GIVEN = {
+    "lanes_in_range": a_range,
+    "numbers_in_range": a_range_and_lanes,
+    "gather_corners": some_faces,
+}
 
 
 def differs(vectors: types.ModuleType, name: str) -> bool:
@@ -139,8 +177,13 @@ def differs(vectors: types.ModuleType, name: str) -> bool:
             "lane_max": lambda a, i: inner(a, i),
             "lane_max_of_sums": lambda a, i, j: inner(a, i, j),
             "any_sum_reaches": lambda a, i, j, limit: inner(a, i, j, limit),
+            "lanes_in_range": lambda a, i, least, end: inner(a, i, least, end),
+            "numbers_in_range": lambda a, i, least, end, out, at: inner(a, i, least, end, out, at),
+            "gather_corners": lambda rows, faces, out, i, at, step: inner(rows, faces, out, i, at, step),
         }[name]
     )
+    if name in GIVEN:
+        return any(written_differently(compiled, plain, GIVEN[name](rng)) for _ in range(ROUNDS))
     for _ in range(ROUNDS):
         numbers = wide(rng, 4 * LANES)
         i, j = (np.uint64(x) for x in rng.integers(0, 3 * LANES, 2))

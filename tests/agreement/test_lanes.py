@@ -48,6 +48,21 @@ def small_ones(numbers, i, j, limit, mask, answers):
     answers[4] = simd.lowest_bit(mask)
 
 
+@jit
+def lanes_in_range(a, i, least, end):
+    return simd.lanes_in_range(a, i, least, end)
+
+
+@jit
+def numbers_in_range(a, i, least, end, lanes, into):
+    simd.numbers_in_range(a, i, least, end, lanes, into)
+
+
+@jit
+def gather_corners(rows, faces, lanes, numbers, into, step):
+    simd.gather_corners(rows, faces, lanes, numbers, into, step)
+
+
 def wide(rng, *shape):
     """Numbers of all sizes, some 0, some infinite, as t of a miss is."""
     numbers = rng.normal(size=shape) * 10.0 ** rng.integers(-9, 9, shape)
@@ -111,6 +126,47 @@ def test_numbers_of_lanes_are_chosen_alike():
             float(simd.any_sum_reaches(numbers, i, j, limit)),
             simd.lowest_bit(mask),
         ]
+
+
+def a_range(rng):
+    """Numbers of primitives in a tile, some of misses, a place among them, and a range that may begin and end there."""
+    least = int(rng.integers(-1, 3))
+    numbers = rng.integers(-1, 6, 4 * LANES).astype(float)
+    return numbers, np.uint64(rng.integers(3 * LANES)), float(least), float(least + rng.integers(1, 4))
+
+
+def a_range_and_lanes(rng):
+    return *a_range(rng), wide(rng, 4 * LANES), np.uint64(rng.integers(3 * LANES))
+
+
+def some_faces(rng):
+    """Rows, of which some face has the last, faces, and lanes: nine fields to be written, beside numbers of faces."""
+    rows, faces = wide(rng, 5, 3), rng.integers(0, 5, (6, 3)).astype(np.int32)
+    faces[rng.integers(6), rng.integers(3)] = 4
+    lanes, before = wide(rng, 10 * LANES), bool(rng.random() < 0.5)
+    numbers, into = (0, LANES) if before else (9 * LANES, 0)
+    lanes[numbers : numbers + LANES] = rng.integers(0, 6, LANES)
+    return rows, faces, lanes, np.uint64(numbers), np.uint64(into), np.uint64(LANES)
+
+
+def written_differently(compiled, plain, given):
+    """Whether two functions return or leave another bit."""
+    one, other = ([x.copy() if isinstance(x, np.ndarray) else x for x in given] for _ in range(2))
+    if compiled(*one) != plain(*(int(x) if isinstance(x, np.uint64) else x for x in other)):
+        return True
+    pairs = zip(one, other, strict=True)
+    return any(a.tobytes() != b.tobytes() for a, b in pairs if isinstance(a, np.ndarray))
+
+
+@compiled_only
+@pytest.mark.parametrize(
+    ("compiled", "given_by"),
+    [(lanes_in_range, a_range), (numbers_in_range, a_range_and_lanes), (gather_corners, some_faces)],
+    ids=["in range", "numbers", "corners"],
+)
+def test_lanes_are_chosen_and_gathered_alike(compiled, given_by):
+    rng, plain = np.random.default_rng(34), getattr(simd, compiled.__name__)
+    assert not any(written_differently(compiled, plain, given_by(rng)) for _ in range(300))
 
 
 SIZES = 10.0 ** np.array([0.0, 0.0, 0.0, 3.0, -9.0, 120.0, 152.0, -152.0, -200.0])

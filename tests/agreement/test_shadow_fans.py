@@ -13,7 +13,7 @@ from caster.kernels.protocol import hull_point, hull_size
 from caster.kernels.raster.tile import PIXELS, WIDTH, T, clear_rays, lane, load_ray_range, new_tile
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.rendering.casting import find_nearest
-from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups, scene_prim_ids
+from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups
 from caster.rendering.shading import decide_shadows
 from caster.shapes import SHAPES
 
@@ -113,7 +113,7 @@ def test_fans_never_change_a_shadow_where_all_kinds_are_mixed():
     rng = np.random.default_rng(91)
     scene = random_scene(rng, list(SHAPES), Pinhole, count=LEAF_SIZE + 1)
     arrays = packed(scene)
-    assert len(scene_prim_ids(arrays)) > 100
+    assert len(arrays.prim_ids) > 100
     for light in lights(scene, arrays, rng, 1.0):
         caster, rays = ShadowCaster(arrays, light, COUNT), shadow_rays(light, arrays, rng, 1.0)
         assert not len(disagreements(caster, arrays, rays)), light

@@ -24,6 +24,7 @@ from caster.kernels.surface.lighting import (
     SHADOW_OFFSET,
     add_ambient,
     add_light,
+    add_unshadowed_light,
     incident_irradiance,
     light_direction,
     materials_in_tile,
@@ -35,7 +36,8 @@ from caster.kernels.surface.lighting import (
 from caster.kernels.surface.per_hit import ALBEDO, FLUX, RADIANCE, SH_N, SIDES, N, P, new_surface_buffer
 from caster.rendering.hits import Surfaces
 from caster.rendering.images import render
-from caster.scene.model import Ambient, Directional, Film, Point, Scene
+from caster.rendering.shading import distinct_materials
+from caster.scene.model import Ambient, Diffuse, Directional, Film, Point, Scene
 from caster.shapes import Cylinder, Disk, Rectangle, Sphere
 
 POINTS = [(0.0, 0.0, 0.0), (3.0, 0.0, 4.0), (1.0, 2.0, 3.0)]
@@ -267,6 +269,35 @@ def test_hits_of_a_tile_are_lit_as_the_formula_states(name):
         assert (beside_the_box(buffer, at) == 7.0).all()
 
 
+@pytest.mark.parametrize("one_material", [True, False])
+@pytest.mark.parametrize("name", LIGHTS)
+def test_light_without_shadows_is_what_arrives_where_no_ray_is_blocked(name, one_material):
+    """To the bit, over two lights; rows where nothing is hit are passed over, and get nothing."""
+    light, (tile, buffer) = LIGHTS[name], a_tile_of_hits(np.random.default_rng(232))
+    for y in (1, 3):
+        tile[int(PRIM) + y * WIDTH : int(PRIM) + (y + 1) * WIDTH] = -1.0
+    tables = (
+        (SHAPES_OF % 1, REFLECTANCE[1:2], TWO_SIDED[1:2])
+        if one_material
+        else (SHAPES_OF, REFLECTANCE, TWO_SIDED)
+    )
+    materials_in_tile(tile, BOX, *tables, buffer)
+    hit, shape = field(tile, PRIM, 1) >= 0.0, tables[0][np.maximum(field(tile, PRIM, 1).astype(int), 0)]
+    assert np.array_equal(field(buffer, ALBEDO)[hit], tables[1][shape[hit]])
+    assert np.array_equal(field(buffer, SIDES, 1)[hit], tables[2][shape[hit]])
+    free, shadow_tile = buffer.copy(), new_tile()
+    shadow_tile[:] = 7.0
+    for _ in range(2):
+        count = shadow_rays_in_tile(
+            light, tile, BOX, SHAPES_OF, EXTENTS, buffer, shadow_tile, np.zeros(1, int)
+        )
+        add_light(tile, BOX, buffer, shadow_tile)
+        add_unshadowed_light(light, tile, BOX, free)
+    assert 5 < count < hit.sum() and (field(shadow_tile, T_MAX, 1)[[1, 3]] == -1.0).all()
+    assert np.array_equal(field(free, RADIANCE), field(buffer, RADIANCE))
+    assert field(free, RADIANCE)[hit].any() and not field(free, RADIANCE)[~hit].any()
+
+
 @pytest.mark.parametrize("name", LIGHTS)
 def test_shadow_rays_of_some_rays_are_those_of_the_formula(name):
     light, rng, count = LIGHTS[name], np.random.default_rng(232), 30
@@ -283,3 +314,17 @@ def test_shadow_rays_of_some_rays_are_those_of_the_formula(name):
         t_min, rel=1e-9, abs=0.0
     )
     assert (out.t_max == (1.0 if name == "point" else math.inf)).all()
+
+
+def test_shapes_of_one_material_share_a_row_of_the_table():
+    """Whatever the material is called, and whether it is named or the default one."""
+    given = {"a": Diffuse(), "b": Diffuse(reflectance=(0.1, 0.2, 0.3)), "c": Diffuse(two_sided=True)}
+    names = ["", "a", "b", "c", "b"]
+    scene = Scene(
+        camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0)),
+        film=Film(width=4, height=4),
+        materials=given,
+        shapes=[Sphere(material=name) for name in names],
+    )
+    found, number = distinct_materials(scene)
+    assert number.tolist() == [0, 0, 1, 2, 1] and found == [Diffuse(), given["b"], given["c"]]

@@ -320,11 +320,12 @@ def scatter_to_tiles(
 
 SURFACE_LANES = 32  # 16, 64 and 128 are slower or no faster; a row of a tile is whole scratches
 
-# The first 11 are those of a surface buffer (surface/per_hit.py), in its order; LANE_LOCAL: what `fast_uv` reads.
-LANE_P, LANE_N, LANE_SH_N, LANE_UV, LANE_UNSAFE, LANE_LOCAL, LANE_SETUP = (
-    lane(SURFACE_LANES * field) for field in (0, 3, 6, 9, 11, 12, 15)
+# The first 11 are those of a surface buffer (surface/per_hit.py), in its order; LANE_LOCAL: what `fast_uv` reads;
+# LANE_NUMBER: the primitive, within its kind.
+LANE_P, LANE_N, LANE_SH_N, LANE_UV, LANE_UNSAFE, LANE_LOCAL, LANE_NUMBER, LANE_SETUP = (
+    lane(SURFACE_LANES * field) for field in (0, 3, 6, 9, 11, 12, 15, 16)
 )
-LANE_FIELDS = 41  # with the largest `surface_setup`, that of triangles
+LANE_FIELDS = 42  # with the largest `surface_setup`, that of triangles
 NEXT, NEXT_BUT_ONE = lane(SURFACE_LANES), lane(2 * SURFACE_LANES)
 
 
@@ -333,6 +334,12 @@ def new_lanes() -> np.ndarray:
     buffer = np.zeros(LANE_FIELDS * SURFACE_LANES + CACHE_LINE // 8)
     first = -buffer.ctypes.data % CACHE_LINE // 8
     return buffer[first : first + LANE_FIELDS * SURFACE_LANES]
+
+
+@inlined
+def lane_count(scratch: Any) -> Any:
+    """SURFACE_LANES, but not as a constant: LLVM writes out loops of so few steps, number by number."""
+    return lane(len(scratch)) // lane(LANE_FIELDS)
 
 
 @inlined

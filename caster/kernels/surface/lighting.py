@@ -4,10 +4,12 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
-from caster.kernels.math.vec import dot, max_norm, point_at, row, scaled, sub
+from caster.jit.simd import LANES, lanes_in_range
+from caster.kernels.math.vec import add, dot, max_norm, point_at, row, scaled, sub
 from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import (
     PRIM,
+    SURFACE_LANES,
     T_MAX,
     T_MIN,
     UNCERTAIN,
@@ -126,15 +128,23 @@ def shadow_rays_of(light: Any, surfaces: Any, rays: Any, t: Any, extents: Any, w
 
 @jit
 def materials_in_tile(
-    tile: Any, box: Box, shapes: Any, reflectance: Any, two_sided: Any, buffer: Any
+    tile: Any, box: Box, materials: Any, reflectance: Any, two_sided: Any, buffer: Any
 ) -> None:
-    """ALBEDO and SIDES of the hits, from tables by shape; shapes[prim] is a primitive's. RADIANCE: 0."""
+    """ALBEDO and SIDES of the hits, from tables by material; materials[prim] is a primitive's. RADIANCE: 0."""
     for y in range(box[3] - box[1]):
-        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-            prim = tile[PRIM + i]
-            shape = lane(shapes[lane(prim if prim >= 0.0 else 0.0)])
-            put(buffer, ALBEDO + i, (reflectance[shape, 0], reflectance[shape, 1], reflectance[shape, 2]))
-            buffer[SIDES + i] = 1.0 if two_sided[shape] else 0.0
+        if (
+            len(two_sided) == 1
+        ):  # apart from the others: nothing to look up, and numbers for several pixels at once
+            for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
+                put(buffer, ALBEDO + i, (reflectance[0, 0], reflectance[0, 1], reflectance[0, 2]))
+                buffer[SIDES + i] = 1.0 if two_sided[0] else 0.0
+        else:
+            for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
+                prim = tile[PRIM + i]
+                number = lane(materials[lane(prim if prim >= 0.0 else 0.0)])
+                albedo = reflectance[number, 0], reflectance[number, 1], reflectance[number, 2]
+                put(buffer, ALBEDO + i, albedo)
+                buffer[SIDES + i] = 1.0 if two_sided[number] else 0.0
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
             put(buffer, RADIANCE + i, (0.0, 0.0, 0.0))
 
@@ -152,34 +162,47 @@ def shadow_rays_in_tile(
     """
     width, count = box[2] - box[0], 0
     for y in range(box[3] - box[1]):
-        row_start, row_stop = lane(y * WIDTH), lane(y * WIDTH + width)
-        for i in range(row_start, row_stop):
-            prim = tile[PRIM + i]
-            shadow_tile[T_MIN + i] = extents[shapes[lane(prim if prim >= 0.0 else 0.0)]]
-        # without a branch, so that several pixels are done at once; of misses, numbers that nobody reads
-        for i in range(row_start, row_stop):
-            (o, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
-            p, n, sh_n = (
-                select(hit, get(buffer, P + i), NOWHERE),
-                select(hit, get(buffer, N + i), NOWHERE),
-                select(hit, get(buffer, SH_N + i), NOWHERE),
-            )
-            t, extent = tile[T + i] if hit else 0.0, shadow_tile[T_MIN + i]
-            lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
-            put(buffer, FLUX + i, flux)
-            start, way, near, reach = shadow_ray(light, p, n, o, d, t, extent)
-            there = lit & hit
-            aim = (
-                select(there, start, NOWHERE),
-                select(there, way, (0.0, 0.0, 1.0)),
-                near if there else 0.0,
-                reach if there else -1.0,
-            )
-            start_ray(shadow_tile, i, aim)
-            count += 1 if there else 0
+        for at in range(y * WIDTH, y * WIDTH + width, SURFACE_LANES):
+            stop = min(at + SURFACE_LANES, y * WIDTH + width)
+            if not shows_any(tile, lane(at)):
+                clear_rays(shadow_tile, at, stop)
+                continue
+            for i in range(lane(at), lane(stop)):
+                prim = tile[PRIM + i]
+                shadow_tile[T_MIN + i] = extents[shapes[lane(prim if prim >= 0.0 else 0.0)]]
+            # without a branch, so that several pixels are done at once; of misses, numbers that nobody reads
+            for i in range(lane(at), lane(stop)):
+                (o, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
+                p, n, sh_n = (
+                    select(hit, get(buffer, P + i), NOWHERE),
+                    select(hit, get(buffer, N + i), NOWHERE),
+                    select(hit, get(buffer, SH_N + i), NOWHERE),
+                )
+                t, extent = tile[T + i] if hit else 0.0, shadow_tile[T_MIN + i]
+                lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
+                put(buffer, FLUX + i, flux)
+                start, way, near, reach = shadow_ray(light, p, n, o, d, t, extent)
+                there = lit & hit
+                aim = (
+                    select(there, start, NOWHERE),
+                    select(there, way, (0.0, 0.0, 1.0)),
+                    near if there else 0.0,
+                    reach if there else -1.0,
+                )
+                start_ray(shadow_tile, i, aim)
+                count += 1 if there else 0
         clear_rays(shadow_tile, y * WIDTH + width, (y + 1) * WIDTH)
     total[0] += count
     return count
+
+
+@inlined
+def shows_any(tile: Any, first: Any) -> bool:
+    """Whether one of SURFACE_LANES pixels hits anything."""
+    found = 0
+    for at in range(lane(0), lane(SURFACE_LANES), lane(LANES)):
+        found |= lanes_in_range(tile, PRIM + first + at, 0.0, math.inf)
+    return found != 0
 
 
 @inlined
@@ -192,17 +215,41 @@ def select(first: bool, a: Vec3, b: Vec3) -> Vec3:
 def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
     """RADIANCE of what is lit, once the shadow rays have been cast; UNCERTAIN where it may be in a shadow."""
     for y in range(box[3] - box[1]):
-        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-            if shadow_tile[T_MAX + i] >= 0.0 and shadow_tile[T + i] == math.inf:
-                albedo, flux, sum_ = get(buffer, ALBEDO + i), get(buffer, FLUX + i), get(buffer, RADIANCE + i)
-                r, g, b = (
-                    albedo[0] / math.pi * flux[0],
-                    albedo[1] / math.pi * flux[1],
-                    albedo[2] / math.pi * flux[2],
-                )
-                put(buffer, RADIANCE + i, (sum_[0] + r, sum_[1] + g, sum_[2] + b))
-                if shadow_tile[UNCERTAIN + i] != 0.0:
-                    tile[UNCERTAIN + i] = 1.0
+        for at in range(y * WIDTH, y * WIDTH + box[2] - box[0], SURFACE_LANES):
+            if not shows_any(tile, lane(at)):
+                continue
+            for i in range(lane(at), lane(min(at + SURFACE_LANES, y * WIDTH + box[2] - box[0]))):
+                lit = (shadow_tile[T_MAX + i] >= 0.0) & (shadow_tile[T + i] == math.inf)
+                reflected = reflected_radiance(get(buffer, ALBEDO + i), get(buffer, FLUX + i))
+                put(buffer, RADIANCE + i, add(get(buffer, RADIANCE + i), select(lit, reflected, NOWHERE)))
+                open_ = lit & (shadow_tile[UNCERTAIN + i] != 0.0)
+                tile[UNCERTAIN + i] = 1.0 if open_ else tile[UNCERTAIN + i]
+
+
+@jit
+def add_unshadowed_light(light: Any, tile: Any, box: Box, buffer: Any) -> None:
+    """RADIANCE of what faces the light, whatever is in between: the numbers of `add_light` where nothing is."""
+    for y in range(box[3] - box[1]):
+        for at in range(y * WIDTH, y * WIDTH + box[2] - box[0], SURFACE_LANES):
+            if not shows_any(tile, lane(at)):
+                continue
+            for i in range(lane(at), lane(min(at + SURFACE_LANES, y * WIDTH + box[2] - box[0]))):
+                (_, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
+                p, sh_n = get(buffer, P + i), get(buffer, SH_N + i)
+                p, sh_n = select(hit, p, NOWHERE), select(hit, sh_n, NOWHERE)
+                lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
+                reflected = select(lit & hit, reflected_radiance(get(buffer, ALBEDO + i), flux), NOWHERE)
+                put(buffer, RADIANCE + i, add(get(buffer, RADIANCE + i), reflected))
+
+
+@inlined
+def reflected_radiance(albedo: Vec3, irradiance: Vec3) -> Vec3:
+    """Of a Lambertian surface."""
+    return (
+        albedo[0] / math.pi * irradiance[0],
+        albedo[1] / math.pi * irradiance[1],
+        albedo[2] / math.pi * irradiance[2],
+    )
 
 
 @jit

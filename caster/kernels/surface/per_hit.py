@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.jit.decorators import generic_inlined, inlined, jit
-from caster.kernels.protocol import Vec3, fast_surface, fast_uv, surface, surface_setup
+from caster.jit.decorators import generic_inlined, implement, inlined, jit
+from caster.jit.simd import ALL_LANES, LANES, lanes_in_range, numbers_in_range
+from caster.kernels.protocol import Vec3, fast_surface, fast_uv, setup_lanes, surface, surface_setup
 from caster.kernels.raster.tile import (
     CACHE_LINE,
     DX,
@@ -14,6 +15,7 @@ from caster.kernels.raster.tile import (
     DZ,
     LANE_LOCAL,
     LANE_N,
+    LANE_NUMBER,
     LANE_P,
     LANE_SH_N,
     LANE_UNSAFE,
@@ -31,6 +33,7 @@ from caster.kernels.raster.tile import (
     T,
     get_lane,
     lane,
+    lane_count,
     put_lane,
 )
 
@@ -130,43 +133,45 @@ def surfaces_in_tile_by_lanes(
             if unsafe > 0:
                 recompute_unsafe(prims, numbers, tile, first, scratch, wants_uv)
             stop = LANE_UNSAFE if wants_uv else LANE_UV
-            if shown == SURFACE_LANES:
+            if shown == ALL_SHOWN:
                 keep_all_lanes(first, scratch, buffer, stop)
             else:
                 keep_lanes(numbers, tile, first, scratch, buffer, stop)
 
 
-# With more runs among the lanes, to gather each lane by itself takes less time than to guess where runs end.
-MAX_GATHERED_RUNS = 6
+ALL_SHOWN = (1 << SURFACE_LANES) - 1
 
 
 @inlined
 def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any, wants_uv: bool) -> int:
-    """What `fast_surface` reads, for the lanes that show the kind; how many do."""
-    least, most = float(numbers[0]), float(numbers[1])
-    shown, runs = 0, 1
-    for x in range(lane(SURFACE_LANES)):
-        prim = tile[PRIM + first + x]
-        shown += 1 if (least <= prim) & (prim < most) else 0
-    for x in range(lane(1), lane(SURFACE_LANES)):
-        runs += 1 if tile[PRIM + first + x] != tile[PRIM + first + x - lane(1)] else 0
+    """What `fast_surface` reads, for the lanes that show the kind; a bit for each of these."""
+    least, end, one = float(numbers[0]), float(numbers[1]), tile[PRIM + first]
+    shown, alike = 0, ALL_SHOWN
+    for group in range(SURFACE_LANES // LANES):
+        at = PRIM + first + lane(group * LANES)
+        shown |= lanes_in_range(tile, at, least, end) << (group * LANES)
+        alike &= lanes_in_range(tile, at, one, one + 1.0) << (group * LANES) | ~(ALL_LANES << (group * LANES))
     if shown == 0:
         return 0
-    if runs > MAX_GATHERED_RUNS:
-        for x in range(lane(SURFACE_LANES)):  # without a branch: other lanes get any primitive
-            prim = tile[PRIM + first + x]
-            k = int(prim if (least <= prim) & (prim < most) else least) - numbers[0]
-            surface_setup(prims, k, x, x + lane(1), scratch, wants_uv)
+    if alike == ALL_SHOWN:
+        surface_setup(prims, int(one) - numbers[0], lane(0), lane_count(scratch), scratch, wants_uv)
         return shown
+    for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):  # other lanes get any primitive, the first
+        numbers_in_range(tile, PRIM + first + x, least, end, scratch, LANE_NUMBER + x)
+    setup_lanes(prims, scratch, wants_uv)
+    return shown
+
+
+@implement(setup_lanes, object)
+def _setup_runs(prims: Any, scratch: Any, wants_uv: bool) -> None:
+    """Run by run of lanes with one primitive."""
     start: Any = lane(0)
     while start < lane(SURFACE_LANES):
-        prim, end = tile[PRIM + first + start], start + lane(1)
-        while end < lane(SURFACE_LANES) and tile[PRIM + first + end] == prim:
+        number, end = scratch[LANE_NUMBER + start], start + lane(1)
+        while end < lane(SURFACE_LANES) and scratch[LANE_NUMBER + end] == number:
             end += lane(1)
-        if least <= prim < most:
-            surface_setup(prims, int(prim) - numbers[0], start, end, scratch, wants_uv)
+        surface_setup(prims, int(number), start, end, scratch, wants_uv)
         start = end
-    return shown
 
 
 @inlined
@@ -217,7 +222,7 @@ def keep_lanes(numbers: Any, tile: Any, first: Any, scratch: Any, buffer: Any, s
     least, most = float(numbers[0]), float(numbers[1])
     for field in range(stop // NEXT):
         into, out = lane(STRIDE) * field + first, NEXT * field
-        for x in range(lane(SURFACE_LANES)):
+        for x in range(lane_count(scratch)):
             prim = tile[PRIM + first + x]
             mine = (least <= prim) & (prim < most)
             buffer[into + x] = scratch[out + x] if mine else buffer[into + x]
@@ -228,7 +233,7 @@ def keep_all_lanes(first: Any, scratch: Any, buffer: Any, stop: Any) -> None:
     """The same where all lanes show the kind."""
     for field in range(stop // NEXT):
         into, out = lane(STRIDE) * field + first, NEXT * field
-        for x in range(lane(SURFACE_LANES)):
+        for x in range(lane_count(scratch)):
             buffer[into + x] = scratch[out + x]
 
 
@@ -337,7 +342,7 @@ def aovs_in_tile_by_lanes(
     for y in range(y0, y1):
         for at in range(0, x1 - x0, SURFACE_LANES):
             first, count = lane((y - y0) * WIDTH + at), min(SURFACE_LANES, x1 - x0 - at)
-            if gather_primitives(prims, numbers, tile, first, scratch, False) > 0:
+            if gather_primitives(prims, numbers, tile, first, scratch, False) != 0:
                 if compute_lanes(prims, numbers, tile, first, scratch) > 0:
                     recompute_unsafe(prims, numbers, tile, first, scratch, False)
                 run = y, x0 + at, count, misses
