@@ -45,6 +45,7 @@ from caster.jit.simd import (
     lanes_within_lines,
     lowest_bit,
     numbers_in_range,
+    prefetch,
 )
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -331,7 +332,7 @@ def _overload_lanes(numba: Any) -> None:
             vectors.lowest_bit(types),
         ),
     )
-    below, reaching, within, not_above, gather, in_range, counted = map(
+    below, reaching, within, not_above, gather, in_range, counted, fetch = map(
         numba.extending.intrinsic,
         (
             vectors.boxes_below(CHILDREN, types, FAN_FIELDS),
@@ -341,6 +342,7 @@ def _overload_lanes(numba: Any) -> None:
             vectors.gather_corners(LANES, types),
             vectors.lanes_in_range(LANES, types),
             vectors.numbers_in_range(LANES, types),
+            vectors.prefetch(types),
         ),
     )
     made = {
@@ -362,6 +364,7 @@ def _overload_lanes(numba: Any) -> None:
             lambda tile, x, y, z, plane: not_above(tile, x, y, z, plane)
         ),
         lanes_in_range: lambda a, i, least, end: lambda a, i, least, end: in_range(a, i, least, end),
+        prefetch: lambda rows, k: lambda rows, k: fetch(rows, k),
         numbers_in_range: lambda a, i, least, end, lanes, into: (
             lambda a, i, least, end, lanes, into: counted(a, i, least, end, lanes, into)
         ),

@@ -33,6 +33,10 @@ def lane_max_of_sums(a: Any, i: Any, j: Any) -> float:
     return max(float(a[i + n] + a[j + n]) for n in range(LANES))
 
 
+def prefetch(rows: Any, k: Any) -> None:
+    """Row k of an array is read soon, if there is one: its cache line is loaded meanwhile."""
+
+
 ALL_LANES = (1 << LANES) - 1
 """The bits of LANES numbers."""
 

@@ -213,6 +213,27 @@ def _chosen(lanes: int, choose: Any) -> Any:
     return build
 
 
+PREFETCH_FOR_READING, KEEP_IN_ALL_CACHES, DATA = INT32(0), INT32(3), INT32(1)
+
+
+def prefetch(types: Any) -> Any:
+    def typed(typing: Any, rows: Any, k: Any) -> Any:
+        assert rows.layout == "C"
+        return types.none(rows, types.int64), build
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        step = builder.extract_value(array.strides, 0)
+        byte = ir.IntType(8).as_pointer()
+        place = builder.gep(builder.bitcast(array.data, byte), [builder.mul(arguments[1], step)])
+        wanted = ir.FunctionType(ir.VoidType(), [byte, INT32, INT32, INT32])
+        function = builder.module.declare_intrinsic("llvm.prefetch", [byte], wanted)
+        builder.call(function, [place, PREFETCH_FOR_READING, KEEP_IN_ALL_CACHES, DATA])
+        return context.get_dummy_value()
+
+    return typed
+
+
 def lanes_in_range(lanes: int, types: Any) -> Any:
     def typed(typing: Any, a: Any, i: Any, least: Any, end: Any) -> Any:
         return types.int64(a, types.uint64, types.float64, types.float64), build

@@ -94,6 +94,16 @@ def fast_normal(prims: Any, face: Any, o: Vec3, d: Vec3, t: float) -> Any:
     """The same bits as `normal`, without a branch, for a d of length 1 (vec.UNIT_SQUARE_ATOL)."""
 
 
+@generic_inlined
+def prefetch_numbers(prims: Any, k: int, referred: bool) -> None:
+    """Have what `load` reads of primitive k in a cache soon; referred: what its own numbers refer to. Optional."""
+
+
+@implement(prefetch_numbers, object)
+def _prefetch_nothing(prims: Any, k: int, referred: bool) -> None:
+    return None
+
+
 @generic
 def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
     """(p, n, sh_n, u, v) where the ray meets primitive k at t; n and sh_n are unit vectors.

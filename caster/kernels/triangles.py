@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import implement, inlined, jit
-from caster.jit.simd import LANES, gather_corners
+from caster.jit.simd import LANES, gather_corners, prefetch
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_triangle
 from caster.kernels.math.vec import (
@@ -42,6 +42,7 @@ from caster.kernels.protocol import (
     load,
     normal,
     normal_setup,
+    prefetch_numbers,
     prepare,
     same_geometry,
     setup_lanes,
@@ -86,6 +87,15 @@ def _load(prims: Any, k: int) -> Any:
     p, q, r = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
     e1, e2 = sub(q, p), sub(r, p)
     return p, q, r, cross(e1, e2), permanent(e1, e2)
+
+
+@implement(prefetch_numbers, Triangles)
+def _prefetch_numbers(prims: Any, k: int, referred: bool) -> None:
+    if referred:
+        for j in range(3):
+            prefetch(prims.vertices, prims.faces[k, j])
+    else:
+        prefetch(prims.faces, k)
 
 
 class PreparedTriangle(NamedTuple):

@@ -4,9 +4,9 @@ import math
 from typing import Any
 
 from caster.jit.decorators import inlined, jit
-from caster.jit.simd import LANES, any_sum_reaches
+from caster.jit.simd import LANES, any_sum_reaches, prefetch
 from caster.kernels.math.vec import add, component_max, component_min, dot, l1_norm, scaled, sub
-from caster.kernels.protocol import Vec3, intersect, load, prepare, t_lower_bound
+from caster.kernels.protocol import Vec3, intersect, load, prefetch_numbers, prepare, t_lower_bound
 from caster.kernels.raster.screen_bounds import pixel_range, projected_corner
 from caster.kernels.raster.tile import (
     DX,
@@ -173,6 +173,21 @@ def any_pixel_visible(tile: Any, rect: Box, near: float) -> bool:
     return False
 
 
+# How many primitives ahead their numbers are asked for: each takes some 30 ns, a line from the last cache as long.
+FIRST_AHEAD, THEN_AHEAD = 8, 4
+
+
+@inlined
+def prefetch_ahead(prims: Any, order: Any, at: int, stop: int, bounds: Any) -> None:
+    """Have the numbers of primitives order[at + ...] in a cache by the time they are looked at."""
+    if at + FIRST_AHEAD < stop:
+        k = order[at + FIRST_AHEAD]
+        prefetch(bounds.near, k)
+        prefetch(bounds.pixels, k)
+        prefetch_numbers(prims, k, False)
+        prefetch_numbers(prims, order[at + THEN_AHEAD], True)
+
+
 # In spans of no more pixels, what is hidden is looked for once, not in each row again: few show in part.
 SINGLE_VISIBILITY_TEST_MAX_PIXELS = 256
 
@@ -185,6 +200,7 @@ def cast_shared_origin(prims: Any, order: Any, run: Any, bounds: Any, base: int,
     looked, low, high = False, o, o
     for at in range(run[0], run[1]):
         k = order[at]
+        prefetch_ahead(prims, order, at, run[1], bounds)
         near, rect = max(bounds.near[k], 0.0) * stretch, bounds_in_tile(bounds.pixels, k, box)
         x_start, y_start, x_stop, y_stop = rect
         tries = (x_stop - x_start) * (y_stop - y_start)
@@ -226,6 +242,7 @@ def cast_own_origins(prims: Any, order: Any, run: Any, bounds: Any, base: int, b
     far, tried, patience, stretch = math.inf, 0, PIXELS, bounds.least
     for at in range(run[0], run[1]):
         k = order[at]
+        prefetch_ahead(prims, order, at, run[1], bounds)
         near, rect = max(bounds.near[k], 0.0) * stretch, bounds_in_tile(bounds.pixels, k, box)
         x_start, y_start, x_stop, y_stop = rect
         tries = (x_stop - x_start) * (y_stop - y_start)
