@@ -6,7 +6,7 @@ A normal that is the same all over a primitive is computed once for a run of pix
 from typing import Any
 
 from caster.jit.decorators import inlined, jit
-from caster.jit.simd import LANES
+from caster.jit.simd import ALL_LANES, LANES, lanes_in_range
 from caster.kernels.protocol import Vec3, fast_normal, normal, normal_setup
 from caster.kernels.raster.tile import (
     HEIGHT,
@@ -70,11 +70,9 @@ def run_end(tile: Any, row: Any, x: int, stop: int) -> int:
     value, end = tile[row + lane(x)], x + 1
     while end < stop and tile[row + lane(end)] == value:
         end += 1
-        while end - x >= LANES and end + LANES <= stop:  # a long one: several at once
-            alike = 0
-            for j in range(lane(LANES)):
-                alike += 1 if tile[row + lane(end) + j] == value else 0
-            if alike < LANES:
+        # a long one: several at once, of whole numbers
+        while end - x >= LANES and end + LANES <= stop:
+            if lanes_in_range(tile, row + lane(end), value, value + 1.0) != ALL_LANES:
                 break
             end += LANES
     return end

@@ -430,11 +430,11 @@ def store_hits(tile: Any, box: Box, hit: Any, uncertain: Any) -> None:
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
         first, count = lane((y - y0) * WIDTH), lane(x1 - x0)
-        any_uncertain = 0.0
+        any_uncertain = 0  # a whole number: of floats, the order of a sum keeps LLVM from using vectors
         for x in range(count):
             hit[y, lane(x0) + x] = tile[PRIM + first + x] >= 0.0
-            any_uncertain += tile[UNCERTAIN + first + x]
-        if any_uncertain > 0.0:
+            any_uncertain += 1 if tile[UNCERTAIN + first + x] != 0.0 else 0
+        if any_uncertain > 0:
             for x in range(count):
                 uncertain[y, lane(x0) + x] = tile[UNCERTAIN + first + x] != 0.0
 
