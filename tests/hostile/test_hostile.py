@@ -14,16 +14,17 @@ from hostile_runs import Bench
 from caster.cli.shared_arguments import InputPath
 
 HERE = Path(__file__).resolve().parent
-SHARE = 100
 
 
-def test_a_share_of_the_cases():
-    """Of another seed than that of `make hostile`."""
-    words = [sys.executable, "-P", "-m", "hostile_runs", "--seed", "1", "--count", str(SHARE)]
+@pytest.mark.parametrize(("seed", "share"), [(1, 40), (2, 100)])
+@pytest.mark.slow("a hundred commands, each a process", keep=1)
+def test_a_share_of_the_cases(seed, share):
+    """Of other seeds than that of `make hostile`."""
+    words = [sys.executable, "-P", "-m", "hostile_runs", "--seed", str(seed), "--count", str(share)]
     path = os.pathsep.join([str(HERE), str(HERE.parents[1])])
     done = subprocess.run(words, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert f"{SHARE} hostile inputs" in done.stdout
+    assert f"{share} hostile inputs" in done.stdout
 
 
 def test_every_command_is_tried():
