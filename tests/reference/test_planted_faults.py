@@ -572,7 +572,30 @@ FAULTS = (
         "math.sqrt(max(1.0 - square, 0.0)))\n",
     ),
     # ---- light ----
-    Fault("no 1/pi", "one-sphere", "diffuse", LIGHT, "albedo[0] / math.pi * flux[0]", "albedo[0] * flux[0]"),
+    Fault(
+        "no 1/pi",
+        "one-sphere",
+        "diffuse",
+        LIGHT,
+        "albedo[0] / math.pi * irradiance[0]",
+        "albedo[0] * irradiance[0]",
+    ),
+    Fault(
+        "light without shadows on the dark side",
+        "no-shadows",
+        "diffuse",
+        LIGHT,
+        "select(lit & hit, reflected_radiance",
+        "select(hit, reflected_radiance",
+    ),
+    Fault(
+        "the first material for all",
+        "cornell-box",
+        "diffuse",
+        LIGHT,
+        "number = lane(materials[lane(prim if prim >= 0.0 else 0.0)])",
+        "number = lane(0)",
+    ),
     Fault(
         "light that does not fall off",
         "one-sphere",

@@ -1,14 +1,16 @@
 """What stands in one registry has what it needs in the others: shapes and cameras a reference, AOVs a check."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from caster.aovs import AOVS
 from caster.cameras import CAMERAS
 from caster.description.fields import Shape
-from caster.geometry.packing import pack, rejected_faces
-from caster.geometry.world_space import MeshShape
+from caster.geometry.packing import pack, pack_shape, rejected_faces
+from caster.geometry.world_space import MeshShape, as_given
 from caster.scene.model import Film, Scene
-from caster.shapes import SHAPES
+from caster.shapes import SHAPES, Rectangle
 from mitsuba_ref import cameras, shapes
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
@@ -78,6 +80,22 @@ def test_types_are_named_once():
 def test_a_shape_states_how_it_packs(shape):
     assert shape.pack is not Shape.pack
     assert not issubclass(shape, MeshShape) or shape.mesh is not MeshShape.mesh
+
+
+@pytest.mark.parametrize(("field", "rows"), [("normals", 4), ("uv", 4), ("smooth", 2), ("textured", 2)])
+def test_a_mesh_with_arrays_of_other_lengths_is_a_mistake_of_its_shape(field, rows):
+    """Kernels read normals and uv of every vertex, whether they are used or not."""
+
+    class Short(Rectangle):
+        def pack(self, rounded):
+            part = super().pack(rounded)
+            return part._replace(**{field: getattr(part, field)[:-1]})
+
+    collection = SimpleNamespace(shapes=[Short()])
+    with pytest.raises(
+        ValueError, match=rf"^Short\.pack: {field} must have {rows} rows, got {rows - 1}; fill up"
+    ):
+        pack_shape(collection, 0, as_given)
 
 
 def test_a_shape_without_a_reference_names_what_to_write():

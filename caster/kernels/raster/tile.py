@@ -316,7 +316,8 @@ def scatter_to_tiles(
 
 # Surfaces of many hits at once: SURFACE_LANES pixels of a tile in a scratch that stays in a core's first cache.
 # Field f of lane x is scratch[f * SURFACE_LANES + x]: what is computed, and behind that what the kind of primitive
-# needs of each lane's primitive. Gathering that is a scalar loop over runs of pixels; the rest has no branch.
+# needs of each lane's primitive: by vectors where the kind has a body for `setup_lanes`, else by a loop over runs
+# of pixels. The rest has no branch.
 
 SURFACE_LANES = 32  # 16, 64 and 128 are slower or no faster; a row of a tile is whole scratches
 

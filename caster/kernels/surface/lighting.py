@@ -132,9 +132,7 @@ def materials_in_tile(
 ) -> None:
     """ALBEDO and SIDES of the hits, from tables by material; materials[prim] is a primitive's. RADIANCE: 0."""
     for y in range(box[3] - box[1]):
-        if (
-            len(two_sided) == 1
-        ):  # apart from the others: nothing to look up, and numbers for several pixels at once
+        if len(two_sided) == 1:  # nothing to look up, so that several pixels are filled at once
             for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
                 put(buffer, ALBEDO + i, (reflectance[0, 0], reflectance[0, 1], reflectance[0, 2]))
                 buffer[SIDES + i] = 1.0 if two_sided[0] else 0.0
