@@ -657,8 +657,8 @@ FAULTS = (
         "spheres-on-plane",
         "diffuse",
         TILES,
-        "if plan.shadows.runs else None",
-        "if not plan.shadows.runs else None",
+        "if not plan.shadows.runs:",
+        "if plan.shadows.runs:",
     ),
     Fault(
         "surfaces that shadow themselves",
@@ -697,8 +697,16 @@ FAULTS = (
         "one-sphere",
         "diffuse",
         LIGHT,
-        "(reflectance[shape, 0], reflectance[shape, 1], reflectance[shape, 2])",
-        "(reflectance[shape, 2], reflectance[shape, 1], reflectance[shape, 0])",
+        "(reflectance[0, 0], reflectance[0, 1], reflectance[0, 2])",
+        "(reflectance[0, 2], reflectance[0, 1], reflectance[0, 0])",
+    ),
+    Fault(
+        "blue for red among several materials",
+        "cornell-box",
+        "diffuse",
+        LIGHT,
+        "reflectance[number, 0], reflectance[number, 1], reflectance[number, 2]",
+        "reflectance[number, 2], reflectance[number, 1], reflectance[number, 0]",
     ),
     Fault(
         "the first material for every shape",
@@ -748,8 +756,9 @@ FAULTS = (
         "one-sphere",
         "culling",
         LIGHT,
-        "(sum_[0] + r, sum_[1] + g, sum_[2] + b)",
-        "(sum_[0] + r, math.nan if i == 5 * WIDTH + 6 else sum_[1] + g, sum_[2] + b)",
+        "add(get(buffer, RADIANCE + i), select(lit, reflected, NOWHERE)))",
+        "add(get(buffer, RADIANCE + i), select(lit, reflected, NOWHERE)))\n"
+        "                buffer[RADIANCE + ONE + i] = math.nan if i == 5 * WIDTH + 6 else buffer[RADIANCE + ONE + i]",
         ("12", "10"),  # the pixel is a hit
     ),
     Fault(
