@@ -27,9 +27,17 @@ def closed(faces: np.ndarray, vertices: int) -> ExpectedNumbers:
 
 def unpaired_edges(faces: np.ndarray, vertices: int) -> tuple[int, int]:
     """How many directed edges there are more than once, and how many without one in the other direction."""
-    there, back = (np.sort(edges @ [vertices, 1]) for edges in (edges_of(faces), edges_of(faces)[:, ::-1]))
-    at = np.minimum(np.searchsorted(back, there), len(back) - 1)
-    return int((there[1:] == there[:-1]).sum()), int((back[at] != there).sum())
+    start, end = edges_of(faces).T
+    between = np.minimum(start, end).astype(np.int64) * vertices + np.maximum(start, end)
+    directed = np.sort(2 * between + (start > end))  # both directions of an edge are neighbours
+    first = np.flatnonzero(np.diff(directed, prepend=-1))
+    different, repeated = directed[first], np.diff(first, append=len(directed))
+    paired = np.zeros(len(different), bool)
+    both = different[1:] == different[:-1] + 1 - 2 * (different[:-1] & 1)
+    paired[1:] |= both
+    paired[:-1] |= both
+    points = int((start == end).sum())  # of faces without area: such an edge is its own other direction
+    return len(directed) - len(different), int(repeated[~paired].sum()) - points
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray, expected: float) -> ExpectedNumbers:
