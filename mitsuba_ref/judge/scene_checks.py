@@ -1,7 +1,7 @@
 """Checks made once a scene: the transform, packing and material of each shape, and `render` against the judged rays."""
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,32 +101,25 @@ PRECISIONS = (
 )
 
 
-class OneMesh:
-    """A shape that generates its mesh once: of ten million triangles, that takes two seconds."""
-
-    def __init__(self, shape: Any) -> None:
-        self.shape = shape
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.shape, name)
-
-    @cached_property
-    def generated(self) -> Any:
-        return self.shape.mesh()
-
-    def mesh(self) -> Any:
-        return self.generated
+def with_one_mesh(shape: Shape) -> Shape:
+    """The same shape, whose mesh is generated once: of ten million triangles, that takes two seconds."""
+    if not hasattr(shape, "mesh"):
+        return shape
+    copy = shape.model_copy()
+    object.__setattr__(copy, "mesh", cache(shape.mesh))  # a description takes no attribute otherwise
+    return copy
 
 
 def check_geometry(scene: Scene) -> SceneCheck:
     """Each shape's numbers in the world, float64 and float32, against its description, worked out a second time; and
     generated meshes against closed forms."""
-    shares, latest = Shares(), OneMesh(None)
+    shares = Shares()
+    latest: list[tuple[Shape, Shape]] = []  # one, with its copy: meshes of others are dropped
 
-    def described(shape: Shape) -> OneMesh:
-        nonlocal latest
-        latest = latest if latest.shape is shape else OneMesh(shape)
-        return latest
+    def described(shape: Shape) -> Shape:
+        if not latest or latest[0][0] is not shape:
+            latest[:] = [(shape, with_one_mesh(shape))]
+        return latest[0][1]
 
     for name, shape in zip(scene.shape_names(), scene.shapes, strict=True):
         for claim in reference_of(shape).closed_form(described(shape)):

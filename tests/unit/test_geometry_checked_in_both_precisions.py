@@ -146,3 +146,19 @@ def test_both_precisions_are_those_that_are_cast():
     assert [each.smallest_normal for each in PRECISIONS] == [
         np.finfo(kind).tiny for kind in (np.float64, np.float32)
     ]
+
+
+def test_a_mesh_is_generated_once_for_the_closed_form_and_both_precisions(monkeypatch):
+    """Beside those of the two packings, which are the caster's."""
+    made, generate = [], Heightfield.mesh
+
+    def counted(shape):
+        made.append(shape)
+        return generate(shape)
+
+    monkeypatch.setattr(Heightfield, "mesh", counted)
+    scene = scene_of(Heightfield(resolution=2))
+    packed(scene), packed_float32(scene)
+    before = len(made)
+    assert check_geometry(scene).ratio <= 1.0
+    assert before >= 2 and len(made) == before + 1
