@@ -137,8 +137,11 @@ class TileShader:
         return [partial(_find_surfaces, kind_ranges(packed), "uv" in plan.surfaces)]
 
     def _material_step(self, scene: Scene, packed: Packed) -> Step:
-        materials, number = distinct_materials(scene)
-        tables = number[packed.prim_shapes], *material_tables(materials)
+        materials, of_shapes = distinct_materials(scene)
+        of_prims = (
+            of_shapes[packed.prim_shapes] if len(materials) > 1 else of_shapes[:1]
+        )  # which nobody reads
+        tables = of_prims, *material_tables(materials)
         return lambda ws: [
             Command(bind(materials_in_tile, ws.tile, NO_BOX, *tables, ws.surface, given=(1,)), (BOX,))
         ]
@@ -304,7 +307,7 @@ def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
     if not packed.kinds or not needs & {"shape_id", "prim_id"}:
         return NO_IDS
     shapes = packed.prim_shapes
-    numbers = (packed.prim_ids - packed.first[shapes]).astype(np.int32)
+    numbers = packed.index_in_shape(packed.prim_ids)
     return PrimitiveIds(
         shapes if "shape_id" in needs else NO_IDS.shape, numbers if "prim_id" in needs else NO_IDS.prim
     )
@@ -312,16 +315,11 @@ def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
 
 def distinct_materials(scene: Scene) -> tuple[list[Diffuse], np.ndarray]:
     """(materials that differ, (shapes,) int32 number of each shape's)."""
-    number: dict[tuple[Any, ...], int] = {}
-    found: list[Diffuse] = []
-    of_shapes = np.empty(len(scene.shapes), np.int32)
-    for i, material in enumerate(map(scene.material_of, scene.shapes)):
-        key = *material.reflectance, material.two_sided
-        if key not in number:
-            number[key] = len(found)
-            found.append(material)
-        of_shapes[i] = number[key]
-    return found, of_shapes
+    named = {shape.material: scene.material_of(shape) for shape in scene.shapes}
+    found = {(*material.reflectance, material.two_sided): material for material in named.values()}
+    rows = {key: row for row, key in enumerate(found)}
+    row_of = {name: rows[(*each.reflectance, each.two_sided)] for name, each in named.items()}
+    return list(found.values()), np.array([row_of[shape.material] for shape in scene.shapes], np.int32)
 
 
 def material_tables(materials: Sequence[Diffuse]) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,6 @@
 """Compile ahead what `caster render` may need: small films of every kind of primitive, through every camera."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple, get_args
 
@@ -25,11 +26,12 @@ from caster.kernels.raster.tile import (
     store_rays,
 )
 from caster.rendering.casting import Culling, exact_nearest, find_any, find_nearest
+from caster.rendering.hits import validated_rays
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
 from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
 from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups
-from caster.scene.model import Ambient, Directional, Point, Scene
+from caster.scene.model import Ambient, Directional, Point, Scene, Shading
 from caster.shapes import SHAPES
 
 # Each alone, the default ones, and all at once: other sets share most kernels with these.
@@ -78,6 +80,8 @@ def _warm_one(scene: Scene) -> None:
         if culling != "raster" or planned == "raster":
             for aovs in WARM_UP_AOV_SETS:
                 render_film(small, aovs, threads=1, culling=culling)
+    unshadowed = small.model_copy(update={"shading": Shading(shadows=False)})
+    render_film(unshadowed, ("diffuse",), threads=1)  # its lights have a kernel of their own
     _warm_decisions(pack(small))
     _warm_shadows(pack(small), small)
     _warm_fans(pack(small))
@@ -120,6 +124,7 @@ def _warm_fans(packed: Packed) -> None:
         find_nearest(packed, rays, threads=1, always_fans=True)
         find_any(packed, rays, threads=1, always_fans=True)
     find_rows(outward)
+    validated_rays(origin, d, 0.0, math.inf)
     tile, box, ids = new_tile(), (0, 0, count, 1), packed.prim_ids
     load_rays_from(outward, 0, count, box, (0.0, 0.0, 0.0), tile)
     store_rays(tile, 0, count, box, ids, no_hits(count), np.zeros(count, bool))

@@ -36,7 +36,12 @@ def forks(request, tmp_path, memory, unedited):
 def alone(unedited, tmp_path_factory):
     """What processes of their own state of the unedited tree and of a wrong one, by tree."""
     wrong = copy_tree(tmp_path_factory.mktemp("wrong"), unedited)
-    edit(wrong, "caster/kernels/surface/lighting.py", "albedo[0] / math.pi * flux[0]", "albedo[0] * flux[0]")
+    edit(
+        wrong,
+        "caster/kernels/surface/lighting.py",
+        "albedo[0] / math.pi * irradiance[0]",
+        "albedo[0] * irradiance[0]",
+    )
     return {tree: run(tree, *SCENE) for tree in (unedited, wrong)}
 
 

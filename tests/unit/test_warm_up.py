@@ -3,6 +3,7 @@
 import io
 import json
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from caster.cameras import CAMERAS, Pinhole
 from caster.cli import installation
 from caster.geometry.packing import pack
 from caster.jit import decorators
+from caster.jit.kernel_cache import COMPILED
 from caster.kernels.bvh import ray_sorting
 from caster.kernels.protocol import intersect, project_bounding_sphere
 from caster.rendering import casting, ray_fans, ray_tiles, warm_up
@@ -19,6 +21,7 @@ from caster.scene.model import LIGHTS, Scene
 from caster.shapes.icosphere import Icosphere
 from caster.system.terminal import CompileProgress, announce_compilation
 
+ROOT = Path(__file__).resolve().parents[2]
 SCENE = "scenes/one-sphere.toml"
 
 
@@ -161,3 +164,43 @@ def test_processes_beside_begin_elsewhere_and_end_with_the_first(little, monkeyp
 
 def test_jobs_without_kernels_to_compile_are_refused(capsys):
     assert main(["doctor", "-j", "2"]) == 2 and "goes with --warm" in capsys.readouterr().err
+
+
+def test_films_are_warmed_with_shadows_and_without(monkeypatch):
+    """Lights have a kernel for each of the two."""
+    warmed = set()
+    monkeypatch.setattr(
+        warm_up,
+        "render_film",
+        lambda scene, aovs, **options: warmed.add(("diffuse" in aovs, scene.shading.shadows)),
+    )
+    for kernels in ("_warm_decisions", "_warm_shadows", "_warm_fans"):
+        monkeypatch.setattr(warm_up, kernels, lambda *args: None)
+    warm_up._warm_one(next(warm_up.warm_up_scenes())[1])
+    assert {(True, True), (True, False)} <= warmed
+
+
+WARMED = """
+import importlib, pkgutil
+import caster.rendering
+from caster.jit.decorators import Kernel
+from caster.rendering import warm_up
+
+warm_up.warm_up(warm_up.warm_up_scenes(), lambda name: None)
+found = pkgutil.iter_modules(caster.rendering.__path__)
+modules = [importlib.import_module(f"caster.rendering.{module.name}") for module in found]
+kernels = {k for module in modules for k in vars(module).values() if isinstance(k, Kernel)}
+print(len(kernels), *sorted(k.__name__ for k in kernels if not k._calls))
+"""
+# Of pixels and rays that are looked at one by one: `caster probe`, the judge.
+ONE_BY_ONE = {"intersect_each", "load_rays", "shadow_rays_of", "store_nearest"}
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+@pytest.mark.slow("every kernel is loaded")
+def test_every_kernel_that_rendering_calls_is_warmed():
+    """Whatever is imported by a module of caster/rendering, in a process of its own."""
+    command = [sys.executable, "-P", "-c", WARMED]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    count, *left = done.stdout.split()
+    assert int(count) > 60 and set(left) == ONE_BY_ONE
