@@ -96,6 +96,10 @@ for name in sys.argv[1:]:
 """
 
 
+# Each mutant that a campaign plants is a process of pytest: some thirty of them.
+campaigns = pytest.mark.slow("a test of tests: plants mutants in four trees")
+
+
 @pytest.fixture(scope="module")
 def trees(tmp_path_factory) -> dict[str, Path]:
     """Folders of finished campaigns over MODULE, each with other tests."""
@@ -118,6 +122,7 @@ def result_in(tree: Path) -> dict:
     return json.loads((tree.with_name(f"{tree.name}-out") / "campaign.json").read_text())
 
 
+@campaigns
 def test_the_score_of_planted_mutants_is_exact(trees):
     result = result_in(trees["asserting"])
     survivors = {row["new"]: row["status"] for row in result["outcomes"] if row["status"] != "killed"}
@@ -129,15 +134,18 @@ def test_the_score_of_planted_mutants_is_exact(trees):
     assert "| planted | 8 | 8 | 6 | 0 | 1 | 1 | 85.7% |" in text and "equivalent: both are the same" in text
 
 
+@campaigns
 def test_tests_that_assert_nothing_find_nothing(trees):
     outcomes = result_in(trees["empty"])["outcomes"]
     assert len(outcomes) == 8 and score(outcomes, {})["score"] == 0.0
 
 
+@campaigns
 def test_without_a_test_that_passes_there_is_no_score(trees):
     assert "no test passes" in (trees["wrong"] / "error").read_text()
 
 
+@campaigns
 def test_a_file_whose_tests_cannot_be_collected_ends_the_campaign(trees):
     assert "exit codes [1]" in (trees["broken"] / "error").read_text()
 

@@ -47,6 +47,7 @@ def run(pytester, monkeypatch):
     return picked
 
 
+@pytest.mark.slow("a test of tests: runs pytest twice")
 def test_first_and_every_third_cases_are_kept_and_the_two_halves_are_everything(run):
     run("not slow").assert_outcomes(passed=2 + 3 + 1, deselected=3 + 4 + 1)
     run("slow").assert_outcomes(passed=3 + 4 + 1, deselected=2 + 3 + 1)
