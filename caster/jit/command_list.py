@@ -32,7 +32,7 @@ class BoundCall:
         """code: None where only Python or Numba can call the kernel."""
         # the block has addresses of arrays among the arguments
         self._function, self._args, self._given = function, args, given
-        self.entry = None if code is None else code.block_entry
+        self.code = code
         self.answer = C[(code.gives if code is not None else "") or INTEGER]()
         if code is not None:
             self._gives = bool(code.gives)
@@ -40,12 +40,12 @@ class BoundCall:
             self.block_address = ctypes.addressof(self.block)
 
     def __call__(self, *numbers: int | tuple[int, ...]) -> Any:
-        if self.entry is None:
+        if self.code is None:
             return self._call_plainly(numbers)
         block = self.block
         for place, those in zip(self.places, numbers, strict=True):
             block[place] = list(those) if isinstance(those, tuple) else [those]
-        if self.entry(self.block_address) not in DONE:
+        if self.code.block_entry(self.block_address) not in DONE:
             fail()
         return self.answer.value if self._gives else None
 
@@ -103,7 +103,7 @@ class CommandList:
 
 
 def _is_machine_code(call: Callable[..., Any]) -> bool:
-    return isinstance(call, BoundCall) and call.entry is not None
+    return isinstance(call, BoundCall) and call.code is not None
 
 
 def _holds(when: Condition | None, row: Sequence[int]) -> bool:
@@ -136,7 +136,7 @@ class _Program:
 
     def _words(self, number: int, command: Command) -> list[int]:
         when, call = self._address_of(command.when), command.call
-        if not isinstance(call, BoundCall) or call.entry is None:
+        if not isinstance(call, BoundCall) or call.code is None:
             return [machine_code.PAUSE, number, when, 0]
         copies: list[int] = []
         numbers = range(self._width)
@@ -144,9 +144,7 @@ class _Program:
             of_row = numbers[taken] if isinstance(taken, slice) else (taken,)
             for word, n in zip(range(place.start, place.stop), of_row, strict=True):
                 copies += (self._row_at + n * WORD, call.block_address + word * WORD)
-        function: Any = call.entry
-        entry = ctypes.cast(function, ctypes.c_void_p).value or 0
-        return [entry, call.block_address, when, len(copies) // 2, *copies]
+        return [call.code.block_address, call.block_address, when, len(copies) // 2, *copies]
 
     def _address_of(self, when: Condition | None) -> int:
         """0 for none."""

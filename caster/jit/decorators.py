@@ -190,7 +190,7 @@ class Kernel:
         with _LOCK:
             code = self._codes.get(key)
             if code is not None:
-                _ = code.block_entry  # found by LLVM when it is first wanted
+                _ = code.block_address  # found by LLVM when it is first wanted
             return code
 
     def _key(self, args: tuple[Any, ...]) -> str | None:

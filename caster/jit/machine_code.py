@@ -320,11 +320,14 @@ class ObjectCode:
         return prototype(_load(self.symbol, self.data))
 
     @cached_property
+    def block_address(self) -> int:
+        """Of an entry that takes the address of a block of these, eight bytes each; once `entry` has loaded it."""
+        return int(_engine().get_function_address(self.symbol + BLOCK))
+
+    @cached_property
     def block_entry(self) -> Callable[[int], int]:
-        """An entry that takes the address of a block of all of these, eight bytes each; once `entry` has loaded it."""
-        return ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(
-            int(_engine().get_function_address(self.symbol + BLOCK))
-        )
+        """The same, to be called from Python."""
+        return ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(self.block_address)
 
     def write(self, path: Path) -> None:
         head = json.dumps({"symbol": self.symbol, "taken": self.taken, "gives": self.gives})

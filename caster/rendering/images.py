@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.aovs import BY_NAME, Aovs, kernel_of
+from caster.aovs import BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
 from caster.description.fields import Camera
 from caster.geometry.packing import Packed, packed
@@ -18,8 +18,7 @@ from caster.kernels.nearest import Rays, generate_rays, generate_rays_at, new_ra
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, generate_camera_rays, kind_numbers, tile_rows
 from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
-from caster.kernels.surface.normals import film_of_own_origins, film_of_shared_origin
-from caster.kernels.surface.per_hit import NO_IDS, store_hits
+from caster.kernels.surface.per_hit import store_hits
 from caster.rendering.casting import Culling, exact_nearest, find_nearest
 from caster.rendering.hits import RayHits
 from caster.rendering.plan import Plan, culling_for, plan
@@ -34,16 +33,11 @@ from caster.rendering.rasterization import (
 from caster.rendering.ray_tiles import TileWorkspace, kind_command, prim_offsets, spare_workspaces
 from caster.rendering.shading import (
     NO_BOX,
-    NO_START,
-    UNUSED_SURFACE,
     TileShader,
     new_image,
 )
 from caster.rendering.threads import (
-    even_pieces,
     parallel_for,
-    parallel_for_pieces,
-    thread_count,
     unwritten_array,
 )
 from caster.scene.model import Scene
@@ -118,9 +112,6 @@ def render_film(
     return RenderResult(scene, hits.packed, evaluate(hits, aovs, window, dtype), planned, None)
 
 
-CHUNKS_PER_THREAD = 8  # so few that steps of Python do not count, enough to share the work evenly
-
-
 class FilmRenderer:
     """A film on its way: rays of tiles, their nearest hits by rasterization or through trees, their AOVs."""
 
@@ -151,62 +142,14 @@ class FilmRenderer:
         kinds = None
         if self.plan.culling == "raster":
             kinds = bin_kinds(self.packed, self.camera, self.window, self.reach, self.threads)
-        if kinds and len(kinds) == 1 and (aovs := self._without_surface()) is not None:
-            self._render_at_once(kinds[0], *aovs)
-        else:
-            self._render_by_commands(kinds)
+        self._render_tiles(kinds)
         decided = self._decide_uncertain()
         release_workspace(kinds or [])
         on_film = None if kinds is None else tuple(it.binned for it in kinds)
         return FilmCounts(decided, self.shader.shadow_rays, on_film)
 
-    def _without_surface(self) -> tuple[str | None, str | None] | None:
-        """(an AOV that needs the ray alone, one that needs the normal alone) where those are all there are."""
-        of_ray = [name for name in self.images if not BY_NAME[name].NEEDS]
-        of_normal = [name for name in self.images if tuple(BY_NAME[name].NEEDS) == ("normal",)]
-        if len(of_ray) > 1 or len(of_normal) > 1 or len(of_ray) + len(of_normal) < len(self.images):
-            return None
-        return of_ray[0] if of_ray else None, of_normal[0] if of_normal else None
-
-    def _render_at_once(self, it: BinnedKind, of_ray: str | None, of_normal: str | None) -> None:
-        """Films of one kind without surfaces: many tiles without a step of Python."""
-        camera, window = self.camera, self.window
-        film = film_of_shared_origin if self.scene.camera.shares_origin else film_of_own_origins
-        out = (
-            self.hit,
-            self.uncertain,
-            self._kernel_and_image(of_ray, "depth"),
-            self._kernel_and_image(of_normal, "normal"),
-        )
-        kind = it.kind.prims, it.order, it.runs, it.bounds
-        workers, count = thread_count(self.threads), len(it.runs) - 1
-        pieces = even_pieces(0, count, min(count, workers * CHUNKS_PER_THREAD))
-
-        def begin() -> Callable[[tuple[int, int]], None]:
-            workspace = take()
-            buffers = workspace.tile, UNUSED_SURFACE, NO_IDS, NO_START
-            return lambda tiles: film(camera, window, kind, self.reach, tiles, buffers, out)
-
-        pixels, on_progress = window.width * window.height, self.on_progress
-
-        def done(tiles: tuple[int, int]) -> None:
-            assert on_progress is not None
-            on_progress(
-                pixels * tiles[1] // count - pixels * tiles[0] // count
-            )  # all shares together are all
-
-        with spare_workspaces() as take:
-            parallel_for_pieces(begin, pieces, workers, done if on_progress else None)
-
-    def _kernel_and_image(self, name: str | None, otherwise: str) -> tuple[Any, np.ndarray]:
-        """Of an AOV, or, for none, a kernel with an image without size."""
-        if name is not None:
-            return kernel_of(name), self.images[name]
-        channels = (len(BY_NAME[otherwise].CHANNELS),) if len(BY_NAME[otherwise].CHANNELS) > 1 else ()
-        return kernel_of(otherwise), np.empty((0, 0, *channels))
-
-    def _render_by_commands(self, kinds: list[BinnedKind] | None) -> None:
-        """Any AOVs of any scene. kinds: None for trees."""
+    def _render_tiles(self, kinds: list[BinnedKind] | None) -> None:
+        """kinds: None for trees."""
         runs, number = None if kinds is None else [it.runs for it in kinds], len(self.packed.kinds)
         rows = tile_rows(self.window.width, self.window.height, number, runs)
         seen = rows[:, [kind_numbers(k).present for k in range(number)]].any(axis=1)

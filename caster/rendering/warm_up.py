@@ -141,15 +141,11 @@ LAMPS = (
 
 
 def warm_up_scenes() -> Iterator[tuple[str, Scene]]:
-    """All kinds of primitives together before each camera; and each alone, where such films are rendered at once."""
+    """All kinds of primitives before each camera."""
     shapes = _shapes()
     for camera in CAMERAS:
         kind, looking = type_name(camera), camera(**camera.MINIMAL)
         yield kind, Scene(camera=looking, shapes=shapes, lights=LAMPS)
-        if culling_for(looking.pack(WARM_UP_FILM_SIDE, WARM_UP_FILM_SIDE))[0] == "raster":
-            alone = {type(pack(Scene(camera=looking, shapes=[shape])).parts[0]): shape for shape in shapes}
-            for prims, shape in alone.items():
-                yield f"{kind}, {prims.__name__.lower()}", Scene(camera=looking, shapes=[shape])
 
 
 def _shapes() -> list[Any]:

@@ -29,7 +29,6 @@ class Fault(NamedTuple):
     size: tuple[str, str] = ("12", "10")
 
 
-AT_ONCE = "            self._render_at_once(kinds[0], *aovs)\n"
 RETURNED = "        return RenderResult(scene, arrays, Aovs(film.images, film.hit), planned, counts)"
 
 ROUTE_FAULTS = (
@@ -39,9 +38,9 @@ ROUTE_FAULTS = (
         "one-sphere",
         r"routes: .*caster\.render\(scene\.with_film\(width=\d+, .*\('depth', 'normal'\)\): .* at \(\d+, \d+\) is ",
         IMAGES,
-        AT_ONCE,
-        f"{AT_ONCE}            if self.window.width + self.window.height > 120 and len(self.images) == 2:\n"
-        "                self.images['depth'][...] = np.inf\n",
+        RETURNED,
+        "        if window.width + window.height > 120 and len(aovs) == 2:\n"
+        f"            film.images['depth'][...] = np.inf\n{RETURNED}",
     ),
     Fault(
         "routes",

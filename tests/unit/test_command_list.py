@@ -127,7 +127,7 @@ def test_a_failing_kernel_and_a_failing_function_end_the_list_which_can_be_run_a
 def test_a_command_with_more_numbers_than_its_call_takes_is_refused():
     record = np.zeros(50, np.int64)
     call = bind(append, record, 0, (0, 0), 0, given=(2, 3))
-    if call.entry is None:
+    if call.code is None:
         pytest.skip("plain Python refuses them when it is called")
     for given in ((slice(0, 3), NUMBER), (PAIR,), (PAIR, NUMBER, FLAG)):
         with pytest.raises(ValueError, match="zip"):

@@ -44,9 +44,10 @@ from caster.kernels.raster.tile import (
     store_blocked,
     store_nearest,
     store_ray_range,
+    tile_rows,
     update_nearest,
 )
-from caster.kernels.surface.normals import box_of, normals_in_tile
+from caster.kernels.surface.normals import normals_in_tile
 from caster.kernels.surface.per_hit import NO_IDS, fill_miss, new_surface_buffer, store_hits, write_aov
 from caster.shapes.sphere import SphereCloud
 
@@ -360,11 +361,9 @@ def test_fields_begin_at_a_cache_line(new):
     ("width", "height"), [(1, 1), (WIDTH, HEIGHT), (3 * WIDTH + 5, 2 * HEIGHT + 1), (130, 200)]
 )
 def test_tiles_cover_each_pixel_of_a_window_once_row_by_row(width, height):
-    window, across, down = Window(7, 9, width, height), -(-width // WIDTH), -(-height // HEIGHT)
     covered = np.zeros((height, width), int)
     corners = []
-    for number in range(across * down):
-        x0, y0, x1, y1 = box_of(window, number)
+    for x0, y0, x1, y1 in tile_rows(width, height, 0)[:, :4]:
         assert 0 < x1 - x0 <= WIDTH and 0 < y1 - y0 <= HEIGHT
         covered[y0:y1, x0:x1] += 1
         corners.append((y0, x0))

@@ -6,6 +6,7 @@ known distances, the compiler can assume that a store into one changes no other,
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,11 +73,9 @@ def kind_numbers(k: int) -> KindNumbers:
 
 def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | None = None) -> np.ndarray:
     """(tiles, numbers) int64, row by row of the film. runs: (tiles + 1,) of each kind; None: any may be anywhere."""
-    top, left = (a.ravel() for a in np.mgrid[0:height:HEIGHT, 0:width:WIDTH])
-    rows = np.zeros((len(top), TILE_NUMBERS + 5 * kinds), np.int64)
-    right, bottom = np.minimum(left + WIDTH, width), np.minimum(top + HEIGHT, height)
-    for field, numbers in enumerate((left, top, right, bottom, (bottom - top) * WIDTH, bottom - top)):
-        rows[:, field] = numbers
+    boxes = _tile_numbers(width, height)
+    rows = np.zeros((len(boxes), TILE_NUMBERS + 5 * kinds), np.int64)
+    rows[:, :TILE_NUMBERS] = boxes
     earlier = np.zeros(len(rows), bool)
     for k in range(kinds):
         at, present = kind_numbers(k), np.ones(len(rows), bool)
@@ -90,6 +89,14 @@ def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | 
         )
         earlier |= present
     return rows
+
+
+@lru_cache
+def _tile_numbers(width: int, height: int) -> np.ndarray:
+    """The numbers of a row that are the same for all films of a size."""
+    boxes = np.array(list(tile_boxes(width, height)), np.int64).reshape(-1, 4)
+    lines = boxes[:, 3] - boxes[:, 1]
+    return np.column_stack([boxes, lines * WIDTH, lines])
 
 
 CACHE_LINE = 64  # bytes

@@ -9,7 +9,6 @@ from caster.jit.decorators import inlined, jit
 from caster.jit.simd import ALL_LANES, LANES, lanes_in_range
 from caster.kernels.protocol import Vec3, fast_normal, normal, normal_setup
 from caster.kernels.raster.tile import (
-    HEIGHT,
     PRIM,
     T_ERROR,
     T_MAX,
@@ -17,20 +16,15 @@ from caster.kernels.raster.tile import (
     WIDTH,
     Box,
     T,
-    generate_camera_rays,
     lane,
 )
-from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.surface.per_hit import (
     UNKNOWN,
     Hit,
-    fill_miss,
     per_hit,
     ray_of,
-    store_hits,
     store_misses,
     store_value,
-    write_aov,
 )
 
 # Once all is cast, three fields of a tile are free for normals.
@@ -108,69 +102,3 @@ def hit_with_normal(tile: Any, i: Any, n: Vec3) -> Hit:
     o, d = ray_of(tile, i)
     unknown = UNKNOWN
     return Hit(o, d, tile[T + i], 0.0, unknown, n, unknown, (0.0, 0.0), unknown, unknown, -1, -1)
-
-
-@inlined
-def box_of(window: Any, number: int) -> Box:
-    """The pixels of a tile of the window; tiles go row by row."""
-    across = -(-window.width // WIDTH)
-    x, y = number % across * WIDTH, number // across * HEIGHT
-    return x, y, min(x + WIDTH, window.width), min(y + HEIGHT, window.height)
-
-
-@jit
-def film_of_shared_origin(
-    camera: Any, window: Any, kind: Any, reach: float, tiles: Any, buffers: Any, out: Any
-) -> None:
-    """Tiles tiles[0]..tiles[1] of a film of one kind whose rays start in one point: no step of Python a tile, since
-    Python's steps are taken by one thread at a time, and waiting for one's turn costs more than they do.
-
-    kind: (prims, order, runs, bounds) of rasterization.BinnedKind; buffers: tile, surface buffer, ids and start as
-    `write_aov` takes them. out: hit, uncertain, and an AOV that needs the ray alone and one that needs the normal
-    alone, kernel and image each; images without size are not written.
-    """
-    prims, order, runs, bounds = kind
-    for number in range(tiles[0], tiles[1]):
-        box, run = box_of(window, number), (runs[number], runs[number + 1])
-        if run[0] == run[1]:
-            _miss_all(box, out)
-            continue
-        generate_camera_rays(camera, window, box, buffers[0])
-        cast_shared_origin(prims, order, run, bounds, 0, box, buffers[0])
-        _write(prims, bounds, reach, buffers, box, out)
-
-
-@jit
-def film_of_own_origins(
-    camera: Any, window: Any, kind: Any, reach: float, tiles: Any, buffers: Any, out: Any
-) -> None:
-    """The same for parallel rays."""
-    prims, order, runs, bounds = kind
-    for number in range(tiles[0], tiles[1]):
-        box, run = box_of(window, number), (runs[number], runs[number + 1])
-        if run[0] == run[1]:
-            _miss_all(box, out)
-            continue
-        generate_camera_rays(camera, window, box, buffers[0])
-        cast_own_origins(prims, order, run, bounds, 0, box, buffers[0])
-        _write(prims, bounds, reach, buffers, box, out)
-
-
-@inlined
-def _miss_all(box: Box, out: Any) -> None:
-    _, _, (of_ray, ray_image), (of_normal, normal_image) = out
-    if ray_image.size > 0:
-        fill_miss(of_ray, box, ray_image)
-    if normal_image.size > 0:
-        fill_miss(of_normal, box, normal_image)
-
-
-@inlined
-def _write(prims: Any, bounds: Any, reach: float, buffers: Any, box: Box, out: Any) -> None:
-    tile, surface, ids, start = buffers
-    hit, uncertain, (of_ray, ray_image), (of_normal, normal_image) = out
-    if ray_image.size > 0:
-        write_aov(of_ray, tile, box, surface, ids, start, ray_image)
-    if normal_image.size > 0:
-        normals_in_tile(of_normal, prims, (0, len(bounds.near)), reach, tile, box, True, normal_image)
-    store_hits(tile, box, hit, uncertain)

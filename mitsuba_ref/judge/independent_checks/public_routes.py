@@ -7,6 +7,7 @@ are taken is drawn from a seed that depends on geometry and film alone, so that 
 
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,9 +27,8 @@ from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.shapes.targets import Rng
 
 ALL_AOVS = tuple(aov.NAME for aov in AOVS)
-RAY_ALONE = frozenset(aov.NAME for aov in AOVS if not aov.NEEDS)
-# Sets that films of one kind of primitive have kernels of their own for, which every user of `render` compiles.
-WITHOUT_SURFACES = (("depth", "normal"), ("normal",), ("depth",))
+# What most users render: always compared.
+USUAL_SETS = (("depth", "normal"), ("normal",), ("depth",))
 
 # What is rendered beside the whole film is small beside it: a share of its pixels, within limits.
 CROPS, SETS_OF_CROPS = 3, 10
@@ -188,27 +188,19 @@ def _call(
     return f"caster.render({scene}, {tuple(aovs)!r}{words})"
 
 
-def _sets(scene: Scene, rng: Rng, count: int) -> list[tuple[str, ...]]:
-    """Single AOVs and pairs, in random order. Where a film has one kind of primitive, AOVs that need the ray alone come
-    in pairs: each alone would be compiled for that kind and camera."""
-    alone = [(name,) for name in ALL_AOVS if len(packed(scene).kinds) > 1 or name not in RAY_ALONE]
-    alone = [names for names in alone if names not in WITHOUT_SURFACES]
-    pairs = [(a, b) for i, a in enumerate(ALL_AOVS) for b in ALL_AOVS[i + 1 :] if _has_surface(a, b)]
+def _sets(rng: Rng, count: int) -> list[tuple[str, ...]]:
+    """Single AOVs and pairs, in random order."""
+    alone: list[tuple[str, ...]] = [(name,) for name in ALL_AOVS if (name,) not in USUAL_SETS]
+    pairs: list[tuple[str, ...]] = [*combinations(ALL_AOVS, 2)]
     rng.shuffle(alone)
     rng.shuffle(pairs)
-    mixed = [names for two in zip(alone, pairs, strict=False) for names in two]
-    return [tuple(names) for names in mixed[:count]]
-
-
-def _has_surface(a: str, b: str) -> bool:
-    """Whether the pair goes by tiles, whose kernels are those of each AOV alone."""
-    return "normal" not in (a, b) or not {a, b} & RAY_ALONE
+    return [names for two in zip(alone, pairs, strict=False) for names in two][:count]
 
 
 def _other_sets(scene: Scene, rng: Rng, whole: Aovs) -> Found:
     """Other AOVs, numbers of threads and dtypes, of the whole film."""
     threads = rng.permutation([1, 2, 3]).tolist()
-    for i, names in enumerate([*WITHOUT_SURFACES, *_sets(scene, rng, 2)]):
+    for i, names in enumerate([*USUAL_SETS, *_sets(rng, 2)]):
         options = {"threads": threads[i % 3]}
         yield _compare(scene, _call(names, **options), whole, render(scene, names, **options))
 
@@ -216,7 +208,7 @@ def _other_sets(scene: Scene, rng: Rng, whole: Aovs) -> Found:
 def _crops(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
     """Random windows are what is cut out of the whole, whatever is asked of them."""
     x0, y0, x1, y1 = scene.film.window
-    sets = [*WITHOUT_SURFACES[:2], *_sets(scene, rng, SETS_OF_CROPS)]
+    sets = [*USUAL_SETS[:2], *_sets(rng, SETS_OF_CROPS)]
     side = int(np.clip((whole.hit.size // CROP_SHARE) ** 0.5, *CROP_SIDES))
     share = -(-len(sets) // CROPS)
     for number in range(CROPS):
@@ -260,7 +252,7 @@ def _other_films(scene: Scene, rng: Rng) -> Found:
         rays = camera_rays(film)
         view = trace_rays(film, numbers, rays, np.zeros(len(rays.o)))
         expected = evaluate(view, ALL_AOVS, film_window(film))
-        for names in (ALL_AOVS, WITHOUT_SURFACES[0]):
+        for names in (ALL_AOVS, USUAL_SETS[0]):
             yield _compare(film, _call(names, crop, size), expected, render(film, names))
         if not small and rays.o.shape[0] * int(numbers.first[-1]) <= BRUTE_FORCE_TESTS:
             culling = _CULLINGS[i % 2]
