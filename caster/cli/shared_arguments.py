@@ -200,10 +200,10 @@ def checked_paths(args: argparse.Namespace) -> Iterator[None]:
     inputs = [each for each in given if isinstance(each[1], InputPath)]
     outputs = [each for each in given if isinstance(each[1], (OutputFile, OutputFolder)) and each[1] != "-"]
     for place, (name, path) in enumerate(outputs):
-        for other, source in inputs:
+        for _, source in inputs:
             if _is_or_contains(source, path):
                 raise SceneError(
-                    f"{_option(name)} {path}: expected another path than the input {_option(other)} {source}: "
+                    f"{_option(name)} {path}: expected another path than the input {source}: "
                     "it would be overwritten"
                 )
         for other, earlier in outputs[:place]:

@@ -95,7 +95,7 @@ def argument_forms(args: tuple[Any, ...]) -> list[Form]:
 
 
 def checked_call(args: tuple[Any, ...], entry: Callable[..., int], gives: str) -> Callable[..., Any]:
-    """A function of such arguments that calls `entry`; for any others it returns OTHER.
+    """A function of such arguments that calls `entry`; for any others it returns MISMATCH.
 
     It is written out for their classes, as what happens here comes on top of every call of a kernel. gives: the form
     of the answer, "" for none; `entry` takes the address for it first.

@@ -37,7 +37,7 @@ class Nearest(NamedTuple):
 
     t: np.ndarray  # (n,) float64, inf on a miss
     prim: np.ndarray  # (n,) int32, number of the primitive, -1 on a miss
-    error: np.ndarray  # (n,) float64, the true t is within off of t
+    error: np.ndarray  # (n,) float64, the true t is within error of t
 
 
 class UncertainHits(NamedTuple):
@@ -98,7 +98,7 @@ def all_finite(v: Vec3) -> bool:
 
 @jit
 def find_invalid_ray(o: Any, d: Any, start: int, stop: int) -> int:
-    """The first of rays start..stop that is not finite or has no direction; else whether all their d are PLAIN."""
+    """The first of rays start..stop that is not finite or has no direction; else ALL_IN_RANGE or OUT_OF_RANGE, of d."""
     plain = True
     for i in range(start, stop):
         length = max_norm(row(d, i))
@@ -281,7 +281,7 @@ def cast_brute_force(
 
 @jit
 def intersect_each(prims: Any, ks: Any, rays: Any, t: Any, error: Any, start: int, stop: int) -> None:
-    """t[j], off[j] of ray 0 and primitive ks[j], for j in start..stop; see protocol.intersect."""
+    """t[j], error[j] of ray 0 and primitive ks[j], for j in start..stop; see protocol.intersect."""
     o, d = row(rays.o, 0), row(rays.d, 0)
     for j in range(start, stop):
         pre = prepare(prims, load(prims, ks[j]), o)

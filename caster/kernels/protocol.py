@@ -52,12 +52,12 @@ def _t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
 
 @generic_inlined
 def same_geometry(prims: Any, k: int, j: int) -> Any:
-    """Whether `root` reads the same numbers of primitives k and j; False will do."""
+    """Whether `exact_intersect` reads the same numbers of primitives k and j; False where that is not known."""
 
 
 @generic
 def exact_intersect(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Any:
-    """The same of primitive k, exactly and slowly: a surds.Root."""
+    """The hit of a ray on primitive k, exactly and slowly: an exact.numbers.Root."""
 
 
 @generic_inlined

@@ -150,8 +150,8 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     near = clip_to_height(certain_in_range(roots.near, roots.near_error, t_min, t_max), axis)
     far = clip_to_height(certain_in_range(roots.far, roots.far_error, t_min, t_max), axis)
     t, error = first_hit(near, far)
-    axis_setup = all_products_zero(m[0], d) & all_products_zero(m[1], d)  # exactly so
-    return filter_result(roots.met, roots.missed | axis_setup, t, error)
+    parallel = all_products_zero(m[0], d) & all_products_zero(m[1], d)  # to the axis, exactly so
+    return filter_result(roots.met, roots.missed | parallel, t, error)
 
 
 @implement(surely_misses, Cylinders)

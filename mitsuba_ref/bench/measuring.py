@@ -200,7 +200,7 @@ class ContestantRun:
 
 
 def fitting_size(first: int, seconds: float, most: int) -> int:
-    """The largest power of two times `first`, at most `most`, whose cast should take no more than LONGEST seconds."""
+    """The largest power of two times `first`, at most `most`, whose cast should take no more than MAX_CAST_S."""
     size = min(first, most)
     while 2 * size <= most and seconds * (2 * size / first) ** 2 <= MAX_CAST_S:
         size *= 2

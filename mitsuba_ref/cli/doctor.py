@@ -26,7 +26,7 @@ from caster.cli.installation import (
 from caster.system.process import OK
 from mitsuba_ref.reference import subprocess_runner
 
-__all__ = ["Finding", "exit_code", "format", "format_json", "report", "usable"]
+__all__ = ["Finding", "exit_code", "format_json", "report", "usable"]
 
 
 # The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.

@@ -18,9 +18,9 @@ from caster.cli.shared_arguments import (
     positive_int,
 )
 from caster.description.errors import SceneError
-from caster.system.process import DIFFERENCES, OK
+from caster.system.process import OK
 from mitsuba_ref.cli.options import HTML_SUFFIX, PRECISIONS, add_reading, add_verdict_files, html_output
-from mitsuba_ref.cli.validate import check_outputs, print_rows, write_results
+from mitsuba_ref.cli.validate import check_outputs, exit_code, print_rows, write_results
 
 if TYPE_CHECKING:
     import numpy as np
@@ -202,10 +202,13 @@ def run(args: argparse.Namespace) -> int:
     running = ValidationRun(entries, options, entries[0].subject)
     try:
         print_rows(running)
-        write_results(running, args, time.perf_counter() - start)
-    finally:
-        running.finish_report(running.verdict())
-    return OK if running.verdict().ok else DIFFERENCES
+    finally:  # whatever ends the work, the results so far are written
+        verdict = running.verdict()
+        try:
+            write_results(running, args, time.perf_counter() - start)
+        finally:
+            running.finish_report(verdict)
+    return exit_code(verdict, running.errors)
 
 
 def requested_scene(args: argparse.Namespace) -> Scene:

@@ -141,9 +141,9 @@ def no_intersections() -> Intersections:
 
 
 # How much boxes are grown, as a share of |o| + their farthest corner. The bound of an edge function, divided by the
-# length of the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. What
-# lies beyond is at best
-# possible (a certain one is passed by the ray itself), and leaving it out takes an excuse away from both sides.
+# length of the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. What lies
+# beyond is at best possible (a certain one is passed by the ray itself), and leaving it out takes an excuse away from
+# both sides.
 BOX_MARGIN = 16 * KU
 
 BOX_TESTS_PER_BATCH = 1 << 21  # rays times boxes that are held at once

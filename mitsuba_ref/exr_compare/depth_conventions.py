@@ -36,9 +36,14 @@ MISS_SENTINELS: Mapping[str, float] = {
     "65504": 65504.0,  # the largest half
 }
 
-CONVENTION_RTOL = 1e-3  # of a depth: agreement of two images of the same scene, whatever renderer made them
-MIN_SHARE_FITTING_CONVENTION = 0.9  # of the pixels that both hit have to show a convention
-DECISIVE_ERROR_RATIO = 4.0  # times as far off in the middle is any other convention
+# Of a depth: how well two images of a scene agree under the right convention. Half floats, the coarsest that files
+# have, round by 2^-11, 5e-4; distance and depth along z differ by more where a ray is 2.6 degrees off the axis or more.
+CONVENTION_RTOL = 1e-3
+# Choices, not bounds: what they decide is printed, and --depth overrides it. So many of the pixels that both hit have
+# to show a convention, since along edges the two may hit different shapes; and any other one has to be so many times
+# as far off at the median pixel.
+MIN_SHARE_FITTING_CONVENTION = 0.9
+DECISIVE_ERROR_RATIO = 4.0
 MIN_PIXELS_HIT_IN_BOTH = 16  # pixels; with fewer, nothing is shown
 
 

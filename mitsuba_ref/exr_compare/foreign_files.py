@@ -57,8 +57,8 @@ class Reading:
     """How to interpret files of other programs, where their numbers do not decide."""
 
     maps: tuple[str, ...] = ()  # OURS=THEIRS
-    depth: str | None = None  # of conventions.WORDS
-    miss: str | None = None  # of conventions.SENTINELS, or a number
+    depth: str | None = None  # distance, z or near
+    miss: str | None = None  # of depth_conventions.MISS_SENTINELS, or a number
     near: float | None = None  # of the near plane that depth counts from, where the scene's camera has none
     scene: Scene | None = None  # whose camera rendered the images
 

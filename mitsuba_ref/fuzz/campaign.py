@@ -300,6 +300,9 @@ def _finding_of(verdict: SceneVerdict) -> Finding:
     return Finding("judged", what, pixel=(first.x, first.y), detail=first.verdict)
 
 
+# A shape none of whose random scenes can be judged would keep the long run for ever; of a hundred a few are outside.
+MAX_SCENES_OUTSIDE = 1000
+
 # ---- the long run: millions of rays per shape type, in scenes of a few shapes of that type ----
 
 RAYS_PER_SCENE = 2048
@@ -328,7 +331,7 @@ class LongRun:
         """One scene after another; a line of progress after each."""
         for shape, tally in self.outcome.families.items():
             number = 0
-            while tally.rays < self.rays:
+            while tally.rays < self.rays and tally.outside <= tally.examples + MAX_SCENES_OUTSIDE:
                 start = time.monotonic()
                 self._check_scene(shape, number, tally)
                 self.seconds[shape] += time.monotonic() - start
@@ -373,7 +376,7 @@ class LongRun:
         lines = aligned([COLUMNS, *(self._cells(shape) for shape in self.outcome.families)], left=1)
         for failure in self.outcome.failures:
             lines.append(f"FAIL  {failure.kind}: {failure.what}")
-            lines.append(f"      replay: mitsuba-ref fuzz --replay {failure.file}")
+            lines.append(f"      replay: {failure.replay}")
         total = self.outcome.total
         wrong = f", {total.kinds_text}" if total.kinds else ""
         lines.append(

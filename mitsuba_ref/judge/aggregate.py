@@ -38,7 +38,7 @@ from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.subjects.subject import FLOAT32, Answer
 
-# What the judge compares of our caster, and no candidate gives.
+# What the judge compares of our caster, and a candidate does not give; ids of shapes and primitives only some do.
 NEVER_GIVEN = ("position", "shading_normal", "uv", "shape_id", "diffuse")
 
 

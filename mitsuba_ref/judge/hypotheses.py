@@ -647,6 +647,10 @@ def explain_normals(f: WrongPixels, n: np.ndarray) -> Iterator[Explained]:
         yield Explained(f"the normal is off by {range_text(error[finite])} of its length", "", left)
 
 
+# A choice: a hypothesis that names what is wrong leaves no more than so much of an error.
+MAX_SHARE_OF_ERROR_LEFT = 0.5
+
+
 def _of_corners_seen_from_the_origin(f: WrongPixels, n: np.ndarray, error: np.ndarray) -> np.ndarray:
     """(m,) bool: normals of triangles, right but for the rounding of corner - o to float32."""
     if f.judge.answer.precision != FLOAT32:
@@ -656,7 +660,7 @@ def _of_corners_seen_from_the_origin(f: WrongPixels, n: np.ndarray, error: np.nd
         seen = (corners.astype(np.float32) - f.o.astype(np.float32)[:, None]).astype(np.float64)
         predicted = unit(np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0]))
         left = row_distance(n, predicted)
-        found: np.ndarray = (left <= FIT_FACTOR * f.at.n_error) & (left < 0.5 * error)
+        found: np.ndarray = (left <= FIT_FACTOR * f.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
     return found
 
 

@@ -1,6 +1,7 @@
 """Checks made once a scene: the transform, packing and material of each shape, and `render` against the judged rays."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -185,11 +186,16 @@ def check_render(scene: Scene) -> SceneCheck:
     ours, moved = render(scene, CHECKED_AOVS), evaluate(judged, CHECKED_AOVS, film_window(scene))
     differs = np.any([bits_differ(ours, moved, name) for name in CHECKED_AOVS], axis=0)
     rows = np.flatnonzero(differs & (rays.t_min > 0.0))
-    if len(rows):
-        rows = np.random.default_rng(1).choice(rows, min(RENDER_PIXELS_CHECKED, len(rows)), replace=False)
+    differing = len(rows)
+    if differing:
+        rows = np.random.default_rng(1).choice(rows, min(RENDER_PIXELS_CHECKED, differing), replace=False)
         differs &= rays.t_min == 0.0
         differs[rows] = ~_within_float64(scene, ours, rows, _segments(rays, rows))
-    return worst_pixel("render", {"pixel": np.where(differs, np.inf, 0.0)}, np.ones(len(o), bool), scene)
+    found = worst_pixel("render", {"pixel": np.where(differs, np.inf, 0.0)}, np.ones(len(o), bool), scene)
+    sampled = (
+        f"; {len(rows)} of {differing} pixels with other bits looked at" if len(rows) < differing else ""
+    )
+    return replace(found, what=found.what + sampled)
 
 
 def _segments(rays: Any, rows: np.ndarray) -> RaySegments:

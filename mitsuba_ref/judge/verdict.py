@@ -24,7 +24,7 @@ JUDGED_WITHOUT_REFERENCE = (
 )  # the reference hits another surface: nothing of it bounds the subject
 FAILING = (WRONG, UNDECIDED)
 UNLISTED = (
-    "unlisted"  # the case of a pixel where the reference is wrong in no way that known_defects.py lists
+    "unlisted"  # the case of a pixel where the reference is wrong in no known way (judge/defect_lookup.py)
 )
 UNSUPPORTED, EXPECTED = "unsupported", "expected"  # a scene that is waived: declined, or a known failure
 VERDICT_FORMAT = 3  # of verdict.json: raised when a name in it changes its meaning or goes away

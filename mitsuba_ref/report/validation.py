@@ -333,7 +333,7 @@ def check_memory(scene: Scene) -> None:
     if needed > left:
         raise SceneError(
             f"film: {x1 - x0} x {y1 - y0} pixels need some {needed / 1e9:.1f} GB ({bytes_each} bytes each), and "
-            f"{left / 1e9:.1f} GB are left: judge a crop or a smaller film (--size W H), or fewer scenes at a time (-j)"
+            f"{left / 1e9:.1f} GB are left: judge a crop or a smaller film, or fewer scenes at a time"
         )
 
 

@@ -53,10 +53,11 @@ SCENE_CHECKS = (
     "sensor",
     "bias",
 )
-# Of a candidate, which gives t and normals: what else `validate` compares is skipped where it is not given.
+# Of a candidate, which gives t and what else it has: of what `validate` compares the rest is skipped.
 CANDIDATE_CHECKS = (
     "mask",
     "shape_id",
+    "prim_id",
     "depth",
     "normal",
     "exact",
@@ -66,7 +67,6 @@ CANDIDATE_CHECKS = (
     "camera",
     "mesh_files",
     "sensor",
-    "bias",
 )
 VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and there is evidence
 SUFFIXES = (".toml", ".json")

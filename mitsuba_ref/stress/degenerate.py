@@ -123,7 +123,8 @@ SLIVER = Family(
 
 
 TANGENCY_GAPS = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-GAP_TOLERANCE = (0.3, 3.0)  # gaps: rays that rounding moved out of this range are dropped
+# gaps: rays that rounding moved further are dropped; half a decade to each side, where the next gap begins
+GAP_TOLERANCE = (0.3, 3.0)
 TANGENT_CANDIDATES_PER_RAY = 400  # at the narrowest gap one in fifty stays in it
 
 

@@ -9,9 +9,11 @@ import pytest
 import caster
 from caster.image.channels import write_render
 from caster.image.exr import read_exr, write_exr
+from caster.system.atomic_files import OutputError
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
+from mitsuba_ref.runner import many_scenes
 
 # Numbers are float32 ones, so that what our caster casts is what is judged.
 SCENE = """
@@ -350,6 +352,22 @@ def test_an_exr_is_judged_by_depth_and_by_position(folder, tmp_path, exr):
     code, scenes = judged_exr(folder, tmp_path, exr)
     assert code == 0 and [scene["name"] for scene in scenes] == ["scene", "scene position"]
     assert all(scene["counts"]["agree"] > 0.9 * scene["hit_pixels"] > 50 for scene in scenes)
+
+
+@pytest.mark.parametrize(("error", "code"), [(RuntimeError("planted"), 70), (OutputError("full"), 4)])
+def test_an_error_within_is_no_wrong_answer(folder, tmp_path, exr, monkeypatch, capsys, error, code):
+    """As of `validate`: 70 and a traceback for an internal error, 4 for a file that cannot be written."""
+
+    def fails(entry, *args, **options):
+        if entry.name.endswith("position"):
+            raise error
+        return judge_entry(entry, *args, **options)
+
+    judge_entry = many_scenes.judge_entry
+    monkeypatch.setattr(many_scenes, "judge_entry", fails)
+    found, scenes = judged_exr(folder, tmp_path, exr)
+    assert found == code and [bool(scene["problem"]) for scene in scenes] == [False, True]
+    assert ("Traceback" in capsys.readouterr().err) is (code == 70)
 
 
 def scaled(name, factor):

@@ -1,6 +1,7 @@
 """The import contract. A wrong import is named with its file, its line and the rule it breaks."""
 
 import ast
+import importlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -427,3 +428,11 @@ def test_help_imports_neither_numba_nor_mitsuba(module, command):
     answer, _, loaded = run.stdout.partition("\nloaded:")
     assert "usage" in answer.lower()
     assert not SLOW & set(loaded.split()), f"{command} --help loads {', '.join(SLOW & set(loaded.split()))}"
+
+
+def test_every_public_name_is_there():
+    names = [source.module for source in architecture.read_sources()]
+    modules = [importlib.import_module(name) for name in names if not name.endswith("__main__")]
+    stated = [(module, name) for module in modules for name in getattr(module, "__all__", ())]
+    missing = [f"{module.__name__}.{name}" for module, name in stated if not hasattr(module, name)]
+    assert len(stated) > 250 and not missing

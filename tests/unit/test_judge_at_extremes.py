@@ -1,5 +1,8 @@
-"""What the judge makes of scenes far from the origin, squashed balls and denormal corners: all found by fuzzing."""
+"""What the judge makes of scenes far import re
+import re
+from the origin, squashed balls and denormal corners: all found by fuzzing."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -75,6 +78,14 @@ def altered(monkeypatch: pytest.MonkeyPatch, change: Any) -> None:
 def test_a_faulty_image_behind_a_near_plane_is_still_detected(change, monkeypatch):
     altered(monkeypatch, change)
     assert not check_render(behind_a_near_plane()).ok
+
+
+def test_a_check_of_some_of_the_differing_pixels_states_of_how_many(monkeypatch):
+    altered(monkeypatch, lambda ours: {"depth": np.nextafter(ours["depth"], np.inf)})
+    assert "looked at" not in check_render(behind_a_near_plane()).what
+    monkeypatch.setattr(scene_checks, "RENDER_PIXELS_CHECKED", 7)
+    found = check_render(behind_a_near_plane())
+    assert found.ok and re.search(r"; 7 of \d\d pixels with other bits looked at$", found.what)
 
 
 def test_an_image_that_forgets_the_near_plane_is_detected(monkeypatch):

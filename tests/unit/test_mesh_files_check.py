@@ -259,7 +259,22 @@ def test_every_file_is_compared_once_and_has_to_be_read(smooth, tmp_path):
     for given in ((), (loaded, loaded)):
         found = check_mesh_files(scene, given)
         assert found.ratio == np.inf and f"1 files, Mitsuba has read {len(given)}" in found.what
-    assert check_mesh_files(scene.model_copy(update={"shapes": ()}), ()).what == "no mesh file"
+    assert check_mesh_files(scene.model_copy(update={"shapes": ()}), ()).what == "nothing to look at"
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_of_two_files_of_one_name_each_is_compared(smooth, tmp_path, wrong):
+    path, loaded = smooth
+    (tmp_path / "beside").mkdir()
+    other = tmp_path / "beside" / path.name
+    other.write_bytes(path.read_bytes())
+    scene = scene_with(path)
+    scene = scene.model_copy(update={"shapes": (*scene.shapes, *scene_with(other).shapes)})
+    assert check_mesh_files(scene, (loaded, loaded)).ok
+    answers = [loaded, loaded]
+    answers[wrong] = loaded._replace(corners=loaded.corners + 1.0)
+    found = check_mesh_files(scene, tuple(answers))
+    assert found.ratio == np.inf and found.what == f"corners of {(path, other)[wrong]}"
 
 
 def test_a_file_that_neither_reads_fails(smooth, monkeypatch):

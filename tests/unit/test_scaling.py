@@ -32,6 +32,12 @@ def scene_of(radius=1.0, **fields):
     return Scene.model_validate(data | fields)
 
 
+def test_where_no_other_scale_is_within_float64_the_check_says_so(monkeypatch):
+    monkeypatch.setattr(module, "exponents_of", lambda scene, seed: ())
+    found = check_scaling(scene_of())
+    assert found.ok and found.what.startswith("not compared: ")
+
+
 def test_every_length_is_scaled_and_nothing_else():
     scene = scaled_scene(scene_of(), 3)
     assert scene.camera.eye == (0.0, 0.0, 40.0) and scene.camera.look_at == (0.0, 0.0, 0.0)

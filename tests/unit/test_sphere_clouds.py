@@ -194,7 +194,7 @@ def test_the_judge_finds_a_file_that_is_read_wrongly(tmp_path, monkeypatch):
     ):
         monkeypatch.setattr(caster.SphereCloud, "load", lambda self, wrong=wrong: wrong)
         found = check_mesh_files(scene, ())
-        assert np.isposinf(found.ratio) and found.what == "spheres of a.ply"
+        assert np.isposinf(found.ratio) and found.what == "spheres of a.ply, shape 0"
 
 
 def test_the_judge_finds_a_cloud_that_is_packed_wrongly(monkeypatch):

@@ -226,10 +226,10 @@ class _Body:
         chunks: list[list[bytes]] = [[] for _ in self.types]
         sizes: list[list[int]] = [[] for _ in self.types]
         for row in range(self.element.rows):
-            starts, row_max_norms, at = self._row(at, row)
+            starts, lengths, at = self._row(at, row)
             for k, start in enumerate(starts):
-                chunks[k].append(self.data[start : start + row_max_norms[k] * self.types[k].itemsize])
-                sizes[k].append(row_max_norms[k])
+                chunks[k].append(self.data[start : start + lengths[k] * self.types[k].itemsize])
+                sizes[k].append(lengths[k])
         columns: Columns = {}
         for k, p in enumerate(self.element.properties):
             values = np.frombuffer(b"".join(chunks[k]), self.types[k])

@@ -116,7 +116,7 @@ def bin_of(boxes: Any, k: int, axis: int, least: float, per_bin: float) -> int:
 def partition(boxes: Any, order: Any, run: Any, spread: Any, counts: Any, bounds: Any) -> int:
     """Reorder a run so that its two parts cost least by area times number; return where the second begins.
 
-    spread: what `enclose` returned. counts (BINS,) and bounds (BINS, 6) are room to work in.
+    spread: what `bound_run` returned. counts (BINS,) and bounds (BINS, 6) are room to work in.
     """
     start, stop = run
     axis, least, largest = spread

@@ -118,7 +118,7 @@ def pop_beyond(top: int, limit: float, workspace: Any) -> int:
 def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, workspace: Any) -> Any:
     """The best of ray i (o, d, t_min, t_max) once all of a kind has been looked at; the nearest of the boxes first.
 
-    A box at exactly the nearest t is opened, so no tie is lost. room: the stack, where its boxes are entered, and
+    A box at exactly the nearest t is opened, so no tie is lost. workspace: the stack, where its boxes are entered, and
     where a node's are.
     """
     stack, entries, near = workspace

@@ -168,7 +168,7 @@ def normalize_in_range(v: Vec3) -> Vec3:
 
 @inlined
 def outward_normal_in_range(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
-    """The same bits, for r from SMALL to LARGE and an f below LARGE."""
+    """The same bits, for r from MIN_RANGE to MAX_RANGE and an f below MAX_RANGE."""
     along_d = unit_direction(d)
     return normalize_in_range(radial_vector(f, along_d, t * dot(d, along_d), r))
 

@@ -226,13 +226,13 @@ def turn_fraction(y: float, x: float) -> float:
 
 @inlined
 def filter_result(hit: bool, missed: bool, t: float, error: float) -> tuple[float, float]:
-    """(t, off) where it is sure to be hit, MISS where it is sure to be missed, else UNDECIDED."""
+    """(t, error) where it is sure to be hit, MISS where it is sure to be missed, else UNDECIDED."""
     return t if hit else (math.inf if missed else 0.0), error if hit else (0.0 if missed else math.inf)
 
 
 @inlined
 def certain_in_range(t: float, error: float, t_min: float, t_max: float) -> tuple[float, float]:
-    """The answer for a hit at t, within off, if t_min < t <= t_max. TINY: t and off may have underflowed themselves."""
+    """The answer for a hit at t, within error, if t_min < t <= t_max. TINY: both may have underflowed themselves."""
     error = error + TINY
     inside = (t - error > t_min) & (t + error <= t_max)
     return filter_result(inside, (t + error <= t_min) | (t - error > t_max), t, error)

@@ -6,7 +6,6 @@ known distances, the compiler can assume that a store into one changes no other,
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,8 +30,8 @@ FIELDS = 12
 T, T_ERROR, PRIM, UNCERTAIN, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (
     lane(STRIDE * field) for field in range(FIELDS)
 )
-# T, OFF: the nearest so far, the true t within OFF; PLACE: number of the primitive, kind by kind, -1 for none;
-# DOUBT: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
+# T, T_ERROR: the nearest so far, the true t within T_ERROR; PRIM: number of the primitive, kind by kind, -1 for none;
+# UNCERTAIN: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
 
 # Behind the fields: bounds of rays, and where shadow rays are in the picture of their fan (caster/kernels/bvh/fans.py).
 SCRATCH = lane(STRIDE * FIELDS)
@@ -73,9 +72,10 @@ def kind_numbers(k: int) -> KindNumbers:
 
 def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | None = None) -> np.ndarray:
     """(tiles, numbers) int64, row by row of the film. runs: (tiles + 1,) of each kind; None: any may be anywhere."""
-    boxes = _tile_numbers(width, height)
+    boxes = np.array(list(tile_boxes(width, height)), np.int64).reshape(-1, 4)
     rows = np.zeros((len(boxes), TILE_NUMBERS + 5 * kinds), np.int64)
-    rows[:, :TILE_NUMBERS] = boxes
+    rows[:, BOX], rows[:, LINES] = boxes, boxes[:, 3] - boxes[:, 1]
+    rows[:, COUNT] = rows[:, LINES] * WIDTH
     earlier = np.zeros(len(rows), bool)
     for k in range(kinds):
         at, present = kind_numbers(k), np.ones(len(rows), bool)
@@ -89,14 +89,6 @@ def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | 
         )
         earlier |= present
     return rows
-
-
-@lru_cache
-def _tile_numbers(width: int, height: int) -> np.ndarray:
-    """The numbers of a row that are the same for all films of a size."""
-    boxes = np.array(list(tile_boxes(width, height)), np.int64).reshape(-1, 4)
-    lines = boxes[:, 3] - boxes[:, 1]
-    return np.column_stack([boxes, lines * WIDTH, lines])
 
 
 CACHE_LINE = 64  # bytes

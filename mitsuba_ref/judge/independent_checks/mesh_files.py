@@ -27,6 +27,7 @@ from mitsuba_ref.error_model.tolerances import (
     TRANSFORM_ROUNDINGS,
     U32,
 )
+from mitsuba_ref.judge.scene_checks import Shares
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.messages import LoadedMesh
 
@@ -87,29 +88,32 @@ def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck
     files = files_of(scene)
     if len(loaded) != len(files):
         return SceneCheck("mesh_files", np.inf, f"{len(files)} files, Mitsuba has read {len(loaded)}")
-    shares: dict[str, float] = {}
+    shares, names = Shares(), [file.name for file in files]
     for (file, mesh), theirs in zip(files.items(), loaded, strict=True):
         found = read_plainly(file)
         claims = _against_mitsuba(mesh, theirs, found, file)
         if found is not None:
             claims["float64"] = _same(mesh.vertices[mesh.faces], found.corners)
             claims |= _where_there_is_none(mesh, found)
-        shares |= {f"{what} of {file.name}": share for what, share in claims.items()}
-    shares |= {f"spheres of {file.name}": share for file, share in _files_of_spheres(scene)}
-    worst = max(shares, key=lambda name: shares[name], default="no mesh file")
-    return SceneCheck("mesh_files", shares.get(worst, 0.0), worst)
+        shown = file.name if names.count(file.name) == 1 else file
+        for what, share in claims.items():
+            shares.add(f"{what} of {shown}", share)
+    for number, file, share in _files_of_spheres(scene):
+        shares.add(f"spheres of {file.name}, shape {number}", share)
+    what, worst = shares.worst()
+    return SceneCheck("mesh_files", worst, what)
 
 
-def _files_of_spheres(scene: Scene) -> Iterator[tuple[Path, float]]:
-    """Each file that spheres are read from, and 0 if plain Python reads the same numbers, else inf."""
-    for shape in scene.shapes:
+def _files_of_spheres(scene: Scene) -> Iterator[tuple[int, Path, float]]:
+    """(number, file, share) of shapes of spheres from files: 0 if plain Python reads the same numbers, else inf."""
+    for number, shape in enumerate(scene.shapes):
         if isinstance(shape, SphereCloud) and shape.file is not None:
             centers, radii = shape.load()
             expected, sizes = plain_ply_spheres(Path(shape.file).read_bytes(), PLAIN_SPHERES)
             given = np.zeros((len(centers), 0)) if radii is None else radii[:, None]
             complete = len(expected) == min(len(centers), PLAIN_SPHERES)
             same = _same(centers[:PLAIN_SPHERES], expected) + _same(given[:PLAIN_SPHERES], sizes)
-            yield Path(shape.file), same if complete else float("inf")
+            yield number, Path(shape.file), same if complete else float("inf")
 
 
 def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, file: Path) -> dict[str, float]:
